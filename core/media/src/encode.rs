@@ -5,10 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use gstreamer::prelude::*;
 use gstreamer::{Buffer, Bus, Caps, ClockTime, Element, EventView, FormattedSegment, Fraction, MessageView, Pad, PadDirection, Pipeline, State};
-use gstreamer_video::{DownstreamForceKeyUnitEvent, VideoFormat, VideoInfo};
+use gstreamer_video::{DownstreamForceKeyUnitEvent, VideoColorimetry, VideoFormat, VideoInfo};
 
 use crate::MediaError;
 use crate::elements::{init, make};
+use crate::planes::{PlaneMut, bgr_to_bgrx, bgr_to_i420};
 
 /// Parts of an FFV1 picture that are encoded in parallel.
 const FFV1_SLICES: i32 = 4;
@@ -108,8 +109,9 @@ pub struct Encoder {
     sink: Pad,
     encoder: Element,
     settings: EncoderSettings,
-    /// Size of the incoming pictures, which are fitted into the video's size.
-    input: Option<VideoInfo>,
+    /// Pictures as the encoder takes them.
+    info: VideoInfo,
+    has_begun: bool,
     /// Reused once the elements have released it.
     picture: Option<Buffer>,
     pictures: u64,
@@ -137,22 +139,29 @@ impl VideoCodec {
         matches!(self, Self::H264 { .. } | Self::Hevc { .. })
     }
 
-    /// What the encoder takes: BT.601 for all sizes, because decoders that ignore the file's own colorimetry assume it.
-    fn input_caps(self, size_px: (usize, usize)) -> Caps {
-        let (format, colorimetry) = match self {
-            Self::Mjpeg { .. } => ("I420", Some("1:4:0:0")),
-            Self::Ffv1 => ("BGRx", None),
-            _ => ("I420", Some("bt601")),
-        };
-        let mut caps = Caps::builder("video/x-raw")
-            .field("format", format)
-            .field("width", size_px.0 as i32)
-            .field("height", size_px.1 as i32)
-            .field("pixel-aspect-ratio", Fraction::new(1, 1));
-        if let Some(colorimetry) = colorimetry {
-            caps = caps.field("colorimetry", colorimetry);
+    /// What the encoder takes.
+    fn format(self) -> VideoFormat {
+        if self == Self::Ffv1 { VideoFormat::Bgrx } else { VideoFormat::I420 }
+    }
+
+    /// Colours by BT.601 for all sizes, because decoders that ignore the file's own colorimetry assume it.
+    fn colorimetry(self) -> Option<VideoColorimetry> {
+        match self {
+            Self::Ffv1 => None,
+            Self::Mjpeg { .. } => "1:4:0:0".parse().ok(),
+            _ => "bt601".parse().ok(),
         }
-        caps.build()
+    }
+
+    /// Pictures of a size, as the encoder takes them.
+    fn info(self, (width, height): (usize, usize), rate_hz: Fraction) -> Option<VideoInfo> {
+        let (width, height) = (u32::try_from(width).ok()?, u32::try_from(height).ok()?);
+        let mut info = VideoInfo::builder(self.format(), width, height).fps(rate_hz);
+        let colorimetry = self.colorimetry();
+        if let Some(colorimetry) = &colorimetry {
+            info = info.colorimetry(colorimetry);
+        }
+        info.build().ok()
     }
 
     fn output_caps(self, framing: Framing) -> Option<Caps> {
@@ -228,7 +237,7 @@ impl VideoCodec {
     /// GStreamer cannot start, or an element is missing: the error names the package to install.
     pub fn check(self) -> Result<(), MediaError> {
         let (encoder, parser) = self.elements();
-        ["videoconvert", "videoscale", "capsfilter", encoder].into_iter().chain(parser).try_for_each(|name| make(name).map(drop))
+        ["capsfilter", encoder].into_iter().chain(parser).try_for_each(|name| make(name).map(drop))
     }
 }
 
@@ -264,7 +273,10 @@ impl Encoder {
         let (name, parser) = codec.elements();
         let encoder = make(name)?;
         codec.configure(&encoder, key_interval);
-        let mut chain = vec![make("videoscale")?, make("videoconvert")?, filter(&codec.input_caps(size_px))?, encoder.clone()];
+        let wired = |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
+        let info = codec.info(size_px, rate_hz);
+        let info = info.ok_or_else(|| wired(&format!("{}x{} px is no size of a video", size_px.0, size_px.1)))?;
+        let mut chain = vec![encoder.clone()];
         if let Some(parser) = parser {
             chain.push(make(parser)?);
         }
@@ -294,13 +306,12 @@ impl Encoder {
                 true
             })
             .build();
-        let wired = |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
         sink.set_active(true).map_err(refused(name))?;
         source.set_active(true).map_err(refused(name))?;
         source.link(&first).map_err(|error| wired(&error))?;
         last.link(&sink).map_err(|error| wired(&error))?;
         let bus = pipeline.bus().ok_or_else(|| wired(&"the pipeline has no bus"))?;
-        let encoder = Self { pipeline, bus, source, sink, encoder, settings, input: None, picture: None, pictures: 0, times_ns: VecDeque::new(), collected };
+        let encoder = Self { pipeline, bus, source, sink, encoder, settings, info, has_begun: false, picture: None, pictures: 0, times_ns: VecDeque::new(), collected };
         if encoder.pipeline.set_state(State::Playing).is_err() {
             return Err(encoder.error("it does not start"));
         }
@@ -332,11 +343,11 @@ impl Encoder {
         self.source.push_event(DownstreamForceKeyUnitEvent::builder().all_headers(true).build());
     }
 
-    /// Encodes a picture that is shown at `time_ns`; times grow. `bgr`: rows of blue, green, red without padding, `size_px` columns and rows. A
-    /// picture of another size than the video's is fitted into it with black borders.
+    /// Encodes a picture that is shown at `time_ns`; times grow. `bgr`: rows of blue, green, red without padding, `size_px` columns and rows as in
+    /// the settings.
     ///
     /// # Errors
-    /// The encoder fails, or `bgr` does not have this size.
+    /// The encoder fails, or the picture does not have this size.
     pub fn encode(&mut self, bgr: &[u8], size_px: (usize, usize), time_ns: u64) -> Result<Vec<Packet>, MediaError> {
         let buffer = self.fill(bgr, size_px)?;
         self.times_ns.push_back(time_ns);
@@ -353,7 +364,7 @@ impl Encoder {
     /// # Errors
     /// The encoder fails.
     pub fn finish(&mut self) -> Result<Vec<Packet>, MediaError> {
-        if self.input.is_some() {
+        if self.has_begun {
             self.source.push_event(gstreamer::event::Eos::new());
             if let Some(error) = self.bus_error() {
                 return Err(error);
@@ -373,22 +384,14 @@ impl Encoder {
         packets
     }
 
-    /// Announces the size of the pictures that follow.
-    fn begin(&mut self, (width, height): (usize, usize)) -> Result<VideoInfo, MediaError> {
-        let too_large = || self.failure(format!("{width}x{height} px is no size of a picture"));
-        let (width, height) = (u32::try_from(width).map_err(|_| too_large())?, u32::try_from(height).map_err(|_| too_large())?);
-        let info = VideoInfo::builder(VideoFormat::Bgr, width, height).fps(self.settings.rate_hz).build().map_err(|_| too_large())?;
-        let caps = info.to_caps().map_err(|error| self.failure(error.to_string()))?;
-        if self.input.is_none() {
-            self.source.push_event(gstreamer::event::StreamStart::new("pictures"));
-        }
+    /// Announces the pictures that follow.
+    fn begin(&mut self) -> Result<(), MediaError> {
+        let caps = self.info.to_caps().map_err(|error| self.failure(error.to_string()))?;
+        self.source.push_event(gstreamer::event::StreamStart::new("pictures"));
         self.source.push_event(gstreamer::event::Caps::new(&caps));
-        if self.input.is_none() {
-            let segment = FormattedSegment::<ClockTime>::new();
-            self.source.push_event(gstreamer::event::Segment::new(&segment));
-        }
-        self.input = Some(info.clone());
-        Ok(info)
+        self.source.push_event(gstreamer::event::Segment::new(&FormattedSegment::<ClockTime>::new()));
+        self.has_begun = true;
+        Ok(())
     }
 
     fn fill(&mut self, bgr: &[u8], size_px: (usize, usize)) -> Result<Buffer, MediaError> {
@@ -396,14 +399,19 @@ impl Encoder {
         if columns == 0 || rows == 0 || bgr.len() != columns * rows * 3 {
             return Err(self.failure(format!("a picture of {columns}x{rows} px has {} bytes", bgr.len())));
         }
-        // The picture that has the video's size but for an odd last column or row.
-        let padded = (columns.next_multiple_of(2), rows.next_multiple_of(2));
-        let held = if padded == self.settings.size_px { padded } else { size_px };
-        let info = match &self.input {
-            Some(info) if (info.width() as usize, info.height() as usize) == held => info.clone(),
-            _ => self.begin(held)?,
-        };
-        let stride = info.stride()[0] as usize;
+        let video_px = self.settings.size_px;
+        // But for a repeated last column or row.
+        if video_px != size_px && !self.settings.codec.is_even_sized()
+            || video_px.0.wrapping_sub(columns) > 1
+            || video_px.1.wrapping_sub(rows) > 1
+        {
+            let message = format!("a picture of {columns}x{rows} px came into a video of {}x{}", video_px.0, video_px.1);
+            return Err(self.failure(message));
+        }
+        if !self.has_begun {
+            self.begin()?;
+        }
+        let info = &self.info;
         let last = self.picture.take().filter(|last| last.size() == info.size() && last.is_writable());
         let mut buffer = match last {
             Some(last) => last,
@@ -416,12 +424,14 @@ impl Encoder {
         self.pictures += 1;
         {
             let mut map = writable.map_writable().map_err(|error| self.failure(error.to_string()))?;
-            for (y, target) in map.chunks_exact_mut(stride).take(held.1).enumerate() {
-                let row = &bgr[y.min(rows - 1) * columns * 3..][..columns * 3];
-                target[..row.len()].copy_from_slice(row);
-                if held.0 > columns {
-                    target[row.len()..row.len() + 3].copy_from_slice(&row[row.len() - 3..]);
-                }
+            let plane = |data, index: usize| PlaneMut { data, stride: info.stride()[index] as usize };
+            if self.settings.codec.format() == VideoFormat::Bgrx {
+                bgr_to_bgrx(bgr, size_px, plane(&mut map, 0));
+            } else {
+                let (luma, chroma) = map.split_at_mut(info.offset()[1]);
+                let (cb, cr) = chroma.split_at_mut(info.offset()[2] - info.offset()[1]);
+                let is_full_range = matches!(self.settings.codec, VideoCodec::Mjpeg { .. });
+                bgr_to_i420(bgr, size_px, video_px, is_full_range, [plane(luma, 0), plane(cb, 1), plane(cr, 2)]);
             }
         }
         Ok(buffer)

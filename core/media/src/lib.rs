@@ -6,6 +6,7 @@ mod container;
 mod elements;
 mod encode;
 mod error;
+mod planes;
 
 pub use container::{Container, ContainerFile};
 pub use elements::{init, make};

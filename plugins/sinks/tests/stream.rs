@@ -169,7 +169,11 @@ fn streams_share_a_port_and_end_alone() {
     assert!(message.contains("`out`") && message.contains("/wide") && message.contains("another `path`"), "{message}");
     depth.node.finish().unwrap();
     drop(depth);
-    wide.show_until("the client of the stream that ended is told", |_| second.ended());
+    wide.show_until("the client of the stream that ended is told", |_| {
+        // The end comes after the last picture.
+        second.look();
+        second.ended()
+    });
     let before = first.look();
     wide.show_until("the other goes on", |_| first.look() > before + 10);
     // The path is free again.

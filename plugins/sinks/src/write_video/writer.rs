@@ -4,6 +4,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use gstreamer::{Buffer, Caps, Fraction};
+use image::{ImageBuffer, Rgb, imageops};
 use panoscope_media::{ContainerFile, Encoder, EncoderSettings, MediaError, Packet};
 use panoscope_node::{NodeError, Result as NodeResult};
 
@@ -54,7 +55,6 @@ enum Pace {
         pacing: Pacing,
         /// The newest picture, to be repeated.
         last: Vec<u8>,
-        last_size_px: (usize, usize),
         rate: FrameCount,
     },
     /// At a constant rate: pictures are counted.
@@ -84,6 +84,8 @@ enum Output {
 
 struct Video {
     encoder: Encoder,
+    /// Size of the first picture, px.
+    size_px: (usize, usize),
     pace: Pace,
     output: Output,
 }
@@ -110,6 +112,23 @@ fn failed(path: &Path, error: MediaError) -> SinkError {
         MediaError::DiskFull { .. } => SinkError::io(path, std::io::ErrorKind::StorageFull.into()),
         other => SinkError::Encode { path: path.to_owned(), reason: other.to_string() },
     }
+}
+
+/// Fits a picture of `from` columns and rows into `to` with its proportions kept and black borders.
+fn letterbox(bgr: &[u8], from: (usize, usize), to: (usize, usize)) -> Option<Vec<u8>> {
+    let scale = (to.0 as f64 / from.0 as f64).min(to.1 as f64 / from.1 as f64);
+    let width = ((from.0 as f64 * scale).round() as usize).clamp(1, to.0);
+    let height = ((from.1 as f64 * scale).round() as usize).clamp(1, to.1);
+    // The order of the channels makes no difference.
+    let picture = ImageBuffer::<Rgb<u8>, &[u8]>::from_raw(from.0 as u32, from.1 as u32, bgr)?;
+    let small = imageops::resize(&picture, width as u32, height as u32, imageops::FilterType::Triangle);
+    let mut out = vec![0; to.0 * to.1 * 3];
+    let (left, top) = ((to.0 - width) / 2, (to.1 - height) / 2);
+    for (y, row) in small.as_raw().chunks_exact(width * 3).enumerate() {
+        let at = ((top + y) * to.0 + left) * 3;
+        out[at..at + width * 3].copy_from_slice(row);
+    }
+    Some(out)
 }
 
 /// A rate as a fraction that is exact for whole rates and for those of NTSC.
@@ -177,7 +196,6 @@ impl VideoWriter {
         let pace = Pace::Repeated {
             pacing: Pacing::new(rate_hz),
             last: Vec::new(),
-            last_size_px: size_px,
             rate: FrameCount { frames: 0, rate_hz },
         };
         self.open(size_px, quality_pct, pace)?;
@@ -198,7 +216,7 @@ impl VideoWriter {
             key_interval: KEY_INTERVAL,
         })
         .map_err(|error| failed(&self.path, error))?;
-        self.state = State::Open(Box::new(Video { encoder, pace, output: Output::None }));
+        self.state = State::Open(Box::new(Video { encoder, size_px, pace, output: Output::None }));
         Ok(())
     }
 
@@ -236,23 +254,24 @@ impl VideoWriter {
 impl Video {
     fn append(&mut self, settings: &VideoSettings, path: &Path, picture: &Picture<'_>) -> Result<(), SinkError> {
         let Picture { bgr, size_px, at_ns, quality_pct } = *picture;
+        let fitted = if size_px == self.size_px { None } else { letterbox(bgr, size_px, self.size_px) };
+        let bgr = fitted.as_deref().unwrap_or(bgr);
         self.encoder.set_quality_pct(quality_pct);
         let time_ns = match &mut self.pace {
             Pace::Timed(timeline) => timeline.next_ms(at_ns) * 1_000_000,
             Pace::Counted(rate) => rate.next_ns(),
-            Pace::Repeated { pacing, last, last_size_px, rate } => {
+            Pace::Repeated { pacing, last, rate } => {
                 for _ in 0..pacing.repeats(at_ns) {
-                    let packets = self.encoder.encode(last, *last_size_px, rate.next_ns());
+                    let packets = self.encoder.encode(last, self.size_px, rate.next_ns());
                     let packets = packets.map_err(|error| failed(path, error))?;
                     self.output.write(settings, path, &self.encoder, packets)?;
                 }
                 last.clear();
                 last.extend_from_slice(bgr);
-                *last_size_px = size_px;
                 rate.next_ns()
             }
         };
-        let packets = self.encoder.encode(bgr, size_px, time_ns).map_err(|error| failed(path, error))?;
+        let packets = self.encoder.encode(bgr, self.size_px, time_ns).map_err(|error| failed(path, error))?;
         self.output.write(settings, path, &self.encoder, packets)
     }
 
