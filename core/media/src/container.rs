@@ -70,7 +70,8 @@ impl ContainerFile {
         file.set_property_from_str("buffer-mode", "unbuffered");
         let source = AppSrc::builder().caps(caps).format(Format::Time).max_bytes(WAITING_BYTES).block(true).build();
         let pipeline = Pipeline::new();
-        let failed = |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
+        let failed =
+            |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
         pipeline.add_many([source.upcast_ref(), &muxer, &file]).map_err(|error| failed(&error))?;
         // Any other pad, for sound, would be linked as well.
         source.link_pads(None, &muxer, Some("video_%u")).map_err(|_| failed(&format!("it does not take {caps}")))?;

@@ -4,7 +4,10 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use gstreamer::prelude::*;
-use gstreamer::{Buffer, Bus, Caps, ClockTime, Element, EventView, FormattedSegment, Fraction, MessageView, Pad, PadDirection, Pipeline, State};
+use gstreamer::{
+    Buffer, Bus, Caps, ClockTime, Element, EventView, FormattedSegment, Fraction, MessageView, Pad, PadDirection,
+    Pipeline, State,
+};
 use gstreamer_video::{DownstreamForceKeyUnitEvent, VideoColorimetry, VideoFormat, VideoInfo};
 
 use crate::MediaError;
@@ -273,7 +276,8 @@ impl Encoder {
         let (name, parser) = codec.elements();
         let encoder = make(name)?;
         codec.configure(&encoder, key_interval);
-        let wired = |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
+        let wired =
+            |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
         let info = codec.info(size_px, rate_hz);
         let info = info.ok_or_else(|| wired(&format!("{}x{} px is no size of a video", size_px.0, size_px.1)))?;
         let mut chain = vec![encoder.clone()];
@@ -311,7 +315,20 @@ impl Encoder {
         source.link(&first).map_err(|error| wired(&error))?;
         last.link(&sink).map_err(|error| wired(&error))?;
         let bus = pipeline.bus().ok_or_else(|| wired(&"the pipeline has no bus"))?;
-        let encoder = Self { pipeline, bus, source, sink, encoder, settings, info, has_begun: false, picture: None, pictures: 0, times_ns: VecDeque::new(), collected };
+        let encoder = Self {
+            pipeline,
+            bus,
+            source,
+            sink,
+            encoder,
+            settings,
+            info,
+            has_begun: false,
+            picture: None,
+            pictures: 0,
+            times_ns: VecDeque::new(),
+            collected,
+        };
         if encoder.pipeline.set_state(State::Playing).is_err() {
             return Err(encoder.error("it does not start"));
         }
@@ -405,7 +422,8 @@ impl Encoder {
             || video_px.0.wrapping_sub(columns) > 1
             || video_px.1.wrapping_sub(rows) > 1
         {
-            let message = format!("a picture of {columns}x{rows} px came into a video of {}x{}", video_px.0, video_px.1);
+            let message =
+                format!("a picture of {columns}x{rows} px came into a video of {}x{}", video_px.0, video_px.1);
             return Err(self.failure(message));
         }
         if !self.has_begun {

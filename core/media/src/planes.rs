@@ -12,12 +12,8 @@ struct Matrix {
 }
 
 /// BT.601, 0 to 255: JPEG.
-const FULL: Matrix = Matrix {
-    luma: [7471, 38470, 19595],
-    luma_offset: 0,
-    cb: [32768, -21709, -11059],
-    cr: [-5329, -27439, 32768],
-};
+const FULL: Matrix =
+    Matrix { luma: [7471, 38470, 19595], luma_offset: 0, cb: [32768, -21709, -11059], cr: [-5329, -27439, 32768] };
 
 /// BT.601, 16 to 235 and 16 to 240: other codecs.
 const LIMITED: Matrix =

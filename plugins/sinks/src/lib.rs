@@ -1,7 +1,7 @@
 //! Writers of images, videos, tables and raw data, and live video on the network.
 //!
-//! Every writer is a node of one file; what the bytes of a format look like stands in [`formats`], and how a file comes
-//! to its name (folders, `{seq}`, part files, errors with their help) in [`target`].
+//! Every writer is a node in a file of its own. [`formats`] has the bytes of each format, [`target`] what leads from a path parameter to a file:
+//! folders, `{seq}`, part files, errors with their help.
 
 #![forbid(unsafe_code)]
 

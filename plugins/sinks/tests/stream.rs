@@ -85,7 +85,8 @@ struct Client {
 impl Client {
     fn launch(source: &str) -> Self {
         gstreamer::init().unwrap();
-        let text = format!("{source} ! decodebin ! videoconvert ! video/x-raw,format=BGR ! appsink name=sink sync=false");
+        let text =
+            format!("{source} ! decodebin ! videoconvert ! video/x-raw,format=BGR ! appsink name=sink sync=false");
         let pipeline = gstreamer::parse::launch(&text).unwrap().downcast::<Pipeline>().unwrap();
         let sink = pipeline.by_name("sink").unwrap().downcast::<AppSink>().unwrap();
         // A player that cannot connect yet reports it on its bus.
@@ -324,9 +325,15 @@ fn mistakes_are_named_with_their_remedies() {
     let port = taken.local_addr().unwrap().port();
     let cases = [
         (format!("port = {port}"), vec![format!("127.0.0.1:{port}"), "another program uses this port".to_owned()]),
-        (r#"path = "/my view""#.to_owned(), vec!["`/my view`".to_owned(), "has a space".to_owned(), "such as `/wide`".to_owned()]),
+        (
+            r#"path = "/my view""#.to_owned(),
+            vec!["`/my view`".to_owned(), "has a space".to_owned(), "such as `/wide`".to_owned()],
+        ),
         (r#"path = "/""#.to_owned(), vec!["it is empty".to_owned()]),
-        (r#"address = "localhost""#.to_owned(), vec!["`localhost` is no IP address".to_owned(), "127.0.0.1".to_owned()]),
+        (
+            r#"address = "localhost""#.to_owned(),
+            vec!["`localhost` is no IP address".to_owned(), "127.0.0.1".to_owned()],
+        ),
         (r#"port = 0, address = "203.0.113.7""#.to_owned(), vec!["no such address".to_owned()]),
         (r#"push = "http://a/b""#.to_owned(), vec!["`http://a/b`".to_owned(), "udp://HOST:PORT".to_owned()]),
         ("serve = false".to_owned(), vec!["goes nowhere".to_owned(), "`push`".to_owned()]),
@@ -375,7 +382,11 @@ fn pictures_arrive_while_they_are_new() {
         let mut settled = arrived.split_off(PICTURES / 3);
         settled.sort();
         let (p50, p99) = (settled[settled.len() / 2], settled[settled.len() * 99 / 100]);
-        println!("stream_latency/{codec}: p50 {:.1} ms, p99 {:.1} ms", p50.as_secs_f64() * 1e3, p99.as_secs_f64() * 1e3);
+        println!(
+            "stream_latency/{codec}: p50 {:.1} ms, p99 {:.1} ms",
+            p50.as_secs_f64() * 1e3,
+            p99.as_secs_f64() * 1e3
+        );
         assert!(p99 < Duration::from_secs(2), "{codec}: {p99:?}");
     }
 }

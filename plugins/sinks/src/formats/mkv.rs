@@ -235,8 +235,7 @@ impl<W: Output> Muxer<W> {
     fn complete(&mut self, is_indexed: bool, end: u64) -> io::Result<()> {
         let mut patch = Vec::new();
         let (first_ms, last_ms) = self.span_ms;
-        let step_ms =
-            if self.frames > 1 { (last_ms - first_ms) as f64 / (self.frames - 1) as f64 } else { 0.0 };
+        let step_ms = if self.frames > 1 { (last_ms - first_ms) as f64 / (self.frames - 1) as f64 } else { 0.0 };
         if self.frames > 0 {
             element(&mut patch, DURATION, &(last_ms as f64 + step_ms).to_be_bytes());
             self.patch(self.duration_at, &patch)?;

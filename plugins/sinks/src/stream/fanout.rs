@@ -48,7 +48,8 @@ impl Payload {
 }
 
 /// The text of the element that packets enter a pipeline by.
-pub const SOURCE: &str = "appsrc name=source is-live=true format=time do-timestamp=true max-buffers=0 max-bytes=0 max-time=0";
+pub const SOURCE: &str =
+    "appsrc name=source is-live=true format=time do-timestamp=true max-buffers=0 max-bytes=0 max-time=0";
 
 struct Consumer {
     id: u64,

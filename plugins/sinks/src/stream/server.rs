@@ -86,7 +86,8 @@ impl Server {
     fn start(asked: SocketAddr) -> Result<Self, ServeError> {
         // The server itself does not say why it cannot listen.
         TcpListener::bind(asked).map_err(|error| refused(asked, &error))?;
-        let failed = |reason: String| ServeError::Listen { at: asked, reason, help: "give another `address` or `port`" };
+        let failed =
+            |reason: String| ServeError::Listen { at: asked, reason, help: "give another `address` or `port`" };
         let rtsp = RTSPServer::new();
         rtsp.set_address(&asked.ip().to_string());
         rtsp.set_service(&asked.port().to_string());
@@ -240,7 +241,8 @@ mod tests {
         for path in ["/live", "live", "/a/b-c_d.e"] {
             assert_eq!(path_problem(path), None, "{path}");
         }
-        for (path, problem) in [("", "empty"), ("/", "empty"), ("/my view", "space"), ("/a?b", "`?`"), ("/ä", "`ä`")] {
+        for (path, problem) in [("", "empty"), ("/", "empty"), ("/my view", "space"), ("/a?b", "`?`"), ("/ä", "`ä`")]
+        {
             let found = path_problem(path).unwrap_or_default();
             assert!(found.contains(problem), "{path}: {found}");
         }

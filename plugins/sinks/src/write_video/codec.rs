@@ -36,7 +36,7 @@ pub enum FileKind {
 }
 
 impl FileKind {
-    /// What an ending of [`ENDINGS`] stands for.
+    /// The kind of a file with one of the [`ENDINGS`].
     pub fn of(ending: &str) -> Self {
         match ending {
             "avi" => Self::Indexed(Container::Avi),

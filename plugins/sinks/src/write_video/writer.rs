@@ -193,11 +193,8 @@ impl VideoWriter {
         let State::First { bgr, size_px, at_ns, quality_pct } = std::mem::replace(&mut self.state, State::New) else {
             return Ok(());
         };
-        let pace = Pace::Repeated {
-            pacing: Pacing::new(rate_hz),
-            last: Vec::new(),
-            rate: FrameCount { frames: 0, rate_hz },
-        };
+        let pace =
+            Pace::Repeated { pacing: Pacing::new(rate_hz), last: Vec::new(), rate: FrameCount { frames: 0, rate_hz } };
         self.open(size_px, quality_pct, pace)?;
         let State::Open(video) = &mut self.state else { return Ok(()) };
         video.append(&self.settings, &self.path, &Picture { bgr: &bgr, size_px, at_ns, quality_pct })
@@ -307,9 +304,7 @@ impl Output {
                 Self::Matroska(muxer) => {
                     let time_ms = packet.buffer.pts().map_or(0, |time| (time.nseconds() + 500_000) / 1_000_000);
                     let bytes = map(path, &packet.buffer)?;
-                    muxer
-                        .push(time_ms, &bytes, packet.is_key())
-                        .map_err(|error| SinkError::io(path, error))?;
+                    muxer.push(time_ms, &bytes, packet.is_key()).map_err(|error| SinkError::io(path, error))?;
                 }
                 Self::Indexed(file) => file.push(packet).map_err(|error| failed(path, error))?,
             }
@@ -343,7 +338,7 @@ impl Output {
                 Ok(Self::Matroska(Box::new(muxer)))
             }
             FileKind::Indexed(container) => {
-                // Whether it can be created, in the system's words.
+                // Reports with the system's error where it cannot be created.
                 File::create(path).map_err(io)?;
                 ContainerFile::create(path, container, &caps).map(Self::Indexed).map_err(|error| failed(path, error))
             }
@@ -360,7 +355,5 @@ fn map<'a>(
     path: &Path,
     buffer: &'a Buffer,
 ) -> Result<gstreamer::BufferMap<'a, gstreamer::buffer::Readable>, SinkError> {
-    buffer
-        .map_readable()
-        .map_err(|error| SinkError::Encode { path: path.to_owned(), reason: error.to_string() })
+    buffer.map_readable().map_err(|error| SinkError::Encode { path: path.to_owned(), reason: error.to_string() })
 }
