@@ -8,6 +8,7 @@ use crate::MediaError;
 
 /// Elements that are used by name, and Debian's package of each.
 const PACKAGES: &[(&str, &[&str])] = &[
+    ("libgstreamer1.0-0", &["capsfilter", "filesink"]),
     (
         "gstreamer1.0-plugins-base",
         &["appsink", "appsrc", "decodebin", "uridecodebin", "videoconvert", "videoscale", "videorate", "videotestsrc"],
@@ -26,6 +27,9 @@ const PACKAGES: &[(&str, &[&str])] = &[
             "avidemux",
             "qtdemux",
             "qtmux",
+            "mp4mux",
+            "vp8enc",
+            "udpsink",
             "deinterlace",
             "rtph264pay",
             "rtph265pay",
@@ -33,9 +37,9 @@ const PACKAGES: &[(&str, &[&str])] = &[
             "rtph264depay",
         ],
     ),
-    ("gstreamer1.0-plugins-bad", &["h264parse", "h265parse", "jpegparse", "openh264enc", "openh264dec"]),
+    ("gstreamer1.0-plugins-bad", &["h264parse", "h265parse", "jpegparse", "openh264enc", "openh264dec", "x265enc"]),
     ("gstreamer1.0-plugins-ugly", &["x264enc"]),
-    ("gstreamer1.0-libav", &["avdec_h264", "avdec_h265", "avdec_mjpeg", "avenc_ffv1", "avdec_ffv1"]),
+    ("gstreamer1.0-libav", &["avdec_h264", "avdec_h265", "avdec_mjpeg", "avenc_ffv1", "avdec_ffv1", "avenc_mpeg4"]),
     ("gstreamer1.0-rtsp", &["rtspclientsink"]),
 ];
 

@@ -21,6 +21,20 @@ pub enum MediaError {
         /// Debian package that holds it.
         package: &'static str,
     },
+    /// An encoder or a muxer refused its settings or failed without a report.
+    #[error("{encoder}: {reason}")]
+    Encoder {
+        /// Name of the element.
+        encoder: String,
+        /// What happened.
+        reason: String,
+    },
+    /// No space is left on the disk that an element writes to.
+    #[error("{element}: no space is left on the disk")]
+    DiskFull {
+        /// Name of the element.
+        element: String,
+    },
     /// An element reported an error on the bus.
     #[error("{element}: {reason}{}", details.as_deref().map(|text| format!(" ({text})")).unwrap_or_default())]
     Bus {
@@ -35,8 +49,12 @@ pub enum MediaError {
 
 impl From<&BusError> for MediaError {
     fn from(message: &BusError) -> Self {
+        let element = message.src().map_or_else(|| "pipeline".to_owned(), |source| source.name().to_string());
+        if message.error().matches(gstreamer::ResourceError::NoSpaceLeft) {
+            return Self::DiskFull { element };
+        }
         Self::Bus {
-            element: message.src().map_or_else(|| "pipeline".to_owned(), |source| source.name().to_string()),
+            element,
             reason: message.error().message().to_owned(),
             details: message.debug().map(|text| text.to_string()),
         }

@@ -2,8 +2,13 @@
 //!
 //! `capture` and `sinks` are separate libraries that share one GStreamer in a process. What both need stands here.
 
+mod container;
 mod elements;
+mod encode;
 mod error;
+mod planes;
 
+pub use container::{Container, ContainerFile};
 pub use elements::{init, make};
+pub use encode::{Encoder, EncoderSettings, Framing, Packet, RateControl, VideoCodec};
 pub use error::MediaError;

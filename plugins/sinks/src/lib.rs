@@ -1,13 +1,14 @@
-//! Writers of images, videos, tables and raw data.
+//! Writers of images, videos, tables and raw data, and live video on the network.
 //!
-//! Every writer is a node of one file; what the bytes of a format look like stands in [`formats`], and how a file comes
-//! to its name (folders, `{seq}`, part files, errors with their help) in [`target`].
+//! Every writer is a node in a file of its own. [`formats`] has the bytes of each format, [`target`] what leads from a path parameter to a file:
+//! folders, `{seq}`, part files, errors with their help.
 
 #![forbid(unsafe_code)]
 
 pub mod formats;
 pub mod picture;
 pub mod preview;
+pub mod stream;
 pub mod target;
 pub mod write_cloud;
 pub mod write_images;
@@ -24,4 +25,5 @@ export_plugin![
     write_table::WriteTable,
     write_cloud::WriteCloud,
     preview::Preview,
+    stream::Stream,
 ];

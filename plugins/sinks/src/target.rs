@@ -31,7 +31,7 @@ pub enum SinkError {
         /// A name that would do.
         example: &'static str,
     },
-    /// The ending stands for no format of this node.
+    /// No format of this node has this ending.
     #[error("{path}: no format has the ending `{ending}` here; known are: {known}", path = path.display())]
     Ending {
         /// The file that was asked for.
@@ -56,7 +56,7 @@ pub enum SinkError {
     Encode {
         /// The file that was asked for.
         path: PathBuf,
-        /// The encoder's words.
+        /// What the encoder reported.
         reason: String,
     },
 }
@@ -194,7 +194,7 @@ impl Growing {
         if self.begun.is_none() {
             let path = cx.begin_file(&self.asked, true)?;
             if path != self.asked {
-                cx.info(&format!("goes on in {}", path.display()));
+                cx.info(&format!("continues in {}", path.display()));
             }
             self.create(path)?;
         }

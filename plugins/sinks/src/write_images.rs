@@ -145,7 +145,7 @@ impl Node for WriteImages {
 impl Drop for WriteImages {
     fn drop(&mut self) {
         if let Err(error) = self.write_last() {
-            // `finish` was not called, and no call is running that could carry the words.
+            // `finish` was not called, and no running call can report the error.
             eprintln!("panoscope: write_images: {error}");
         }
     }

@@ -47,7 +47,7 @@ pub struct WriteRaw {
     files: Wholes,
     format: ArrayFormat,
     ticks: u64,
-    bare_told: bool,
+    bare_reported: bool,
 }
 
 impl Node for WriteRaw {
@@ -67,7 +67,7 @@ impl Node for WriteRaw {
         let ending = check_name(&params.path, "{seq}_{port}.pfm", ArrayFormat::ENDINGS)?;
         let format = ArrayFormat::from_ending(&ending).ok_or_else(|| NodeError::new("the ending has no format"))?;
         open.claim_file(&params.path)?;
-        Ok(Self { pattern, files: Wholes::default(), format, ticks: 0, bare_told: false })
+        Ok(Self { pattern, files: Wholes::default(), format, ticks: 0, bare_reported: false })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
@@ -94,8 +94,8 @@ impl Node for WriteRaw {
             self.files.write(&path, |file| {
                 array::write(file, self.format, &pixels).map_err(|error| SinkError::io(&path, error))
             })?;
-            if self.format == ArrayFormat::Bare && !self.bare_told {
-                self.bare_told = true;
+            if self.format == ArrayFormat::Bare && !self.bare_reported {
+                self.bare_reported = true;
                 let (width, height) = pixels.size();
                 cx.info(&format!("{} holds {width}x{height} {} without a header", path.display(), pixels.name()));
             }

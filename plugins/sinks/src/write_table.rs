@@ -32,7 +32,7 @@ pub struct In<'f> {
     pub roi: Option<Value<'f, Roi>>,
     /// Tip of a tool.
     pub tip: Option<Value<'f, Tip>>,
-    /// Where one frame stands in another.
+    /// Pose of one coordinate frame in another.
     pub pose: Option<Value<'f, Pose>>,
     /// Angles and speeds of the arm.
     pub joints: Option<Value<'f, Joints>>,
@@ -49,7 +49,7 @@ pub struct In<'f> {
 pub struct Settings {
     /// File to write: .jsonl holds one JSON object per tick, .csv one line per tick or table row, .json is one COCO file of all
     /// detections or instances, written at the end; until then they are JSON lines in a file beside it, ending in .json.journal. A node that is
-    /// opened again in the same run goes on in .part2.jsonl and so on.
+    /// opened again in the same run continues in .part2.jsonl and so on.
     #[param(default = "out/table.jsonl", reopen, writes)]
     pub path: PathBuf,
     /// Name of each tick's picture in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png.
@@ -63,7 +63,7 @@ enum Form {
     Csv {
         file: Growing,
         columns: Vec<String>,
-        lost_told: bool,
+        loss_reported: bool,
     },
     /// Written at the end; the journal holds what has come so far, in case that the end does not.
     Coco {
@@ -115,7 +115,7 @@ impl Node for WriteTable {
         let file = Growing::new(&path);
         let image_name = if params.image_name.is_empty() { "{seq}.png" } else { &params.image_name };
         let form = match ending.as_str() {
-            "csv" => Form::Csv { file, columns: Vec::new(), lost_told: false },
+            "csv" => Form::Csv { file, columns: Vec::new(), loss_reported: false },
             "json" => {
                 let image_name = Pattern::new(image_name.as_ref());
                 Form::Coco { coco: Coco::default(), image_name, journal: file, begun: None }
@@ -133,7 +133,7 @@ impl Node for WriteTable {
                 file.append(cx, self.line.as_bytes())?;
                 self.lines += 1;
             }
-            Form::Csv { file, columns, lost_told } => {
+            Form::Csv { file, columns, loss_reported } => {
                 if input.detections.is_some() && input.table.is_some() {
                     return Err(NodeError::new(
                         "a CSV file has one kind of line: give `table` and `detections` a `write_table` each, or write .jsonl",
@@ -156,8 +156,8 @@ impl Node for WriteTable {
                     }
                     self.line.push('\n');
                     self.lines += 1;
-                    if !*lost_told && let Some((name, _)) = cells.iter().find(|(name, _)| !columns.contains(name)) {
-                        *lost_told = true;
+                    if !*loss_reported && let Some((name, _)) = cells.iter().find(|(name, _)| !columns.contains(name)) {
+                        *loss_reported = true;
                         cx.warn(&format!(
                             "column `{name}` came after the file's first line and is left out: .jsonl would keep it"
                         ));
@@ -252,7 +252,7 @@ impl WriteTable {
 impl Drop for WriteTable {
     fn drop(&mut self) {
         if let Err(error) = self.complete_coco() {
-            // `finish` was not called, and no call is running that could carry the words.
+            // `finish` was not called, and no running call can report the error.
             eprintln!("panoscope: write_table: {error}");
         }
     }

@@ -1,11 +1,13 @@
 //! `write_video`: pictures as a video file.
 
 mod codec;
-mod encoder;
 mod timeline;
+mod writer;
 
 use std::path::PathBuf;
+use std::thread::JoinHandle;
 
+use panoscope_media::{MediaError, VideoCodec};
 use panoscope_node::{
     AnyImage, Choice, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
 };
@@ -13,10 +15,10 @@ use panoscope_node::{
 use crate::picture::Pixels;
 use crate::target::{check_name, check_path, claim};
 pub use codec::Codec;
-use encoder::{Encoder, Picture};
+use codec::{ENDINGS, FileKind};
+use writer::{Picture, VideoSettings, VideoWriter};
 
 const EXAMPLE: &str = "video.mkv";
-const ENDINGS: &str = "mkv, avi, mp4, mov, webm";
 
 /// Which time the frames of a video have.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +29,7 @@ pub enum Time {
     Passed,
 }
 
-/// Lag of a video of constant rate behind its pictures that gives a warning, ms.
+/// Lag of an .avi video behind its pictures that gives a warning, ms.
 const WARN_BEHIND_MS: f64 = 500.0;
 
 /// Inputs.
@@ -40,15 +42,15 @@ pub struct In<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write. A .mkv file survives a crash; .avi and .mp4 do not. A node that is opened again in the same run continues in .part2.mkv and so
-    /// on.
+    /// File to write: .mkv, .webm, .mp4, .mov or .avi. .mkv and .webm survive a crash and play to the last picture; the others do not. A node that
+    /// is opened again in the same run continues in .part2.mkv and so on.
     #[param(default = "out/video.mkv", reopen, writes)]
     pub path: PathBuf,
-    /// How the pictures are compressed.
+    /// How the pictures are compressed. .mkv holds every codec.
     #[param(default = "mjpg", reopen)]
     pub codec: Codec,
-    /// Frames per second, whatever the times of the pictures. 0 gives each picture its own time: exactly for `mjpg` in .mkv; for others the first two
-    /// pictures set the rate, and later ones are repeated where they lie farther apart.
+    /// Frames per second, whatever the times of the pictures. 0 gives each picture its own time, to the ms; in .avi the first two pictures set the
+    /// rate, and later ones are repeated where they lie farther apart.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     pub fps: f64,
     /// Time that the frames have.
@@ -57,16 +59,43 @@ pub struct Settings {
     /// Replaces the file of an earlier run; otherwise the video is written to the next .part file that does not exist.
     #[param(default = true, reopen)]
     pub replace: bool,
-    /// Quality of `mjpg` in .mkv.
+    /// Quality of `mjpg`, `mpeg4` and `vp8`. Those two take a new value when the file is opened again.
     #[param(default = 90, range = 1..=100, unit = "%")]
-    pub quality: i32,
+    pub quality: u8,
+    /// Constant quality of `h264` and `hevc`, as the encoder's constant rate factor: 18 looks like the original, 23 is usual, 28 gives small files.
+    #[param(default = 20, range = 1..=50, unit = "CRF", reopen)]
+    pub crf: u8,
+}
+
+/// Loads GStreamer and the encoder. For `mjpg`, whose encoder comes with GStreamer, this happens beside the start of the graph, which it would
+/// delay; a missing encoder of another codec is reported when the node opens.
+struct Preparation(Option<JoinHandle<Result<(), MediaError>>>);
+
+impl Preparation {
+    fn start(codec: VideoCodec) -> Result<Self> {
+        if !matches!(codec, VideoCodec::Mjpeg { .. }) {
+            codec.check()?;
+            return Ok(Self(None));
+        }
+        let thread = std::thread::Builder::new().name("write_video-start".to_owned()).spawn(move || codec.check())?;
+        Ok(Self(Some(thread)))
+    }
+
+    fn wait(self) -> Result<()> {
+        match self.0.map(JoinHandle::join) {
+            None | Some(Ok(Ok(()))) => Ok(()),
+            Some(Ok(Err(error))) => Err(error.into()),
+            Some(Err(_)) => Err(NodeError::new("the thread that loads the encoder panicked")),
+        }
+    }
 }
 
 /// Writes a video of the first picture's size; pictures of other sizes are fitted into it with black borders.
 pub struct WriteVideo {
-    encoder: Encoder,
+    writer: VideoWriter,
+    preparation: Option<Preparation>,
     bgr: Vec<u8>,
-    size: Option<(usize, usize)>,
+    size_px: Option<(usize, usize)>,
     size_warned: bool,
     behind_warned: bool,
     frames: u64,
@@ -80,11 +109,7 @@ impl Node for WriteVideo {
 
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         let Some(ending) = check_path(check, &params.path, EXAMPLE, ENDINGS) else { return };
-        let is_held = match ending.as_str() {
-            "webm" => params.codec == Codec::Vp8,
-            "mp4" => !matches!(params.codec, Codec::Vp8 | Codec::Ffv1),
-            _ => true,
-        };
+        let is_held = FileKind::of(&ending).holds(params.codec);
         if !is_held {
             let message = format!("a .{ending} file cannot hold the chosen `codec`");
             check.error("codec", message, "write .mkv, which holds every codec");
@@ -93,12 +118,23 @@ impl Node for WriteVideo {
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let ending = check_name(&params.path, EXAMPLE, ENDINGS)?;
-        if ending != "mkv" {
+        let kind = FileKind::of(&ending);
+        if matches!(kind, FileKind::Indexed(_)) {
             open.warn(&format!("a crash leaves an unplayable .{ending} file: .mkv survives it"));
         }
         claim(open, &params.path)?;
-        let encoder = Encoder::new(&params.path, &ending, params.codec, params.fps);
-        Ok(Self { encoder, bgr: Vec::new(), size: None, size_warned: false, behind_warned: false, frames: 0 })
+        let (path, codec) = (params.path.clone(), params.codec);
+        let preparation = Preparation::start(codec.with(params.quality, params.crf))?;
+        let settings = VideoSettings { path, kind, codec, fps: params.fps, crf: params.crf };
+        Ok(Self {
+            writer: VideoWriter::new(settings),
+            preparation: Some(preparation),
+            bgr: Vec::new(),
+            size_px: None,
+            size_warned: false,
+            behind_warned: false,
+            frames: 0,
+        })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
@@ -111,35 +147,35 @@ impl Node for WriteVideo {
                 "a video holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
             )));
         }
-        let size = pixels.size();
-        let first = *self.size.get_or_insert(size);
-        if size != first {
-            if !self.size_warned {
-                self.size_warned = true;
-                cx.warn(&format!(
-                    "pictures changed from {}x{} to {}x{}: fitted onto the first size with black borders",
-                    first.0, first.1, size.0, size.1
-                ));
-            }
-            self.bgr = encoder::letterbox(&self.bgr, size, first)?;
+        let size_px = pixels.size();
+        let first = *self.size_px.get_or_insert(size_px);
+        if size_px != first && !self.size_warned {
+            self.size_warned = true;
+            cx.warn(&format!(
+                "pictures changed from {}x{} to {}x{}: fitted onto the first size with black borders",
+                first.0, first.1, size_px.0, size_px.1
+            ));
+        }
+        if let Some(preparation) = self.preparation.take() {
+            preparation.wait()?;
         }
         let at_ns = match params.time {
             Time::Capture => cx.tick().capture_ns,
             Time::Passed => cx.clock_ns().unwrap_or(cx.tick().capture_ns),
         };
-        let picture = Picture { bgr: &self.bgr, size: first, at_ns, quality: params.quality };
-        self.encoder.push(&picture, |path| {
+        let picture = Picture { bgr: &self.bgr, size_px, at_ns, quality_pct: params.quality };
+        self.writer.push(&picture, |path| {
             let file = cx.begin_file(path, params.replace)?;
             if file != path {
                 cx.info(&format!("continues in {}", file.display()));
             }
             Ok(file)
         })?;
-        if !self.behind_warned && self.encoder.behind_ms() > WARN_BEHIND_MS {
+        if !self.behind_warned && self.writer.behind_ms() > WARN_BEHIND_MS {
             self.behind_warned = true;
             cx.warn(&format!(
-                "pictures come faster than the first two: {} plays too slowly; give `fps`, or write mjpg into .mkv",
-                self.encoder.path().display()
+                "pictures come faster than the first two: {} plays too slowly; give `fps`, or write .mkv",
+                self.writer.path().display()
             ));
         }
         self.frames += 1;
@@ -148,13 +184,13 @@ impl Node for WriteVideo {
     }
 
     fn finish(&mut self, _: &Finish<'_>) -> Result<()> {
-        Ok(self.encoder.finish()?)
+        Ok(self.writer.finish()?)
     }
 }
 
 impl Drop for WriteVideo {
     fn drop(&mut self) {
-        if let Err(error) = self.encoder.finish() {
+        if let Err(error) = self.writer.finish() {
             // `finish` was not called, and no running call can report the error.
             eprintln!("panoscope: write_video: {error}");
         }

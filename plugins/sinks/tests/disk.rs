@@ -22,6 +22,8 @@ use panoscope_sinks::write_table::WriteTable;
 use panoscope_sinks::write_video::WriteVideo;
 
 const CHILD: &str = "PANOSCOPE_TEST_DISK_CHILD";
+/// Name of the campaign of files that GStreamer writes.
+const INDEXED: &str = "indexed";
 
 /// As in `disk_faults.c`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,8 +93,13 @@ struct Reported {
     stopped: bool,
 }
 
-const SINKS: [Sink; 8] = [
+const SINKS: [Sink; 9] = [
     Sink { name: "video", run: |f, n, ack| run::<WriteVideo>(f, "path = \"v.mkv\"", n, ack, picture), read: videos },
+    Sink {
+        name: "h264",
+        run: |f, n, ack| run::<WriteVideo>(f, "path = \"v.mkv\", codec = \"h264\"", n, ack, picture),
+        read: videos,
+    },
     Sink {
         name: "images",
         run: |f, n, ack| run::<WriteImages>(f, "path = \"{seq}.png\"", n, ack, picture),
@@ -405,12 +412,40 @@ fn case(disk: &Disk, board: &Board, folder: &Path, sink: &Sink, fault: Fault, nu
     came
 }
 
+/// Files of containers that GStreamer writes: a crash may lose them, but no failed write goes unnoticed.
+fn indexed_files(disk: &Disk, folder: &Path) -> u32 {
+    let mut cases = 0;
+    for ending in ["mp4", "mov", "avi"] {
+        for fault in [Fault::Full, Fault::Gone] {
+            for number in 1.. {
+                let _ = fs::remove_dir_all(folder);
+                fs::create_dir_all(folder).unwrap();
+                disk.arm(folder, fault, number);
+                let params = format!("path = \"v.{ending}\"");
+                let reported = run::<WriteVideo>(folder, &params, 4, &mut |_| {}, picture);
+                cases += 1;
+                if !disk.disarm() {
+                    assert!(reported.errors.is_empty() && number > 3, "{ending}: {:?}", reported.errors);
+                    break;
+                }
+                assert!(!reported.errors.is_empty(), "{ending} with {fault:?} at operation {number}: not reported");
+                let is_full = reported.errors.iter().any(|error| error.contains("the disk is full"));
+                assert!(fault != Fault::Full || is_full, "{ending}: {:?}", reported.errors);
+            }
+        }
+    }
+    cases
+}
+
 /// Runs in the child process that the library is preloaded into.
 fn campaign(only: &str) {
     let ticks = std::env::var("PANOSCOPE_DISK_TICKS").ok().and_then(|n| n.parse().ok()).unwrap_or(3).clamp(1, 12);
     let (disk, board) = (Disk::find(), Board::new());
     let folder = std::env::temp_dir().join(format!("panoscope_disk_{only}_{}", std::process::id()));
     let mut cases = 0;
+    if only == INDEXED {
+        cases += indexed_files(&disk, &folder);
+    }
     for sink in SINKS.iter().filter(|sink| sink.name == only) {
         for fault in FAULTS {
             let mut number = 1;
@@ -452,15 +487,15 @@ fn what_was_acknowledged_is_readable_after_a_fault_at_any_operation() {
         return campaign(&only);
     }
     let library = library();
-    for sink in &SINKS {
+    for name in SINKS.iter().map(|sink| sink.name).chain([INDEXED]) {
         let child = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "what_was_acknowledged_is_readable_after_a_fault_at_any_operation", "--nocapture"])
-            .env(CHILD, sink.name)
+            .env(CHILD, name)
             .env("LD_PRELOAD", &library)
             .output()
             .unwrap();
         let said = String::from_utf8_lossy(&child.stdout).into_owned() + &String::from_utf8_lossy(&child.stderr);
-        assert!(child.status.success(), "{}: {said}", sink.name);
+        assert!(child.status.success(), "{name}: {said}");
         let cases = said.lines().find(|line| line.ends_with(" cases"));
         println!("{}", cases.expect("the child counts its cases"));
     }

@@ -1,7 +1,8 @@
-//! Matroska (RFC 9559) with one track of Motion JPEG, made so that a file that is cut off anywhere still plays.
+//! Matroska (RFC 9559) with one video track, written so that a file that is cut off anywhere still plays.
 //!
 //! Every frame is a cluster of its own with its size in front, and the segment's size is unknown until [`Muxer::finish`]
-//! writes it together with the duration, the index and the place of the index.
+//! writes it together with the duration, the index and the position of the index. GStreamer's `matroskamux` collects several frames in a
+//! cluster and reports failed writes only after the call that caused them, so it does not replace this module.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -55,7 +56,7 @@ fn master(out: &mut Vec<u8>, tag: u32, fill: impl FnOnce(&mut Vec<u8>)) {
     element(out, tag, &body);
 }
 
-/// Where a video goes.
+/// What the video is written to.
 pub trait Output: Write + Seek {
     /// Truncates the file to `len` bytes; writing continues there.
     ///
@@ -81,18 +82,35 @@ impl Output for File {
     }
 }
 
+/// The video track of a file.
+#[derive(Clone, Debug)]
+pub struct Track {
+    /// Matroska's name of the codec, such as `V_MJPEG`.
+    pub codec: &'static str,
+    /// What a decoder needs before the first frame; empty where it needs nothing.
+    pub private: Vec<u8>,
+    /// Columns and rows, px.
+    pub size_px: (usize, usize),
+    /// Whether the file is WebM, a subset of Matroska.
+    pub is_webm: bool,
+}
+
 /// Writes one file.
 #[derive(Debug)]
 pub struct Muxer<W: Output> {
     out: W,
-    /// Where the segment's body begins; all places inside the file count from here.
+    /// Offset of the segment's body; all positions inside the file count from here.
     segment_at: u64,
     seek_head_at: u64,
     duration_at: u64,
     default_duration_at: u64,
     /// End of the last whole frame.
     at: u64,
+    /// Time in ms and position of each key frame.
     cues: Vec<(u64, u64)>,
+    frames: u64,
+    /// Times of the first and the newest frame, ms.
+    span_ms: (u64, u64),
     head: Vec<u8>,
 }
 
@@ -102,18 +120,18 @@ const DURATION_LEN: usize = 2 + 1 + 8;
 const DEFAULT_DURATION_LEN: usize = 3 + 1 + 8;
 
 impl<W: Output> Muxer<W> {
-    /// Writes what stands before the first frame: `width` x `height` in px.
+    /// Writes the head of a file.
     ///
     /// # Errors
     /// Those of `out`.
-    pub fn new(mut out: W, width: usize, height: usize) -> io::Result<Self> {
+    pub fn new(mut out: W, track: &Track) -> io::Result<Self> {
         let mut b = Vec::with_capacity(512);
         master(&mut b, EBML, |b| {
             number(b, 0x4286, 1); // EBMLVersion
             number(b, 0x42F7, 1); // EBMLReadVersion
             number(b, 0x42F2, 4); // EBMLMaxIDLength
             number(b, 0x42F3, 8); // EBMLMaxSizeLength
-            element(b, 0x4282, b"matroska");
+            element(b, 0x4282, if track.is_webm { b"webm" } else { b"matroska" });
             number(b, 0x4287, 4); // DocTypeVersion
             number(b, 0x4285, 2); // DocTypeReadVersion
         });
@@ -136,10 +154,13 @@ impl<W: Output> Muxer<W> {
                 number(b, 0x73C5, 1); // TrackUID
                 number(b, 0x83, 1); // video
                 number(b, 0x9C, 0); // no lacing
-                element(b, 0x86, b"V_MJPEG");
+                element(b, 0x86, track.codec.as_bytes());
+                if !track.private.is_empty() {
+                    element(b, 0x63A2, &track.private);
+                }
                 master(b, 0xE0, |b| {
-                    number(b, 0xB0, width as u64);
-                    number(b, 0xBA, height as u64);
+                    number(b, 0xB0, track.size_px.0 as u64);
+                    number(b, 0xBA, track.size_px.1 as u64);
                 });
                 reserve(b, DEFAULT_DURATION_LEN);
             });
@@ -148,38 +169,38 @@ impl<W: Output> Muxer<W> {
         out.write_all(&b)?;
         out.flush()?;
         let at = b.len() as u64;
-        Ok(Self { out, segment_at, seek_head_at, duration_at, default_duration_at, at, cues: Vec::new(), head: b })
+        let (cues, frames, span_ms) = (Vec::new(), 0, (0, 0));
+        Ok(Self { out, segment_at, seek_head_at, duration_at, default_duration_at, at, cues, frames, span_ms, head: b })
     }
 
-    /// Appends a JPEG that is shown from `time_ms` on; times grow. The frame has left for the system on return.
+    /// Appends a frame that is shown from `time_ms` on; times grow. The frame is with the system on return. Seeking starts at frames with `is_key`.
     ///
     /// # Errors
     /// Those of the file, which then ends with the frame before.
-    pub fn push(&mut self, time_ms: u64, jpeg: &[u8]) -> io::Result<()> {
+    pub fn push(&mut self, time_ms: u64, frame: &[u8], is_key: bool) -> io::Result<()> {
         let mut block = Vec::with_capacity(32);
         number(&mut block, 0xE7, time_ms); // the cluster's time
         block.push(0xA3); // SimpleBlock
-        size8(&mut block, jpeg.len() as u64 + 4);
-        block.extend_from_slice(&[0x81, 0, 0, 0x80]); // track 1, 0 ms after the cluster, a key frame
+        size8(&mut block, frame.len() as u64 + 4);
+        block.extend_from_slice(&[0x81, 0, 0, if is_key { 0x80 } else { 0 }]); // track 1, 0 ms after the cluster
         let head = &mut self.head;
         head.clear();
         id(head, CLUSTER);
-        size8(head, (block.len() + jpeg.len()) as u64);
+        size8(head, (block.len() + frame.len()) as u64);
         head.extend_from_slice(&block);
-        let written = self.out.write_all(head).and_then(|()| self.out.write_all(jpeg)).and_then(|()| self.out.flush());
+        let written = self.out.write_all(head).and_then(|()| self.out.write_all(frame)).and_then(|()| self.out.flush());
         if let Err(error) = written {
             // Readers take a torn end for the end, where it cannot be cut off.
             let _ = self.out.cut(self.at);
             return Err(error);
         }
-        self.cues.push((time_ms, self.at - self.segment_at));
-        self.at += (self.head.len() + jpeg.len()) as u64;
+        if is_key {
+            self.cues.push((time_ms, self.at - self.segment_at));
+        }
+        self.span_ms = (if self.frames == 0 { time_ms } else { self.span_ms.0 }, time_ms);
+        self.frames += 1;
+        self.at += (self.head.len() + frame.len()) as u64;
         Ok(())
-    }
-
-    /// Frames so far.
-    pub fn frames(&self) -> usize {
-        self.cues.len()
     }
 
     /// Writes index, duration and sizes and hands the file to the disk.
@@ -213,14 +234,10 @@ impl<W: Output> Muxer<W> {
     /// Fills in what only the end knows; nothing here makes the file longer.
     fn complete(&mut self, is_indexed: bool, end: u64) -> io::Result<()> {
         let mut patch = Vec::new();
-        let step_ms = match (self.cues.first(), self.cues.last()) {
-            (Some(first), Some(last)) if self.cues.len() > 1 => {
-                (last.0 - first.0) as f64 / (self.cues.len() - 1) as f64
-            }
-            _ => 0.0,
-        };
-        if let Some(last) = self.cues.last() {
-            element(&mut patch, DURATION, &(last.0 as f64 + step_ms).to_be_bytes());
+        let (first_ms, last_ms) = self.span_ms;
+        let step_ms = if self.frames > 1 { (last_ms - first_ms) as f64 / (self.frames - 1) as f64 } else { 0.0 };
+        if self.frames > 0 {
+            element(&mut patch, DURATION, &(last_ms as f64 + step_ms).to_be_bytes());
             self.patch(self.duration_at, &patch)?;
         }
         if step_ms > 0.0 {

@@ -6,35 +6,22 @@ const LONGEST_REPEAT_MS: u64 = 10_000;
 /// File times out of the times at which pictures were taken.
 #[derive(Debug, Default)]
 pub struct Timeline {
-    /// A constant rate, whatever the pictures' times are; 0 for the pictures' own.
-    rate_hz: f64,
-    /// Time of a picture in ns and where it stands in the file in ms: later ones are placed from there.
+    /// Time of a picture in ns and its time in the file in ms: later ones are placed from there.
     base: Option<(i64, u64)>,
     last: Option<(i64, u64)>,
     step_ms: u64,
-    count: u64,
 }
 
 impl Timeline {
-    /// With `rate_hz` above 0 pictures are counted instead of timed.
-    pub fn new(rate_hz: f64) -> Self {
-        Self { rate_hz, ..Self::default() }
-    }
-
     /// When the next picture, taken at `at_ns`, is shown, in ms from the first one: later than the one before. A source that restarts continues
     /// one step after its last picture.
     pub fn next_ms(&mut self, at_ns: i64) -> u64 {
-        let time_ms = if self.rate_hz > 0.0 {
-            (self.count as f64 * 1000.0 / self.rate_hz).round() as u64
-        } else {
-            self.timed_ms(at_ns)
-        };
+        let time_ms = self.timed_ms(at_ns);
         let time_ms = self.last.map_or(time_ms, |(_, last_ms)| time_ms.max(last_ms + 1));
         if let Some((_, last_ms)) = self.last {
             self.step_ms = time_ms - last_ms;
         }
         self.last = Some((at_ns, time_ms));
-        self.count += 1;
         time_ms
     }
 
@@ -69,7 +56,7 @@ pub struct Pacing {
 impl Pacing {
     /// A file of `rate_hz` frames per second.
     pub fn new(rate_hz: f64) -> Self {
-        Self { rate_hz, timeline: Timeline::new(0.0), written: 0, skipped_ms: 0, last_ms: 0 }
+        Self { rate_hz, timeline: Timeline::default(), written: 0, skipped_ms: 0, last_ms: 0 }
     }
 
     /// How often the picture before is to be repeated before the one that was taken at `at_ns` is written.
@@ -98,13 +85,11 @@ mod tests {
 
     #[test]
     fn pictures_keep_their_times_and_always_go_on() {
-        let mut line = Timeline::new(0.0);
+        let mut line = Timeline::default();
         let times: Vec<u64> = [500, 540, 540, 700].map(|ms| line.next_ms(ms * MS)).to_vec();
         assert_eq!(times, [0, 40, 41, 200]);
         // The source was opened again and counts from 0.
         assert_eq!([0, 40, 80].map(|ms| line.next_ms(ms * MS)), [359, 399, 439]);
-        let mut counted = Timeline::new(25.0);
-        assert_eq!([0, 1000, 5000].map(|ms| counted.next_ms(ms * MS)), [0, 40, 80]);
     }
 
     #[test]

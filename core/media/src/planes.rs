@@ -1,0 +1,150 @@
+//! Pixels as encoders take them.
+
+/// Columns and rows, px.
+type Size = (usize, usize);
+
+/// Weights of blue, green and red, in 1/65536.
+struct Matrix {
+    luma: [i32; 3],
+    luma_offset: i32,
+    cb: [i32; 3],
+    cr: [i32; 3],
+}
+
+/// BT.601, 0 to 255: JPEG.
+const FULL: Matrix =
+    Matrix { luma: [7471, 38470, 19595], luma_offset: 0, cb: [32768, -21709, -11059], cr: [-5329, -27439, 32768] };
+
+/// BT.601, 16 to 235 and 16 to 240: other codecs.
+const LIMITED: Matrix =
+    Matrix { luma: [6416, 33039, 16829], luma_offset: 16, cb: [28784, -19070, -9714], cr: [-4681, -24103, 28784] };
+
+/// A plane to fill.
+pub struct PlaneMut<'a> {
+    /// Rows, `stride` bytes apart.
+    pub data: &'a mut [u8],
+    /// Bytes from row to row.
+    pub stride: usize,
+}
+
+impl Matrix {
+    fn luma(&self, bgr: [u8; 3]) -> u8 {
+        (weighted(&self.luma, bgr.map(i32::from), 16) + self.luma_offset) as u8
+    }
+
+    /// Of the sum of four pixels.
+    fn chroma(&self, sum: [i32; 3]) -> (u8, u8) {
+        let byte = |value: i32| (value + 128).clamp(0, 255) as u8;
+        (byte(weighted(&self.cb, sum, 18)), byte(weighted(&self.cr, sum, 18)))
+    }
+}
+
+fn weighted(weights: &[i32; 3], [b, g, r]: [i32; 3], shift: u32) -> i32 {
+    (weights[0] * b + weights[1] * g + weights[2] * r + (1 << (shift - 1))) >> shift
+}
+
+fn pixel(row: &[u8], x: usize) -> [u8; 3] {
+    [row[3 * x], row[3 * x + 1], row[3 * x + 2]]
+}
+
+/// BGR rows without padding to planes of luma, Cb and Cr by BT.601, chroma averaged over 2x2 px. `to` may be one column and one row larger than
+/// `size`: they repeat the last ones.
+pub fn bgr_to_i420(bgr: &[u8], size: Size, to: Size, is_full_range: bool, planes: [PlaneMut<'_>; 3]) {
+    let matrix = if is_full_range { &FULL } else { &LIMITED };
+    let [luma, cb, cr] = planes;
+    let (width, height) = size;
+    for (y, (cb, cr)) in cb.data.chunks_mut(cb.stride).zip(cr.data.chunks_mut(cr.stride)).enumerate() {
+        if 2 * y >= to.1 {
+            break;
+        }
+        let row = |y: usize| &bgr[y.min(height - 1) * width * 3..][..width * 3];
+        let (above, below) = (row(2 * y), row(2 * y + 1));
+        let rest = &mut luma.data[2 * y * luma.stride..];
+        let (luma_above, luma_below) = rest.split_at_mut(luma.stride.min(rest.len()));
+        let has_below = 2 * y + 1 < to.1;
+        luma_row(matrix, above, luma_above, to.0);
+        if has_below {
+            luma_row(matrix, below, luma_below, to.0);
+        }
+        let pairs = above.as_chunks::<6>().0.iter().zip(below.as_chunks::<6>().0);
+        for (((a, b), cb), cr) in pairs.zip(cb.iter_mut()).zip(cr.iter_mut()) {
+            let sum = [0, 1, 2].map(|c| i32::from(a[c]) + i32::from(a[c + 3]) + i32::from(b[c]) + i32::from(b[c + 3]));
+            (*cb, *cr) = matrix.chroma(sum);
+        }
+        if width % 2 == 1 {
+            let (a, b) = (pixel(above, width - 1), pixel(below, width - 1));
+            let sum = [0, 1, 2].map(|c| 2 * (i32::from(a[c]) + i32::from(b[c])));
+            (cb[width / 2], cr[width / 2]) = matrix.chroma(sum);
+        }
+    }
+}
+
+fn luma_row(matrix: &Matrix, bgr: &[u8], luma: &mut [u8], to_width: usize) {
+    let width = bgr.len() / 3;
+    for (bgr, luma) in bgr.as_chunks::<3>().0.iter().zip(luma.iter_mut()) {
+        *luma = matrix.luma(*bgr);
+    }
+    if to_width > width {
+        luma[width] = luma[width - 1];
+    }
+}
+
+/// BGR rows without padding to rows of BGR and an unused byte.
+pub fn bgr_to_bgrx(bgr: &[u8], size: Size, to: PlaneMut<'_>) {
+    for (row, to) in bgr.chunks_exact(size.0 * 3).zip(to.data.chunks_mut(to.stride)) {
+        for (bgr, to) in row.as_chunks::<3>().0.iter().zip(to.as_chunks_mut::<4>().0) {
+            *to = [bgr[0], bgr[1], bgr[2], 255];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn planes(bgr: &[u8], size: Size, to: Size, is_full_range: bool) -> [Vec<u8>; 3] {
+        let chroma = to.0.div_ceil(2);
+        let mut data = [vec![0; to.0 * to.1], vec![0; chroma * to.1.div_ceil(2)], vec![0; chroma * to.1.div_ceil(2)]];
+        let [luma, cb, cr] = &mut data;
+        let planes = [(luma, to.0), (cb, chroma), (cr, chroma)].map(|(data, stride)| PlaneMut { data, stride });
+        bgr_to_i420(bgr, size, to, is_full_range, planes);
+        data
+    }
+
+    #[test]
+    fn colours_have_the_values_of_the_standard() {
+        // Blue, green, red, white, black of BT.601, by its definition.
+        for (bgr, full, limited) in [
+            ([255, 0, 0], [29, 255, 107], [41, 240, 110]),
+            ([0, 255, 0], [150, 44, 21], [145, 54, 34]),
+            ([0, 0, 255], [76, 85, 255], [81, 90, 240]),
+            ([255, 255, 255], [255, 128, 128], [235, 128, 128]),
+            ([0, 0, 0], [0, 128, 128], [16, 128, 128]),
+        ] {
+            for (is_full, expected) in [(true, full), (false, limited)] {
+                let found = planes(&bgr.repeat(4), (2, 2), (2, 2), is_full).map(|plane| plane[0]);
+                let difference = found.iter().zip(&expected).map(|(a, b): (&u8, &u8)| a.abs_diff(*b)).max();
+                assert!(difference <= Some(1), "{bgr:?}: {found:?} for {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn odd_sides_repeat_the_last_column_and_row() {
+        // 3 x 3: gray levels by position.
+        let bgr: Vec<u8> = (0..9).flat_map(|i| [i * 20; 3]).collect();
+        let odd = planes(&bgr, (3, 3), (3, 3), true);
+        assert_eq!(odd[0], (0..9).map(|i| i * 20).collect::<Vec<u8>>());
+        assert!(odd[1].iter().chain(&odd[2]).all(|&c| c == 128) && odd[1].len() == 4);
+        let even = planes(&bgr, (3, 3), (4, 4), true);
+        assert_eq!(even[0][..4], [0, 20, 40, 40]);
+        assert_eq!(even[0][12..], [120, 140, 160, 160]);
+    }
+
+    #[test]
+    fn chroma_is_the_average_of_four() {
+        let bgr = [[255, 0, 0], [0; 3], [0; 3], [0; 3]].concat();
+        let [_, cb, cr] = planes(&bgr, (2, 2), (2, 2), true);
+        assert_eq!((cb[0], cr[0]), (160, 123));
+    }
+}

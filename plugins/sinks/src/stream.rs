@@ -1,0 +1,207 @@
+//! `stream`: the picture as a live video on the network.
+
+mod fanout;
+mod push;
+mod server;
+mod worker;
+
+use std::net::IpAddr;
+
+use panoscope_media::{RateControl, VideoCodec};
+use panoscope_node::{
+    AnyImage, Choice, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
+};
+
+use crate::picture::Pixels;
+use push::{Push, Target};
+use server::Mount;
+use worker::Worker;
+
+/// How a stream is compressed.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StreamCodec {
+    /// H.264 without delay: plays everywhere.
+    H264,
+    /// HEVC (H.265) without delay: better at the same rate, slower.
+    Hevc,
+    /// One JPEG per picture: a lost packet costs one picture; many bits; pictures up to 2040x2040 px.
+    Mjpg,
+}
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Pictures to send: bgr8, gray8 or rgba8.
+    pub image: AnyImage<'f>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// Serves RTSP at rtsp://ADDRESS:PORT/PATH. Several `stream` nodes share a port with different paths.
+    #[param(default = true, reopen)]
+    pub serve: bool,
+    /// Address of this machine to listen on. 127.0.0.1 serves programs on this machine only, because anybody who reaches the port sees the
+    /// pictures: there is no password. 0.0.0.0 listens on all networks.
+    #[param(default = "127.0.0.1", reopen)]
+    pub address: String,
+    /// TCP port to listen on; 0 takes a free one, which the log names.
+    #[param(default = 8554, range = 0..=65535, reopen)]
+    pub port: u16,
+    /// Path of the stream on its server.
+    #[param(default = "/live", reopen)]
+    pub path: String,
+    /// How pictures are compressed.
+    #[param(default = "h264", reopen)]
+    pub codec: StreamCodec,
+    /// Bit rate of `h264` and `hevc` at 30 pictures per second.
+    #[param(default = 4000, range = 50..=100000, unit = "kbit/s", reopen)]
+    pub bitrate: u32,
+    /// Distance of key frames of `h264` and `hevc`. A client that joins gets one at once; after a lost packet the picture is whole again with the
+    /// next one.
+    #[param(default = 30, range = 1..=1000, unit = "frames", reopen)]
+    pub key_interval: u32,
+    /// Quality of `mjpg`.
+    #[param(default = 80, range = 1..=100, unit = "%", reopen)]
+    pub quality: u8,
+    /// Address to send the stream to besides: rtsp://HOST:PORT/PATH, a server that takes recordings, or udp://HOST:PORT, as RTP packets. Empty:
+    /// none.
+    #[param(default = "", reopen)]
+    pub push: String,
+}
+
+impl Settings {
+    fn codec(&self) -> VideoCodec {
+        let rate = RateControl::Kbits(self.bitrate);
+        match self.codec {
+            StreamCodec::H264 => VideoCodec::H264 { rate },
+            StreamCodec::Hevc => VideoCodec::Hevc { rate },
+            StreamCodec::Mjpg => VideoCodec::Mjpeg { quality_pct: self.quality },
+        }
+    }
+
+    /// The parameter that is wrong, what is wrong with it, and what to write.
+    fn mistakes(&self) -> Vec<(&'static str, String, &'static str)> {
+        let mut mistakes = Vec::new();
+        if self.serve {
+            if self.address.parse::<IpAddr>().is_err() {
+                let help = "write 127.0.0.1, 0.0.0.0 or the address of a network card";
+                mistakes.push(("address", format!("`{}` is no IP address", self.address), help));
+            }
+            if let Some(problem) = server::path_problem(&self.path) {
+                let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
+                mistakes.push(("path", format!("`{}` is no path of a stream: {problem}", self.path), help));
+            }
+        }
+        if !self.push.is_empty()
+            && let Err(problem) = Target::parse(&self.push)
+        {
+            mistakes.push(("push", problem, "write rtsp://HOST:PORT/PATH or udp://HOST:PORT"));
+        }
+        if !self.serve && self.push.is_empty() {
+            let help = "set `serve = true`, or give an address in `push`";
+            mistakes.push(("serve", "the stream goes nowhere".to_owned(), help));
+        }
+        mistakes
+    }
+}
+
+/// Sends the newest picture. The graph never waits for the network or the encoder: a picture that arrives while the one before is still being
+/// encoded replaces any that waits.
+pub struct Stream {
+    /// Dropped before the worker, so that no client joins a stream that ends.
+    mount: Option<Mount>,
+    worker: Worker,
+    push: Option<Push>,
+    bgr: Vec<u8>,
+    push_error: Option<String>,
+}
+
+impl Node for Stream {
+    const INFO: NodeInfo =
+        NodeInfo::compute("stream", "sink", "Serves the picture as live video over RTSP, or sends it to a server.")
+            .side_effects()
+            .exclusive();
+    type In<'f> = In<'f>;
+    type Out<'f> = NoPorts;
+    type Params = Settings;
+
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        for (param, message, help) in params.mistakes() {
+            check.error(param, message, help);
+        }
+    }
+
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
+        if let Some((param, message, help)) = params.mistakes().into_iter().next() {
+            return Err(NodeError::new(format!("`{param}`: {message}; {help}")));
+        }
+        let codec = params.codec();
+        codec.check()?;
+        let worker = Worker::start(codec, params.key_interval)?;
+        let payload = fanout::Payload::of(params.codec);
+        payload.check()?;
+        let mut mount = None;
+        if params.serve {
+            let address = params.address.parse().map_err(|_| NodeError::new("`address` is no IP address"))?;
+            let served = Mount::new(address, params.port, &params.path, open.node_id(), payload, worker.fanout())?;
+            open.info(&format!("serves {}", served.url()));
+            mount = Some(served);
+        }
+        let mut push = None;
+        if !params.push.is_empty() {
+            let target = Target::parse(&params.push).map_err(NodeError::new)?;
+            push = Some(Push::start(target, payload, worker.fanout())?);
+            open.info(&format!("sends to {}", params.push));
+        }
+        Ok(Self { worker, mount, push, bgr: Vec::new(), push_error: None })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, _: &Settings) -> Result<()> {
+        if let Some(error) = self.worker.error() {
+            return Err(error.into());
+        }
+        if let Some(push) = &self.push {
+            let error = push.error();
+            if error != self.push_error {
+                match &error {
+                    Some(error) => cx.fault(error),
+                    None => cx.info("the stream is sent again"),
+                }
+                self.push_error = error;
+            }
+        }
+        let fanout = self.worker.fanout();
+        if fanout.has_consumers() {
+            let Some(pixels) = Pixels::of(&input.image) else {
+                return Err(NodeError::new("the image's format is unknown"));
+            };
+            if !pixels.to_bgr(&mut self.bgr) {
+                let name = pixels.name();
+                return Err(NodeError::new(format!(
+                    "a stream holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
+                )));
+            }
+            self.bgr = self.worker.offer(std::mem::take(&mut self.bgr), pixels.size());
+        }
+        if let Some(mount) = &self.mount {
+            cx.metric("port", f64::from(mount.port()));
+        }
+        let counts = fanout.counts();
+        cx.metric("consumers", counts.consumers as f64);
+        cx.metric("frames", counts.encoded as f64);
+        cx.metric("replaced", counts.replaced as f64);
+        cx.metric("held_back", counts.held_back as f64);
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &Finish<'_>) -> Result<()> {
+        self.mount = None;
+        self.worker.stop();
+        self.push = None;
+        match self.worker.error() {
+            Some(error) => Err(error.into()),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! One encoder, many receivers: each gets the packets from a key frame on, and none waits for another.
+
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use gstreamer::Caps;
+use gstreamer_app::AppSrc;
+use panoscope_media::{MediaError, Packet, make};
+
+use super::StreamCodec;
+
+/// Packets that may wait for a receiver. One that is farther behind gets no more until it has caught up, and then starts at a key frame.
+const MOST_WAITING: u64 = 8;
+
+/// How packets travel in RTP.
+#[derive(Clone, Copy, Debug)]
+pub struct Payload {
+    element: &'static str,
+    options: &'static str,
+}
+
+impl Payload {
+    /// That of a codec.
+    pub fn of(codec: StreamCodec) -> Self {
+        match codec {
+            StreamCodec::H264 => {
+                Self { element: "rtph264pay", options: "pt=96 config-interval=-1 aggregate-mode=zero-latency" }
+            }
+            StreamCodec::Hevc => {
+                Self { element: "rtph265pay", options: "pt=96 config-interval=-1 aggregate-mode=zero-latency" }
+            }
+            StreamCodec::Mjpg => Self { element: "rtpjpegpay", options: "pt=26" },
+        }
+    }
+
+    /// Makes the element once.
+    ///
+    /// # Errors
+    /// It is missing: the error names the package to install.
+    pub fn check(self) -> Result<(), MediaError> {
+        make(self.element).map(drop)
+    }
+
+    /// The element as part of a pipeline's text; `name` is its name.
+    pub fn text(self, name: &str) -> String {
+        format!("{} name={name} {}", self.element, self.options)
+    }
+}
+
+/// The text of the element that packets enter a pipeline by.
+pub const SOURCE: &str =
+    "appsrc name=source is-live=true format=time do-timestamp=true max-buffers=0 max-bytes=0 max-time=0";
+
+struct Consumer {
+    id: u64,
+    source: AppSrc,
+    caps: Option<Caps>,
+    /// It has none yet, or lost some: only a key frame can go on.
+    needs_key: bool,
+}
+
+/// Who receives the packets of a stream.
+#[derive(Default)]
+pub struct Fanout {
+    consumers: Mutex<Vec<Consumer>>,
+    count: AtomicUsize,
+    next_id: AtomicU64,
+    encoded: AtomicU64,
+    replaced: AtomicU64,
+    held_back: AtomicU64,
+}
+
+/// What happened so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Receivers now.
+    pub consumers: usize,
+    /// Pictures that were encoded.
+    pub encoded: u64,
+    /// Pictures that a newer one replaced before they were encoded.
+    pub replaced: u64,
+    /// Packets that a receiver did not get because it was too far behind.
+    pub held_back: u64,
+}
+
+impl Fanout {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Vec<Consumer>> {
+        self.consumers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds a receiver, which starts at the next picture.
+    pub fn add(&self, source: AppSrc) -> u64 {
+        let id = self.next_id.fetch_add(1, Ordering::Relaxed);
+        let mut consumers = self.lock();
+        consumers.push(Consumer { id, source, caps: None, needs_key: true });
+        self.count.store(consumers.len(), Ordering::Release);
+        id
+    }
+
+    /// Removes a receiver.
+    pub fn remove(&self, id: u64) {
+        let mut consumers = self.lock();
+        consumers.retain(|consumer| consumer.id != id);
+        self.count.store(consumers.len(), Ordering::Release);
+    }
+
+    /// Whether anybody receives.
+    pub fn has_consumers(&self) -> bool {
+        self.count.load(Ordering::Acquire) > 0
+    }
+
+    /// Whether a receiver waits for a key frame and could take it.
+    pub fn wants_key(&self) -> bool {
+        self.lock().iter().any(|consumer| consumer.needs_key && consumer.source.current_level_buffers() < MOST_WAITING)
+    }
+
+    /// Hands a packet to all who can take it.
+    pub fn send(&self, caps: &Caps, packet: &Packet) {
+        for consumer in self.lock().iter_mut() {
+            let is_behind = consumer.source.current_level_buffers() >= MOST_WAITING;
+            if is_behind || consumer.needs_key && !packet.is_key() {
+                consumer.needs_key = true;
+                self.held_back.fetch_add(1, Ordering::Relaxed);
+                continue;
+            }
+            if consumer.caps.as_ref() != Some(caps) {
+                consumer.source.set_caps(Some(caps));
+                consumer.caps = Some(caps.clone());
+            }
+            let mut buffer = packet.buffer.copy();
+            // The pipeline of the receiver stamps it with its own time.
+            let writable = buffer.make_mut();
+            writable.set_pts(None);
+            writable.set_dts(None);
+            // Refused when the receiver is leaving: it is removed by its server.
+            consumer.needs_key = consumer.source.push_buffer(buffer).is_err();
+        }
+    }
+
+    /// Tells all receivers that the stream ends.
+    pub fn end(&self) {
+        for consumer in self.lock().drain(..) {
+            // A receiver that is leaving needs no end.
+            let _ = consumer.source.end_of_stream();
+        }
+        self.count.store(0, Ordering::Release);
+    }
+
+    /// Counts an encoded picture.
+    pub fn count_encoded(&self) {
+        self.encoded.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Counts a picture that was replaced by a newer one.
+    pub fn count_replaced(&self) {
+        self.replaced.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// What happened so far.
+    pub fn counts(&self) -> Counts {
+        Counts {
+            consumers: self.count.load(Ordering::Acquire),
+            encoded: self.encoded.load(Ordering::Relaxed),
+            replaced: self.replaced.load(Ordering::Relaxed),
+            held_back: self.held_back.load(Ordering::Relaxed),
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! RTSP servers: one per address and port of the process, with a path per node.
+
+use std::collections::BTreeMap;
+use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use gstreamer::glib::{ControlFlow, MainContext, MainLoop, SourceId};
+use gstreamer::prelude::*;
+use gstreamer_app::AppSrc;
+use gstreamer_rtsp_server::prelude::*;
+use gstreamer_rtsp_server::{RTSPFilterResult, RTSPMediaFactory, RTSPMountPoints, RTSPServer};
+
+use super::fanout::{Fanout, Payload, SOURCE};
+
+/// Clients that a server takes at the same time.
+const MOST_SESSIONS: u32 = 32;
+
+/// How often sessions of clients that left without a word are looked for.
+const CLEAN_UP_EVERY: Duration = Duration::from_secs(2);
+
+/// Why a stream cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The address cannot be listened on.
+    #[error("cannot listen on {at}: {reason}; {help}")]
+    Listen {
+        /// Address and port.
+        at: SocketAddr,
+        /// The system's words.
+        reason: String,
+        /// What to do.
+        help: &'static str,
+    },
+    /// Another node serves this path.
+    #[error("node `{node}` already serves `{path}` on {at}: give this node another `path`")]
+    Taken {
+        /// The other node.
+        node: String,
+        /// Path of both.
+        path: String,
+        /// Address and port.
+        at: SocketAddr,
+    },
+}
+
+/// What is wrong with a path of a stream.
+pub fn path_problem(path: &str) -> Option<String> {
+    if path.trim_matches('/').is_empty() {
+        return Some("it is empty".to_owned());
+    }
+    let is_good = |c: char| c.is_ascii_alphanumeric() || "-_./~".contains(c);
+    match path.chars().find(|&c| !is_good(c)) {
+        Some(' ') => Some("it has a space".to_owned()),
+        Some(other) => Some(format!("it has `{other}`")),
+        None => None,
+    }
+}
+
+struct Server {
+    bound: SocketAddr,
+    rtsp: RTSPServer,
+    mounts: RTSPMountPoints,
+    /// Node that serves each path.
+    paths: Mutex<BTreeMap<String, String>>,
+    context: MainContext,
+    sources: Mutex<Vec<SourceId>>,
+    main_loop: MainLoop,
+    thread: Option<JoinHandle<()>>,
+}
+
+static SERVERS: Mutex<Vec<Weak<Server>>> = Mutex::new(Vec::new());
+
+fn refused(at: SocketAddr, error: &std::io::Error) -> ServeError {
+    let help = match error.kind() {
+        std::io::ErrorKind::AddrInUse => "another program uses this port: give another `port`, or end that program",
+        std::io::ErrorKind::AddrNotAvailable => "this machine has no such address: see `ip address`",
+        std::io::ErrorKind::PermissionDenied => "ports below 1024 need root: give a `port` above",
+        _ => "give another `address` or `port`",
+    };
+    ServeError::Listen { at, reason: error.to_string(), help }
+}
+
+impl Server {
+    fn start(asked: SocketAddr) -> Result<Self, ServeError> {
+        // The server itself does not say why it cannot listen.
+        TcpListener::bind(asked).map_err(|error| refused(asked, &error))?;
+        let failed =
+            |reason: String| ServeError::Listen { at: asked, reason, help: "give another `address` or `port`" };
+        let rtsp = RTSPServer::new();
+        rtsp.set_address(&asked.ip().to_string());
+        rtsp.set_service(&asked.port().to_string());
+        let mounts = RTSPMountPoints::new();
+        rtsp.set_mount_points(Some(&mounts));
+        if let Some(threads) = rtsp.thread_pool() {
+            // One for each client: a client that waits for the first picture must not hold up others.
+            threads.set_max_threads(-1);
+        }
+        let context = MainContext::new();
+        let attached = rtsp.attach(Some(&context)).map_err(|error| failed(error.to_string()))?;
+        let port = u16::try_from(rtsp.bound_port()).map_err(|_| failed("it has no port".to_owned()))?;
+        let mut sources = vec![attached];
+        if let Some(sessions) = rtsp.session_pool() {
+            sessions.set_max_sessions(MOST_SESSIONS);
+            let clean_up = gstreamer::glib::timeout_source_new(
+                CLEAN_UP_EVERY,
+                None,
+                gstreamer::glib::Priority::DEFAULT,
+                move || {
+                    sessions.cleanup();
+                    ControlFlow::Continue
+                },
+            );
+            sources.push(clean_up.attach(Some(&context)));
+        }
+        let main_loop = MainLoop::new(Some(&context), false);
+        let (own_loop, own_context) = (main_loop.clone(), context.clone());
+        let run = move || {
+            // Fails only where another thread runs this context.
+            let _ = own_context.with_thread_default(|| own_loop.run());
+        };
+        let thread = std::thread::Builder::new()
+            .name("stream-server".to_owned())
+            .spawn(run)
+            .map_err(|error| failed(error.to_string()))?;
+        Ok(Self {
+            bound: SocketAddr::new(asked.ip(), port),
+            rtsp,
+            mounts,
+            paths: Mutex::default(),
+            context,
+            sources: Mutex::new(sources),
+            main_loop,
+            thread: Some(thread),
+        })
+    }
+
+    /// The running server of an address, or a new one. Port 0 always gives a new one.
+    fn get(asked: SocketAddr) -> Result<Arc<Self>, ServeError> {
+        let mut servers = SERVERS.lock().unwrap_or_else(PoisonError::into_inner);
+        servers.retain(|server| server.strong_count() > 0);
+        if let Some(server) = servers.iter().filter_map(Weak::upgrade).find(|server| server.bound == asked) {
+            return Ok(server);
+        }
+        let server = Arc::new(Self::start(asked)?);
+        servers.push(Arc::downgrade(&server));
+        Ok(server)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        for source in self.sources.get_mut().unwrap_or_else(PoisonError::into_inner).drain(..) {
+            if let Some(source) = self.context.find_source_by_id(&source) {
+                source.destroy();
+            }
+        }
+        self.rtsp.client_filter(Some(&mut |_, _| RTSPFilterResult::Remove));
+        // From inside the loop, so that one that has not begun yet ends too.
+        let main_loop = self.main_loop.clone();
+        self.context.invoke(move || main_loop.quit());
+        if let Some(thread) = self.thread.take() {
+            // A panic was printed when it happened.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A path that is served, until it is dropped.
+pub struct Mount {
+    server: Arc<Server>,
+    path: String,
+}
+
+impl Mount {
+    /// Serves the packets of `fanout` at `path`. Each client gets a pipeline of its own, so that a slow one holds up nobody.
+    ///
+    /// # Errors
+    /// The address cannot be listened on, or another node serves the path.
+    pub fn new(
+        address: IpAddr,
+        port: u16,
+        path: &str,
+        node: &str,
+        payload: Payload,
+        fanout: &Arc<Fanout>,
+    ) -> Result<Self, ServeError> {
+        let server = Server::get(SocketAddr::new(address, port))?;
+        let path = format!("/{}", path.trim_matches('/'));
+        {
+            let mut paths = server.paths.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(node) = paths.get(&path) {
+                return Err(ServeError::Taken { node: node.clone(), path, at: server.bound });
+            }
+            paths.insert(path.clone(), node.to_owned());
+        }
+        let factory = RTSPMediaFactory::new();
+        factory.set_launch(&format!("( {SOURCE} ! {} )", payload.text("pay0")));
+        let fanout = Arc::downgrade(fanout);
+        factory.connect_media_configure(move |_, media| {
+            let Some(fanout) = fanout.upgrade() else { return };
+            let source = media.element().downcast::<gstreamer::Bin>().ok().and_then(|bin| bin.by_name("source"));
+            let Some(source) = source.and_then(|source| source.downcast::<AppSrc>().ok()) else { return };
+            let id = fanout.add(source);
+            let fanout = Arc::downgrade(&fanout);
+            media.connect_unprepared(move |_| {
+                if let Some(fanout) = fanout.upgrade() {
+                    fanout.remove(id);
+                }
+            });
+        });
+        server.mounts.add_factory(&path, factory);
+        Ok(Self { server, path })
+    }
+
+    /// The port that the server listens on.
+    pub fn port(&self) -> u16 {
+        self.server.bound.port()
+    }
+
+    /// Address of the stream.
+    pub fn url(&self) -> String {
+        format!("rtsp://{}{}", self.server.bound, self.path)
+    }
+}
+
+impl Drop for Mount {
+    fn drop(&mut self) {
+        self.server.mounts.remove_factory(&self.path);
+        self.server.paths.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_plain() {
+        for path in ["/live", "live", "/a/b-c_d.e"] {
+            assert_eq!(path_problem(path), None, "{path}");
+        }
+        for (path, problem) in [("", "empty"), ("/", "empty"), ("/my view", "space"), ("/a?b", "`?`"), ("/ä", "`ä`")]
+        {
+            let found = path_problem(path).unwrap_or_default();
+            assert!(found.contains(problem), "{path}: {found}");
+        }
+    }
+}
