@@ -1,4 +1,4 @@
-//! Puts a release build into a folder, to be run without cargo.
+//! Puts a build into a folder, to be run without cargo.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -29,13 +29,13 @@ pub enum Kind {
     Folder,
 }
 
-/// Builds in release and puts all that runs without cargo into `dir`: `bin`, `lib/panoscope`, `share/panoscope`.
+/// Builds and puts all that runs without cargo into `dir`: `bin`, `lib/panoscope`, `share/panoscope`.
 ///
 /// # Errors
 /// The build fails, a file cannot be copied, or ONNX Runtime cannot be had; all but ONNX Runtime is in place then.
-pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
-    let built = build(workspace, Profile::Release)?;
-    let windows = build_windows(workspace, Profile::Release)?;
+pub fn install(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<()> {
+    let built = build(workspace, profile)?;
+    let windows = build_windows(workspace, profile)?;
     let runtime = onnxruntime::fetch(workspace);
     let tree = Tree { built: &built, windows: Some(&windows), runtime: runtime.as_deref().ok() };
     tree.put_into(workspace, dir, Means::Copy)?;
@@ -185,6 +185,25 @@ mod tests {
         }
         fs::remove_dir_all(&dir).unwrap();
         fs::remove_dir_all(&work).unwrap();
+    }
+
+    #[test]
+    fn shipped_graphs_name_no_file_of_a_plugin_by_its_path() {
+        // Models come with their plugin: a node finds its own wherever it is installed.
+        let root = Workspace::locate().unwrap().root.join("graphs");
+        let mut graphs = 0;
+        for folder in [root.clone(), root.join("parts"), root.join("sources")] {
+            for file in fs::read_dir(folder).unwrap().flatten().map(|entry| entry.path()) {
+                if file.extension().is_none_or(|extension| extension != "toml") {
+                    continue;
+                }
+                graphs += 1;
+                let text = fs::read_to_string(&file).unwrap();
+                let named = text.lines().find(|line| !line.starts_with('#') && line.contains("../plugins/"));
+                assert_eq!(named, None, "{}", file.display());
+            }
+        }
+        assert!(graphs > 20, "{graphs} graphs");
     }
 
     #[test]

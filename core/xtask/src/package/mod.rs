@@ -1,4 +1,4 @@
-//! Makes packages of a release build: a Debian package and a folder in a tar file that runs from anywhere.
+//! Makes packages: a Debian package and a folder in a tar file that runs from anywhere.
 //!
 //! Both hold the same tree, below `usr` and below a folder: programs and plugins in `lib/panoscope`, links to the programs in `bin`, graphs in
 //! `share/panoscope`, manual pages, completions and licences in `share`.
@@ -13,7 +13,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 
-use crate::build::{library_name, program_name, window_names};
+use crate::build::{Profile, library_name, program_name, window_names};
 use crate::install::{self, LIBRARY};
 use crate::licences;
 use crate::onnxruntime;
@@ -33,18 +33,18 @@ pub struct Release<'a> {
     tree: PathBuf,
 }
 
-/// Builds in release and writes `panoscope_VERSION_ARCH.deb` and `panoscope-VERSION-ARCH.tar.gz` into `dir`; returns the first.
+/// Builds and writes `panoscope_VERSION_ARCH.deb` and `panoscope-VERSION-ARCH.tar.gz` into `dir`; returns the first.
 ///
 /// # Errors
 /// The build fails, a program of Debian's `dpkg-dev` or `binutils` is missing, or a file cannot be written.
-pub fn package(workspace: &Workspace, dir: &Path) -> Result<PathBuf> {
+pub fn package(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<PathBuf> {
     fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
     let dir = &dir.canonicalize()?;
     // Before the build, which takes long.
     let maintainer = deb::maintainer()?;
     let tree = dir.join("tree");
     let _ = fs::remove_dir_all(&tree);
-    install::install(workspace, &tree)?;
+    install::install(workspace, &tree, profile)?;
     let release = Release::new(workspace, tree)?;
     let (tar, deb) = (release.tar(dir)?, release.deb(dir, &maintainer)?);
     fs::remove_dir_all(&release.tree)?;
