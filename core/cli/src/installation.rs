@@ -84,11 +84,9 @@ mod tests {
         assert_eq!(kind(), Kind::Build);
         fs::create_dir_all(data.join("graphs")).unwrap();
         assert_eq!(kind(), Kind::Build, "only the marker makes an installation");
-        for (text, expected) in [
-            ("kind = \"package\"", Kind::Package),
-            ("kind = \"folder\"", Kind::Folder),
-            ("not TOML", Kind::Folder),
-        ] {
+        for (text, expected) in
+            [("kind = \"package\"", Kind::Package), ("kind = \"folder\"", Kind::Folder), ("not TOML", Kind::Folder)]
+        {
             fs::write(data.join(MARKER), text).unwrap();
             assert_eq!(kind(), expected, "{text}");
         }

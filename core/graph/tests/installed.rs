@@ -22,7 +22,9 @@ fn written(graph: &Path, settings: &[&str]) -> Vec<(String, PathBuf)> {
     settings.iter().for_each(|set| text.set(set));
     let checked = check(&text, &common::catalog());
     let graph = checked.graph.unwrap_or_else(|| panic!("{}", checked.diagnostics.render(false)));
-    let path = |values: &[ParamValue]| values.iter().find_map(|v| if let ParamValue::Path(p) = v { Some(p.clone()) } else { None });
+    let path = |values: &[ParamValue]| {
+        values.iter().find_map(|v| if let ParamValue::Path(p) = v { Some(p.clone()) } else { None })
+    };
     let nodes = graph.nodes.iter().filter(|n| n.type_name == "write_video");
     let mut all: Vec<_> = nodes.filter_map(|n| Some((n.id.clone(), path(&n.params)?))).collect();
     all.sort();

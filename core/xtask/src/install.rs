@@ -108,7 +108,8 @@ impl Tree<'_> {
         for program in windows.chain([program_name()]) {
             let link = bin.join(&program);
             let _ = fs::remove_file(&link);
-            symlink(format!("../{LIBRARY}/{program}"), &link).with_context(|| format!("cannot make {}", link.display()))?;
+            symlink(format!("../{LIBRARY}/{program}"), &link)
+                .with_context(|| format!("cannot make {}", link.display()))?;
         }
         Ok(())
     }

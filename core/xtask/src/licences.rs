@@ -32,7 +32,8 @@ pub fn notices(workspace: &Workspace) -> Result<String> {
     let metadata: Value = serde_json::from_str(&capture(&mut cargo)?).context("`cargo metadata` wrote no JSON")?;
     let crates = linked(&metadata).context("`cargo metadata` lists no dependencies")?;
     let mut texts: BTreeMap<String, Vec<&str>> = BTreeMap::new();
-    let mut list = String::from("Panoscope's programs are linked with these crates. The texts of their licences follow.\n\n");
+    let mut list =
+        String::from("Panoscope's programs are linked with these crates. The texts of their licences follow.\n\n");
     for one in &crates {
         let _ = writeln!(list, "{}: {}", one.name, one.licence);
         for text in terms(&one.folder)? {
@@ -49,8 +50,11 @@ pub fn notices(workspace: &Workspace) -> Result<String> {
 fn linked(metadata: &Value) -> Option<Vec<Crate>> {
     let nodes: BTreeMap<&str, &Value> =
         metadata["resolve"]["nodes"].as_array()?.iter().filter_map(|node| Some((node["id"].as_str()?, node))).collect();
-    let packages: BTreeMap<&str, &Value> =
-        metadata["packages"].as_array()?.iter().filter_map(|package| Some((package["id"].as_str()?, package))).collect();
+    let packages: BTreeMap<&str, &Value> = metadata["packages"]
+        .as_array()?
+        .iter()
+        .filter_map(|package| Some((package["id"].as_str()?, package)))
+        .collect();
     let ships = |id: &&str| {
         let manifest = packages.get(id).and_then(|p| p["manifest_path"].as_str()).unwrap_or_default();
         !manifest.contains("/tests/") && !manifest.contains("/xtask/")
@@ -61,7 +65,8 @@ fn linked(metadata: &Value) -> Option<Vec<Crate>> {
     while let Some(id) = waiting.pop() {
         let needs = nodes.get(id).and_then(|node| node["deps"].as_array());
         for need in needs.into_iter().flatten() {
-            let at_run_time = need["dep_kinds"].as_array().is_some_and(|kinds| kinds.iter().any(|k| k["kind"].is_null()));
+            let at_run_time =
+                need["dep_kinds"].as_array().is_some_and(|kinds| kinds.iter().any(|k| k["kind"].is_null()));
             if let Some(id) = need["pkg"].as_str().filter(|_| at_run_time)
                 && reached.insert(id)
             {
@@ -128,7 +133,12 @@ mod tests {
     #[test]
     fn fonts_and_crates_of_the_windows_have_their_terms() {
         let notices = notices(&Workspace::locate().unwrap()).unwrap();
-        for words in ["eframe 0.", "SIL OPEN FONT LICENSE", "UBUNTU FONT LICENCE", "Permission is hereby granted, free of charge"] {
+        for words in [
+            "eframe 0.",
+            "SIL OPEN FONT LICENSE",
+            "UBUNTU FONT LICENCE",
+            "Permission is hereby granted, free of charge",
+        ] {
             assert!(notices.contains(words), "{words}");
         }
     }

@@ -32,12 +32,11 @@ pub fn save_as(document: &mut Document, destination: &Path) -> Result<(), SaveEr
     let (from, to) = (GraphOptions::key(document.path()), folder(destination));
     let from = folder(&from);
     let moved = |path: &Path| Some(to.join(path.strip_prefix(from).ok()?));
-    let files: Vec<(PathBuf, PathBuf, String)> = document
-        .files()
-        .into_iter()
-        .filter_map(|(path, text)| Some((path.clone(), moved(&path)?, text)))
-        .collect();
-    for (path, text) in files.iter().map(|(_, path, text)| (path.as_path(), text.as_str())).chain([(destination, &**document.text())]) {
+    let files: Vec<(PathBuf, PathBuf, String)> =
+        document.files().into_iter().filter_map(|(path, text)| Some((path.clone(), moved(&path)?, text))).collect();
+    for (path, text) in
+        files.iter().map(|(_, path, text)| (path.as_path(), text.as_str())).chain([(destination, &**document.text())])
+    {
         let fail = |cause| SaveError { path: path.to_owned(), cause };
         std::fs::create_dir_all(folder(path)).map_err(fail)?;
         disk::replace(path, text.as_bytes(), None).map_err(fail)?;
@@ -54,46 +53,7 @@ fn folder(file: &Path) -> &Path {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ops;
-    use panoscope_graph::installed::MARKER;
-    use panoscope_loader::Loader;
     use std::fs;
-    use std::sync::Arc;
-
-    const PART: &str = "[part]\n[nodes.b]\ntype = \"x\"\nparams = { inner = 1 }\n";
-    const GRAPH: &str = "[nodes.a]\ngraph = \"parts/part.toml\"\n[nodes.c]\ntype = \"y\"\nparams = { path = \"../out/c.mkv\" }\n";
-
-    #[test]
-    fn a_copy_takes_parts_and_unsaved_changes_along() {
-        let root = std::env::temp_dir().join(format!("panoscope_copying_{}", std::process::id()));
-        let graphs = root.join("graphs");
-        fs::create_dir_all(graphs.join("parts")).expect("a folder");
-        fs::write(graphs.join("wide.toml"), GRAPH).expect("a file");
-        fs::write(graphs.join("parts/part.toml"), PART).expect("a file");
-        let graph = graphs.join("wide.toml");
-        assert_eq!(destination(&graph), None, "it belongs to no installation");
-        fs::write(root.join(MARKER), "").expect("a file");
-        let copy = destination(&graph).expect("a destination");
-        assert!(copy.ends_with("wide/wide.toml") && !copy.starts_with(&root), "{}", copy.display());
-
-        let mut document = Document::new(&graph, GRAPH, Arc::new(Loader::default()));
-        ops::set_param(&mut document, "a/b", "inner", Some(&7.into())).expect("set");
-        let copy = root.join("mine/wide/wide.toml");
-        save_as(&mut document, &copy).expect("saved");
-        assert_eq!(fs::read_to_string(&copy).expect("a file"), GRAPH);
-        let part = root.join("mine/wide/parts/part.toml");
-        assert_eq!(fs::read_to_string(&part).expect("a file"), PART.replace("inner = 1", "inner = 7"));
-        assert_eq!(fs::read_to_string(graphs.join("parts/part.toml")).expect("a file"), PART);
-        assert_eq!(document.path(), copy);
-        assert!(!document.is_changed());
-
-        // Undo and the next change are of the copy.
-        document.undo();
-        let changed: Vec<_> = document.changed_files().into_iter().map(|(path, text, _)| (path.to_owned(), text.to_string())).collect();
-        assert_eq!(changed, [(part, PART.to_owned())]);
-        assert_eq!(document.view().nodes[0].outline.params["inner"].as_integer(), Some(1));
-        fs::remove_dir_all(root).expect("removed");
-    }
 
     #[test]
     fn no_folder_is_written_over() {

@@ -27,7 +27,9 @@ pub fn check(workspace: &Workspace, package: &Path, dir: &Path) -> Result<()> {
 
 /// Why a package cannot be installed here for a check.
 fn obstacle() -> Option<String> {
-    if let Some(missing) = ["debootstrap", "unshare", "chroot", "dpkg-deb"].into_iter().find(|p| find_program(p).is_none()) {
+    if let Some(missing) =
+        ["debootstrap", "unshare", "chroot", "dpkg-deb"].into_iter().find(|p| find_program(p).is_none())
+    {
         return Some(format!("there is no `{missing}`"));
     }
     let id = capture(Command::new("id").arg("-u")).unwrap_or_default();

@@ -44,7 +44,9 @@ pub fn maintainer() -> Result<String> {
     let (name, address) = (variable("DEBFULLNAME"), variable("DEBEMAIL"));
     match field(name.or_else(|| git("user.name")), address.or_else(|| git("user.email"))) {
         Some(maintainer) => Ok(maintainer),
-        None => bail!("a package names who made it: set DEBEMAIL=\"Name <address>\", or git's user.name and user.email"),
+        None => {
+            bail!("a package names who made it: set DEBEMAIL=\"Name <address>\", or git's user.name and user.email")
+        }
     }
 }
 

@@ -92,7 +92,10 @@ impl App {
         let result = copying::save_as(&mut self.document, &copy);
         if self.try_edit(result).is_some() {
             self.disk = DiskWatch::new(&copy);
-            self.notify(format!("saved as a copy, because the original belongs to the installation: {}", copy.display()), false);
+            self.notify(
+                format!("saved as a copy, because the original belongs to the installation: {}", copy.display()),
+                false,
+            );
         }
         true
     }

@@ -6,7 +6,11 @@ use std::path::{Path, PathBuf};
 
 /// Elements that nodes use by name, with Debian's package of each; the packages that everything with video needs come first.
 pub const ELEMENTS: &[(&str, &str, &[&str])] = &[
-    ("gstreamer1.0-plugins-base", "cameras, files and streams", &["appsink", "appsrc", "decodebin", "videoconvert", "videotestsrc"]),
+    (
+        "gstreamer1.0-plugins-base",
+        "cameras, files and streams",
+        &["appsink", "appsrc", "decodebin", "videoconvert", "videotestsrc"],
+    ),
     (
         "gstreamer1.0-plugins-good",
         "cameras, files and streams",
@@ -36,7 +40,9 @@ impl GStreamer {
         // SAFETY: these are the declarations of GStreamer 1.x, whose ABI is stable, and `symbol` found each by its name in that library.
         let (init, version, find, unref) = unsafe {
             (
-                std::mem::transmute::<*mut c_void, unsafe extern "C" fn(*mut c_int, *mut c_void, *mut c_void) -> c_int>(init),
+                std::mem::transmute::<*mut c_void, unsafe extern "C" fn(*mut c_int, *mut c_void, *mut c_void) -> c_int>(
+                    init,
+                ),
                 std::mem::transmute::<*mut c_void, unsafe extern "C" fn() -> *mut c_char>(version),
                 std::mem::transmute::<*mut c_void, unsafe extern "C" fn(*const c_char) -> *mut c_void>(find),
                 std::mem::transmute::<*mut c_void, unsafe extern "C" fn(*mut c_void)>(unref),

@@ -54,16 +54,22 @@ impl Doctor {
                 let files = fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
                 let count = files.filter(|file| file.extension().is_some_and(|e| e == "toml")).count();
                 match count {
-                    0 => self.say(State::Bad, "graphs", &format!("none in {}; {}", folder.display(), self.installation.repair())),
+                    0 => self.say(
+                        State::Bad,
+                        "graphs",
+                        &format!("none in {}; {}", folder.display(), self.installation.repair()),
+                    ),
                     n => {
                         let output = installed::output_dir();
-                        let about = format!("{n} in {}; from here they write into {}", folder.display(), output.display());
+                        let about =
+                            format!("{n} in {}; from here they write into {}", folder.display(), output.display());
                         self.say(State::Fine, "graphs", &about);
                     }
                 }
             }
         }
-        for (program, what) in [("panoscope-editor", "`panoscope edit`"), ("panoscope-theatre", "`panoscope theatre`")] {
+        for (program, what) in [("panoscope-editor", "`panoscope edit`"), ("panoscope-theatre", "`panoscope theatre`")]
+        {
             let file = self.installation.program_dir.join(program);
             match file.is_file() {
                 true => self.say(State::Fine, program, &file.display().to_string()),
@@ -194,7 +200,8 @@ impl Doctor {
     fn gstreamer(&mut self) {
         let Some(gstreamer) = GStreamer::open() else {
             let packages: Vec<&str> = ELEMENTS.iter().map(|(package, ..)| *package).collect();
-            let how = format!("cameras, files and streams need it; `apt install libgstreamer1.0-0 {}`", packages.join(" "));
+            let how =
+                format!("cameras, files and streams need it; `apt install libgstreamer1.0-0 {}`", packages.join(" "));
             return self.say(State::Bad, "GStreamer", &how);
         };
         self.say(State::Fine, "GStreamer", &gstreamer.version);
@@ -225,17 +232,14 @@ impl Doctor {
             Some(path) => self.say(
                 State::Bad,
                 "ONNX Runtime",
-                &format!(
-                    "{} does not load; {}",
-                    path.display(),
-                    self.runtime_repair()
-                ),
+                &format!("{} does not load; {}", path.display(), self.runtime_repair()),
             ),
             None if libraries::loads("libonnxruntime.so") => {
                 self.say(State::Fine, "ONNX Runtime", "libonnxruntime.so of the system")
             }
             None => {
-                let how = format!("tool detection needs it; {}, or name its file in ORT_DYLIB_PATH", self.runtime_repair());
+                let how =
+                    format!("tool detection needs it; {}, or name its file in ORT_DYLIB_PATH", self.runtime_repair());
                 self.say(State::Optional, "ONNX Runtime", &how);
             }
         }
