@@ -41,11 +41,13 @@ as_user 'for page in panoscope panoscope-run panoscope-editor panoscope-theatre;
 inside 'bash -euc ". /usr/share/bash-completion/bash_completion; _completion_loader panoscope || test \$? = 124; complete -p panoscope"'
 
 step "windows"
-for window in editor theatre; do
-    as_user "xvfb-run -a -s \"-screen 0 1440x900x24\" panoscope-$window /usr/share/panoscope/graphs/surgeon.toml --screenshot $window.png --after 25 --do save"
-    inside "test -s /home/surgeon/$window.png" || fail "no picture of the $window"
-done
-as_user 'ls surgeon surgeon/parts; test -s surgeon/surgeon.toml; panoscope check surgeon/surgeon.toml' || fail "the editor saved no copy"
+show() { # window graph action
+    as_user "xvfb-run -a -s \"-screen 0 1440x900x24\" panoscope-$1 /usr/share/panoscope/graphs/$2 --screenshot $1.png --after 25 $3"
+    inside "test -s /home/surgeon/$1.png" || fail "no picture of the $1"
+}
+show editor depth.toml "--do save"
+show theatre surgeon.toml ""
+as_user 'ls depth depth/parts; panoscope check depth/depth.toml' || fail "the editor saved no copy"
 mkdir -p "$screens"
 cp "$root"/home/surgeon/*.png "$screens/"
 
