@@ -8,7 +8,7 @@ root=$dir/chroot
 screens=$dir/screens
 
 step() { printf '\n== %s\n' "$*"; }
-inside() { chroot "$root" /usr/bin/env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive sh -euc "$1"; }
+inside() { chroot "$root" /usr/bin/env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive sh -euc "$1"; }
 as_user() { inside "cd /home/surgeon; exec runuser -u surgeon -- env HOME=/home/surgeon sh -euc '$1'"; }
 fail() { echo "FAILED: $*" >&2; exit 1; }
 
@@ -38,7 +38,7 @@ as_user 'panoscope doctor || test $? = 1'
 
 step "manual pages and completion"
 as_user 'for page in panoscope panoscope-run panoscope-editor panoscope-theatre; do man --warnings --encoding=UTF-8 --local-file /usr/share/man/man1/$page.1.gz 2>&1 >/dev/null | grep . && exit 1; done; true'
-inside 'bash -euc ". /usr/share/bash-completion/bash_completion; _completion_loader panoscope || test \$? = 124; complete -p panoscope"'
+inside 'bash -ec ". /usr/share/bash-completion/bash_completion; _completion_loader panoscope || test \$? = 124; complete -p panoscope"'
 
 step "windows"
 show() { # window graph action
@@ -61,7 +61,8 @@ inside 'apt-get -qq -y install /tmp/newer.deb >/dev/null; rm /tmp/newer.deb; dpk
 as_user 'panoscope list | cmp - list.txt'
 
 step "remove and purge"
-inside 'apt-get -qq -y remove panoscope >/dev/null; apt-get -qq -y purge panoscope >/dev/null; rm /tmp/panoscope.deb'
+# Removed without configuration files it is forgotten, and there is nothing left to purge.
+inside 'apt-get -qq -y remove panoscope >/dev/null; dpkg --purge panoscope 2>/dev/null; rm /tmp/panoscope.deb'
 left=$(inside 'find / -xdev -iname "*panoscope*" -not -path "/home/*" -not -path "/proc/*"')
 [ -z "$left" ] || fail "purged, and yet there is: $left"
 as_user 'test -s out/surgeon.mkv' || fail "removing the package took files of the user along"
