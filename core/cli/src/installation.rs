@@ -2,18 +2,31 @@
 
 use std::path::{Path, PathBuf};
 
-/// Folder of the program in a Debian package.
-const PACKAGE_DIR: &str = "/usr/lib/panoscope";
+use panoscope_graph::installed::MARKER;
+
+/// Folder with the data folder of an installation, from the folder of its programs (`lib/panoscope`).
+const DATA_FROM_PROGRAM: &str = "../../share/panoscope";
+
+/// What came with the running program.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Installation {
+    /// How it came here.
+    pub kind: Kind,
+    /// The program's folder: beside it are the plugins, ONNX Runtime and the windows.
+    pub program_dir: PathBuf,
+    /// The graphs; `None` for a build, whose graphs are in the source tree.
+    pub graph_dir: Option<PathBuf>,
+}
 
 /// Where the running program comes from.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Installation {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
     /// A Debian package.
     Package,
     /// A folder made by `cargo xtask install`, or an unpacked tar file.
-    Folder(PathBuf),
+    Folder,
     /// A build inside the source tree.
-    Build(PathBuf),
+    Build,
 }
 
 impl Installation {
@@ -23,32 +36,36 @@ impl Installation {
         Self::of(program.parent().unwrap_or(Path::new("")))
     }
 
-    /// That of a program in `dir`.
-    fn of(dir: &Path) -> Self {
-        if dir == Path::new(PACKAGE_DIR) {
-            Self::Package
-        } else if dir.join("graphs").is_dir() && dir.join("plugins").is_dir() {
-            Self::Folder(dir.to_owned())
-        } else {
-            Self::Build(dir.to_owned())
-        }
+    /// That of a program in `program_dir`.
+    fn of(program_dir: &Path) -> Self {
+        let data = program_dir.join(DATA_FROM_PROGRAM);
+        let marker = std::fs::read_to_string(data.join(MARKER)).ok();
+        let kind = match marker.as_deref().map(|text| text.parse::<toml::Table>()) {
+            None => Kind::Build,
+            Some(Ok(table)) if table.get("kind").and_then(toml::Value::as_str) == Some("package") => Kind::Package,
+            Some(_) => Kind::Folder,
+        };
+        let graphs = (kind != Kind::Build).then(|| data.join("graphs"));
+        let graph_dir = graphs.map(|dir| dir.canonicalize().unwrap_or(dir));
+        Self { kind, program_dir: program_dir.to_owned(), graph_dir }
     }
 
-    /// What it is and where its graphs are.
+    /// What it is and where its programs are.
     pub fn description(&self) -> String {
-        match self {
-            Self::Package => format!("Debian package in {PACKAGE_DIR}, graphs in /usr/share/panoscope/graphs"),
-            Self::Folder(dir) => format!("folder {}, graphs in {}", dir.display(), dir.join("graphs").display()),
-            Self::Build(dir) => format!("build in {}, graphs in the source tree", dir.display()),
-        }
+        let kind = match self.kind {
+            Kind::Package => "Debian package",
+            Kind::Folder => "folder",
+            Kind::Build => "build",
+        };
+        format!("{kind}, programs in {}", self.program_dir.display())
     }
 
     /// How to restore files that are missing or broken.
     pub fn repair(&self) -> &'static str {
-        match self {
-            Self::Package => "reinstall them with `apt install --reinstall panoscope`",
-            Self::Folder(_) => "unpack the archive again, or run `cargo xtask install DIR` again",
-            Self::Build(_) => "build them with `cargo xtask build`",
+        match self.kind {
+            Kind::Package => "reinstall them with `apt install --reinstall panoscope`",
+            Kind::Folder => "unpack the archive again, or run `cargo xtask install DIR` again",
+            Kind::Build => "build them with `cargo xtask build`",
         }
     }
 }
@@ -56,15 +73,25 @@ impl Installation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     #[test]
     fn each_kind_of_installation_is_recognised() {
-        assert_eq!(Installation::of(Path::new(PACKAGE_DIR)), Installation::Package);
-        let dir = std::env::temp_dir().join(format!("panoscope_installation_{}", std::process::id()));
-        std::fs::create_dir_all(dir.join("plugins")).unwrap();
-        assert_eq!(Installation::of(&dir), Installation::Build(dir.clone()));
-        std::fs::create_dir_all(dir.join("graphs")).unwrap();
-        assert_eq!(Installation::of(&dir), Installation::Folder(dir.clone()));
-        std::fs::remove_dir_all(&dir).unwrap();
+        let prefix = std::env::temp_dir().join(format!("panoscope_installation_{}", std::process::id()));
+        let (library, data) = (prefix.join("lib/panoscope"), prefix.join("share/panoscope"));
+        fs::create_dir_all(library.join("plugins")).unwrap();
+        let kind = || Installation::of(&library).kind;
+        assert_eq!(kind(), Kind::Build);
+        fs::create_dir_all(data.join("graphs")).unwrap();
+        assert_eq!(kind(), Kind::Build, "only the marker makes an installation");
+        for (text, expected) in
+            [("kind = \"package\"", Kind::Package), ("kind = \"folder\"", Kind::Folder), ("not TOML", Kind::Folder)]
+        {
+            fs::write(data.join(MARKER), text).unwrap();
+            assert_eq!(kind(), expected, "{text}");
+        }
+        let graphs = Installation::of(&library).graph_dir.unwrap();
+        assert_eq!(graphs, data.join("graphs").canonicalize().unwrap());
+        fs::remove_dir_all(prefix).unwrap();
     }
 }

@@ -284,6 +284,15 @@ fn an_opening_after_a_fault_that_hangs_in_a_loop_frees_the_pool() {
 }
 
 #[test]
+fn nodes_share_the_pool_while_they_open() {
+    let params = format!("hangs = \"open_alone\", {HANGS_MS}");
+    let options = Options { open_limit: Duration::from_secs(20), ..options() };
+    let (engine, _live) = start(&graph("chaos_life", &params), options);
+    goes_on(&engine, "end", "it opened");
+    closes_in_time(&engine);
+}
+
+#[test]
 fn a_path_of_its_own_goes_on_while_all_workers_hang() {
     for harm in ["hang_in_loop", "hang_in_nested_loop"] {
         let params = format!("harm = \"{harm}\", first = 20, ticks = 1, {HANGS_MS}");

@@ -23,6 +23,7 @@ mod file;
 mod flatten;
 #[cfg(feature = "abi")]
 pub mod from_abi;
+pub mod installed;
 mod nearest;
 mod options;
 mod outline;

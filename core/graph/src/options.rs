@@ -1,8 +1,9 @@
 //! How a graph file is opened.
 
+use crate::source::tidy;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What is given beside a graph file: overlays, values of its arguments, settings.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,4 +24,11 @@ pub struct GraphOptions {
     /// A required argument without a value is no error. What depends on it is not checked, and the graph is not fit to run.
     #[serde(default)]
     pub allow_missing_args: bool,
+}
+
+impl GraphOptions {
+    /// The absolute path by which [`Self::texts`] names a file: without `.` and `..`, links not followed.
+    pub fn key(file: &Path) -> PathBuf {
+        tidy(file)
+    }
 }

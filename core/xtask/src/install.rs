@@ -1,6 +1,7 @@
-//! Puts a release build into a folder, to be run without cargo.
+//! Puts a build into a folder, to be run without cargo.
 
 use std::fs;
+use std::os::unix::fs::symlink;
 use std::path::Path;
 
 use anyhow::{Context, Result};
@@ -12,17 +13,33 @@ use crate::build::{
 use crate::onnxruntime;
 use crate::workspace::Workspace;
 
-/// Builds in release and puts all that runs without cargo into `dir`.
+/// Folder of the programs, the plugins and ONNX Runtime below the prefix of an installation.
+pub const LIBRARY: &str = "lib/panoscope";
+/// Folder of the graphs below the prefix.
+pub const DATA: &str = "share/panoscope";
+/// File in [`DATA`] by which graphs know that they belong to an installation.
+const MARKER: &str = "installation.toml";
+
+/// How an installation gets to a machine; `panoscope doctor` gives advice that fits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// By a package manager, below `/usr`.
+    Package,
+    /// As a folder that can be moved.
+    Folder,
+}
+
+/// Builds and puts all that runs without cargo into `dir`: `bin`, `lib/panoscope`, `share/panoscope`.
 ///
 /// # Errors
 /// The build fails, a file cannot be copied, or ONNX Runtime cannot be had; all but ONNX Runtime is in place then.
-pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
-    let built = build(workspace, Profile::Release)?;
-    let windows = build_windows(workspace, Profile::Release)?;
+pub fn install(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<()> {
+    let built = build(workspace, profile)?;
+    let windows = build_windows(workspace, profile)?;
     let runtime = onnxruntime::fetch(workspace);
     let tree = Tree { built: &built, windows: Some(&windows), runtime: runtime.as_deref().ok() };
     tree.put_into(workspace, dir, Means::Copy)?;
-    println!("{}", dir.join(program_name()).display());
+    println!("{}", dir.join("bin").join(program_name()).display());
     runtime.map(drop).with_context(|| {
         format!(
             "everything is in {} but ONNX Runtime, so `yolo` and `mask_rcnn` do not open: run this again, or name its library in \
@@ -30,6 +47,21 @@ pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
             dir.display()
         )
     })
+}
+
+/// Writes the file that marks the data folder of an installation in `prefix`.
+pub fn mark(prefix: &Path, kind: Kind) -> Result<()> {
+    let kind = match kind {
+        Kind::Package => "package",
+        Kind::Folder => "folder",
+    };
+    let text = format!(
+        "# Graphs below this folder belong to an installation: they write their files into the current folder.\n\
+         kind = \"{kind}\"\nversion = \"{}\"\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    let file = prefix.join(DATA).join(MARKER);
+    fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))
 }
 
 /// What an installed folder is made of.
@@ -41,34 +73,50 @@ struct Tree<'a> {
 }
 
 impl Tree<'_> {
-    /// Puts the program, the windows, `plugins/` with their models, `onnxruntime/` and `graphs/` into `dir`.
-    fn put_into(&self, workspace: &Workspace, dir: &Path, means: Means) -> Result<()> {
-        let plugin_dir = dir.join("plugins");
-        fs::create_dir_all(&plugin_dir).with_context(|| format!("cannot make {}", plugin_dir.display()))?;
+    /// Puts the programs, the plugins with their models, ONNX Runtime and the graphs into `prefix`.
+    fn put_into(&self, workspace: &Workspace, prefix: &Path, means: Means) -> Result<()> {
+        let library = prefix.join(LIBRARY);
+        let plugin_dir = library.join("plugins");
+        make_dir(&plugin_dir)?;
         for plugin in &workspace.plugins {
             let name = library_name(&plugin.name);
             place(&self.built.plugin_dir.join(&name), &plugin_dir.join(&name), means)?;
         }
         lay_out_models(workspace, &plugin_dir, means)?;
-        if let Some(library) = self.runtime {
+        if let Some(runtime) = self.runtime {
             // Beside the program, where the `tools` plugin looks for it.
-            let folder = dir.join("onnxruntime");
-            fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-            for file in onnxruntime::files(library) {
+            let folder = library.join("onnxruntime");
+            make_dir(&folder)?;
+            for file in onnxruntime::files(runtime) {
                 place(&file, &folder.join(file.file_name().unwrap_or_default()), means)?;
             }
         }
         for folder in ["graphs", "graphs/parts", "graphs/sources"] {
-            place_files(&workspace.root.join(folder), &dir.join(folder), &["toml"], means)?;
+            place_files(&workspace.root.join(folder), &prefix.join(DATA).join(folder), &["toml"], means)?;
         }
+        mark(prefix, Kind::Folder)?;
         if let Some(Windows { editor, theatre }) = self.windows {
             for (program, name) in [editor, theatre].into_iter().zip(window_names()) {
-                place(program, &dir.join(name), means)?;
+                place(program, &library.join(name), means)?;
             }
         }
         // Last, so that a program that starts finds everything it came with.
-        place(&self.built.program, &dir.join(program_name()), means)
+        place(&self.built.program, &library.join(program_name()), means)?;
+        let bin = prefix.join("bin");
+        make_dir(&bin)?;
+        let windows = window_names().into_iter().filter(|_| self.windows.is_some());
+        for program in windows.chain([program_name()]) {
+            let link = bin.join(&program);
+            let _ = fs::remove_file(&link);
+            symlink(format!("../{LIBRARY}/{program}"), &link)
+                .with_context(|| format!("cannot make {}", link.display()))?;
+        }
+        Ok(())
     }
+}
+
+fn make_dir(folder: &Path) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))
 }
 
 #[cfg(test)]
@@ -99,33 +147,64 @@ mod tests {
         let _ = fs::remove_dir_all(&dir);
         let tree = Tree { built: &built, windows: None, runtime: Some(&runtime) };
         tree.put_into(&workspace, &dir, Means::Link).unwrap();
-        let mut list = std::process::Command::new(dir.join(program_name()));
+        // Moved as a whole, so that nothing in it remembers where it was made.
+        let moved = dir.with_extension("moved");
+        let _ = fs::remove_dir_all(&moved);
+        fs::rename(&dir, &moved).unwrap();
+        let dir = moved;
+        let work = dir.with_extension("work");
+        fs::create_dir_all(&work).unwrap();
+        let program = dir.join("bin").join(program_name());
+        let mut list = std::process::Command::new(&program);
         let listed = list.env_clear().arg("list").output().unwrap();
         let listed = String::from_utf8_lossy(&listed.stdout).into_owned();
         let names_plugin = |plugin: &crate::workspace::Plugin| listed.contains(&plugin.name);
         assert!(workspace.plugins.iter().all(names_plugin), "{listed}");
         assert!(!workspace.test_plugins.iter().any(names_plugin), "plugins of tests were installed: {listed}");
         let run = |dir: &Path| {
-            let graph = dir.join("graphs/tools.toml");
-            let mut command = std::process::Command::new(dir.join(program_name()));
-            command.env_clear().current_dir("/").arg("run").arg(graph).args(["--headless", "--frames", "5"]);
+            let graph = dir.join(DATA).join("graphs/tools.toml");
+            let mut command = std::process::Command::new(&program);
+            command.env_clear().current_dir(&work).arg("run").arg(graph).args(["--headless", "--frames", "5"]);
             let output = command.output().unwrap();
             let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
             (output.status.code(), said)
         };
         let (code, said) = run(&dir);
         assert_eq!(code, Some(0), "{said}");
+        // An installed graph leaves the installation as it is.
+        assert!(said.contains(&format!("the files it writes go to {}", work.display())), "{said}");
+        assert!(!dir.join(DATA).join("out").exists());
         for file in ["out/tools.mkv", "out/tools.png"] {
-            assert!(dir.join(file).metadata().is_ok_and(|f| f.len() > 0), "no {file}: {said}");
+            assert!(work.join(file).metadata().is_ok_and(|f| f.len() > 0), "no {file}: {said}");
         }
         // It is this library that made it run, where the system has none of its own.
         let system = ["/usr/lib", "/usr/local/lib", "/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu"];
         if system.iter().all(|folder| !Path::new(folder).join("libonnxruntime.so").exists()) {
-            fs::remove_dir_all(dir.join("onnxruntime")).unwrap();
+            fs::remove_dir_all(dir.join(LIBRARY).join("onnxruntime")).unwrap();
             let (code, said) = run(&dir);
             assert!(code == Some(1) && said.contains("ONNX Runtime's shared library is not there"), "{code:?} {said}");
         }
         fs::remove_dir_all(&dir).unwrap();
+        fs::remove_dir_all(&work).unwrap();
+    }
+
+    #[test]
+    fn shipped_graphs_name_no_file_of_a_plugin_by_its_path() {
+        // Models come with their plugin: a node finds its own wherever it is installed.
+        let root = Workspace::locate().unwrap().root.join("graphs");
+        let mut graphs = 0;
+        for folder in [root.clone(), root.join("parts"), root.join("sources")] {
+            for file in fs::read_dir(folder).unwrap().flatten().map(|entry| entry.path()) {
+                if file.extension().is_none_or(|extension| extension != "toml") {
+                    continue;
+                }
+                graphs += 1;
+                let text = fs::read_to_string(&file).unwrap();
+                let named = text.lines().find(|line| !line.starts_with('#') && line.contains("../plugins/"));
+                assert_eq!(named, None, "{}", file.display());
+            }
+        }
+        assert!(graphs > 20, "{graphs} graphs");
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod data;
 mod demo;
 mod generated;
 mod install;
+mod licences;
 mod lint;
 mod onnxruntime;
 mod package;
@@ -40,8 +41,11 @@ cargo xtask COMMAND
   setup                installs the system packages that are missing
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
-  install DIR          puts a release build (program, editor, plugins with models, ONNX Runtime, graphs) into DIR
-  package [DIR]        makes a Debian package and a relocatable tar file of a release build in DIR (target/package)
+  install DIR          puts a release build into DIR/bin, DIR/lib and DIR/share: programs, plugins with models, ONNX Runtime, graphs
+  package [DIR] [--check] [--dev]
+                       makes a Debian package and a relocatable tar file of a release build in DIR (target/package); DEBEMAIL=\"Name
+                       <address>\" names who made it, else git's user. --check installs it into a bare Debian and uses it there (root); --dev
+                       packages a development build, which is made faster
   screens [DIR]        takes pictures of both windows on a virtual screen into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime
@@ -107,17 +111,26 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
         "install" => {
             let [dir] = rest else { bail!("install takes one argument, the folder to install into") };
             setup::ensure(&[Purpose::Build])?;
-            install::install(&Workspace::locate()?, dir.as_ref())?;
+            install::install(&Workspace::locate()?, dir.as_ref(), Profile::Release)?;
         }
         "package" => {
             setup::ensure(&[Purpose::Build, Purpose::Package])?;
             let workspace = Workspace::locate()?;
-            let dir = match rest {
+            let (flags, folders): (Vec<&String>, Vec<&String>) = rest.iter().partition(|arg| arg.starts_with("--"));
+            if let Some(other) = flags.iter().find(|flag| !["--check", "--dev"].contains(&flag.as_str())) {
+                bail!("unexpected argument `{other}`");
+            }
+            let has = |name: &str| flags.iter().any(|flag| *flag == name);
+            let profile = if has("--dev") { Profile::Dev } else { Profile::Release };
+            let dir = match folders[..] {
                 [] => workspace.target.join("package"),
                 [dir] => dir.into(),
-                _ => bail!("package takes one argument, the folder to write into"),
+                _ => bail!("package takes one folder to write into"),
             };
-            package::package(&workspace, &dir)?;
+            let package = package::package(&workspace, &dir, profile)?;
+            if has("--check") {
+                package::check(&workspace, &package, &dir)?;
+            }
         }
         "screens" => screens::screens(&Workspace::locate()?, rest)?,
         "data" => {

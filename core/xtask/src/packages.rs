@@ -160,6 +160,7 @@ pub static PACKAGES: &[Package] = &[
         [Some("binutils"), Some("binutils"), Some("binutils")],
         Evidence::Program("strip"),
     ),
+    package(Purpose::Package, "librsvg2-bin", [None, None, None], Evidence::Program("rsvg-convert")),
     package(Purpose::Test, "opencv-doc", [None, None, None], Evidence::AnyFile(&[OPENCV_DOC_DATA])),
     package(
         Purpose::Wheels,

@@ -5,10 +5,10 @@ mod common;
 use std::sync::Arc;
 
 use common::{GRAPH, has_plugin};
-use panoscope_editor_model::Mark;
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, PendingWire};
+use panoscope_editor_model::{Mark, copying};
 use panoscope_loader::{self as loader, Loader};
 
 fn document(text: &str) -> Option<Document> {
@@ -208,4 +208,40 @@ fn a_parameter_of_a_part_is_written_into_the_parts_file() {
     doc.undo();
     assert!(doc.is_changed(), "undo after a save brings the old text back");
     std::fs::remove_dir_all(folder).expect("removed");
+}
+
+#[test]
+fn a_copy_takes_parts_and_unsaved_changes_along() {
+    let part = "[part]\n[nodes.b]\ntype = \"x\"\nparams = { inner = 1 }\n";
+    let text =
+        "[nodes.a]\ngraph = \"parts/part.toml\"\n[nodes.c]\ntype = \"y\"\nparams = { path = \"../out/c.mkv\" }\n";
+    let root = std::env::temp_dir().join(format!("panoscope_copying_{}", std::process::id()));
+    let graphs = root.join("graphs");
+    std::fs::create_dir_all(graphs.join("parts")).expect("a folder");
+    std::fs::write(graphs.join("wide.toml"), text).expect("a file");
+    std::fs::write(graphs.join("parts/part.toml"), part).expect("a file");
+    let graph = graphs.join("wide.toml");
+    assert_eq!(copying::destination(&graph), None, "it belongs to no installation");
+    std::fs::write(root.join(panoscope_graph::installed::MARKER), "").expect("a file");
+    let copy = copying::destination(&graph).expect("a destination");
+    assert!(copy.ends_with("wide/wide.toml") && !copy.starts_with(&root), "{}", copy.display());
+
+    let mut document = Document::new(&graph, text, Arc::new(Loader::default()));
+    ops::set_param(&mut document, "a/b", "inner", Some(&7.into())).expect("set");
+    let copy = root.join("mine/wide/wide.toml");
+    copying::save_as(&mut document, &copy).expect("saved");
+    assert_eq!(std::fs::read_to_string(&copy).expect("a file"), text);
+    let copied = root.join("mine/wide/parts/part.toml");
+    assert_eq!(std::fs::read_to_string(&copied).expect("a file"), part.replace("inner = 1", "inner = 7"));
+    assert_eq!(std::fs::read_to_string(graphs.join("parts/part.toml")).expect("a file"), part);
+    assert_eq!(document.path(), copy);
+    assert!(!document.is_changed());
+
+    // Undo and the next change are of the copy.
+    document.undo();
+    let changed: Vec<_> =
+        document.changed_files().into_iter().map(|(path, text, _)| (path.to_owned(), text.to_string())).collect();
+    assert_eq!(changed, [(copied, part.to_owned())]);
+    assert_eq!(document.view().nodes[0].outline.params["inner"].as_integer(), Some(1));
+    std::fs::remove_dir_all(root).expect("removed");
 }

@@ -127,6 +127,26 @@ impl Document {
         }
     }
 
+    /// Part and overlay files with their texts as they are now, by absolute path.
+    pub(crate) fn files(&self) -> Vec<(PathBuf, String)> {
+        self.parse().files().iter().skip(1).map(|file| (file.key(), file.text.to_owned())).collect()
+    }
+
+    /// The document was saved as `path`, and its other files under new absolute paths.
+    pub(crate) fn move_to(&mut self, path: &Path, moved: &BTreeMap<PathBuf, PathBuf>) {
+        let new = |old: &Path| moved.get(old).map_or_else(|| old.to_owned(), PathBuf::clone);
+        let steps = self.undo.iter_mut().chain(&mut self.redo).map(|step| &mut step.others);
+        for texts in steps.chain([&mut self.others, &mut self.saved_others]) {
+            *texts = std::mem::take(texts).into_iter().map(|(old, text)| (new(&old), text)).collect();
+        }
+        self.given.with.iter_mut().for_each(|file| *file = new(&GraphOptions::key(file)));
+        self.path = path.to_owned();
+        self.saved_others = self.others.clone();
+        let text = Arc::clone(&self.text);
+        self.set_saved(&text);
+        self.derive();
+    }
+
     /// The graph derived from the text.
     pub fn view(&self) -> &Arc<GraphView> {
         &self.view

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use panoscope_editor_widgets::window;
-use panoscope_graph::GraphText;
+use panoscope_graph::{GraphText, installed};
 use panoscope_theatre::{OpenFailed, Options, Ready, Theatre};
 
 /// The surgeon's window: full-screen images, and only the settings that the preset offers.
@@ -19,9 +19,9 @@ struct Arguments {
     /// Opens the graph even if it, a plugin, a model or the calibration differs from its lock.
     #[arg(long)]
     unlocked: bool,
-    /// Folder for stills and clips.
-    #[arg(long, value_name = "DIR", default_value = "out")]
-    into: PathBuf,
+    /// Folder for stills and clips; without it `out` in the current folder, or where an installed graph writes its files.
+    #[arg(long, value_name = "DIR")]
+    into: Option<PathBuf>,
     /// Prefix for the names of stills and clips, which otherwise have numbers only.
     #[arg(long, value_name = "TEXT")]
     label: Option<String>,
@@ -62,8 +62,13 @@ fn run(arguments: &Arguments) -> i32 {
             return 2;
         }
     };
+    let notice = installed::notice(&arguments.graph);
+    if let Some(notice) = &notice {
+        eprintln!("note: {notice}");
+    }
+    let folder = if notice.is_some() { installed::output_dir().join("out") } else { PathBuf::from("out") };
     let options = Options {
-        folder: arguments.into.clone(),
+        folder: arguments.into.clone().unwrap_or(folder),
         label: arguments.label.clone(),
         unlocked: arguments.unlocked,
         frames: arguments.window.frames,

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
-use panoscope_graph::{GraphOptions, GraphText, OnFault};
+use panoscope_graph::{GraphOptions, GraphText, OnFault, installed};
 use panoscope_loader::Live;
 use panoscope_loader::live::FileWatch;
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
@@ -93,6 +93,9 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
     };
     if !ready.warnings.is_empty() {
         log!("{}", ready.warnings.render(stderr_color()).trim_end());
+    }
+    if let Some(notice) = installed::notice(&arguments.graph) {
+        log!("note: {notice}");
     }
     let graph = ready.graph.clone();
     let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless);

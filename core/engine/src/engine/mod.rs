@@ -141,7 +141,10 @@ impl Engine {
             hang_ns: if hurried { patience } else { patience.saturating_mul(30) },
             frame_ns: AtomicU64::new(33_333_333),
         });
-        if let Err(error) = open_all(&shared) {
+        // Nodes run parallel loops while they open.
+        let pool_started = start_pool(&shared).map_err(|cause| StartError::Thread { cause });
+        if let Err(error) = pool_started.and_then(|()| open_all(&shared)) {
+            shared.pool.stop(Instant::now() + shared.context.close_limit);
             shared.context.flush();
             return Err(error);
         }
@@ -169,20 +172,6 @@ impl Engine {
 
     fn start_threads(&self) -> std::io::Result<()> {
         let shared = &self.shared;
-        // The pool's task must not keep the engine alive.
-        let weak = Arc::downgrade(shared);
-        let task: Task = Arc::new(move |node, scratch| {
-            if let Some(shared) = weak.upgrade() {
-                shared.run(node as usize, scratch, u64::MAX);
-            }
-        });
-        let weak = Arc::downgrade(shared);
-        shared.pool.on_panic(Box::new(move |name, words| {
-            if let Some(shared) = weak.upgrade() {
-                shared.thread_panicked(name, words);
-            }
-        }));
-        shared.pool.start(&task)?;
         let (watching, stop) = (Arc::clone(shared), Arc::clone(&self.watch_stop));
         let (tell, told) = std::sync::mpsc::channel();
         let watch = shared.start_host_thread("watch", move || {
@@ -373,6 +362,24 @@ fn listen(
     };
     let missing = |l: &Listener| StartError::Stale { reason: format!("there is no output `{}.{}`", l.node, l.output) };
     wanted.iter().map(|listener| one(listener).ok_or_else(|| missing(listener))).collect()
+}
+
+/// Starts the pool's workers; they have no task until the nodes are open.
+fn start_pool(shared: &Arc<Shared>) -> std::io::Result<()> {
+    // The pool's task must not keep the engine alive.
+    let weak = Arc::downgrade(shared);
+    let task: Task = Arc::new(move |node, scratch| {
+        if let Some(shared) = weak.upgrade() {
+            shared.run(node as usize, scratch, u64::MAX);
+        }
+    });
+    let weak = Arc::downgrade(shared);
+    shared.pool.on_panic(Box::new(move |name, words| {
+        if let Some(shared) = weak.upgrade() {
+            shared.thread_panicked(name, words);
+        }
+    }));
+    shared.pool.start(&task)
 }
 
 /// Opens all nodes of an engine that does not run yet. If one fails, closes the others.

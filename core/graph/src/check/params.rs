@@ -4,13 +4,14 @@ use super::Checker;
 use crate::args::absolute_files;
 use crate::catalog::NodeType;
 use crate::file::NodeText;
+use crate::installed;
 use crate::nearest::{list, nearest};
 use crate::param::{Param, ParamKind, ParamValue, Pick};
 use crate::parse::parse_value;
 use crate::text::Override;
 use crate::value::{Kind, Value};
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What is wrong with a value.
 struct Wrong {
@@ -178,7 +179,19 @@ impl<'a> Checker<'a> {
 
     /// Where a default stands: beside the plugin when it comes with it, else beside the graph file.
     fn default_path(&self, node_type: &NodeType, param: &Param, default: &str) -> PathBuf {
-        if param.shipped && !default.is_empty() { node_type.shipped_dir.join(default) } else { self.resolve(default) }
+        match param.shipped && !default.is_empty() {
+            true => node_type.shipped_dir.join(default),
+            false => self.resolve_param(&(0..0), param, default),
+        }
+    }
+
+    /// The path of a parameter: relative to the file that the span lies in; a written one of an installed file to the folder for outputs.
+    fn resolve_param(&self, span: &Range<usize>, param: &Param, path: &str) -> PathBuf {
+        let is_relative = !path.is_empty() && Path::new(path).is_relative();
+        if param.writes && is_relative && installed::data_dir(&self.text.sources.of(span).dir).is_some() {
+            return installed::output(path);
+        }
+        self.resolve_at(span, path)
     }
 
     /// A path that is relative to the graph file.
@@ -236,7 +249,7 @@ impl<'a> Checker<'a> {
                 Ok(ParamValue::Text(if elsewhere { absolute_files(text, dir) } else { text.clone() }))
             }
             (ParamKind::Path { must_exist, .. }, Kind::Text(text)) => {
-                let path = self.resolve_at(&value.span, text);
+                let path = self.resolve_param(&value.span, param, text);
                 if *must_exist && !text.is_empty() && !path.exists() {
                     return Err(self.missing_file(param, value, text));
                 }

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, RichText, Ui};
 use panoscope_abi::LINKS;
-use panoscope_graph::{GraphOptions, GraphText};
+use panoscope_graph::{GraphOptions, GraphText, installed};
 
 use crate::actions;
 use crate::canvas::{Canvas, Scene};
@@ -148,7 +148,7 @@ impl App {
             disk: DiskWatch::new(path),
             conflict: None,
             panning: false,
-            notification: None,
+            notification: installed::notice(path).map(|notice| (notice, false, Instant::now())),
             requested_revision: 1,
             shot: options.shot,
             costs: Costs::default(),

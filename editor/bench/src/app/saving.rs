@@ -6,7 +6,8 @@ use eframe::egui::{Frame, Margin, Panel, RichText, Ui};
 
 use super::App;
 use super::conflict::Conflict;
-use panoscope_editor_model::disk;
+use panoscope_editor_model::copying;
+use panoscope_editor_model::disk::{self, DiskWatch};
 use panoscope_editor_model::history::Origin;
 use panoscope_editor_widgets::theme;
 
@@ -85,8 +86,25 @@ impl App {
         true
     }
 
+    /// Saves a graph of the installation as a copy, which the window edits from then on; `false` if the graph belongs to no installation.
+    fn save_copy(&mut self) -> bool {
+        let Some(copy) = copying::destination(self.document.path()) else { return false };
+        let result = copying::save_as(&mut self.document, &copy);
+        if self.try_edit(result).is_some() {
+            self.disk = DiskWatch::new(&copy);
+            self.notify(
+                format!("saved as a copy, because the original belongs to the installation: {}", copy.display()),
+                false,
+            );
+        }
+        true
+    }
+
     /// Saves the text, unless that would lose another program's text.
     pub(super) fn save(&mut self) {
+        if self.save_copy() {
+            return;
+        }
         // A text of another program is not overwritten without asking.
         if let Ok(text) = std::fs::read_to_string(self.document.path())
             && text != **self.document.saved()

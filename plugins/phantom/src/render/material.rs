@@ -22,13 +22,7 @@ pub const SLOPE_LIMIT: f32 = 6.0;
 pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Vec<u64> {
     let texel_mm = relief.period_mm / TEXELS as f32;
     let palette = Palette::of(params.scene).drawn(params.texture);
-    let mut vessels = vec![0u8; TEXELS * TEXELS];
-    let area = relief.period_mm * relief.period_mm / (128.0 * 128.0);
-    for (i, growth) in palette.vessels.iter().enumerate() {
-        let trees = (growth.trees as f32 * area).ceil() as usize;
-        let mut stream = Stream::new(params.seed, 200 + i as u32);
-        draw_vessels(&mut stream, &Growth { trees, ..*growth }, &mut vessels, TEXELS, texel_mm);
-    }
+    let vessels = vessels(params.seed, &palette.vessels, relief.period_mm, pool);
     let skin = Skin::new(params, relief, palette, texel_mm, &vessels);
     let mut bumps = vec![0f32; TEXELS * TEXELS];
     const ROWS: usize = 16;
@@ -54,6 +48,29 @@ pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Vec<u
         });
     }
     texels
+}
+
+/// All families of vessels in one map of a byte per texel. Each family is drawn on its own, and the stronger one shows.
+fn vessels(seed: u64, families: &[Growth], period_mm: f32, pool: &dyn Parallel) -> Vec<u8> {
+    let area = period_mm * period_mm / (128.0 * 128.0);
+    let mut planes = vec![vec![0u8; TEXELS * TEXELS]; families.len().max(1)];
+    {
+        let planes = SharedMut::new(&mut planes);
+        pool.run(families.len(), &|family| {
+            let growth = families[family];
+            let trees = (growth.trees as f32 * area).ceil() as usize;
+            let mut stream = Stream::new(seed, 200 + family as u32);
+            // SAFETY: each chunk takes its own plane.
+            let plane = unsafe { &mut planes.part(family, 1)[0] };
+            draw_vessels(&mut stream, &Growth { trees, ..growth }, plane, TEXELS, period_mm / TEXELS as f32);
+        });
+    }
+    let mut planes = planes.into_iter();
+    let mut all = planes.next().unwrap_or_default();
+    for plane in planes {
+        all.iter_mut().zip(plane).for_each(|(texel, other)| *texel = (*texel).max(other));
+    }
+    all
 }
 
 /// A tissue: display colour (blue, green, red, square-root scale), gloss, height of its grain in mm.

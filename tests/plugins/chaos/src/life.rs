@@ -2,7 +2,9 @@
 //! opening, closing, handing a state over.
 
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use panoscope_node::{
     Choice, Context, Gray8, Image, NoPorts, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error,
@@ -22,12 +24,26 @@ pub enum Hangs {
     Open,
     /// A chunk of a loop on the host's pool, while it opens.
     OpenInLoop,
+    /// Opening, unless two threads of the host's pool meet in a loop.
+    OpenAlone,
     /// Closing.
     Close,
     /// Saving a state.
     Save,
     /// Taking a state over.
     Load,
+}
+
+/// Returns when two chunks of a loop ran at once, at the latest after `most_ms` for each.
+fn meet(pool: &dyn Parallel, most_ms: f64) {
+    let arrived = AtomicU32::new(0);
+    let end = Instant::now() + Duration::from_secs_f64(most_ms * 1e-3);
+    pool.run(2, &|_| {
+        arrived.fetch_add(1, Ordering::AcqRel);
+        while arrived.load(Ordering::Acquire) < 2 && Instant::now() < end {
+            std::thread::yield_now();
+        }
+    });
 }
 
 /// What goes wrong, and when.
@@ -86,6 +102,7 @@ impl Instance {
         match life.hangs {
             Hangs::Open if slow => wait(life.hang_ms),
             Hangs::OpenInLoop if slow => open.pool().run(16, &|_| wait(life.hang_ms)),
+            Hangs::OpenAlone if slow => meet(open.pool(), life.hang_ms),
             _ => {}
         }
         Self { hangs: life.hangs, hang_ms: life.hang_ms, fails_at: life.fails_at }

@@ -1,17 +1,20 @@
 //! `panoscope doctor`.
 
-use std::ffi::CString;
+mod libraries;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_engine::Machine;
+use panoscope_graph::{NodeType, ParamKind, installed};
 use panoscope_loader as loader;
 
 use super::devices;
 use crate::End;
-use crate::installation::Installation;
+use crate::installation::{Installation, Kind};
 use crate::terminal::{out, stdout_color};
+use libraries::{ELEMENTS, GStreamer};
 use panoscope_eval::graph_file;
 
 /// How a thing stands.
@@ -45,6 +48,38 @@ impl Doctor {
         out!("installation");
         let description = self.installation.description();
         self.say(State::Fine, env!("CARGO_PKG_VERSION"), &description);
+        match self.installation.graph_dir.clone() {
+            None => self.say(State::Fine, "graphs", "in the source tree; each writes beside itself"),
+            Some(folder) => {
+                let files = fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
+                let count = files.filter(|file| file.extension().is_some_and(|e| e == "toml")).count();
+                match count {
+                    0 => self.say(
+                        State::Bad,
+                        "graphs",
+                        &format!("none in {}; {}", folder.display(), self.installation.repair()),
+                    ),
+                    n => {
+                        let output = installed::output_dir();
+                        let about =
+                            format!("{n} in {}; from here they write into {}", folder.display(), output.display());
+                        self.say(State::Fine, "graphs", &about);
+                    }
+                }
+            }
+        }
+        for (program, what) in [("panoscope-editor", "`panoscope edit`"), ("panoscope-theatre", "`panoscope theatre`")]
+        {
+            let file = self.installation.program_dir.join(program);
+            match file.is_file() {
+                true => self.say(State::Fine, program, &file.display().to_string()),
+                false => {
+                    let state = if self.installation.kind == Kind::Build { State::Optional } else { State::Bad };
+                    let how = format!("{what} needs {}; {}", file.display(), self.installation.repair());
+                    self.say(state, program, &how);
+                }
+            }
+        }
     }
 
     fn machine(&mut self) {
@@ -105,6 +140,7 @@ impl Doctor {
                     let about =
                         format!("{}, loads, {} node types", loaded.plugin.note.version, loaded.node_types.len());
                     self.say(State::Fine, &name, &about);
+                    loaded.node_types.iter().for_each(|node_type| self.shipped_files(node_type));
                 }
                 Err(problem) => {
                     let mend = missing_library(&problem.message).unwrap_or(problem.help);
@@ -125,6 +161,22 @@ impl Doctor {
         }
     }
 
+    /// Models and other files that come with a node.
+    fn shipped_files(&mut self, node_type: &NodeType) {
+        for param in node_type.params.iter().filter(|param| param.shipped) {
+            let ParamKind::Path { default, .. } = &param.kind else { continue };
+            let file = node_type.shipped_dir.join(default);
+            let what = format!("{}.{}", node_type.name, param.name);
+            match fs::metadata(&file) {
+                Ok(meta) => self.say(State::Fine, &what, &format!("{} ({} kB)", file.display(), meta.len() / 1000)),
+                Err(error) => {
+                    let how = format!("{}: {error}; {}", file.display(), self.installation.repair());
+                    self.say(State::Bad, &what, &how);
+                }
+            }
+        }
+    }
+
     fn programs(&mut self) {
         out!("programs and libraries");
         for (program, package, what) in [
@@ -137,14 +189,33 @@ impl Doctor {
                 None => self.say(State::Optional, program, &format!("{what}; `apt install {package}`")),
             }
         }
-        match open_library("libgstreamer-1.0.so.0") {
-            Ok(()) => self.say(State::Fine, "GStreamer", "libgstreamer-1.0.so.0 loads"),
-            Err(_) => {
-                let how = "pipelines in `capture` and the peer of `bench hop`; `apt install libgstreamer1.0-0 gstreamer1.0-plugins-base gstreamer1.0-plugins-good`";
-                self.say(State::Optional, "GStreamer", how);
-            }
+        match libraries::mapped("libopencv_core.so") {
+            Some(file) => self.say(State::Fine, "OpenCV", &file.display().to_string()),
+            None => self.say(State::Optional, "OpenCV", "no plugin loaded it; nodes of `opencv` need it"),
         }
+        self.gstreamer();
         self.onnx_runtime();
+    }
+
+    fn gstreamer(&mut self) {
+        let Some(gstreamer) = GStreamer::open() else {
+            let packages: Vec<&str> = ELEMENTS.iter().map(|(package, ..)| *package).collect();
+            let how =
+                format!("cameras, files and streams need it; `apt install libgstreamer1.0-0 {}`", packages.join(" "));
+            return self.say(State::Bad, "GStreamer", &how);
+        };
+        self.say(State::Fine, "GStreamer", &gstreamer.version);
+        for (package, what, elements) in ELEMENTS {
+            let missing: Vec<&str> = elements.iter().copied().filter(|element| !gstreamer.has(element)).collect();
+            if missing.is_empty() {
+                self.say(State::Fine, package, what);
+                continue;
+            }
+            // Without the first two no video comes in at all.
+            let is_needed = package.ends_with("-base") || package.ends_with("-good");
+            let state = if is_needed { State::Bad } else { State::Optional };
+            self.say(state, package, &format!("{what}; no {}; `apt install {package}`", missing.join(", ")));
+        }
     }
 
     fn onnx_runtime(&mut self) {
@@ -155,30 +226,47 @@ impl Doctor {
                 places.extend(libraries_in(up));
             }
         }
-        let loads = |path: &PathBuf| path.to_str().is_some_and(|p| open_library(p).is_ok());
+        let loads = |path: &PathBuf| path.to_str().is_some_and(libraries::loads);
         match places.iter().find(|path| path.is_file()) {
             Some(path) if loads(path) => self.say(State::Fine, "ONNX Runtime", &path.display().to_string()),
             Some(path) => self.say(
                 State::Bad,
                 "ONNX Runtime",
-                &format!(
-                    "{} does not load: remove it and run `cargo xtask onnxruntime`, or reinstall Panoscope",
-                    path.display()
-                ),
+                &format!("{} does not load; {}", path.display(), self.runtime_repair()),
             ),
-            None if open_library("libonnxruntime.so").is_ok() => {
+            None if libraries::loads("libonnxruntime.so") => {
                 self.say(State::Fine, "ONNX Runtime", "libonnxruntime.so of the system")
             }
             None => {
                 let how =
-                    "tool detection needs it; `cargo xtask onnxruntime` fetches it, or name the file in ORT_DYLIB_PATH";
-                self.say(State::Optional, "ONNX Runtime", how);
+                    format!("tool detection needs it; {}, or name its file in ORT_DYLIB_PATH", self.runtime_repair());
+                self.say(State::Optional, "ONNX Runtime", &how);
             }
         }
     }
 
+    fn runtime_repair(&self) -> &'static str {
+        match self.installation.kind {
+            Kind::Build => "`cargo xtask onnxruntime` fetches it",
+            Kind::Package | Kind::Folder => self.installation.repair(),
+        }
+    }
+
     fn cameras(&mut self) {
-        out!("cameras");
+        out!("devices");
+        match rule() {
+            Some(file) => self.say(State::Fine, "udev rule", &file.display().to_string()),
+            None => {
+                let how = match self.installation.kind {
+                    Kind::Package => self.installation.repair(),
+                    Kind::Folder => "copy share/doc/panoscope/70-panoscope.rules to /etc/udev/rules.d",
+                    Kind::Build => "copy core/xtask/package/70-panoscope.rules to /etc/udev/rules.d",
+                };
+                let why = "without it only members of the groups `video` and `dialout` open cameras and the arm's serial port";
+                self.say(State::Optional, "udev rule", &format!("{why}; {how}"));
+            }
+        }
+        self.say(State::Fine, "GPU", "not used: nodes compute on the processor; the windows draw with OpenGL");
         let cameras = devices::cameras();
         if cameras.is_empty() {
             self.say(State::Optional, "cameras", "no video devices; files and the phantom work without");
@@ -232,6 +320,12 @@ fn realtime_allowed() -> bool {
     tried.join().unwrap_or(false)
 }
 
+/// The rule that gives the user at the machine access to cameras and serial ports.
+fn rule() -> Option<PathBuf> {
+    let folders = ["/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d"];
+    folders.map(|folder| Path::new(folder).join("70-panoscope.rules")).into_iter().find(|file| file.is_file())
+}
+
 fn find_program(name: &str) -> Option<PathBuf> {
     std::env::split_paths(&std::env::var_os("PATH")?).map(|folder| folder.join(name)).find(|file| file.is_file())
 }
@@ -241,14 +335,6 @@ fn libraries_in(folder: &Path) -> Vec<PathBuf> {
     let is_onnx =
         |path: &PathBuf| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("libonnxruntime.so"));
     entries.flatten().map(|e| e.path()).filter(is_onnx).collect()
-}
-
-/// Tries the dynamic linker; the library stays loaded until the program ends.
-fn open_library(name: &str) -> Result<(), ()> {
-    let name = CString::new(name).map_err(|_| ())?;
-    // SAFETY: constructors of a system library run; it is never closed.
-    let handle = unsafe { libc::dlopen(name.as_ptr(), libc::RTLD_LAZY | libc::RTLD_LOCAL) };
-    if handle.is_null() { Err(()) } else { Ok(()) }
 }
 
 /// The package with the library that the dynamic linker misses, as far as it is known.

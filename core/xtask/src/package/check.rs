@@ -1,0 +1,40 @@
+//! Installs a package into a bare Debian and uses it there.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::process::{capture, find_program, run};
+use crate::workspace::Workspace;
+
+/// Installs the package in a chroot below `dir`, runs what it holds as an unprivileged user, upgrades and purges it. The chroot stays for the
+/// next check, and `dir/screens` keeps pictures of both windows. Where that cannot be done, a line says why.
+///
+/// # Errors
+/// A step failed; its output is above.
+pub fn check(workspace: &Workspace, package: &Path, dir: &Path) -> Result<()> {
+    if let Some(reason) = obstacle() {
+        println!("skipped: the package was not installed for a check: {reason}");
+        return Ok(());
+    }
+    let script = workspace.root.join("core/xtask/package/check.sh");
+    // A mount namespace of its own: what the script mounts is gone when it ends.
+    let mut command = Command::new("unshare");
+    command.args(["--mount", "sh", "-eu"]).arg(&script).arg(package).arg(dir);
+    run(&mut command).context("the package failed its check")
+}
+
+/// Why a package cannot be installed here for a check.
+fn obstacle() -> Option<String> {
+    if let Some(missing) =
+        ["debootstrap", "unshare", "chroot", "dpkg-deb"].into_iter().find(|p| find_program(p).is_none())
+    {
+        return Some(format!("there is no `{missing}`"));
+    }
+    let id = capture(Command::new("id").arg("-u")).unwrap_or_default();
+    if id.trim() != "0" {
+        return Some("it needs root for a chroot".to_owned());
+    }
+    capture(Command::new("unshare").args(["--mount", "true"])).err().map(|_| "mounts are not allowed here".to_owned())
+}
