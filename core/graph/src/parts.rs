@@ -59,6 +59,8 @@ pub(crate) struct Flat {
     /// Outputs and parameters that parts name, for the check that they exist.
     pub(crate) outputs: Vec<Target>,
     pub(crate) params: Vec<Target>,
+    /// Nodes that overlays replaced, each with the bytes of its name in the overlay.
+    pub(crate) replaced: BTreeMap<String, Range<usize>>,
     /// Nodes whose outputs leave a part that is checked alone.
     pub(crate) read_outside: Vec<String>,
     pub(crate) diagnostics: Diagnostics,
@@ -153,6 +155,7 @@ impl Flattener<'_> {
             let id = format!("{prefix}{}", node.id.value);
             if let Some((over, used)) = self.overlays.iter_mut().rev().find(|(n, _)| n.id.value == id) {
                 *used = true;
+                self.flat.replaced.insert(id.clone(), over.id.span.clone());
                 node = over.clone();
             } else {
                 node.id.value.clone_from(&id);
@@ -435,6 +438,10 @@ impl Flattener<'_> {
                 self.error("pin-of-several", &pin.param.span, message).help(help);
                 false
             }
+            None if pin.optional && self.flat.replaced.contains_key(id) => {
+                pin.absent = true;
+                true
+            }
             None => {
                 let id = id.to_owned();
                 self.unknown("unknown-part-param", &id, "parameter", &name, &interface.params, &interface.file);
@@ -456,6 +463,10 @@ impl Flattener<'_> {
         // A name that stands for nothing inside is reported in the part's file.
         if Interface::find(&interface.outputs, &reference.port).is_some() {
             return false;
+        }
+        if reference.optional && self.flat.replaced.contains_key(&reference.node) {
+            reference.absent = true;
+            return true;
         }
         let (entries, file) = (interface.outputs.clone(), interface.file.clone());
         let local = part.node.local.len();
