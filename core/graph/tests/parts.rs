@@ -288,6 +288,13 @@ fn a_part_can_be_checked_alone() {
     assert!(text.is_part());
     let checked = check(&text, &common::catalog());
     assert!(checked.diagnostics.is_empty(), "{}", checked.diagnostics.render(false));
+    // What its user connects makes a node of a loop run, and its user gives the values that it names.
+    let looped = "plugins = [\"stereo\", \"stitch\"]\n[part]\ninputs = { left = [\"match.left\", \"register.left\"], right = [\"match.right\", \"register.right\"] }\n\
+                  outputs = { disparity = \"match.disparity\" }\n[nodes.match]\ntype = \"stereo_bm\"\n\
+                  inputs = { roi = { from = \"register.roi_left\", delay = 1 } }\n[nodes.register]\ntype = \"register_surf\"\n";
+    let options = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
+    let diagnostics = check(&GraphText::parse_with(&folder.at("graph.toml"), looped, &options), &common::catalog()).diagnostics;
+    assert!(diagnostics.is_empty(), "{}", diagnostics.render(false));
 }
 
 #[test]

@@ -24,7 +24,7 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     (
         "bench_history",
         "graphs/panorama.toml",
-        &["set:wide.blend_px=8", "wait:1", "set:wide.blend_px=24", "history"],
+        &["set:wide/composite.blend_px=8", "wait:1", "set:wide/composite.blend_px=24", "history"],
         "9",
     ),
     ("bench_pick", "graphs/depth.toml", &["select:lengths", "pick:lengths.points"], "10"),
