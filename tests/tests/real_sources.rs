@@ -20,13 +20,18 @@ fn pair(node: &str, ending: &str) -> String {
 }
 
 /// `panoscope run surgeon.toml --with sources/files.toml` with what it writes in `folder`. `None` where the test is skipped.
-fn surgeon(folder: &Folder, left: &Path, right: &Path, calibration: &Path) -> Option<Run> {
+fn surgeon(folder: &Folder, left: &Path, right: &Path, more: &[&str]) -> Option<Run> {
+    let calibration = &folder.at("scope.yml");
     let args = [("left", left), ("right", right), ("calibration", calibration)];
     let sinks = [("video", "surgeon.mkv"), ("still", "surgeon.png"), ("tip_file", "tip.csv")];
     let options = GraphOptions {
         with: vec![root().join("graphs/sources/files.toml")],
         args: args.map(|(name, file)| (name.to_owned(), file.display().to_string())).to_vec(),
-        set: sinks.map(|(node, file)| format!("{node}.path={}", folder.at(file).display())).to_vec(),
+        set: sinks
+            .iter()
+            .map(|(node, file)| format!("{node}.path={}", folder.at(file).display()))
+            .chain(more.iter().map(|set| (*set).to_owned()))
+            .collect(),
         ..GraphOptions::default()
     };
     run_file(&root().join("graphs/surgeon.toml"), &options, FRAMES)
@@ -64,7 +69,7 @@ fn the_surgeons_preset_runs_on_pictures() {
     let folder = Folder::new("surgeon-pictures", &[("scope.yml", CALIBRATION)]);
     let scene = run(&folder.at("scene.toml"), &pair("write_images", "_{seq}.png"), FRAMES, 2);
     assert_eq!(scene.outcome, Outcome::Done, "{:?}", scene.log);
-    let done = surgeon(&folder, &folder.at("left_*.png"), &folder.at("right_*.png"), &folder.at("scope.yml"));
+    let done = surgeon(&folder, &folder.at("left_*.png"), &folder.at("right_*.png"), &[]);
     let Some(done) = done else { return };
     is_right(&done, &folder);
 }
@@ -74,7 +79,7 @@ fn the_surgeons_preset_runs_on_videos() {
     let folder = Folder::new("surgeon-videos", &[("scope.yml", CALIBRATION)]);
     let scene = run(&folder.at("scene.toml"), &pair("write_video", ".mkv"), FRAMES, 2);
     assert_eq!(scene.outcome, Outcome::Done, "{:?}", scene.log);
-    let done = surgeon(&folder, &folder.at("left.mkv"), &folder.at("right.mkv"), &folder.at("scope.yml"));
+    let done = surgeon(&folder, &folder.at("left.mkv"), &folder.at("right.mkv"), &[]);
     let Some(done) = done else { return };
     is_right(&done, &folder);
 }
@@ -88,7 +93,7 @@ fn the_surgeons_preset_runs_on_pairs_of_a_real_endoscope() {
     // The pairs are rectified; nothing states their cameras. A baseline of 5.4 mm is that of the da Vinci's scope, the focal length an assumption:
     // lengths scale with both, pictures do not.
     let folder = Folder::new("surgeon-hamlyn", &[("scope.yml", &CALIBRATION.replace("-15., 0.", "-5.4, 0."))]);
-    let done = surgeon(&folder, &data.join("left/*.png"), &data.join("right/*.png"), &folder.at("scope.yml"));
+    let done = surgeon(&folder, &data.join("left/*.png"), &data.join("right/*.png"), &["screen.near_mm=60", "screen.far_mm=240"]);
     let Some(done) = done else { return };
     is_right(&done, &folder);
 }
