@@ -43,7 +43,8 @@ fn every_shipped_graph_checks() {
             // Graphs on files or cameras of the user's have arguments without values.
             let options = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
             let path = graphs().join(folder).join(format!("{name}.toml"));
-            let (text, _, warnings) = checked(&path, &options, &catalog).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+            let (text, _, warnings) =
+                checked(&path, &options, &catalog).unwrap_or_else(|mistakes| panic!("{mistakes}"));
             assert!(warnings.is_empty(), "{name}: {warnings}");
             assert!(text.text().starts_with("# "), "{} does not open with what it shows", path.display());
             assert_eq!(text.is_part(), folder == "parts", "{}", path.display());
@@ -76,11 +77,17 @@ fn truth_feeds_only_graphs_whose_names_say_so() {
             judged += 1;
             assert!(!truth.is_empty(), "{name} reads no truth of the phantom: rename it");
             let first = text.text().lines().next().unwrap_or_default();
-            assert!(first.contains("judged") && text.text().contains("phantom's truth"), "{name} does not say so: {first}");
+            assert!(
+                first.contains("judged") && text.text().contains("phantom's truth"),
+                "{name} does not say so: {first}"
+            );
             let preset = &graph.preset;
             assert!(preset.pinned.is_empty() && preset.views.is_empty(), "{name} is no preset for a surgeon");
         } else {
-            assert!(truth.is_empty(), "{name} reads {truth:?}, the phantom's truth: name it {name}_judged, or find it in the pictures");
+            assert!(
+                truth.is_empty(),
+                "{name} reads {truth:?}, the phantom's truth: name it {name}_judged, or find it in the pictures"
+            );
         }
     }
     assert!(judged >= 3, "{judged} graphs are judged by the truth");
@@ -144,7 +151,11 @@ fn every_graph_takes_every_source_that_makes_sense_and_refuses_the_others() {
                 (Ok((_, checked, _)), None) => {
                     taken += 1;
                     let arm = checked.nodes.iter().any(|n| n.type_name.starts_with("arm_"));
-                    assert_eq!(arm, source.name == "cameras_on_arm", "{graph}: an arm moves what it holds, and only that");
+                    assert_eq!(
+                        arm,
+                        source.name == "cameras_on_arm",
+                        "{graph}: an arm moves what it holds, and only that"
+                    );
                 }
                 (Err(said), Some((_, words))) => {
                     refused += 1;

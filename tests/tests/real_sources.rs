@@ -12,7 +12,9 @@ const FRAMES: u64 = 8;
 /// A rendered pair in files, as cameras would give it.
 fn pair(node: &str, ending: &str) -> String {
     let sink = |side: &str| {
-        format!("[nodes.{side}]\ntype = \"{node}\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = \"{side}{ending}\" }}\n")
+        format!(
+            "[nodes.{side}]\ntype = \"{node}\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = \"{side}{ending}\" }}\n"
+        )
     };
     let scope = "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n[nodes.scope]\ntype = \"phantom\"\n\
                  params = { scene = \"bowel\", seed = 7, distance_mm = 66.0, tools = 1 }\n";
@@ -93,7 +95,12 @@ fn the_surgeons_preset_runs_on_pairs_of_a_real_endoscope() {
     // The pairs are rectified; nothing states their cameras. A baseline of 5.4 mm is that of the da Vinci's scope, the focal length an assumption:
     // lengths scale with both, pictures do not.
     let folder = Folder::new("surgeon-hamlyn", &[("scope.yml", &CALIBRATION.replace("-15., 0.", "-5.4, 0."))]);
-    let done = surgeon(&folder, &data.join("left/*.png"), &data.join("right/*.png"), &["screen.near_mm=60", "screen.far_mm=240"]);
+    let done = surgeon(
+        &folder,
+        &data.join("left/*.png"),
+        &data.join("right/*.png"),
+        &["screen.near_mm=60", "screen.far_mm=240"],
+    );
     let Some(done) = done else { return };
     is_right(&done, &folder);
 }

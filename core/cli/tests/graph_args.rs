@@ -185,14 +185,18 @@ fn a_parameter_of_a_part_is_swept_on_the_source_of_an_overlay() {
         return;
     }
     let folder = files("sweep");
-    let graph = GRAPH.replace("[nodes.sink]", "[nodes.bright]\ngraph = \"parts/bright.toml\"\ninputs = { image = \"chain.image\" }\n[nodes.sink]");
+    let graph = GRAPH.replace(
+        "[nodes.sink]",
+        "[nodes.bright]\ngraph = \"parts/bright.toml\"\ninputs = { image = \"chain.image\" }\n[nodes.sink]",
+    );
     folder.write("g.toml", &graph);
     folder.write("parts/bright.toml", BRIGHT);
     let gray = "plugins = [\"flow\"]\n[args.format]\ntype = \"choice\"\nchoices = [\"gray8\", \"bgr8\"]\n[nodes.source]\ntype = \"frames\"\n\
                 params = { width_px = { arg = \"width\" }, format = { arg = \"format\" }, rate_hz = 100.0 }\n";
     folder.write("sources/gray.toml", gray);
     let sweep = "--param bright.gain --from 0 --to 2 --steps 3 --measure bright.level --frames 4 --json s.json";
-    let (code, out, err) = run(&folder, &format!("sweep g.toml --width 64 --with sources/gray.toml --format gray8 {sweep}"));
+    let (code, out, err) =
+        run(&folder, &format!("sweep g.toml --width 64 --with sources/gray.toml --format gray8 {sweep}"));
     assert_eq!(code, 0, "{out}{err}");
     let text = folder.read("s.json");
     let means: Vec<f64> = json(&folder, "s.json")["points"]
@@ -205,7 +209,8 @@ fn a_parameter_of_a_part_is_swept_on_the_source_of_an_overlay() {
     assert!(none == 0.0 && one > 1.0 && (two - 2.0 * one).abs() < 1e-6, "{means:?}");
     // A mistake of the part stands in its file.
     folder.write("parts/bright.toml", &BRIGHT.replace("type = \"level\"", "type = \"levl\""));
-    let (code, _, err) = run(&folder, &format!("sweep g.toml --width 64 --with sources/gray.toml --format gray8 {sweep}"));
+    let (code, _, err) =
+        run(&folder, &format!("sweep g.toml --width 64 --with sources/gray.toml --format gray8 {sweep}"));
     assert!(code == 2 && err.contains("parts/bright.toml:7:"), "{err}");
 }
 
@@ -217,8 +222,10 @@ fn a_graph_with_argument_part_and_overlay_is_soaked() {
     let folder = files("soak");
     let live = GRAPH.replace("mode = \"batch\"", "mode = \"live\"");
     folder.write("g.toml", &live);
-    let (code, out, err) =
-        run(&folder, "soak g.toml --width 64 --with sources/other.toml --headless --minutes 0.06 --csv s.csv --report r.json");
+    let (code, out, err) = run(
+        &folder,
+        "soak g.toml --width 64 --with sources/other.toml --headless --minutes 0.06 --csv s.csv --report r.json",
+    );
     // Whether memory grew in so short a time says nothing.
     assert!(code == 0 || out.contains("MB per hour"), "{code} {out}{err}");
     let report = json(&folder, "r.json");
@@ -259,7 +266,8 @@ params = { latency_ms = { arg = "late" } }
     let period_s = |arguments: &str| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
         let words = format!("tune g.toml --node loop/pid --method relay --json t.json{arguments}");
-        let output = command.current_dir(folder.path()).env("PANOSCOPE_PLUGIN_PATH", &built).args(words.split(' ')).output();
+        let output =
+            command.current_dir(folder.path()).env("PANOSCOPE_PLUGIN_PATH", &built).args(words.split(' ')).output();
         let output = output.expect("the program starts");
         assert!(output.status.success(), "{words}: {}", String::from_utf8_lossy(&output.stderr));
         json(&folder, "t.json")["channels"][0]["ultimate_period_s"].as_f64().expect("a number")

@@ -122,8 +122,22 @@ fn a_graph_of_parts_is_judged_on_the_source_of_an_overlay() {
     let (json, graph, overlay) = (file("parts.json"), graph("panorama.toml"), graph("sources/phantom.toml"));
     let json_text = json.display().to_string();
     let own = [
-        "eval", "stitch", &graph, "--with", &overlay, "--seed", "3", "--scene", "liver", "--set", "wide.blend_px=8", "--no-peer", "--frames",
-        "12", "--json", &json_text,
+        "eval",
+        "stitch",
+        &graph,
+        "--with",
+        &overlay,
+        "--seed",
+        "3",
+        "--scene",
+        "liver",
+        "--set",
+        "wide.blend_px=8",
+        "--no-peer",
+        "--frames",
+        "12",
+        "--json",
+        &json_text,
     ];
     let (code, out, err) = run(Some(&folder), &[&own[..], &SMALL].concat());
     assert_eq!(code, 0, "{out}{err}");

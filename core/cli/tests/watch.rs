@@ -173,13 +173,16 @@ inputs = { image = "chain.image" }
     let longer = "plugins = [\"flow\"]\n[part]\ninputs = { image = \"first.image\" }\noutputs = { image = \"second.image\" }\n[nodes.first]\ntype = \"pass\"\n\
                   [nodes.second]\ntype = \"pass\"\ninputs = { image = \"first.image\" }\n";
     let over = |height: u32| {
-        format!("plugins = [\"flow\"]\n[nodes.a]\ntype = \"frames\"\nparams = {{ width_px = {{ arg = \"width\" }}, height_px = {height}, rate_hz = 100.0 }}\n")
+        format!(
+            "plugins = [\"flow\"]\n[nodes.a]\ntype = \"frames\"\nparams = {{ width_px = {{ arg = \"width\" }}, height_px = {height}, rate_hz = 100.0 }}\n"
+        )
     };
     let files = [("g.toml", graph), ("parts/chain.toml", part), ("parts/other.toml", part), ("over.toml", &over(8))];
     let folder = panoscope_testing::Folder::new("watch-parts", &files);
     let with = folder.at("over.toml").display().to_string();
     let plugins = flow.parent().expect("a folder");
-    let mut run = Watched::start_with(&folder.at("g.toml"), plugins, &folder.at("r.json"), &["--with", &with, "--width", "16"]);
+    let mut run =
+        Watched::start_with(&folder.at("g.toml"), plugins, &folder.at("r.json"), &["--with", &with, "--width", "16"]);
     run.says(&["frames,"]);
 
     folder.write("parts/chain.toml", longer);
@@ -193,7 +196,12 @@ inputs = { image = "chain.image" }
     folder.write("parts/chain.toml", part);
     run.says(&["changed:", "removed", "chain/second"]);
     // A part that the graph names only now is watched from now on.
-    folder.write("g.toml", &graph.replace("parts/chain.toml", "parts/other.toml").replace("[nodes.end]", "[nodes.more]\ntype = \"drain\"\ninputs = { image = \"a.image\" }\n[nodes.end]"));
+    folder.write(
+        "g.toml",
+        &graph
+            .replace("parts/chain.toml", "parts/other.toml")
+            .replace("[nodes.end]", "[nodes.more]\ntype = \"drain\"\ninputs = { image = \"a.image\" }\n[nodes.end]"),
+    );
     run.says(&["changed:", "added", "more"]);
     folder.write("parts/other.toml", longer);
     run.says(&["changed:", "added", "chain/second"]);

@@ -529,23 +529,30 @@ mod tests {
         let catalog = Catalog { plugins: vec!["flow".to_owned()], node_types, ..Catalog::default() };
         let head = "plugins = [\"flow\"]\n";
         let pass = |id: &str, from: &str| {
-            let input = if from.is_empty() { String::new() } else { format!("inputs = {{ image = \"{from}.image\" }}\n") };
+            let input =
+                if from.is_empty() { String::new() } else { format!("inputs = {{ image = \"{from}.image\" }}\n") };
             format!("[nodes.\"{id}\"]\ntype = \"pass\"\n{input}")
         };
         let ends = |last: &str| {
-            let drains = ["screen", "file"].map(|id| format!("[nodes.{id}]\ntype = \"drain\"\ninputs = {{ image = \"{last}.image\" }}\n"));
-            drains.concat() + "[nodes.late]\ntype = \"drain\"\ninputs = { image = { from = \"source.image\", align = \"latest\" } }\n"
+            let drains = ["screen", "file"]
+                .map(|id| format!("[nodes.{id}]\ntype = \"drain\"\ninputs = {{ image = \"{last}.image\" }}\n"));
+            drains.concat()
+                + "[nodes.late]\ntype = \"drain\"\ninputs = { image = { from = \"source.image\", align = \"latest\" } }\n"
         };
         let source = "[nodes.source]\ntype = \"frames\"\n";
         // Two parts of two parts of two nodes: eight hops.
         let two = |what: &str, inner: &str| {
-            format!("{head}[part]\ninputs = {{ image = \"a.image\" }}\noutputs = {{ image = \"b.image\" }}\n[nodes.a]\n{what} = \"{inner}\"\n[nodes.b]\n{what} = \"{inner}\"\ninputs = {{ image = \"a.image\" }}\n")
+            format!(
+                "{head}[part]\ninputs = {{ image = \"a.image\" }}\noutputs = {{ image = \"b.image\" }}\n[nodes.a]\n{what} = \"{inner}\"\n[nodes.b]\n{what} = \"{inner}\"\ninputs = {{ image = \"a.image\" }}\n"
+            )
         };
         let folder = std::path::absolute(Path::new("graphs-of-no-file")).expect("a folder");
         let texts = [("leaf.toml", two("type", "pass")), ("twig.toml", two("graph", "leaf.toml"))];
         let texts = texts.map(|(name, text)| (folder.join(name), text)).into_iter().collect();
         let options = GraphOptions { texts, ..GraphOptions::default() };
-        let used = |id: &str, from: &str| format!("[nodes.{id}]\ngraph = \"twig.toml\"\ninputs = {{ image = \"{from}.image\" }}\n");
+        let used = |id: &str, from: &str| {
+            format!("[nodes.{id}]\ngraph = \"twig.toml\"\ninputs = {{ image = \"{from}.image\" }}\n")
+        };
         let parts = format!("{head}{source}{}{}{}", used("x", "source"), used("y", "x"), ends("y"));
         let ids: Vec<String> =
             ["x", "y"].iter().flat_map(|t| ["a/a", "a/b", "b/a", "b/b"].map(|n| format!("{t}/{n}"))).collect();

@@ -293,7 +293,8 @@ fn a_part_can_be_checked_alone() {
                   outputs = { disparity = \"match.disparity\" }\n[nodes.match]\ntype = \"stereo_bm\"\n\
                   inputs = { roi = { from = \"register.roi_left\", delay = 1 } }\n[nodes.register]\ntype = \"register_surf\"\n";
     let options = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
-    let diagnostics = check(&GraphText::parse_with(&folder.at("graph.toml"), looped, &options), &common::catalog()).diagnostics;
+    let diagnostics =
+        check(&GraphText::parse_with(&folder.at("graph.toml"), looped, &options), &common::catalog()).diagnostics;
     assert!(diagnostics.is_empty(), "{}", diagnostics.render(false));
 }
 
@@ -401,7 +402,7 @@ fn paths_are_relative_to_the_file_that_names_them() {
 /// A source on a carrier that says where it is, and a graph that uses that where there is one.
 const CARRIED: &str = r#"plugins = ["phantom", "stereo"]
 [part]
-outputs = { left = "view.left", right = "view.right", disparity = "match.disparity" }
+outputs = { left = "view.left", wide = "view.wide", disparity = "match.disparity" }
 params = { seed = "view.seed", block_px = "match.block_px" }
 [nodes.view]
 type = "phantom"
@@ -415,10 +416,10 @@ const USER: &str = r#"plugins = ["phantom", "capture", "sinks"]
 graph = "carried.toml"
 [nodes.film]
 type = "write_images"
-inputs = { images = ["scope.left", { from = "scope.disparity", optional = true }] }
+inputs = { images = ["scope.left", { from = "scope.wide", optional = true }] }
 [nodes.map]
 type = "preview"
-inputs = { packet = { from = "scope.disparity", delay = 1, optional = true } }
+inputs = { packet = { from = "scope.disparity", align = "latest", optional = true } }
 [preset]
 views = ["scope.left", { from = "scope.disparity", optional = true }]
 pinned = [{ param = "scope.seed", optional = true }, { param = "scope.block_px", optional = true }]
@@ -432,7 +433,10 @@ fn carried(name: &str) -> Folder {
         ("capture.toml", &over("capture")),
         ("phantom.toml", &over("phantom")),
         ("part.toml", "[nodes.scope]\ngraph = \"plain.toml\"\n"),
-        ("plain.toml", "plugins = [\"capture\"]\n[part]\noutputs = { left = \"view.left\" }\n[nodes.view]\ntype = \"capture\"\n"),
+        (
+            "plain.toml",
+            "plugins = [\"capture\"]\n[part]\noutputs = { left = \"view.left\" }\n[nodes.view]\ntype = \"capture\"\n",
+        ),
     ];
     Folder::new(name, &files)
 }
@@ -446,7 +450,7 @@ fn optional_connections_hold_where_nothing_was_replaced() {
     assert_eq!((graph.preset.views.len(), graph.preset.pinned.len()), (2, 2));
     assert_eq!(graph.inputs_of(2).len(), 2);
     // A wrong name is an error: nothing was replaced that could have had it.
-    let wrong = USER.replace("from = \"scope.disparity\", delay", "from = \"scope.disparty\", delay");
+    let wrong = USER.replace("from = \"scope.disparity\", align", "from = \"scope.disparty\", align");
     let text = GraphText::parse(&folder.at("graph.toml"), &wrong);
     let codes: Vec<&str> = check(&text, &common::catalog()).diagnostics.iter().map(|d| d.code).collect();
     assert_eq!(codes, ["unknown-part-output"]);
@@ -463,7 +467,8 @@ fn optional_connections_are_left_out_with_a_source_that_does_not_have_them() {
     ] {
         let options = GraphOptions { with: vec![folder.at(over)], ..GraphOptions::default() };
         let text = open(&folder, &options);
-        let (graph, _) = check(&text, &common::catalog()).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
+        let (graph, _) =
+            check(&text, &common::catalog()).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
         let found: Vec<&str> = graph.nodes.iter().map(|n| n.id.as_str()).collect();
         assert_eq!(found, ids, "{over}");
         assert_eq!((graph.preset.views.len(), graph.preset.pinned.len()), (views, pins), "{over}");
@@ -485,5 +490,5 @@ fn other_connections_to_a_replaced_source_are_errors_that_name_the_overlay() {
     let options = GraphOptions { with: vec![folder.at("capture.toml")], ..GraphOptions::default() };
     let text = GraphText::parse_with(&folder.at("graph.toml"), &needs, &options);
     let said = check(&text, &common::catalog()).into_result().expect_err("an error").render(false);
-    assert!(said.contains("has no output `disparity`") && said.contains("capture.toml:2:8"), "{said}");
+    assert!(said.contains("has no output `wide`") && said.contains("capture.toml:2:8"), "{said}");
 }

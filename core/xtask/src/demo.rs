@@ -36,7 +36,9 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     // For graphs that find instruments: this one, or those that are tried next.
     match onnxruntime::fetch(workspace) {
         Ok(_) => {}
-        Err(error) if needs_runtime(&text, graph.parent().unwrap_or(Path::new(""))) => return Err(error.context("this graph needs ONNX Runtime")),
+        Err(error) if needs_runtime(&text, graph.parent().unwrap_or(Path::new(""))) => {
+            return Err(error.context("this graph needs ONNX Runtime"));
+        }
         Err(error) => println!("ONNX Runtime was not fetched, so graphs that find instruments do not run: {error:#}"),
     }
     let built = build(workspace, Profile::Dev)?;

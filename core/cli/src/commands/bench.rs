@@ -141,7 +141,8 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
         }
         Bench::System(System { common, graph, given }) => {
             interrupt::listen();
-            let options = bench::system::Options { quick: common.quick, graph: graph.clone(), given: given.options(&[]) };
+            let options =
+                bench::system::Options { quick: common.quick, graph: graph.clone(), given: given.options(&[]) };
             (bench::system::measure(session, &options)?, common)
         }
     })

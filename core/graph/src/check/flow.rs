@@ -199,8 +199,8 @@ impl<'a> Checker<'a> {
             let delayed = into[node].first().filter(|&&i| self.links[i].delay == 1);
             // What the user of a part connects makes it run.
             let open = self.text.flat.nodes[node].inputs.iter().any(|i| i.supply == Supply::Open);
-            if let Some(&first) = delayed
-                .filter(|_| !open && live.is_empty() && into[node].iter().all(|&i| self.links[i].delay == 1))
+            if let Some(&first) =
+                delayed.filter(|_| !open && live.is_empty() && into[node].iter().all(|&i| self.links[i].delay == 1))
             {
                 let message = format!("nothing makes `{}` run: all its inputs are delayed", self.id(node));
                 self.error("never-runs", self.links[first].span, message)

@@ -219,8 +219,7 @@ mod tests {
         let nodes = graph["nodes"].as_table().unwrap();
         let mut names: Vec<&str> = nodes.keys().map(String::as_str).collect();
         names.sort_unstable();
-        let all =
-            ["judge_0", "judge_1", "m0_wide/register", "m1_wide/join/register", "m1_wide/match", "scope"];
+        let all = ["judge_0", "judge_1", "m0_wide/register", "m1_wide/join/register", "m1_wide/match", "scope"];
         assert_eq!(names, all);
         assert_eq!(
             nodes["m0_wide/register"]["params"]["min_inliers"].as_integer(),
@@ -229,7 +228,10 @@ mod tests {
         );
         assert_eq!(nodes["m1_wide/match"]["inputs"]["left"].as_str(), Some("scope.left"));
         let roi = &nodes["m1_wide/match"]["inputs"]["roi"];
-        assert_eq!((roi["from"].as_str(), roi["delay"].as_integer()), (Some("m1_wide/join/register.roi_left"), Some(1)));
+        assert_eq!(
+            (roi["from"].as_str(), roi["delay"].as_integer()),
+            (Some("m1_wide/join/register.roi_left"), Some(1))
+        );
         assert_eq!(nodes["judge_1"]["inputs"]["homography"].as_str(), Some("m1_wide/join/register.homography"));
         assert_eq!(nodes["judge_1"]["inputs"]["truth"].as_str(), Some("scope.homography"));
         let real = Source { has_truth: false, ..Source::phantom([]) };
