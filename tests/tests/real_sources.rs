@@ -1,6 +1,6 @@
 //! The surgeon's preset without the phantom: on pictures, on videos, and on pairs of a real endoscope.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use panoscope_engine::Outcome;
 use panoscope_graph::GraphOptions;
@@ -56,14 +56,6 @@ fn is_right(run: &Run, folder: &Folder) {
     let share = lit as f64 / f64::from(width * 2 / 3 * height);
     assert!(share > 0.35, "{:.0} % of the panorama's place is lit", 100.0 * share);
     assert!(folder.at("surgeon.mkv").metadata().is_ok_and(|f| f.len() > 1000));
-    keep(folder);
-}
-
-/// Copies the still where `PANOSCOPE_STILLS` asks for it, to be looked at.
-fn keep(folder: &Folder) {
-    let Some(place) = std::env::var_os("PANOSCOPE_STILLS").map(PathBuf::from) else { return };
-    let name = folder.path().file_name().expect("a name").to_string_lossy().into_owned();
-    std::fs::copy(folder.at("surgeon.png"), place.join(format!("{name}.png"))).expect("copied");
 }
 
 #[test]

@@ -128,8 +128,10 @@ impl Flattener<'_> {
                 };
                 targets.iter().for_each(|target| self.connect(target, &open));
             }
-            self.flat.read_outside =
-                interface.outputs.into_iter().flat_map(|(_, targets)| targets).map(|t| t.node).collect();
+            let outputs = interface.outputs.into_iter().flat_map(|(_, targets)| targets);
+            // An output may be one of a part inside.
+            let inside = |t: Target| self.flat.output_target(&t.node, &t.port.value).map_or(t.node, |inner| inner.node);
+            self.flat.read_outside = outputs.map(inside).collect();
         }
         let unused: Vec<NodeText> = self.overlays.iter().filter(|(_, used)| !used).map(|(n, _)| n.clone()).collect();
         for node in unused {

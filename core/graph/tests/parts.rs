@@ -283,7 +283,12 @@ fn overlays_replace_nodes_in_place_also_inside_parts() {
 
 #[test]
 fn a_part_can_be_checked_alone() {
-    let folder = Folder::new("alone", &[("graph.toml", DEPTH), ("eyes.toml", EYES)]);
+    // Its output `left` is one of a part inside, which nothing else reads.
+    let depth = format!(
+        "{DEPTH}\n[nodes.other]\ngraph = \"eyes.toml\"\ninputs = {{ left = \"eyes.left\", right = \"eyes.right\" }}\n"
+    )
+    .replace("left = \"eyes.left\" }\nparams", "left = \"eyes.left\", again = \"other.left\" }\nparams");
+    let folder = Folder::new("alone", &[("graph.toml", &depth), ("eyes.toml", EYES)]);
     let text = open(&folder, &GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
     assert!(text.is_part());
     let checked = check(&text, &common::catalog());
