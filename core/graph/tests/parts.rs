@@ -283,11 +283,11 @@ fn overlays_replace_nodes_in_place_also_inside_parts() {
 
 #[test]
 fn a_part_can_be_checked_alone() {
-    // Its output `left` is one of a part inside, which nothing else reads.
-    let depth = format!(
-        "{DEPTH}\n[nodes.other]\ngraph = \"eyes.toml\"\ninputs = {{ left = \"eyes.left\", right = \"eyes.right\" }}\n"
-    )
-    .replace("left = \"eyes.left\" }\nparams", "left = \"eyes.left\", again = \"other.left\" }\nparams");
+    // Its output `again` is one of a part inside, which nothing else reads.
+    let other = "[nodes.other]\ngraph = \"eyes.toml\"\ninputs = { left = \"eyes.left\", right = \"eyes.right\" }\n";
+    let depth = format!("{DEPTH}\n{other}")
+        .replace("left = \"eyes.left\" }\nparams", "left = \"eyes.left\", again = \"other.left\" }\nparams")
+        .replace("= \"eyes.calibration\" }", "= [\"eyes.calibration\", \"other.calibration\"] }");
     let folder = Folder::new("alone", &[("graph.toml", &depth), ("eyes.toml", EYES)]);
     let text = open(&folder, &GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
     assert!(text.is_part());
