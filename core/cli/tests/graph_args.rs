@@ -199,7 +199,7 @@ fn a_parameter_of_a_part_is_swept_on_the_source_of_an_overlay() {
         run(&folder, &format!("sweep g.toml --width 64 --with sources/gray.toml --format gray8 {sweep}"));
     assert_eq!(code, 0, "{out}{err}");
     let text = folder.read("s.json");
-    let means: Vec<f64> = json(&folder, "s.json")["points"]
+    let means: Vec<f64> = json(&folder, "s.json")
         .as_array()
         .unwrap_or_else(|| panic!("{text}"))
         .iter()

@@ -146,6 +146,6 @@ fn a_graph_of_parts_is_judged_on_the_source_of_an_overlay() {
     assert!(share > 50.0, "{share} %");
     // Mistakes stand in the files that have them.
     let wrong = ["eval", "stitch", &graph, "--with", &overlay, "--seed", "x"];
-    let (code, _, err) = run(Some(&folder), &wrong);
-    assert!(code != 0 && err.contains("argument `seed`"), "{err}");
+    let (code, out, err) = run(Some(&folder), &wrong);
+    assert!(code == 2 && out.contains("argument `seed` must be a whole number"), "{code} {out}{err}");
 }
