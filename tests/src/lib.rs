@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use std::time::Duration;
 
 use panoscope_engine::{Engine, Options, Outcome, Report};
-use panoscope_graph::{Graph, GraphText, check};
+use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
 
 /// Root of the repository.
@@ -57,7 +57,7 @@ pub struct Run {
 }
 
 /// Loads and checks a graph text as if it were the file `path`; `Err` holds the rendered mistakes.
-pub fn load(path: &Path, text: &str) -> Result<(Graph, panoscope_graph::Catalog, Loader), String> {
+pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Loader), String> {
     let text = GraphText::parse(path, text);
     let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
     let catalog = loader.catalog(&text.plugins());
@@ -73,6 +73,41 @@ pub fn load(path: &Path, text: &str) -> Result<(Graph, panoscope_graph::Catalog,
 /// When the graph is wrong, does not start or does not end within two minutes.
 pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
     let (graph, catalog, loader) = load(path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let run = start(path, graph, &catalog, &loader, frames, threads).unwrap_or_else(|error| panic!("{error}"));
+    assert!(run.is_some(), "{} needs ONNX Runtime", path.display());
+    run.unwrap_or_else(|| unreachable!("asserted above"))
+}
+
+/// Runs a graph file with overlays, arguments and settings to its end. `None` where it needs ONNX Runtime, which is not there: the test is skipped.
+///
+/// # Panics
+/// When the graph is wrong, does not start or does not end within two minutes.
+pub fn run_file(path: &Path, options: &GraphOptions, frames: u64) -> Option<Run> {
+    let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    run_with(path, &text, options, frames)
+}
+
+/// As [`run_file`], with this text in place of the file's.
+///
+/// # Panics
+/// As [`run_file`].
+pub fn run_with(path: &Path, text: &str, options: &GraphOptions, frames: u64) -> Option<Run> {
+    let text = GraphText::parse_with(path, text, options);
+    let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
+    let catalog = loader.catalog(&text.plugins());
+    let (graph, _) =
+        check(&text, &catalog).into_result().unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
+    start(path, graph, &catalog, &loader, frames, 2).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn start(
+    path: &Path,
+    graph: Graph,
+    catalog: &Catalog,
+    loader: &Loader,
+    frames: u64,
+    threads: usize,
+) -> Result<Option<Run>, String> {
     let log = std::sync::Arc::new(Mutex::new(Vec::new()));
     let lines = std::sync::Arc::clone(&log);
     let options = Options {
@@ -89,13 +124,57 @@ pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
         })),
         ..Options::default()
     };
-    let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
+    let engine = match Engine::start(graph, catalog, loader, options) {
+        Ok(engine) => engine,
+        Err(error) if error.to_string().contains("ONNX Runtime's shared library is not there") => {
+            panoscope_testing::skipped!("{error}");
+            return Ok(None);
+        }
+        Err(error) => return Err(error.to_string()),
+    };
     assert!(engine.wait(Some(Duration::from_secs(120))), "the graph did not end: {:?}", engine.recent_log());
     let outcome = engine.close(Duration::from_secs(30));
     let report = engine.report();
     let log = log.lock().map(|l| l.clone()).unwrap_or_default();
-    Run { report, outcome, log }
+    Ok(Some(Run { report, outcome, log }))
 }
+
+/// The phantom's cameras at 640x480, as `panoscope calibrate` would write them.
+pub const CALIBRATION: &str = "%YAML:1.0
+---
+image_width: 640
+image_height: 480
+M1: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 750., 0., 319.5, 0., 750., 239.5, 0., 0., 1. ]
+D1: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ 0., 0., 0., 0., 0. ]
+M2: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 750., 0., 319.5, 0., 750., 239.5, 0., 0., 1. ]
+D2: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ 0., 0., 0., 0., 0. ]
+R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
+T: !!opencv-matrix
+   rows: 3
+   cols: 1
+   dt: d
+   data: [ -15., 0., 0. ]
+";
 
 /// All files of a folder with their bytes, by name.
 ///

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use image::RgbImage;
-use panoscope_tests::{root, run, scratch};
+use panoscope_graph::{GraphOptions, GraphText};
+use panoscope_tests::{root, run, run_with, scratch};
 
 /// Peak signal-to-noise ratio in dB; infinite for equal pictures.
 fn psnr_db(a: &RgbImage, b: &RgbImage) -> f64 {
@@ -54,4 +55,34 @@ params = {{ path = "{}/panorama.png", at_end = true }}
     assert!(done.log.is_empty(), "{:?}", done.log);
     compare("panorama_bowel", &folder.join("panorama.png"));
     let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// Settings that send every file of a graph into a folder.
+fn redirected(text: &GraphText, folder: &Path) -> Vec<String> {
+    let nodes = text.outline();
+    let sinks = nodes.iter().filter(|node| node.type_name.starts_with("write_"));
+    let file = |node: &panoscope_graph::NodeOutline| {
+        let path = node.params.get("path").and_then(|path| path.as_str()).unwrap_or("file");
+        let name = Path::new(path).file_name().expect("a file").to_string_lossy().into_owned();
+        format!("{}.path={}", node.id, folder.join(name).display())
+    };
+    sinks.map(file).collect()
+}
+
+/// The pictures were made when each graph had its chain in its own file: parts change no byte.
+#[test]
+fn stills_of_shipped_graphs() {
+    for name in ["compare_stitch", "stereo_judged"] {
+        let folder = scratch(&format!("golden-{name}"));
+        let path = root().join("graphs").join(format!("{name}.toml"));
+        let live = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let text = live.replace("mode = \"live\"", "mode = \"batch\"");
+        let mut set = vec!["scope.width=320".to_owned(), "scope.height=240".to_owned()];
+        set.extend(redirected(&GraphText::parse(&path, &text), &folder));
+        let done = run_with(&path, &text, &GraphOptions { set, ..GraphOptions::default() }, 4);
+        let done = done.expect("no network in this graph");
+        assert!(done.log.is_empty(), "{name}: {:?}", done.log);
+        compare(name, &folder.join(format!("{name}.png")));
+        let _ = std::fs::remove_dir_all(&folder);
+    }
 }

@@ -1,156 +1,190 @@
-//! Every graph that ships is right, and says what it shows.
+//! Every graph that ships is right with each source that makes sense, says what it shows, and reads no truth of the phantom unless its name says so.
 
-use std::path::Path;
-use std::time::Duration;
+use std::path::{Path, PathBuf};
 
-use panoscope_engine::{Engine, Options, Outcome};
-use panoscope_graph::{GraphOptions, GraphText, check};
+use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
+use panoscope_testing::Folder;
+use panoscope_tests::CALIBRATION;
+
+fn graphs() -> PathBuf {
+    panoscope_tests::root().join("graphs")
+}
+
+/// Names of the graph files of a folder below `graphs`, without their ending.
+fn files(folder: &str) -> Vec<String> {
+    let entries = std::fs::read_dir(graphs().join(folder)).expect("graphs").flatten();
+    let mut names: Vec<String> =
+        entries.filter_map(|e| e.file_name().to_string_lossy().strip_suffix(".toml").map(str::to_owned)).collect();
+    names.sort();
+    names
+}
+
+/// All plugins of this machine, loaded.
+fn catalog() -> (Loader, Catalog) {
+    let loader = Loader::search(&loader::search_path(&[]));
+    let names: Vec<String> = loader.found().map(|f| f.note.name.clone()).collect();
+    let catalog = loader.catalog(&names);
+    (loader, catalog)
+}
+
+fn checked(path: &Path, options: &GraphOptions, catalog: &Catalog) -> Result<(GraphText, Graph, String), String> {
+    let text = GraphText::load_with(path, options).map_err(|mistakes| mistakes.render(false))?;
+    let (graph, warnings) = check(&text, catalog).into_result().map_err(|mistakes| mistakes.render(false))?;
+    Ok((text, graph, warnings.render(false)))
+}
 
 #[test]
 fn every_shipped_graph_checks() {
-    let graphs = panoscope_tests::root().join("graphs");
+    let (_loader, catalog) = catalog();
     let mut count = 0;
-    for folder in [graphs.clone(), graphs.join("parts")] {
-        for entry in std::fs::read_dir(folder).expect("graphs").flatten() {
-            let path = entry.path();
-            if path.extension().is_none_or(|e| e != "toml") {
-                continue;
-            }
+    for folder in ["", "parts"] {
+        for name in files(folder) {
             // Graphs on files or cameras of the user's have arguments without values.
-            let text = checked(&path, &GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
+            let options = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
+            let path = graphs().join(folder).join(format!("{name}.toml"));
+            let (text, _, warnings) =
+                checked(&path, &options, &catalog).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+            assert!(warnings.is_empty(), "{name}: {warnings}");
             assert!(text.text().starts_with("# "), "{} does not open with what it shows", path.display());
+            assert_eq!(text.is_part(), folder == "parts", "{}", path.display());
             count += 1;
         }
     }
-    assert!(count >= 2, "only {count} graphs were found");
+    assert!(count >= 35, "only {count} graphs were found");
 }
 
-/// Checks a graph with the plugins of this machine.
-fn checked(path: &Path, options: &GraphOptions) -> GraphText {
-    let text = GraphText::load_with(path, options).unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
-    let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
-    let checked = check(&text, &loader.catalog(&text.plugins()));
-    assert!(checked.graph.is_some(), "{}", checked.diagnostics.render(false));
-    text
+/// Outputs of the phantom that a camera has too.
+fn is_view(port: &str) -> bool {
+    matches!(port, "left" | "right" | "view0" | "view1" | "view2" | "view3" | "calibration")
 }
 
 #[test]
-fn the_depth_graph_takes_every_source() {
-    let graphs = panoscope_tests::root().join("graphs");
-    let options = |source: &str| GraphOptions {
-        with: vec![graphs.join("sources").join(source)],
-        allow_missing_args: true,
-        ..GraphOptions::default()
-    };
-    for (source, missing) in [
-        ("phantom.toml", vec![]),
-        ("files.toml", vec!["left", "right", "calibration"]),
-        ("cameras.toml", vec!["calibration"]),
-    ] {
-        let text = checked(&graphs.join("depth.toml"), &options(source));
-        assert_eq!(text.missing_args(), missing, "{source}");
-    }
-}
-
-/// A rendered pair in files, as cameras would give it.
-const PAIR: &str = r#"mode = "batch"
-plugins = ["phantom", "sinks"]
-[nodes.scope]
-type = "phantom"
-params = { scene = "bowel", seed = 7, distance_mm = 66.0, tools = 1 }
-[nodes.left]
-type = "write_images"
-inputs = { image = "scope.left" }
-params = { path = "left_{seq}.png" }
-[nodes.right]
-type = "write_images"
-inputs = { image = "scope.right" }
-params = { path = "right_{seq}.png" }
-"#;
-
-/// The phantom's cameras, as `panoscope calibrate` would write them.
-const CALIBRATION: &str = "%YAML:1.0
----
-image_width: 640
-image_height: 480
-M1: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ 750., 0., 319.5, 0., 750., 239.5, 0., 0., 1. ]
-D1: !!opencv-matrix
-   rows: 1
-   cols: 5
-   dt: d
-   data: [ 0., 0., 0., 0., 0. ]
-M2: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ 750., 0., 319.5, 0., 750., 239.5, 0., 0., 1. ]
-D2: !!opencv-matrix
-   rows: 1
-   cols: 5
-   dt: d
-   data: [ 0., 0., 0., 0., 0. ]
-R: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
-T: !!opencv-matrix
-   rows: 3
-   cols: 1
-   dt: d
-   data: [ -15., 0., 0. ]
-";
-
-#[test]
-fn the_system_for_cameras_is_right_and_runs_on_a_pair_with_its_calibration() {
-    const FRAMES: u64 = 4;
-    let folder = panoscope_tests::scratch("surgeon_cameras");
-    let scene = panoscope_tests::run(&folder.join("scene.toml"), PAIR, FRAMES, 2);
-    assert_eq!(scene.outcome, Outcome::Done, "{:?}", scene.log);
-    std::fs::write(folder.join("scope.yml"), CALIBRATION).expect("written");
-
-    let path = panoscope_tests::root().join("graphs/surgeon_cameras.toml");
-    let mut text = GraphText::load(&path).unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
-    assert!(!text.text().contains("scope.tip"), "no camera gives a tip");
-    // As `--left`, `--right` and `--set` of the README's command.
-    for (param, file) in [
-        ("scope.left", "left_*.png"),
-        ("scope.right", "right_*.png"),
-        ("scope.calibration", "scope.yml"),
-        ("video.path", "screen.mkv"),
-        ("tip_file.path", "tip.csv"),
-    ] {
-        text.set(&format!("{param}={}", folder.join(file).display()));
-    }
-    let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
-    let catalog = loader.catalog(&text.plugins());
-    let (graph, warnings) =
-        check(&text, &catalog).into_result().unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
-    assert!(warnings.is_empty(), "{}", warnings.render(false));
-
-    let graph_dir = path.parent().expect("graphs").to_owned();
-    let options = Options { frames: Some(FRAMES), paced: false, graph_dir, ..Options::default() };
-    let engine = match Engine::start(graph, &catalog, &loader, options) {
-        Ok(engine) => engine,
-        Err(error) if error.to_string().contains("ONNX Runtime's shared library is not there") => {
-            return panoscope_testing::skipped!("{error}");
+fn truth_feeds_only_graphs_whose_names_say_so() {
+    let (_loader, catalog) = catalog();
+    let mut judged = 0;
+    for name in files("") {
+        let options = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
+        let (text, graph, _) = checked(&graphs().join(format!("{name}.toml")), &options, &catalog)
+            .unwrap_or_else(|mistakes| panic!("{mistakes}"));
+        let truth = graph.edges.iter().filter_map(|edge| {
+            let from = graph.nodes[edge.from_node].node_type(&catalog);
+            let port = &from.outputs[edge.from_port].name;
+            (from.name == "phantom" && !is_view(port)).then(|| format!("{}.{port}", graph.nodes[edge.from_node].id))
+        });
+        let truth: Vec<String> = truth.collect();
+        if name.ends_with("_judged") {
+            judged += 1;
+            assert!(!truth.is_empty(), "{name} reads no truth of the phantom: rename it");
+            let first = text.text().lines().next().unwrap_or_default();
+            assert!(
+                first.contains("judged") && text.text().contains("phantom's truth"),
+                "{name} does not say so: {first}"
+            );
+            let preset = &graph.preset;
+            assert!(preset.pinned.is_empty() && preset.views.is_empty(), "{name} is no preset for a surgeon");
+        } else {
+            assert!(
+                truth.is_empty(),
+                "{name} reads {truth:?}, the phantom's truth: name it {name}_judged, or find it in the pictures"
+            );
         }
-        Err(error) => panic!("{error}"),
+    }
+    assert!(judged >= 3, "{judged} graphs are judged by the truth");
+}
+
+/// A source overlay with the arguments that it needs.
+struct Source {
+    name: &'static str,
+    args: &'static [(&'static str, &'static str)],
+}
+
+/// In a folder with pictures of two and four views and a calibration.
+const SOURCES: [Source; 7] = [
+    Source { name: "phantom", args: &[("seed", "3"), ("tools", "1")] },
+    Source { name: "files", args: &[("left", "left.png"), ("right", "right.png"), ("calibration", "scope.yml")] },
+    Source { name: "cameras", args: &[("left", "0"), ("right", "1"), ("calibration", "scope.yml")] },
+    Source { name: "side_by_side", args: &[("video", "both.png"), ("calibration", "scope.yml")] },
+    Source { name: "rtsp", args: &[("calibration", "scope.yml")] },
+    Source { name: "cameras_on_arm", args: &[("calibration", "scope.yml")] },
+    Source { name: "four_files", args: &[("views", "left.png; right.png; left.png; right.png")] },
+];
+
+/// Why a graph does not take a source, and the words of the error that says so; `None` where it does.
+fn refusal(graph: &str, source: &str) -> Option<(&'static str, &'static str)> {
+    const NO_SCOPE: &str = "replaces nothing: the graph has no node of that name";
+    let has_tip = matches!(graph, "surgeon" | "thesis_chapter6" | "arm_closed_loop");
+    match (graph, source) {
+        ("four_cameras", "four_files") => None,
+        ("four_cameras", _) => Some(("it looks at four views, the source has two", NO_SCOPE)),
+        (_, "four_files") => Some(("it looks at two views", NO_SCOPE)),
+        (_, "cameras_on_arm") if has_tip => None,
+        (_, "cameras_on_arm") => Some(("it follows no tip that an arm could follow", "there is no node `follow`")),
+        ("arm_closed_loop", _) => Some(("without an arm there is no loop", "has no output `")),
+        // panorama.toml takes them.
+        ("panorama_files", "phantom" | "side_by_side") => {
+            Some(("it asks for its own files", "argument `left` is not given"))
+        }
+        (_, "phantom") => None,
+        (name, _) if name.ends_with("_judged") => Some(("cameras know no truth", "has no output `")),
+        _ => None,
+    }
+}
+
+#[test]
+fn every_graph_takes_every_source_that_makes_sense_and_refuses_the_others() {
+    let (_loader, catalog) = catalog();
+    let folder = Folder::new("sources", &[("scope.yml", CALIBRATION)]);
+    for (name, width) in [("left", 640), ("right", 640), ("both", 1280)] {
+        let picture = image::RgbImage::from_fn(width, 480, |x, y| image::Rgb([x as u8, y as u8, (x + y) as u8]));
+        picture.save(folder.at(&format!("{name}.png"))).expect("a picture");
+    }
+    assert_eq!(SOURCES.len(), files("sources").len(), "a source that ships is not in this test");
+    let value = |text: &str| match text.split("; ").all(|file| folder.at(file).is_file()) {
+        true => text.split("; ").map(|file| folder.at(file).display().to_string()).collect::<Vec<_>>().join(";"),
+        false => text.to_owned(),
     };
-    assert!(engine.wait(Some(Duration::from_secs(180))), "it does not end: {:?}", engine.recent_log());
-    assert_eq!(engine.close(Duration::from_secs(60)), Outcome::Done, "{:?}", engine.recent_log());
-    let report = engine.report();
-    for (id, node) in &report.nodes {
-        assert_eq!(node.faults, 0, "`{id}`: {:?}", engine.recent_log());
+    let (mut taken, mut refused) = (0, 0);
+    for graph in files("") {
+        let path = graphs().join(format!("{graph}.toml"));
+        for source in &SOURCES {
+            let args = source.args.iter().map(|(name, text)| ((*name).to_owned(), value(text))).collect();
+            let with = vec![graphs().join("sources").join(format!("{}.toml", source.name))];
+            let outcome = checked(&path, &GraphOptions { with, args, ..GraphOptions::default() }, &catalog);
+            match (outcome, refusal(&graph, source.name)) {
+                (Ok((_, checked, _)), None) => {
+                    taken += 1;
+                    let arm = checked.nodes.iter().any(|n| n.type_name.starts_with("arm_"));
+                    assert_eq!(
+                        arm,
+                        source.name == "cameras_on_arm",
+                        "{graph}: an arm moves what it holds, and only that"
+                    );
+                }
+                (Err(said), Some((_, words))) => {
+                    refused += 1;
+                    let overlay = format!("sources/{}.toml", source.name);
+                    let is_clear = said.contains(words) && (said.contains(&overlay) || words.starts_with("argument"));
+                    assert!(is_clear, "{graph} with {}: {said}", source.name);
+                }
+                (Ok(_), Some((reason, _))) => panic!("{graph} takes {}, though {reason}", source.name),
+                (Err(said), None) => panic!("{graph} with {}: {said}", source.name),
+            }
+        }
     }
-    for id in ["state", "marks", "find", "follow", "points", "video"] {
-        assert!(report.nodes[id].count > 0, "`{id}` made nothing: {:?}", engine.recent_log());
+    assert!(taken > 120 && refused > 30, "{taken} taken, {refused} refused");
+}
+
+#[test]
+fn a_source_has_views_and_calibration_and_says_how_it_is_used() {
+    for source in &SOURCES {
+        let path = graphs().join("sources").join(format!("{}.toml", source.name));
+        let text = std::fs::read_to_string(&path).expect("a source");
+        assert!(text.starts_with("# ") && text.contains("panoscope run graphs/"), "{} shows no command", source.name);
+        let table: toml::Table = text.parse().expect("TOML");
+        let nodes = table["nodes"].as_table().expect("nodes");
+        let names: Vec<&String> = nodes.keys().collect();
+        let expected = if source.name == "four_files" { "cameras" } else { "scope" };
+        assert_eq!(names, [expected], "{}", source.name);
     }
-    assert!(folder.join("screen.mkv").metadata().is_ok_and(|f| f.len() > 1000));
-    std::fs::remove_dir_all(folder).expect("removed");
 }

@@ -69,6 +69,16 @@ fn the_gallery_shows_each_graph_that_ships_and_no_other() {
         let is_written = text.contains(&format!("<!-- file: {name} -->"));
         assert!(is_named || is_written, "graphs/README.md names {name}, which does not ship");
     }
+    for kind in ["parts", "sources"] {
+        for file in std::fs::read_dir(folder.join(kind)).expect("parts and sources").flatten() {
+            let name = format!("`{kind}/{}`", file.file_name().to_string_lossy());
+            let row = text.lines().find(|line| line.starts_with("| `") && line.contains(&name));
+            assert!(row.is_some(), "graphs/README.md has no row for {name}");
+        }
+    }
+    for name in text.split('`').filter(|name| name.starts_with("sources/") && name.ends_with(".toml")) {
+        assert!(folder.join(name).is_file(), "graphs/README.md names {name}, which does not ship");
+    }
     let pictures = std::fs::read_dir(folder.join("pictures/gallery")).expect("pictures").flatten().count();
     assert_eq!(pictures, graphs.len(), "the gallery has pictures of no graph");
 }

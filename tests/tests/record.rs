@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use panoscope_engine::{Engine, Options};
+use panoscope_graph::GraphText;
 use panoscope_graph::edit::GraphEdit;
 use panoscope_loader::Live;
 use panoscope_record::compare::compare;
@@ -44,15 +45,15 @@ fn demo(width: u64) -> String {
 fn change(live: &mut Live<&Engine>, number: u64) {
     let id = format!("extra{}", number / 5);
     let done = match number % 5 {
-        0 => live.set_param("wide", "blend_px", &toml::Value::Integer((number % 40) as i64)),
+        0 => live.set_param("wide/composite", "blend_px", &toml::Value::Integer((number % 40) as i64)),
         1 => live.edit(|d| {
             d.add_node(&id, "pass")?;
-            d.set_input(&id, "image", &["wide.panorama"])?;
+            d.set_input(&id, "image", &["wide/composite.panorama"])?;
             d.add_node(&format!("{id}_end"), "drain")?;
             d.set_input(&format!("{id}_end"), "image", &[&format!("{id}.image")])
         }),
         2 => live.connect(&id, "image", &["scope.right"]),
-        3 => live.set_param("register", "scale", &toml::Value::Integer(1 + (number / 5 % 2) as i64)),
+        3 => live.set_param("wide/register", "scale", &toml::Value::Integer(1 + (number / 5 % 2) as i64)),
         _ => live.edit(|d| {
             d.remove_node(&format!("{id}_end"))?;
             d.remove_node(&id)
@@ -65,6 +66,8 @@ fn record(file: &Path, frames: u64, width: u64) -> Digests {
     let path = root().join("graphs/recorded.toml");
     let text = demo(width);
     let (graph, catalog, loader) = load(&path, &text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    // Changes name nodes inside its parts.
+    let text = GraphText::parse(&path, &text).flattened(&catalog).into_owned();
     let options = RecordOptions {
         file: Some(file.to_owned()),
         digests: true,

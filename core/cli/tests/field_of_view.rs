@@ -51,7 +51,7 @@ fn two_cameras_see_nearly_twice_as_much_at_20_mm() {
 
 #[test]
 fn a_narrow_overlap_that_is_not_searched_is_reported_as_lost() {
-    let off = "register.strips=false";
+    let off = "wide.strips=false";
     let arguments = ["graphs/stitch_roi.toml", "--fov", "--distances", "20", "--frames", "20", "--set", off];
     let Some(all) = figures("lost", &arguments) else { return };
     let (total, _) = figure(&all, "fov_total_pct/stitch_roi_bowel_20mm");

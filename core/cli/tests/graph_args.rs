@@ -1,53 +1,27 @@
 //! Arguments, parts and overlays of graphs from outside: options, help, exit codes, recordings.
 
-use std::path::{Path, PathBuf};
+mod common;
+
 use std::process::{Command, Output};
 
-/// A fresh folder with files, and the program started in it.
-struct Folder(PathBuf);
+use common::plugins;
+use panoscope_testing::Folder;
 
-impl Folder {
-    fn new(name: &str, files: &[(&str, &str)]) -> Self {
-        let folder = std::env::temp_dir().join(format!("panoscope-args-{}-{name}", std::process::id()));
-        let _ = std::fs::remove_dir_all(&folder);
-        for (file, text) in files {
-            let path = folder.join(file);
-            std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
-            std::fs::write(path, text).expect("written");
-        }
-        Self(folder)
-    }
-
-    fn run(&self, arguments: &str) -> (i32, String, String) {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
-        let Output { status, stdout, stderr } =
-            command.current_dir(&self.0).args(arguments.split(' ')).output().expect("the program starts");
-        let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-        (status.code().unwrap_or(-1), text(stdout), text(stderr))
-    }
-
-    fn json(&self, file: &str) -> serde_json::Value {
-        serde_json::from_str(&std::fs::read_to_string(self.0.join(file)).expect("it was written")).expect("JSON")
-    }
+/// Starts the program in a folder.
+fn run(folder: &Folder, arguments: &str) -> (i32, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
+    let Output { status, stdout, stderr } =
+        command.current_dir(folder.path()).args(arguments.split(' ')).output().expect("the program starts");
+    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
+    (status.code().unwrap_or(-1), text(stdout), text(stderr))
 }
 
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+fn json(folder: &Folder, file: &str) -> serde_json::Value {
+    serde_json::from_str(&folder.read(file)).expect("JSON")
 }
 
-/// Whether the plugin `flow` is in `PANOSCOPE_PLUGIN_PATH`, or beside the program.
 fn has_flow() -> bool {
-    let given = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
-    let beside = Path::new(env!("CARGO_BIN_EXE_panoscope")).with_file_name("plugins");
-    let there = std::env::split_paths(&given)
-        .chain([beside])
-        .any(|folder| ["libflow.so", "libpanoscope_flow.so"].iter().any(|name| folder.join(name).is_file()));
-    if !there {
-        panoscope_testing::skipped!("plugin `flow` is not built");
-    }
-    there
+    plugins(&["flow"]).is_some()
 }
 
 const GRAPH: &str = r#"mode = "batch"
@@ -125,29 +99,29 @@ fn a_graph_takes_its_arguments_as_options() {
         return;
     }
     let folder = files("options");
-    let (code, out, err) = folder.run("run --frames 5 g.toml --width 64 --headless --report r.json");
+    let (code, out, err) = run(&folder, "run --frames 5 g.toml --width 64 --headless --report r.json");
     assert_eq!(code, 0, "{out}{err}");
-    let report = folder.json("r.json");
+    let report = json(&folder, "r.json");
     for node in ["source", "chain/first", "chain/second", "sink"] {
         assert_eq!(report["nodes"][node]["count"], 5, "{node}: {out}");
     }
-    let (code, _, err) = folder.run("run g.toml --headless");
+    let (code, _, err) = run(&folder, "run g.toml --headless");
     assert_eq!(code, 2);
     for words in
         ["error[missing-arg]: argument `width` is not given", "g.toml:4:7", "Width of the pictures", "--width WHOLE"]
     {
         assert!(err.contains(words), "no {words} in {err}");
     }
-    let (code, _, err) = folder.run("run g.toml --headless --width 1000");
+    let (code, _, err) = run(&folder, "run g.toml --headless --width 1000");
     assert_eq!(code, 2);
     assert!(
         err.contains("argument `width` is 1000 px, allowed are 16 to 640 px") && err.contains("command line:1:9"),
         "{err}"
     );
-    let (code, _, err) = folder.run("run g.toml --wdth 64");
+    let (code, _, err) = run(&folder, "run g.toml --wdth 64");
     assert_eq!(code, 2);
     assert!(err.contains("--wdth") && err.contains("--width <WHOLE>"), "{err}");
-    let (code, _, err) = folder.run("run g.toml --width");
+    let (code, _, err) = run(&folder, "run g.toml --width");
     assert_eq!((code, err.trim()), (2, "error: --width needs a value: --width WHOLE"));
 }
 
@@ -157,18 +131,151 @@ fn help_and_check_name_the_arguments() {
         return;
     }
     let folder = files("help");
-    let (code, out, _) = folder.run("run g.toml --help");
+    let (code, out, _) = run(&folder, "run g.toml --help");
     assert_eq!(code, 0);
     assert!(out.contains("Arguments of g.toml:"), "{out}");
     assert!(out.contains("--width <WHOLE>  Width of the pictures [16 to 640 px, required]"), "{out}");
     assert!(out.contains("--rate <NUMBER>  Pictures per second [in Hz, default: 200.0]"), "{out}");
-    let (code, out, _) = folder.run("check g.toml parts/chain.toml");
+    let (code, out, _) = run(&folder, "check g.toml parts/chain.toml");
     assert_eq!(code, 0, "{out}");
     assert!(out.contains("g.toml: ok (4 nodes, 3 connections; to run it needs --width)"), "{out}");
-    let (code, out, _) = folder.run("check g.toml --width 7");
+    let (code, out, _) = run(&folder, "check g.toml --width 7");
     assert_eq!(code, 2, "{out}");
-    let (code, out, _) = folder.run("dot g.toml");
+    let (code, out, _) = run(&folder, "dot g.toml");
     assert!(code == 0 && out.contains("subgraph \"cluster_chain\""), "{out}");
+    // With argument and overlay.
+    let (code, out, err) = run(&folder, "dot g.toml --width 64 --with sources/other.toml");
+    assert!(code == 0 && out.contains("subgraph \"cluster_chain\""), "{out}{err}");
+    let (code, _, err) = run(&folder, "dot g.toml --width 7");
+    assert!(code == 2 && err.contains("allowed are 16 to 640"), "{err}");
+}
+
+#[test]
+fn the_schema_knows_arguments_parts_and_what_is_optional() {
+    if !has_flow() {
+        return;
+    }
+    let folder = files("schema");
+    let (code, out, err) = run(&folder, "schema");
+    assert_eq!(code, 0, "{err}");
+    let schema: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    for key in ["args", "part", "nodes", "preset"] {
+        assert!(schema["properties"][key].is_object(), "no `{key}` in the schema");
+    }
+    for key in ["aligned", "view", "pin"] {
+        assert_eq!(schema["$defs"][key]["properties"]["optional"]["type"], "boolean", "{key}");
+    }
+    let node = schema["$defs"]["node"].to_string();
+    assert!(node.contains("\"graph\"") && node.contains("\"frames\""), "parts and plugins are nodes");
+}
+
+/// The mean of a picture, measured in a part.
+const BRIGHT: &str = r#"plugins = ["flow"]
+[part]
+inputs = { image = "level.image" }
+outputs = { level = "level.level" }
+params = { gain = "level.gain" }
+[nodes.level]
+type = "level"
+"#;
+
+#[test]
+fn a_parameter_of_a_part_is_swept_on_the_source_of_an_overlay() {
+    if !has_flow() {
+        return;
+    }
+    let folder = files("sweep");
+    let graph = GRAPH.replace(
+        "[nodes.sink]",
+        "[nodes.bright]\ngraph = \"parts/bright.toml\"\ninputs = { image = \"chain.image\" }\n[nodes.sink]",
+    );
+    folder.write("g.toml", &graph);
+    folder.write("parts/bright.toml", BRIGHT);
+    let gray = "plugins = [\"flow\"]\n[args.format]\ntype = \"choice\"\nchoices = [\"gray8\", \"bgr8\"]\n[nodes.source]\ntype = \"frames\"\n\
+                params = { width_px = { arg = \"width\" }, format = { arg = \"format\" }, rate_hz = 100.0 }\n";
+    folder.write("sources/gray.toml", gray);
+    let sweep = "--param bright.gain --from 0 --to 2 --steps 3 --measure bright.level --frames 4 --json s.json";
+    let (code, out, err) =
+        run(&folder, &format!("sweep g.toml --width 64 --with sources/gray.toml --format gray8 {sweep}"));
+    assert_eq!(code, 0, "{out}{err}");
+    let text = folder.read("s.json");
+    let means: Vec<f64> = json(&folder, "s.json")
+        .as_array()
+        .unwrap_or_else(|| panic!("{text}"))
+        .iter()
+        .filter_map(|point| point["mean"].as_f64())
+        .collect();
+    let [none, one, two] = means[..] else { panic!("{text}") };
+    assert!(none == 0.0 && one > 1.0 && (two - 2.0 * one).abs() < 1e-6, "{means:?}");
+    // A mistake of the part stands in its file.
+    folder.write("parts/bright.toml", &BRIGHT.replace("type = \"level\"", "type = \"levl\""));
+    let (code, _, err) =
+        run(&folder, &format!("sweep g.toml --width 64 --with sources/gray.toml --format gray8 {sweep}"));
+    assert!(code == 2 && err.contains("parts/bright.toml:7:"), "{err}");
+}
+
+#[test]
+fn a_graph_with_argument_part_and_overlay_is_soaked() {
+    if !has_flow() {
+        return;
+    }
+    let folder = files("soak");
+    let live = GRAPH.replace("mode = \"batch\"", "mode = \"live\"");
+    folder.write("g.toml", &live);
+    let (code, out, err) = run(
+        &folder,
+        "soak g.toml --width 64 --with sources/other.toml --headless --minutes 0.06 --csv s.csv --report r.json",
+    );
+    // Whether memory grew in so short a time says nothing.
+    assert!(code == 0 || out.contains("MB per hour"), "{code} {out}{err}");
+    let report = json(&folder, "r.json");
+    assert!(report["nodes"]["chain/second"]["count"].as_u64().is_some_and(|n| n > 100), "{report}");
+    assert!(folder.read("s.csv").lines().count() > 3, "{}", folder.read("s.csv"));
+}
+
+#[test]
+fn the_controller_of_a_part_is_tuned_with_the_arguments_of_its_graph() {
+    let Some(built) = plugins(&["phantom", "arm"]) else { return };
+    let part = r#"plugins = ["arm"]
+[part]
+inputs = { tip = ["pid.tip", "arm.tip"] }
+outputs = { pose = "arm.camera_pose" }
+params = { latency_ms = "arm.latency_ms" }
+[nodes.pid]
+type = "arm_pid"
+inputs = { joints = { from = "arm.joints", delay = 1 } }
+[nodes.arm]
+type = "arm_sim"
+inputs = { joints = "pid.joints" }
+"#;
+    let graph = r#"plugins = ["phantom"]
+[args.late]
+type = "number"
+unit = "ms"
+default = 30.0
+[nodes.scope]
+type = "phantom"
+params = { tools = 1 }
+[nodes.loop]
+graph = "loop.toml"
+inputs = { tip = "scope.tip" }
+params = { latency_ms = { arg = "late" } }
+"#;
+    let over = "plugins = [\"phantom\"]\n[args.late]\ndefault = 120.0\n[nodes.scope]\ntype = \"phantom\"\nparams = { tools = 2 }\n";
+    let folder = Folder::new("tune", &[("g.toml", graph), ("loop.toml", part), ("over.toml", over)]);
+    let period_s = |arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
+        let words = format!("tune g.toml --node loop/pid --method relay --json t.json{arguments}");
+        let output =
+            command.current_dir(folder.path()).env("PANOSCOPE_PLUGIN_PATH", &built).args(words.split(' ')).output();
+        let output = output.expect("the program starts");
+        assert!(output.status.success(), "{words}: {}", String::from_utf8_lossy(&output.stderr));
+        json(&folder, "t.json")["channels"][0]["ultimate_period_s"].as_f64().expect("a number")
+    };
+    // An arm that is later swings more slowly.
+    let (fast, slow, over) = (period_s(""), period_s(" --late 120"), period_s(" --with over.toml"));
+    assert!(slow > 1.5 * fast, "{fast} and {slow}");
+    assert_eq!(slow, over, "the overlay gives the same latency");
 }
 
 #[test]
@@ -178,13 +285,13 @@ fn an_overlay_replaces_the_source() {
     }
     let folder = files("overlay");
     let (code, out, err) =
-        folder.run("record g.toml --with sources/other.toml --frames 3 --headless -o r.mcap --digests d.json");
+        run(&folder, "record g.toml --with sources/other.toml --frames 3 --headless -o r.mcap --digests d.json");
     assert_eq!(code, 0, "{out}{err}");
-    let (code, _, err) = folder.run("run g.toml --with sources/othr.toml");
+    let (code, _, err) = run(&folder, "run g.toml --with sources/othr.toml");
     assert_eq!(code, 2);
     assert!(err.contains("there is no such overlay") && err.contains("other.toml"), "{err}");
     // The overlay gives `width` a default.
-    let (code, out, _) = folder.run("check g.toml --with sources/other.toml");
+    let (code, out, _) = run(&folder, "check g.toml --with sources/other.toml");
     assert!(code == 0 && out.contains("connections)"), "{out}");
 }
 
@@ -195,20 +302,20 @@ fn a_graph_with_parts_runs_to_the_same_bytes_as_a_flat_one_and_replays() {
     }
     let folder = files("same");
     let all = "--frames 6 --headless --all-ports";
-    let (code, out, err) = folder.run(&format!("record g.toml --width 64 {all} -o parts.mcap --digests parts.json"));
+    let (code, out, err) = run(&folder, &format!("record g.toml --width 64 {all} -o parts.mcap --digests parts.json"));
     assert_eq!(code, 0, "{out}{err}");
-    let (code, out, err) = folder.run(&format!("record flat.toml {all} -o flat.mcap --digests flat.json"));
+    let (code, out, err) = run(&folder, &format!("record flat.toml {all} -o flat.mcap --digests flat.json"));
     assert_eq!(code, 0, "{out}{err}");
-    let (parts, flat) = (folder.json("parts.json"), folder.json("flat.json"));
+    let (parts, flat) = (json(&folder, "parts.json"), json(&folder, "flat.json"));
     assert_eq!(parts["ports"], flat["ports"]);
     assert!(parts["ports"].to_string().contains("chain/second.image"), "{parts}");
     // A recording needs none of the files that it was made of.
     for file in ["g.toml", "parts/chain.toml"] {
-        std::fs::remove_file(folder.0.join(file)).expect("it is there");
+        std::fs::remove_file(folder.at(file)).expect("it is there");
     }
-    let (code, out, err) = folder.run("replay parts.mcap --headless --digests again.json");
+    let (code, out, err) = run(&folder, "replay parts.mcap --headless --digests again.json");
     assert_eq!(code, 0, "{out}{err}");
-    assert_eq!(folder.json("again.json")["ports"], parts["ports"]);
+    assert_eq!(json(&folder, "again.json")["ports"], parts["ports"]);
 }
 
 #[test]
@@ -218,15 +325,15 @@ fn a_lock_holds_parts_and_overlays() {
     }
     let folder = files("lock");
     let locked = "lock g.toml --with sources/other.toml";
-    let (code, out, err) = folder.run(locked);
+    let (code, out, err) = run(&folder, locked);
     assert_eq!(code, 0, "{out}{err}");
     for words in ["graph        g.toml", "part         parts/chain.toml", "overlay      sources/other.toml"] {
         assert!(out.contains(words), "no {words} in {out}");
     }
-    assert_eq!(folder.run(&format!("{locked} --verify")).0, 0);
-    std::fs::write(folder.0.join("parts/chain.toml"), CHAIN.replace("[nodes.first]", "# changed\n[nodes.first]"))
+    assert_eq!(run(&folder, &format!("{locked} --verify")).0, 0);
+    std::fs::write(folder.at("parts/chain.toml"), CHAIN.replace("[nodes.first]", "# changed\n[nodes.first]"))
         .expect("written");
-    let (code, _, err) = folder.run(&format!("{locked} --verify"));
+    let (code, _, err) = run(&folder, &format!("{locked} --verify"));
     assert_eq!(code, 1);
     assert!(err.contains("part `parts/chain.toml` has changed since the graph was locked"), "{err}");
 }
@@ -238,11 +345,11 @@ fn mistakes_of_a_part_stand_in_its_file() {
     }
     let folder = files("mistakes");
     std::fs::write(
-        folder.0.join("parts/chain.toml"),
+        folder.at("parts/chain.toml"),
         CHAIN.replace("first.image\" }\noutputs", "frist.image\" }\noutputs"),
     )
     .expect("written");
-    let (code, _, err) = folder.run("run g.toml --width 64");
+    let (code, _, err) = run(&folder, "run g.toml --width 64");
     assert_eq!(code, 2);
     assert!(err.contains("parts/chain.toml:4:") && err.contains("did you mean `first`?"), "{err}");
 }

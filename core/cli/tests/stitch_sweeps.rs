@@ -115,3 +115,37 @@ fn wrong_sweeps_are_refused_in_words() {
         assert!(format!("{out}{err}").contains(words), "{arguments:?}: {out}{err}");
     }
 }
+
+#[test]
+fn a_graph_of_parts_is_judged_on_the_source_of_an_overlay() {
+    let Some(folder) = plugins(&PLUGINS) else { return };
+    let (json, graph, overlay) = (file("parts.json"), graph("panorama.toml"), graph("sources/phantom.toml"));
+    let json_text = json.display().to_string();
+    let own = [
+        "eval",
+        "stitch",
+        &graph,
+        "--with",
+        &overlay,
+        "--seed",
+        "3",
+        "--scene",
+        "liver",
+        "--set",
+        "wide.blend_px=8",
+        "--no-peer",
+        "--frames",
+        "12",
+        "--json",
+        &json_text,
+    ];
+    let (code, out, err) = run(Some(&folder), &[&own[..], &SMALL].concat());
+    assert_eq!(code, 0, "{out}{err}");
+    assert!(out.contains("wide/composite"), "times name the nodes of the part: {out}");
+    let share = value(&figures(&json), "stitched_share/panorama").unwrap_or_else(|| panic!("{out}"));
+    assert!(share > 50.0, "{share} %");
+    // Mistakes stand in the files that have them.
+    let wrong = ["eval", "stitch", &graph, "--with", &overlay, "--seed", "x"];
+    let (code, out, err) = run(Some(&folder), &wrong);
+    assert!(code == 2 && out.contains("argument `seed` must be a whole number"), "{code} {out}{err}");
+}

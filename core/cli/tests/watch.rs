@@ -26,10 +26,15 @@ struct Watched {
 
 impl Watched {
     fn start(graph: &Path, plugins: &Path, report: &Path) -> Self {
+        Self::start_with(graph, plugins, report, &[])
+    }
+
+    fn start_with(graph: &Path, plugins: &Path, report: &Path, more: &[&str]) -> Self {
         let mut child = Command::new(PROGRAM)
             .args(["run", "--watch", "--headless", "--threads", "2", "--report"])
             .arg(report)
             .arg(graph)
+            .args(more)
             .env("PANOSCOPE_PLUGIN_PATH", plugins)
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -142,4 +147,62 @@ inputs = { image = "a.image" }
         serde_json::from_str(&std::fs::read_to_string(&report).expect("the report")).expect("JSON");
     assert!(report["nodes"]["extra_end"]["count"].as_u64().is_some_and(|n| n > 0), "{report}");
     let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn changed_parts_and_overlays_are_taken_and_broken_ones_are_not() {
+    let Some(flow) = flow() else {
+        panoscope_testing::skipped!("the flow plugin is not built");
+        return;
+    };
+    let graph = r#"name = "watched"
+mode = "live"
+plugins = ["flow"]
+[args.width]
+type = "whole"
+[nodes.a]
+type = "frames"
+[nodes.chain]
+graph = "parts/chain.toml"
+inputs = { image = "a.image" }
+[nodes.end]
+type = "drain"
+inputs = { image = "chain.image" }
+"#;
+    let part = "plugins = [\"flow\"]\n[part]\ninputs = { image = \"first.image\" }\noutputs = { image = \"first.image\" }\n[nodes.first]\ntype = \"pass\"\n";
+    let longer = "plugins = [\"flow\"]\n[part]\ninputs = { image = \"first.image\" }\noutputs = { image = \"second.image\" }\n[nodes.first]\ntype = \"pass\"\n\
+                  [nodes.second]\ntype = \"pass\"\ninputs = { image = \"first.image\" }\n";
+    let over = |height: u32| {
+        format!(
+            "plugins = [\"flow\"]\n[nodes.a]\ntype = \"frames\"\nparams = {{ width_px = {{ arg = \"width\" }}, height_px = {height}, rate_hz = 100.0 }}\n"
+        )
+    };
+    let files = [("g.toml", graph), ("parts/chain.toml", part), ("parts/other.toml", part), ("over.toml", &over(8))];
+    let folder = panoscope_testing::Folder::new("watch-parts", &files);
+    let with = folder.at("over.toml").display().to_string();
+    let plugins = flow.parent().expect("a folder");
+    let mut run =
+        Watched::start_with(&folder.at("g.toml"), plugins, &folder.at("r.json"), &["--with", &with, "--width", "16"]);
+    run.says(&["frames,"]);
+
+    folder.write("parts/chain.toml", longer);
+    run.says(&["changed:", "added", "chain/second"]);
+    folder.write("over.toml", &over(16));
+    run.says(&["changed:", "a"]);
+    // Wrong: named with its file, and the old graph runs on until it is right again.
+    folder.write("parts/chain.toml", &longer.replace("\"pass\"\ninputs", "\"pas\"\ninputs"));
+    run.says(&["the old one keeps running"]);
+    run.says(&["parts/chain.toml:"]);
+    folder.write("parts/chain.toml", part);
+    run.says(&["changed:", "removed", "chain/second"]);
+    // A part that the graph names only now is watched from now on.
+    folder.write(
+        "g.toml",
+        &graph
+            .replace("parts/chain.toml", "parts/other.toml")
+            .replace("[nodes.end]", "[nodes.more]\ntype = \"drain\"\ninputs = { image = \"a.image\" }\n[nodes.end]"),
+    );
+    run.says(&["changed:", "added", "more"]);
+    folder.write("parts/other.toml", longer);
+    run.says(&["changed:", "added", "chain/second"]);
 }

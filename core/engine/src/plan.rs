@@ -239,9 +239,20 @@ pub(crate) fn lay_out(
     old: Option<&Plan>,
 ) -> Plan {
     let mut alive = vec![false; runtimes.len()];
-    let mut wiring = vec![Wiring::default(); runtimes.len()];
+    slots.iter().for_each(|&slot| alive[slot] = true);
+    let mut wiring = readers(graph, catalog, &slots, runtimes.len());
+    inline_chains(graph, catalog, &runtimes, &slots, &mut wiring);
+    let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_at_once, old);
+    let nearest = graph.edges.iter().any(|e| matches!(e.align, Align::Nearest { .. }));
+    let (links, following) = link(&runtimes, &alive, &wiring);
+    let outsiders = extents.iter().enumerate().map(|(region, extent)| outsiders(&wiring, region, extent)).collect();
+    Plan { runtimes, alive, wiring, links, following, regions, extents, outsiders, slots, nearest, ticks_at_once }
+}
+
+/// The readers of every output, by slot.
+fn readers(graph: &Graph, catalog: &Catalog, slots: &[usize], slot_count: usize) -> Vec<Wiring> {
+    let mut wiring = vec![Wiring::default(); slot_count];
     for (node, &slot) in slots.iter().enumerate() {
-        alive[slot] = true;
         wiring[slot].readers = vec![Vec::new(); graph.nodes[node].node_type(catalog).outputs.len()];
         wiring[slot].chain_head = slot;
     }
@@ -255,12 +266,7 @@ pub(crate) fn lay_out(
             wiring[slots[edge.from_node]].readers[edge.from_port].push(reader);
         }
     }
-    inline_chains(graph, catalog, &runtimes, &slots, &mut wiring);
-    let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_at_once, old);
-    let nearest = graph.edges.iter().any(|e| matches!(e.align, Align::Nearest { .. }));
-    let (links, following) = link(&runtimes, &alive, &wiring);
-    let outsiders = extents.iter().enumerate().map(|(region, extent)| outsiders(&wiring, region, extent)).collect();
-    Plan { runtimes, alive, wiring, links, following, regions, extents, outsiders, slots, nearest, ticks_at_once }
+    wiring
 }
 
 fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, usize)> {
@@ -495,6 +501,78 @@ mod tests {
         let mut graph = graph(&nodes, &["camera ~ screen", "camera > slow", "slow ~ screen"]);
         graph.edges.iter_mut().filter(|e| e.from_node == 0).for_each(|e| e.trigger = true);
         assert_eq!(urgencies(&graph), [Urgency::Urgent, Urgency::Patient, Urgency::Urgent]);
+    }
+
+    /// Text with parts and the same graph in one file are laid out alike: same order, readers, regions and urgency, so hops cost the same.
+    #[test]
+    fn parts_do_not_change_the_plan() {
+        use panoscope_graph::{GraphOptions, GraphText, NodeType, PacketType, Port, check};
+        use std::path::Path;
+        let port = |name: &str| Port {
+            name: name.to_owned(),
+            doc: String::new(),
+            packet: PacketType { name: "image".to_owned(), formats: vec!["gray8".to_owned()], layout_hash: 0 },
+            optional: false,
+            list: false,
+        };
+        let node = |name: &str, inputs: &[&str], outputs: &[&str]| NodeType {
+            name: name.to_owned(),
+            plugin: "flow".to_owned(),
+            inputs: inputs.iter().map(|p| port(p)).collect(),
+            outputs: outputs.iter().map(|p| port(p)).collect(),
+            source: inputs.is_empty(),
+            side_effects: outputs.is_empty(),
+            ..NodeType::default()
+        };
+        let node_types =
+            vec![node("frames", &[], &["image"]), node("pass", &["image"], &["image"]), node("drain", &["image"], &[])];
+        let catalog = Catalog { plugins: vec!["flow".to_owned()], node_types, ..Catalog::default() };
+        let head = "plugins = [\"flow\"]\n";
+        let pass = |id: &str, from: &str| {
+            let input =
+                if from.is_empty() { String::new() } else { format!("inputs = {{ image = \"{from}.image\" }}\n") };
+            format!("[nodes.\"{id}\"]\ntype = \"pass\"\n{input}")
+        };
+        let ends = |last: &str| {
+            let drains = ["screen", "file"]
+                .map(|id| format!("[nodes.{id}]\ntype = \"drain\"\ninputs = {{ image = \"{last}.image\" }}\n"));
+            drains.concat()
+                + "[nodes.late]\ntype = \"drain\"\ninputs = { image = { from = \"source.image\", align = \"latest\" } }\n"
+        };
+        let source = "[nodes.source]\ntype = \"frames\"\n";
+        // Two parts of two parts of two nodes: eight hops.
+        let two = |what: &str, inner: &str| {
+            format!(
+                "{head}[part]\ninputs = {{ image = \"a.image\" }}\noutputs = {{ image = \"b.image\" }}\n[nodes.a]\n{what} = \"{inner}\"\n[nodes.b]\n{what} = \"{inner}\"\ninputs = {{ image = \"a.image\" }}\n"
+            )
+        };
+        let folder = std::path::absolute(Path::new("graphs-of-no-file")).expect("a folder");
+        let texts = [("leaf.toml", two("type", "pass")), ("twig.toml", two("graph", "leaf.toml"))];
+        let texts = texts.map(|(name, text)| (folder.join(name), text)).into_iter().collect();
+        let options = GraphOptions { texts, ..GraphOptions::default() };
+        let used = |id: &str, from: &str| {
+            format!("[nodes.{id}]\ngraph = \"twig.toml\"\ninputs = {{ image = \"{from}.image\" }}\n")
+        };
+        let parts = format!("{head}{source}{}{}{}", used("x", "source"), used("y", "x"), ends("y"));
+        let ids: Vec<String> =
+            ["x", "y"].iter().flat_map(|t| ["a/a", "a/b", "b/a", "b/b"].map(|n| format!("{t}/{n}"))).collect();
+        let mut flat = format!("{head}{source}");
+        for (at, id) in ids.iter().enumerate() {
+            flat += &pass(id, if at == 0 { "source" } else { &ids[at - 1] });
+        }
+        flat += &ends("y/b/b");
+        let plan = |text: &str| {
+            let text = GraphText::parse_with(&folder.join("graph.toml"), text, &options);
+            let (graph, _) = check(&text, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
+            let slots: Vec<usize> = (0..graph.nodes.len()).collect();
+            let mut wiring = readers(&graph, &catalog, &slots, slots.len());
+            let (_, extents) = find_regions(&graph, &slots, &mut wiring, None, None);
+            let ids: Vec<String> = graph.nodes.iter().map(|n| n.id.clone()).collect();
+            (ids, graph.order, wiring, extents)
+        };
+        let (parts, flat) = (plan(&parts), plan(&flat));
+        assert_eq!(parts.0.len(), 12);
+        assert_eq!(parts, flat);
     }
 
     #[test]

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use crate::error::Result;
+use crate::error::{Context, EvalError, Result};
+use crate::inputs::wiring::setting;
+use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphOptions, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
 
@@ -20,14 +22,26 @@ pub struct Ready {
     pub warnings: Diagnostics,
 }
 
-/// Reads a graph file, loads its plugins and checks it with the given `node.param=value` settings.
-pub fn load(path: &Path, settings: &[String]) -> Result<Ready, Diagnostics> {
-    open(path, &GraphOptions { set: settings.to_vec(), ..GraphOptions::default() })
-}
-
 /// Reads a graph file with overlays and arguments, loads its plugins and checks it.
 pub fn open(path: &Path, options: &GraphOptions) -> Result<Ready, Diagnostics> {
     ready(&GraphText::load_with(path, options)?)
+}
+
+/// Text of a checked graph in which parts are replaced by their nodes, overlays and settings are applied and arguments have their values.
+///
+/// # Errors
+/// The graph has mistakes.
+pub fn flattened(path: &Path, options: &GraphOptions) -> Result<String> {
+    let ready = open(path, options).map_err(|diagnostics| EvalError::Check { diagnostics })?;
+    let text = ready.text.flattened(&ready.catalog).into_owned();
+    if ready.text.settings().is_empty() {
+        return Ok(text);
+    }
+    let mut edit = GraphEdit::parse(&text).context("the flattened graph")?;
+    for (node, param, value) in ready.text.settings().iter().filter_map(|text| setting(text)) {
+        edit.set_param(node, param, &value).with_context(|| format!("{node}.{param}"))?;
+    }
+    Ok(edit.text())
 }
 
 /// Loads the plugins of a graph and checks it.

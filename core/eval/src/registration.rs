@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use panoscope_graph::{Catalog, GraphText};
+
 use crate::error::{Context, EvalError, Result};
 use crate::inputs::wiring::{JudgeInputs, Wiring};
 use crate::packets::Table;
@@ -71,7 +73,7 @@ pub fn judges(wiring: &Wiring) -> Vec<(String, String)> {
     for composite in &wiring.composites {
         for pair in 0..composite.pairs() {
             let view = if composite.pairs() > 1 { format!("view{}", pair + 1) } else { String::new() };
-            let id = if wiring.composites.len() > 1 { composite.id.clone() } else { String::new() };
+            let id = if wiring.composites.len() > 1 { composite.name().to_owned() } else { String::new() };
             all.push((
                 composite.judge(pair),
                 [id, view].into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join("_"),
@@ -110,7 +112,8 @@ pub fn run_judged(
 /// # Errors
 /// The graph has no composite, or does not run.
 pub fn registration_of(session: &dyn Session, text: &str, frames: u64) -> Result<Registration> {
-    let wiring = Wiring::of(text, "bench")?;
-    let run = run_judged(session, &wiring, JudgeInputs::Registration, Path::new("bench.toml"), frames)?;
+    let path = Path::new("bench.toml");
+    let wiring = Wiring::of(&GraphText::parse(path, text), &Catalog::default())?;
+    let run = run_judged(session, &wiring, JudgeInputs::Registration, path, frames)?;
     registration(run.tables.first().context("there is no judge")?)
 }

@@ -9,7 +9,8 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Long options of the commands that open graphs, `-` written as `_`: no argument may have such a name. A test of the command keeps it complete.
+/// Long options of the commands that run, check and show graphs, `-` written as `_`: no argument may have such a name. A test of the command keeps it
+/// complete. Options of commands that measure win over an argument of their name, which then takes `--graph-arg NAME=VALUE`.
 pub const RESERVED_ARGS: &[&str] = &[
     "act",
     "after",

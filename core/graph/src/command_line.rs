@@ -24,6 +24,11 @@ pub struct CommandLine {
 
 /// Rewrites the words of a command line, of which the first is the program. Files are those words that end in `.toml`.
 pub fn rewrite(words: Vec<OsString>) -> CommandLine {
+    rewrite_except(words, &[])
+}
+
+/// The same, but options of these names (without `--`) stay: they are the command's own.
+pub fn rewrite_except(words: Vec<OsString>, own: &[String]) -> CommandLine {
     let mut options = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
     let mut graphs = Vec::new();
     let mut before: Option<&str> = None;
@@ -46,7 +51,8 @@ pub fn rewrite(words: Vec<OsString>) -> CommandLine {
         if !text.args().is_empty() {
             let _ = write!(help, "Arguments of {}:\n{}", graph.display(), table(text.args()));
         }
-        let new = text.args().iter().filter(|a| !args.iter().any(|known| known.name == a.name));
+        let is_own = |arg: &Arg| own.iter().any(|name| *name == arg.option()[2..]);
+        let new = text.args().iter().filter(|a| !is_own(a) && !args.iter().any(|known| known.name == a.name));
         args.extend(new.cloned().collect::<Vec<_>>());
     }
     let (words, problem) = replace(&args, words);

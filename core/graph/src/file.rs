@@ -124,6 +124,10 @@ pub(crate) struct RefText {
     pub(crate) trigger: Option<Range<usize>>,
     /// The file names an output of a part; whether that exists is checked where the part names it.
     pub(crate) through_part: bool,
+    /// Left out where an overlay replaced the producer and the new one has no such output.
+    pub(crate) optional: bool,
+    /// The part that an overlay put in the producer's place has no such output.
+    pub(crate) absent: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -131,6 +135,10 @@ pub(crate) struct PinText {
     pub(crate) param: Spanned<String>,
     pub(crate) range: Option<(Spanned<f64>, Spanned<f64>)>,
     pub(crate) label: Option<String>,
+    /// As [`RefText::optional`].
+    pub(crate) optional: bool,
+    /// As [`RefText::absent`].
+    pub(crate) absent: bool,
 }
 
 /// An entry of `views`.

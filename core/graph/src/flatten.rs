@@ -113,7 +113,7 @@ impl GraphText {
     /// in place and paths of other folders made absolute. The text itself where the graph is one plain file. The catalog says which values are
     /// paths; the graph must be right.
     pub fn flattened(&self, catalog: &Catalog) -> Cow<'_, str> {
-        if self.is_plain() { Cow::Borrowed(self.text()) } else { Cow::Owned(self.write(catalog)) }
+        if self.is_plain() { Cow::Borrowed(self.text()) } else { Cow::Owned(self.fitted(catalog).write(catalog)) }
     }
 
     fn write(&self, catalog: &Catalog) -> String {

@@ -20,6 +20,7 @@ mod dot;
 pub mod edit;
 mod edit_error;
 mod file;
+mod fit;
 mod flatten;
 #[cfg(feature = "abi")]
 pub mod from_abi;

@@ -59,6 +59,8 @@ pub(crate) struct Flat {
     /// Outputs and parameters that parts name, for the check that they exist.
     pub(crate) outputs: Vec<Target>,
     pub(crate) params: Vec<Target>,
+    /// Nodes that overlays replaced, each with the bytes of its name in the overlay.
+    pub(crate) replaced: BTreeMap<String, Range<usize>>,
     /// Nodes whose outputs leave a part that is checked alone.
     pub(crate) read_outside: Vec<String>,
     pub(crate) diagnostics: Diagnostics,
@@ -126,8 +128,10 @@ impl Flattener<'_> {
                 };
                 targets.iter().for_each(|target| self.connect(target, &open));
             }
-            self.flat.read_outside =
-                interface.outputs.into_iter().flat_map(|(_, targets)| targets).map(|t| t.node).collect();
+            let outputs = interface.outputs.into_iter().flat_map(|(_, targets)| targets);
+            // An output may be one of a part inside.
+            let inside = |t: Target| self.flat.output_target(&t.node, &t.port.value).map_or(t.node, |inner| inner.node);
+            self.flat.read_outside = outputs.map(inside).collect();
         }
         let unused: Vec<NodeText> = self.overlays.iter().filter(|(_, used)| !used).map(|(n, _)| n.clone()).collect();
         for node in unused {
@@ -153,6 +157,7 @@ impl Flattener<'_> {
             let id = format!("{prefix}{}", node.id.value);
             if let Some((over, used)) = self.overlays.iter_mut().rev().find(|(n, _)| n.id.value == id) {
                 *used = true;
+                self.flat.replaced.insert(id.clone(), over.id.span.clone());
                 node = over.clone();
             } else {
                 node.id.value.clone_from(&id);
@@ -435,6 +440,10 @@ impl Flattener<'_> {
                 self.error("pin-of-several", &pin.param.span, message).help(help);
                 false
             }
+            None if pin.optional && self.flat.replaced.contains_key(id) => {
+                pin.absent = true;
+                true
+            }
             None => {
                 let id = id.to_owned();
                 self.unknown("unknown-part-param", &id, "parameter", &name, &interface.params, &interface.file);
@@ -456,6 +465,10 @@ impl Flattener<'_> {
         // A name that stands for nothing inside is reported in the part's file.
         if Interface::find(&interface.outputs, &reference.port).is_some() {
             return false;
+        }
+        if reference.optional && self.flat.replaced.contains_key(&reference.node) {
+            reference.absent = true;
+            return true;
         }
         let (entries, file) = (interface.outputs.clone(), interface.file.clone());
         let local = part.node.local.len();

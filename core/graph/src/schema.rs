@@ -123,7 +123,8 @@ pub fn json_schema(catalog: &Catalog) -> Value {
                 "required": ["from"],
                 "properties": {
                     "from": { "$ref": "#/$defs/reference" },
-                    "label": { "type": "string", "description": "Text shown beside it." }
+                    "label": { "type": "string", "description": "Text shown beside it." },
+                    "optional": optional_schema()
                 }
             },
             "pin": {
@@ -139,10 +140,19 @@ pub fn json_schema(catalog: &Catalog) -> Value {
                         "maxItems": 2,
                         "description": "Lowest and highest value offered."
                     },
-                    "label": { "type": "string", "description": "Text shown beside it." }
+                    "label": { "type": "string", "description": "Text shown beside it." },
+                    "optional": optional_schema()
                 }
             }
         }
+    })
+}
+
+fn optional_schema() -> Value {
+    json!({
+        "type": "boolean",
+        "default": false,
+        "description": "Left out where an overlay replaced the node and the new one has nothing of that name."
     })
 }
 
@@ -161,7 +171,8 @@ fn aligned_schema() -> Value {
             "tolerance_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_MS, "description": "For nearest: how far apart." },
             "queue": { "type": "integer", "minimum": 1, "maximum": 1024, "description": "Packets that may wait." },
             "delay": { "enum": [0, 1], "default": 0, "description": "1: the value of this node's previous tick." },
-            "trigger": { "type": "boolean", "default": false, "description": "The node runs on this input only." }
+            "trigger": { "type": "boolean", "default": false, "description": "The node runs on this input only." },
+            "optional": optional_schema()
         }
     })
 }

@@ -20,10 +20,10 @@ const NODE: [&str; 8] = ["type", "graph", "inputs", "params", "on_fault", "budge
 /// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
 pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
 pub(crate) const HIGHEST_HZ: f64 = 1e9;
-const INPUT: [&str; 6] = ["from", "align", "tolerance_ms", "queue", "delay", "trigger"];
+const INPUT: [&str; 7] = ["from", "align", "tolerance_ms", "queue", "delay", "trigger", "optional"];
 const PRESET: [&str; 2] = ["pinned", "views"];
-const PIN: [&str; 3] = ["param", "range", "label"];
-const VIEW: [&str; 2] = ["from", "label"];
+const PIN: [&str; 4] = ["param", "range", "label", "optional"];
+const VIEW: [&str; 3] = ["from", "label", "optional"];
 
 /// What the tree of a file says; mistakes go to its diagnostics, behind those of the parser. `sources` holds the file's text.
 pub(crate) fn read(sources: &Sources, role: Role, parsed: Parsed) -> FileText {
@@ -341,6 +341,8 @@ impl<'s> Reader<'s> {
                 delay: 0,
                 trigger: None,
                 through_part: false,
+                optional: false,
+                absent: false,
             });
         }
         let help = match parts[..] {
@@ -361,7 +363,7 @@ impl<'s> Reader<'s> {
         let mut align_given = false;
         let mut tolerance = None;
         let mut tolerance_key = None;
-        let (mut queue, mut delay, mut trigger) = (None, 0, None);
+        let (mut queue, mut delay, mut trigger, mut optional) = (None, 0, None, false);
         for (key, value) in table {
             match self.key("an input", key, &INPUT, table) {
                 "from" => {
@@ -382,12 +384,8 @@ impl<'s> Reader<'s> {
                 }
                 "queue" => queue = self.whole("queue", value, 1..=1024).map(|n| n as u32),
                 "delay" => delay = self.delay(value),
-                "trigger" => match value.value {
-                    Kind::Bool(on) => trigger = on.then(|| key.span.clone()),
-                    _ => {
-                        self.wrong_type("`trigger`", "true or false", value);
-                    }
-                },
+                "trigger" => trigger = self.flag("trigger", value).then(|| key.span.clone()),
+                "optional" => optional = self.flag("optional", value),
                 _ => {}
             }
         }
@@ -413,7 +411,15 @@ impl<'s> Reader<'s> {
                 .help("as in { from = \"scope.left\", align = \"latest\" }");
         }
         let reference = reference?;
-        Some(RefText { align, queue, delay, trigger, ..reference })
+        Some(RefText { align, queue, delay, trigger, optional, ..reference })
+    }
+
+    fn flag(&mut self, what: &str, value: &Value) -> bool {
+        if let Kind::Bool(on) = value.value {
+            return on;
+        }
+        self.wrong_type(&format!("`{what}`"), "true or false", value);
+        false
     }
 
     fn delay(&mut self, value: &Value) -> u8 {
@@ -477,7 +483,7 @@ impl<'s> Reader<'s> {
                 return;
             }
         };
-        let (mut from, mut label, mut from_given) = (None, None, false);
+        let (mut from, mut label, mut from_given, mut optional) = (None, None, false, false);
         for (key, value) in table {
             match self.key("an entry of `views`", key, &VIEW, table) {
                 "from" => {
@@ -485,6 +491,7 @@ impl<'s> Reader<'s> {
                     from = self.text("`from`", value).and_then(|t| self.reference(&t.value, &t.span));
                 }
                 "label" => label = self.text("`label`", value).map(|t| t.value),
+                "optional" => optional = self.flag("optional", value),
                 _ => {}
             }
         }
@@ -493,12 +500,12 @@ impl<'s> Reader<'s> {
                 .label("expected `from`")
                 .help("as in { from = \"points.cloud\", label = \"Surface\" }");
         }
-        self.file.views.extend(from.map(|from| ViewText { from, label }));
+        self.file.views.extend(from.map(|from| ViewText { from: RefText { optional, ..from }, label }));
     }
 
     fn pin(&mut self, item: &Value, table: &Table) {
         let (mut param, mut range, mut label) = (None, None, None);
-        let mut param_given = false;
+        let (mut param_given, mut optional) = (false, false);
         for (key, value) in table {
             match self.key("an entry of `pinned`", key, &PIN, table) {
                 "param" => {
@@ -507,6 +514,7 @@ impl<'s> Reader<'s> {
                 }
                 "range" => range = self.pin_range(value),
                 "label" => label = self.text("`label`", value).map(|t| t.value),
+                "optional" => optional = self.flag("optional", value),
                 _ => {}
             }
         }
@@ -515,7 +523,7 @@ impl<'s> Reader<'s> {
                 .help("as in { param = \"wide.blend_px\" }");
         }
         if let Some(param) = param {
-            self.file.pins.push(PinText { param, range, label });
+            self.file.pins.push(PinText { param, range, label, optional, absent: false });
         }
     }
 

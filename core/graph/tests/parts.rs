@@ -4,36 +4,11 @@ mod common;
 
 use panoscope_graph::edit::{EditError, GraphEdit, NoHome};
 use panoscope_graph::{Edge, FileKind, Graph, GraphOptions, GraphText, HomeEntry, Node, ParamHome, ParamValue, check};
-use std::path::{Path, PathBuf};
+use panoscope_testing::Folder;
+use std::path::Path;
 
-/// A fresh folder with files.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str, files: &[(&str, &str)]) -> Self {
-        let folder = std::env::temp_dir().join(format!("panoscope-graph-{}-{name}", std::process::id()));
-        let _ = std::fs::remove_dir_all(&folder);
-        for (file, text) in files {
-            let path = folder.join(file);
-            std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
-            std::fs::write(path, text).expect("written");
-        }
-        Self(folder)
-    }
-
-    fn at(&self, file: &str) -> PathBuf {
-        self.0.join(file)
-    }
-
-    fn open(&self, options: &GraphOptions) -> GraphText {
-        GraphText::load_with(&self.at("graph.toml"), options).expect("the graph is there")
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+fn open(folder: &Folder, options: &GraphOptions) -> GraphText {
+    GraphText::load_with(&folder.at("graph.toml"), options).expect("the graph is there")
 }
 
 fn checked(text: &GraphText) -> Graph {
@@ -144,7 +119,7 @@ fn depth(name: &str) -> Folder {
 #[test]
 fn parts_of_parts_are_the_same_graph_as_a_flat_file() {
     let folder = depth("flat");
-    let text = folder.open(&GraphOptions::default());
+    let text = open(&folder, &GraphOptions::default());
     let graph = checked(&text);
     let by_hand = checked(&GraphText::parse(&folder.at("graph.toml"), FLAT));
     let mut expected = unlocated(by_hand);
@@ -160,7 +135,7 @@ fn parts_of_parts_are_the_same_graph_as_a_flat_file() {
 fn the_flattened_text_means_the_same() {
     let folder = depth("text");
     let options = GraphOptions { args: vec![("seed".into(), "9".into())], ..GraphOptions::default() };
-    let text = folder.open(&options);
+    let text = open(&folder, &options);
     let flat = text.flattened(&common::catalog()).into_owned();
     let again = GraphText::parse(&folder.at("graph.toml"), &flat);
     assert!(again.is_plain());
@@ -180,7 +155,7 @@ fn values_of_arguments_come_from_the_command_line_then_overlays_then_the_graph()
             ("over.toml", "[args.seed]\ndefault = 6\n"),
         ],
     );
-    let seed = |options: &GraphOptions| checked(&folder.open(options)).nodes[0].params[0].clone();
+    let seed = |options: &GraphOptions| checked(&open(&folder, options)).nodes[0].params[0].clone();
     assert_eq!(seed(&GraphOptions::default()), ParamValue::Int(5));
     let with = GraphOptions { with: vec![folder.at("over.toml")], ..GraphOptions::default() };
     assert_eq!(seed(&with), ParamValue::Int(6));
@@ -188,7 +163,7 @@ fn values_of_arguments_come_from_the_command_line_then_overlays_then_the_graph()
     assert_eq!(seed(&both), ParamValue::Int(8));
     let set = GraphOptions { set: vec!["scope.seed=9".into()], ..both };
     assert_eq!(seed(&set), ParamValue::Int(9));
-    let kinds: Vec<FileKind> = folder.open(&with).files().iter().map(|f| f.kind).collect();
+    let kinds: Vec<FileKind> = open(&folder, &with).files().iter().map(|f| f.kind).collect();
     assert_eq!(kinds, [FileKind::Graph, FileKind::Overlay, FileKind::Part, FileKind::Part]);
 }
 
@@ -271,13 +246,13 @@ fn without_values_everything_else_is_checked() {
                  params = { source = { arg = \"left\" }, rate_hz = 999.0 }\n[nodes.show]\ntype = \"preview\"\ninputs = { packet = \"scope.left\" }\n";
     let folder = Folder::new("missing", &[("graph.toml", graph)]);
     let codes = |options: &GraphOptions| {
-        let diagnostics = check(&folder.open(options), &common::catalog()).diagnostics;
+        let diagnostics = check(&open(&folder, options), &common::catalog()).diagnostics;
         diagnostics.iter().map(|d| d.code).collect::<Vec<_>>()
     };
     assert_eq!(codes(&GraphOptions::default()), ["missing-arg", "param-range"]);
     let lenient = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
     assert_eq!(codes(&lenient), ["param-range"]);
-    assert_eq!(folder.open(&lenient).missing_args(), ["left"]);
+    assert_eq!(open(&folder, &lenient).missing_args(), ["left"]);
     // A setting gives what the argument would give.
     let set =
         GraphOptions { set: vec!["scope.source=3".into(), "scope.rate_hz=30.0".into()], ..GraphOptions::default() };
@@ -296,7 +271,7 @@ fn overlays_replace_nodes_in_place_also_inside_parts() {
         &[("graph.toml", &plain), ("parts/depth.toml", DEPTH), ("parts/eyes.toml", EYES), ("sources/files.toml", over)],
     );
     let options = GraphOptions { with: vec![folder.at("sources/files.toml")], ..GraphOptions::default() };
-    let text = folder.open(&options);
+    let text = open(&folder, &options);
     // The graph's own argument is used by the replaced node alone; nothing is said of that.
     let graph = checked(&text);
     let ids: Vec<&str> = graph.nodes.iter().map(|n| n.id.as_str()).collect();
@@ -308,11 +283,24 @@ fn overlays_replace_nodes_in_place_also_inside_parts() {
 
 #[test]
 fn a_part_can_be_checked_alone() {
-    let folder = Folder::new("alone", &[("graph.toml", DEPTH), ("eyes.toml", EYES)]);
-    let text = folder.open(&GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
+    // Its output `again` is one of a part inside, which nothing else reads.
+    let other = "[nodes.other]\ngraph = \"eyes.toml\"\ninputs = { left = \"eyes.left\", right = \"eyes.right\" }\n";
+    let depth = format!("{DEPTH}\n{other}")
+        .replace("left = \"eyes.left\" }\nparams", "left = \"eyes.left\", again = \"other.left\" }\nparams")
+        .replace("= \"eyes.calibration\" }", "= [\"eyes.calibration\", \"other.calibration\"] }");
+    let folder = Folder::new("alone", &[("graph.toml", &depth), ("eyes.toml", EYES)]);
+    let text = open(&folder, &GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
     assert!(text.is_part());
     let checked = check(&text, &common::catalog());
     assert!(checked.diagnostics.is_empty(), "{}", checked.diagnostics.render(false));
+    // What its user connects makes a node of a loop run, and its user gives the values that it names.
+    let looped = "plugins = [\"stereo\", \"stitch\"]\n[part]\ninputs = { left = [\"match.left\", \"register.left\"], right = [\"match.right\", \"register.right\"] }\n\
+                  outputs = { disparity = \"match.disparity\" }\n[nodes.match]\ntype = \"stereo_bm\"\n\
+                  inputs = { roi = { from = \"register.roi_left\", delay = 1 } }\n[nodes.register]\ntype = \"register_surf\"\n";
+    let options = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
+    let diagnostics =
+        check(&GraphText::parse_with(&folder.at("graph.toml"), looped, &options), &common::catalog()).diagnostics;
+    assert!(diagnostics.is_empty(), "{}", diagnostics.render(false));
 }
 
 #[test]
@@ -325,7 +313,7 @@ fn paths_of_a_part_start_from_its_own_folder() {
                  type = \"preview\"\ninputs = { packet = \"two.found\" }\n";
     let files = [("graph.toml", graph), ("parts/find.toml", part), ("parts/net.onnx", ""), ("own.onnx", "")];
     let folder = Folder::new("paths", &files);
-    let text = folder.open(&GraphOptions::default());
+    let text = open(&folder, &GraphOptions::default());
     let model = |text: &GraphText, node: usize| match &checked(text).nodes[node].params[0] {
         ParamValue::Path(path) => path.canonicalize().expect("it is there"),
         other => panic!("{other:?}"),
@@ -341,10 +329,10 @@ fn paths_of_a_part_start_from_its_own_folder() {
 #[test]
 fn a_change_goes_back_to_where_the_value_came_from() {
     let folder = depth("home");
-    let text = folder.open(&GraphOptions::default());
+    let text = open(&folder, &GraphOptions::default());
     let home = |node: &str, param: &str| {
         let ParamHome { file, entry } = text.param_home(node, param).expect("a home");
-        let file = file.strip_prefix(&folder.0).expect("in the folder").display().to_string();
+        let file = file.strip_prefix(folder.path()).expect("in the folder").display().to_string();
         match entry {
             HomeEntry::Param { node, param } => format!("{file}: {node}.{param}"),
             HomeEntry::ArgDefault { arg } => format!("{file}: default of {arg}"),
@@ -356,7 +344,7 @@ fn a_change_goes_back_to_where_the_value_came_from() {
     assert_eq!(home("depth/match", "roi"), "graph.toml: depth.roi", "nowhere given: the part's user sets it");
     assert_eq!(home("scope", "seed"), "graph.toml: default of seed");
     assert_eq!(text.param_home("depth/mach", "roi"), Err(NoHome::NoNode("depth/mach".into())));
-    let given = folder.open(&GraphOptions { args: vec![("seed".into(), "3".into())], ..GraphOptions::default() });
+    let given = open(&folder, &GraphOptions { args: vec![("seed".into(), "3".into())], ..GraphOptions::default() });
     let (param, arg) = ("scope.seed".to_owned(), "seed".to_owned());
     assert_eq!(given.param_home("scope", "seed"), Err(NoHome::CommandLine { param, arg }));
 
@@ -372,14 +360,14 @@ fn texts_stand_in_for_files() {
     let folder = depth("texts");
     let changed = DEPTH.replace("block_px = 21", "block_px = 33");
     let options = GraphOptions { texts: [(folder.at("parts/depth.toml"), changed)].into(), ..GraphOptions::default() };
-    let block = |options: &GraphOptions| checked(&folder.open(options)).nodes[2].params[1].clone();
+    let block = |options: &GraphOptions| checked(&open(&folder, options)).nodes[2].params[1].clone();
     assert_eq!((block(&GraphOptions::default()), block(&options)), (ParamValue::Int(21), ParamValue::Int(33)));
 }
 
 #[test]
 fn names_of_parts_stand_for_nodes_everywhere() {
     let folder = depth("names");
-    let text = folder.open(&GraphOptions { set: vec!["depth.search_px=32".into()], ..GraphOptions::default() });
+    let text = open(&folder, &GraphOptions { set: vec!["depth.search_px=32".into()], ..GraphOptions::default() });
     assert_eq!(text.settings(), ["depth/match.search_px=32"]);
     assert_eq!(checked(&text).nodes[2].params[0], ParamValue::Int(32));
     assert_eq!(text.resolve_param("depth.search_px"), "depth/match.search_px");
@@ -402,16 +390,110 @@ fn parts_that_multiply_without_end_are_refused() {
     files.push(("graph.toml", level("b.toml")));
     let files: Vec<(&str, &str)> = files.iter().map(|(n, t)| (*n, t.as_str())).collect();
     let folder = Folder::new("multiply", &files);
-    let text = folder.open(&GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
+    let text = open(&folder, &GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
     assert!(text.diagnostics().iter().any(|d| d.code == "too-many-nodes"));
 }
 
 #[test]
 fn paths_are_relative_to_the_file_that_names_them() {
     let folder = depth("relative");
-    let text = folder.open(&GraphOptions::default());
+    let text = open(&folder, &GraphOptions::default());
     let files: Vec<String> = text.files().iter().map(|f| f.path.to_owned()).collect();
     let expected = ["graph.toml", "parts/depth.toml", "parts/eyes.toml"].map(|f| folder.at(f).display().to_string());
     assert_eq!(files, expected);
     assert_eq!(text.path(), Path::new(&expected[0]));
+}
+
+/// A source on a carrier that says where it is, and a graph that uses that where there is one.
+const CARRIED: &str = r#"plugins = ["phantom", "stereo"]
+[part]
+outputs = { left = "view.left", wide = "view.wide", disparity = "match.disparity" }
+params = { seed = "view.seed", block_px = "match.block_px" }
+[nodes.view]
+type = "phantom"
+[nodes.match]
+type = "stereo_bm"
+inputs = { left = "view.left", right = "view.right" }
+"#;
+
+const USER: &str = r#"plugins = ["phantom", "capture", "sinks"]
+[nodes.scope]
+graph = "carried.toml"
+[nodes.film]
+type = "write_images"
+inputs = { images = ["scope.left", { from = "scope.wide", optional = true }] }
+[nodes.map]
+type = "preview"
+inputs = { packet = { from = "scope.disparity", align = "latest", optional = true } }
+[preset]
+views = ["scope.left", { from = "scope.disparity", optional = true }]
+pinned = [{ param = "scope.seed", optional = true }, { param = "scope.block_px", optional = true }]
+"#;
+
+fn carried(name: &str) -> Folder {
+    let over = |kind: &str| format!("plugins = [\"capture\", \"phantom\"]\n[nodes.scope]\ntype = \"{kind}\"\n");
+    let files = [
+        ("graph.toml", USER),
+        ("carried.toml", CARRIED),
+        ("capture.toml", &over("capture")),
+        ("phantom.toml", &over("phantom")),
+        ("part.toml", "[nodes.scope]\ngraph = \"plain.toml\"\n"),
+        (
+            "plain.toml",
+            "plugins = [\"capture\"]\n[part]\noutputs = { left = \"view.left\" }\n[nodes.view]\ntype = \"capture\"\n",
+        ),
+    ];
+    Folder::new(name, &files)
+}
+
+#[test]
+fn optional_connections_hold_where_nothing_was_replaced() {
+    let folder = carried("optional");
+    let graph = checked(&open(&folder, &GraphOptions::default()));
+    let ids: Vec<&str> = graph.nodes.iter().map(|n| n.id.as_str()).collect();
+    assert_eq!(ids, ["scope/view", "scope/match", "film", "map"]);
+    assert_eq!((graph.preset.views.len(), graph.preset.pinned.len()), (2, 2));
+    assert_eq!(graph.inputs_of(2).len(), 2);
+    // A wrong name is an error: nothing was replaced that could have had it.
+    let wrong = USER.replace("from = \"scope.disparity\", align", "from = \"scope.disparty\", align");
+    let text = GraphText::parse(&folder.at("graph.toml"), &wrong);
+    let codes: Vec<&str> = check(&text, &common::catalog()).diagnostics.iter().map(|d| d.code).collect();
+    assert_eq!(codes, ["unknown-part-output"]);
+}
+
+#[test]
+fn optional_connections_are_left_out_with_a_source_that_does_not_have_them() {
+    let folder = carried("left-out");
+    // A node without that output, a node that has it, and a part without it.
+    for (over, ids, views, pins, inputs) in [
+        ("capture.toml", &["scope", "film"][..], 1, 0, 1),
+        ("phantom.toml", &["scope", "film", "map"], 2, 1, 2),
+        ("part.toml", &["scope/view", "film"], 1, 0, 1),
+    ] {
+        let options = GraphOptions { with: vec![folder.at(over)], ..GraphOptions::default() };
+        let text = open(&folder, &options);
+        let (graph, _) =
+            check(&text, &common::catalog()).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
+        let found: Vec<&str> = graph.nodes.iter().map(|n| n.id.as_str()).collect();
+        assert_eq!(found, ids, "{over}");
+        assert_eq!((graph.preset.views.len(), graph.preset.pinned.len()), (views, pins), "{over}");
+        assert_eq!(graph.inputs_of(graph.node("film").expect("film")).len(), inputs, "{over}");
+        // One text without overlay means the same.
+        let flat = text.flattened(&common::catalog()).into_owned();
+        let again = check(&GraphText::parse(&folder.at("graph.toml"), &flat), &common::catalog());
+        let (again, _) = again.into_result().unwrap_or_else(|d| panic!("{flat}{}", d.render(false)));
+        let found: Vec<&str> = again.nodes.iter().map(|n| n.id.as_str()).collect();
+        assert_eq!(found, ids, "{over}: {flat}");
+        assert_eq!((again.preset.views.len(), again.preset.pinned.len()), (views, pins), "{over}: {flat}");
+    }
+}
+
+#[test]
+fn other_connections_to_a_replaced_source_are_errors_that_name_the_overlay() {
+    let folder = carried("lacks");
+    let needs = USER.replacen(", optional = true", "", 1);
+    let options = GraphOptions { with: vec![folder.at("capture.toml")], ..GraphOptions::default() };
+    let text = GraphText::parse_with(&folder.at("graph.toml"), &needs, &options);
+    let said = check(&text, &common::catalog()).into_result().expect_err("an error").render(false);
+    assert!(said.contains("has no output `wide`") && said.contains("capture.toml:2:8"), "{said}");
 }

@@ -191,6 +191,23 @@ impl FileWatch {
         self
     }
 
+    /// Watches these parts and overlays from now on, as they are now, instead of those so far; with `and_old` beside those so far.
+    pub fn set_files(&mut self, files: impl Iterator<Item = PathBuf>, and_old: bool) {
+        let mut files: Vec<PathBuf> = files.collect();
+        if and_old {
+            files.extend(self.files.iter().filter(|old| !files.contains(old)).cloned().collect::<Vec<_>>());
+        }
+        let known = |stamps: &[Stamp], file: &PathBuf| {
+            let at = self.files.iter().position(|old| old == file);
+            at.and_then(|at| stamps.get(at + 1).cloned()).unwrap_or_else(|| Stamp::of(file))
+        };
+        for stamps in [&mut self.reported.0, &mut self.polled.0] {
+            let new = files.iter().map(|file| known(stamps, file));
+            *stamps = stamps.first().cloned().into_iter().chain(new).collect();
+        }
+        self.files = files;
+    }
+
     /// The graph file.
     pub fn path(&self) -> &Path {
         &self.path

@@ -36,7 +36,9 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     // For graphs that find instruments: this one, or those that are tried next.
     match onnxruntime::fetch(workspace) {
         Ok(_) => {}
-        Err(error) if needs_runtime(&text) => return Err(error.context("this graph needs ONNX Runtime")),
+        Err(error) if needs_runtime(&text, graph.parent().unwrap_or(Path::new(""))) => {
+            return Err(error.context("this graph needs ONNX Runtime"));
+        }
         Err(error) => println!("ONNX Runtime was not fetched, so graphs that find instruments do not run: {error:#}"),
     }
     let built = build(workspace, Profile::Dev)?;
@@ -94,12 +96,24 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Whether a graph finds instruments by a network.
-fn needs_runtime(text: &str) -> bool {
+/// Whether a graph, or a part of it, finds instruments by a network. Parts are relative to `folder`.
+fn needs_runtime(text: &str, folder: &Path) -> bool {
+    needs_runtime_within(text, folder, 16)
+}
+
+/// The same for parts of parts up to this depth: one that uses itself is an error that the run reports.
+fn needs_runtime_within(text: &str, folder: &Path, depth: usize) -> bool {
     let table: Option<toml::Table> = text.parse().ok();
     let nodes = table.as_ref().and_then(|t| t.get("nodes")).and_then(toml::Value::as_table);
-    let types = nodes.into_iter().flatten().filter_map(|(_, node)| node.get("type")?.as_str());
-    types.map(|name| name.rsplit('/').next().unwrap_or(name)).any(|name| matches!(name, "yolo" | "mask_rcnn"))
+    nodes.into_iter().flatten().any(|(_, node)| {
+        let word = |key: &str| node.get(key).and_then(toml::Value::as_str);
+        if let Some(name) = word("type") {
+            return matches!(name.rsplit('/').next(), Some("yolo" | "mask_rcnn"));
+        }
+        let Some(part) = word("graph").map(|file| folder.join(file)) else { return false };
+        let text = fs::read_to_string(&part).ok().filter(|_| depth > 0);
+        text.is_some_and(|text| needs_runtime_within(&text, part.parent().unwrap_or(folder), depth - 1))
+    })
 }
 
 /// What a sink of the graph is to write.
@@ -278,11 +292,13 @@ mod tests {
 
     #[test]
     fn graphs_that_find_instruments_are_known() {
-        assert!(!needs_runtime(GRAPH));
-        assert!(needs_runtime("[nodes.find]\ntype = \"yolo\"\n"));
-        assert!(needs_runtime("[nodes.find]\ntype = \"tools/mask_rcnn\"\n"));
-        let shipped = Workspace::locate().unwrap().root.join("graphs/tools.toml");
-        assert!(needs_runtime(&fs::read_to_string(shipped).unwrap()));
+        assert!(!needs_runtime(GRAPH, Path::new("")));
+        assert!(needs_runtime("[nodes.find]\ntype = \"yolo\"\n", Path::new("")));
+        assert!(needs_runtime("[nodes.find]\ntype = \"tools/mask_rcnn\"\n", Path::new("")));
+        let graphs = Workspace::locate().unwrap().root.join("graphs");
+        for (name, needs) in [("tools_masks.toml", true), ("surgeon.toml", true), ("panorama.toml", false)] {
+            assert_eq!(needs_runtime(&fs::read_to_string(graphs.join(name)).unwrap(), &graphs), needs, "{name}");
+        }
     }
 
     #[test]

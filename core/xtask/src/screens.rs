@@ -16,7 +16,7 @@ use crate::workspace::Workspace;
 /// Name of the picture, graph, what is done before it is taken, seconds until then.
 const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench", "graphs/panorama.toml", &[], "8"),
-    ("bench_node", "graphs/panorama.toml", &["select:wide"], "8"),
+    ("bench_node", "graphs/panorama.toml", &["select:wide/composite"], "8"),
     ("bench_depth", "graphs/depth.toml", &["select:stereo/match"], "12"),
     ("bench_heat_text", "graphs/stereo_wls_fbs.toml", &["heat", "text"], "12"),
     ("bench_plots", "graphs/panorama.toml", &["plots"], "20"),
@@ -24,12 +24,12 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     (
         "bench_history",
         "graphs/panorama.toml",
-        &["set:wide.blend_px=8", "wait:1", "set:wide.blend_px=24", "history"],
+        &["set:wide/composite.blend_px=8", "wait:1", "set:wide/composite.blend_px=24", "history"],
         "9",
     ),
     ("bench_pick", "graphs/depth.toml", &["select:lengths", "pick:lengths.points"], "10"),
     ("bench_files", "graphs/panorama_files.toml", &["browse:scope.left"], "6"),
-    ("bench_viewer", "graphs/panorama.toml", &["view:wide.panorama"], "8"),
+    ("bench_viewer", "graphs/panorama.toml", &["view:wide/composite.panorama"], "8"),
     ("bench_compare", "graphs/depth.toml", &["view:stereo/rectify.left", "compare:stereo/points.depth"], "12"),
     ("bench_surface", "graphs/depth.toml", &["view:stereo/points.cloud"], "12"),
     ("bench_arm", "graphs/surgeon.toml", &["view:points.cloud", "orbit:2.2,0.5,0.09"], "15"),

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use panoscope_eval::{bench, figures};
 
+use crate::given::Given;
 use crate::session::Terminal;
 use crate::terminal::raw;
 use crate::{End, allocations, interrupt};
@@ -93,6 +94,8 @@ pub struct System {
     /// Graph with a `phantom`, whose views are rendered beforehand.
     #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
     graph: PathBuf,
+    #[command(flatten)]
+    given: Given,
 }
 
 /// Measures, and shows and writes the figures.
@@ -136,9 +139,10 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
                 common,
             )
         }
-        Bench::System(System { common, graph }) => {
+        Bench::System(System { common, graph, given }) => {
             interrupt::listen();
-            let options = bench::system::Options { quick: common.quick, graph: graph.clone() };
+            let options =
+                bench::system::Options { quick: common.quick, graph: graph.clone(), given: given.options(&[]) };
             (bench::system::measure(session, &options)?, common)
         }
     })

@@ -215,7 +215,13 @@ fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphO
     }
     if changed.graph {
         match GraphText::load_with(files.path(), given) {
-            Ok(text) => results.push(live.apply(&text)),
+            Ok(text) => {
+                let applied = live.apply(&text);
+                // A part that cannot be read now may come back.
+                let parts = text.files().into_iter().skip(1).map(|f| PathBuf::from(f.path)).collect::<Vec<_>>();
+                files.set_files(parts.into_iter(), applied.is_err());
+                results.push(applied);
+            }
             Err(diagnostics) => log!("{}\nthe old graph runs on", diagnostics.render(stderr_color()).trim_end()),
         }
     }

@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use panoscope_arm_core::tuning::relay::Rule;
 use panoscope_eval::{EvalError, tune};
 
+use crate::given::Given;
 use crate::session::Terminal;
 use crate::terminal::{log, out, raw, stderr_color};
 use crate::{End, interrupt};
@@ -21,6 +22,8 @@ pub struct Arguments {
     /// Sets a parameter of the graph before. May be given again.
     #[arg(long, value_name = "NODE.PARAM=VALUE", requires = "graph")]
     set: Vec<String>,
+    #[command(flatten)]
+    given: Given,
     /// How gains are found: by rules from the limit of stability, which relay feedback finds, or by a search that begins at them.
     #[arg(long, value_enum, default_value_t = Method::Search)]
     method: Method,
@@ -76,7 +79,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let options = tune::Options {
         graph: arguments.graph.clone(),
         node: arguments.node.clone(),
-        settings: arguments.set.clone(),
+        given: arguments.given.options(&arguments.set),
         method,
         overshoot_pct: arguments.overshoot,
         feed_forward: arguments.feed_forward,

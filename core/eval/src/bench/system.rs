@@ -4,10 +4,12 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_engine::Report;
+use panoscope_graph::GraphOptions;
 use toml::{Table, Value};
 
-use crate::error::{Context, FileAction, OnFile, Result};
+use crate::error::{Context, Result};
 use crate::figures::Figure;
+use crate::graph_file;
 use crate::inputs::Folder;
 use crate::inputs::pairs::Pairs;
 use crate::run::{self, Pace, Plan};
@@ -100,12 +102,14 @@ pub struct Options {
     pub quick: bool,
     /// Graph with a `phantom`, whose views are rendered beforehand.
     pub graph: PathBuf,
+    /// Its overlays, arguments and settings.
+    pub given: GraphOptions,
 }
 
 /// Measures the graph: unpaced for `system_fps`, at 30 pictures a second for the ages.
 pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let (path, quick) = (options.graph.as_path(), options.quick);
-    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
+    let text = graph_file::flattened(path, &options.given)?;
     let mut graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
     let (name, phantom) = source(&mut graph)?;
     let folder = Folder::new("panoscope-bench-system")?;

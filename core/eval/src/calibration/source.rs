@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use panoscope_calibration::pictures::{image_files, is_pattern};
 use panoscope_calibration::views::matched;
+use panoscope_graph::GraphOptions;
 use toml::{Table, Value};
 
 use super::options::Options;
-use crate::error::{Context, EvalError, FileAction, OnFile, Result, bail, ensure};
+use crate::error::{Context, EvalError, Result, bail, ensure};
+use crate::graph_file;
 use crate::session::{Session, note};
 
 /// The calibrating node's name in the graph.
@@ -63,7 +65,7 @@ impl Source {
             for port in [&options.left, &options.right] {
                 ensure!(port.contains('.'), "with --graph, `{port}` must be a port such as scope.left");
             }
-            let text = std::fs::read_to_string(graph).on_file(FileAction::Read, graph)?;
+            let text = graph_file::flattened(graph, &GraphOptions::default())?;
             return Ok(Self::Graph(graph.clone(), text));
         }
         match (images(&options.left)?, images(&options.right)?) {

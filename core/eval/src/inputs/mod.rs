@@ -1,5 +1,6 @@
 //! Inputs that evaluations and benches share: data folders, models that ship, rendered pairs, graphs.
 
+pub mod embedded;
 mod folder;
 pub mod pairs;
 pub mod scene;

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::error::{Result, bail};
+use panoscope_graph::{Catalog, GraphText};
 use toml::{Table, Value};
 
 /// A composite of the graph and what feeds it.
@@ -22,9 +23,15 @@ impl Composite {
         self.homographies.len()
     }
 
+    /// What tables and figures call it: its name in the graph file, which is that of a part where it stands in one.
+    pub fn name(&self) -> &str {
+        self.id.split('/').next().unwrap_or(&self.id)
+    }
+
     /// Name of the judge of further view `pair`, counted from 0.
     pub fn judge(&self, pair: usize) -> String {
-        if self.pairs() == 1 { format!("judge_{}", self.id) } else { format!("judge_{}_{}", self.id, pair + 1) }
+        let id = self.id.replace('/', "_");
+        if self.pairs() == 1 { format!("judge_{id}") } else { format!("judge_{id}_{}", pair + 1) }
     }
 }
 
@@ -39,9 +46,11 @@ pub enum JudgeInputs {
     Area,
 }
 
-/// A graph file, taken apart.
+/// A graph with the nodes of its parts, taken apart.
 #[derive(Clone, Debug)]
 pub struct Wiring {
+    /// As read: knows which parameters those of parts stand for.
+    source: GraphText,
     graph: Table,
     /// Its name.
     pub name: String,
@@ -55,6 +64,14 @@ fn from(value: &Value) -> Option<&str> {
         Value::Table(table) => table.get("from")?.as_str(),
         _ => None,
     }
+}
+
+/// Splits `NODE.PARAM=VALUE`; a value that is no TOML is taken as text.
+pub fn setting(text: &str) -> Option<(&str, &str, Value)> {
+    let (target, value) = text.split_once('=')?;
+    let (node, param) = target.split_once('.')?;
+    let parsed = format!("v = {value}").parse::<Table>().ok().and_then(|mut t| t.remove("v"));
+    Some((node.trim(), param.trim(), parsed.unwrap_or_else(|| value.trim().into())))
 }
 
 fn node_of(reference: &str) -> &str {
@@ -90,13 +107,13 @@ fn references(node: &Value) -> Vec<String> {
 }
 
 impl Wiring {
-    /// Takes a graph apart.
+    /// Takes a graph apart, its settings applied. The catalog says which of its values are paths.
     ///
     /// # Errors
     /// When the text is no TOML or holds no composite of two views.
-    pub fn of(text: &str, stem: &str) -> Result<Self> {
-        let mut graph: Table = text.parse()?;
-        let name = graph.get("name").and_then(Value::as_str).unwrap_or(stem).to_owned();
+    pub fn of(source: &GraphText, catalog: &Catalog) -> Result<Self> {
+        let mut graph: Table = source.flattened(catalog).parse()?;
+        let name = source.name().to_owned();
         graph.remove("preset");
         graph.remove("editor");
         graph.insert("mode".to_owned(), "batch".into());
@@ -130,7 +147,25 @@ impl Wiring {
                 "the graph has no composite with `left`, `right` and `homography`, or `views` and `homographies`: there is nothing to judge"
             );
         }
-        Ok(Self { graph, name, composites })
+        let mut wiring = Self { source: source.clone(), graph, name, composites };
+        for (node, param, value) in source.settings().iter().filter_map(|text| setting(text)) {
+            wiring.set(node, param, value);
+        }
+        Ok(wiring)
+    }
+
+    /// Applies `NODE.PARAM=VALUE`, where the node may be a part. Returns whether the graph has such a node.
+    pub fn apply(&mut self, text: &str) -> bool {
+        let mut source = self.source.clone();
+        let known = source.settings().len();
+        source.set(text);
+        let settings = source.settings();
+        let mut applied = false;
+        for (node, param, value) in settings[known..].iter().filter_map(|text| setting(text)) {
+            applied |= self.has(node);
+            self.set(node, param, value);
+        }
+        applied
     }
 
     fn nodes(&mut self) -> Option<&mut Table> {
@@ -326,6 +361,11 @@ impl Wiring {
 #[cfg(test)]
 mod tests {
     use super::{JudgeInputs, Table, Wiring};
+    use panoscope_graph::{Catalog, GraphText};
+
+    fn wiring(text: &str) -> crate::error::Result<Wiring> {
+        Wiring::of(&GraphText::parse("x.toml".as_ref(), text), &Catalog::default())
+    }
 
     const GRAPH: &str = r#"
 plugins = ["phantom", "stitch", "sinks"]
@@ -344,7 +384,7 @@ inputs = { image = "wide.panorama" }
 
     #[test]
     fn sinks_go_and_a_judge_comes() {
-        let mut wiring = Wiring::of(GRAPH, "x").unwrap();
+        let mut wiring = wiring(GRAPH).unwrap();
         assert_eq!((wiring.name.as_str(), wiring.phantom()), ("x", Some("scope".to_owned())));
         wiring.set("scope", "noise", 0.5);
         let text = wiring.judged(JudgeInputs::Pictures).text();
@@ -362,9 +402,9 @@ inputs = { image = "wide.panorama" }
 
     #[test]
     fn the_peer_keeps_the_source_only() {
-        let text = Wiring::of(GRAPH, "x").unwrap().peer(JudgeInputs::Pictures, 0.1, 2).unwrap().text();
+        let text = wiring(GRAPH).unwrap().peer(JudgeInputs::Pictures, 0.1, 2).unwrap().text();
         assert!(text.contains("register_opencv") && !text.contains("register_surf"), "{text}");
-        assert!(Wiring::of("[nodes.a]\ntype = \"phantom\"\n", "x").is_err());
+        assert!(wiring("[nodes.a]\ntype = \"phantom\"\n").is_err());
     }
 
     #[test]
@@ -376,7 +416,7 @@ type = "phantom"
 type = "composite"
 inputs = { views = ["scope.view0", "scope.view1", "scope.view2", "scope.view3"], homographies = ["a.homography", "b.homography", "c.homography"] }
 "#;
-        let wiring = Wiring::of(graph, "x").unwrap();
+        let wiring = wiring(graph).unwrap();
         assert!(wiring.peer(JudgeInputs::Pictures, 0.1, 2).is_none());
         let table: toml::Table = wiring.judged(JudgeInputs::Pictures).text().parse().unwrap();
         assert_eq!(table["nodes"]["judge_wide_1"]["inputs"]["disparity"].as_str(), Some("scope.disparity"));
@@ -393,7 +433,7 @@ inputs = { views = ["scope.view0", "scope.view1", "scope.view2", "scope.view3"],
 
     #[test]
     fn another_source_must_have_what_is_read() {
-        let wiring = Wiring::of(GRAPH, "x").unwrap();
+        let wiring = wiring(GRAPH).unwrap();
         let source: Table = "type = \"cut_views\"\ninputs = { image = \"files.left\" }".parse().unwrap();
         let files: Table = "type = \"capture\"".parse().unwrap();
         let made = wiring.with_source(source.clone(), &["left", "right"], &[("files", files)], &["capture"]).unwrap();

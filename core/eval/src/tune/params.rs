@@ -9,7 +9,7 @@ use panoscope_arm_core::pid::Gains;
 use panoscope_arm_core::rehearsal::shipped_goals;
 use panoscope_arm_core::tuning::course::{Channel, Course};
 use panoscope_arm_core::tuning::relay::Tuned;
-use panoscope_graph::{Catalog, Node, ParamValue};
+use panoscope_graph::{Catalog, GraphOptions, Node, ParamValue};
 
 use crate::error::{Context, EvalError, Result, bail};
 use crate::graph_file;
@@ -72,8 +72,8 @@ impl Named<'_> {
 }
 
 /// Takes controller and arm from a graph file. `node` names the controller where there are several.
-pub fn of_graph(path: &Path, node: Option<&str>, settings: &[String]) -> Result<Plant> {
-    let ready = match graph_file::load(path, settings) {
+pub fn of_graph(path: &Path, node: Option<&str>, options: &GraphOptions) -> Result<Plant> {
+    let ready = match graph_file::open(path, options) {
         Ok(ready) => ready,
         Err(diagnostics) => return Err(EvalError::Check { diagnostics }),
     };

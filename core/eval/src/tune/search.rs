@@ -7,6 +7,8 @@ use panoscope_arm_core::tuning::course::Channel;
 use panoscope_arm_core::tuning::relay::{Parts, Rule, Tuned, Ultimate};
 use panoscope_arm_core::tuning::search::{self, Cost, Report};
 
+use panoscope_graph::GraphOptions;
+
 use super::params::{self, Plant};
 use crate::error::{Context, EvalError, Result};
 use crate::session::{Session, check_cancelled};
@@ -27,8 +29,8 @@ pub struct Options {
     pub graph: Option<PathBuf>,
     /// The `arm_pid` of the graph; only needed where it has several.
     pub node: Option<String>,
-    /// `NODE.PARAM=VALUE`, applied to the graph first.
-    pub settings: Vec<String>,
+    /// Overlays, arguments and settings of the graph.
+    pub given: GraphOptions,
     /// How gains are found.
     pub method: Method,
     /// Overshoot of a step that the search does not punish.
@@ -42,7 +44,7 @@ impl Default for Options {
         Self {
             graph: None,
             node: None,
-            settings: Vec::new(),
+            given: GraphOptions::default(),
             method: Method::Search,
             overshoot_pct: 10.0,
             feed_forward: None,
@@ -104,7 +106,7 @@ pub fn tune(session: &dyn Session, options: &Options) -> Result<Tunings> {
     }
     let plant = match &options.graph {
         None => params::shipped()?,
-        Some(graph) => params::of_graph(graph, options.node.as_deref(), &options.settings)?,
+        Some(graph) => params::of_graph(graph, options.node.as_deref(), &options.given)?,
     };
     let mut goals = plant.goals;
     goals.feed_forward = options.feed_forward.unwrap_or(goals.feed_forward);

@@ -2,6 +2,7 @@
 
 use super::{Checker, Link};
 use crate::checked::Align;
+use crate::file::Supply;
 use petgraph::algo::tarjan_scc;
 use petgraph::graph::{DiGraph, NodeIndex};
 use std::cmp::Reverse;
@@ -196,8 +197,10 @@ impl<'a> Checker<'a> {
                 None => Head::Unknown,
             };
             let delayed = into[node].first().filter(|&&i| self.links[i].delay == 1);
+            // What the user of a part connects makes it run.
+            let open = self.text.flat.nodes[node].inputs.iter().any(|i| i.supply == Supply::Open);
             if let Some(&first) =
-                delayed.filter(|_| live.is_empty() && into[node].iter().all(|&i| self.links[i].delay == 1))
+                delayed.filter(|_| !open && live.is_empty() && into[node].iter().all(|&i| self.links[i].delay == 1))
             {
                 let message = format!("nothing makes `{}` run: all its inputs are delayed", self.id(node));
                 self.error("never-runs", self.links[first].span, message)

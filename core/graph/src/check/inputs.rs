@@ -3,6 +3,7 @@
 use super::{Checker, Link};
 use crate::catalog::{NodeType, Port};
 use crate::checked::Align;
+use crate::diagnostic::{Diagnostic, Severity};
 use crate::file::{InputText, NodeText, RefText, Supply};
 use crate::nearest::{list, nearest};
 use crate::packet::{Fit, PacketType};
@@ -153,7 +154,13 @@ impl<'a> Checker<'a> {
         };
         let dot = self.text.sources.text(span).rfind('.').map_or(0, |dot| dot + 1);
         let message = format!("`{node}` ({}) has no output `{name}`", from_type.name);
-        self.error("unknown-output", &(span.start + dot..span.end), message).label(label).help(help);
+        let (text, span) = (self.text, span.start + dot..span.end);
+        let mut d = Diagnostic::new(Severity::Error, "unknown-output", text.sources.of(&span), &span, message);
+        d.label(label).help(help);
+        if let Some(overlay) = text.flat.replaced.get(node) {
+            d.note(&text.sources, overlay, "replaced here");
+        }
+        self.diagnostics.push(d);
     }
 
     /// Checks that the packets fit. Returns whether the host converts.

@@ -38,6 +38,7 @@ impl Checked {
 /// Checks a graph against the node types of this machine: the catalog may hold more than the plugins the graph lists.
 /// Reports every mistake at once, those of [`GraphText::parse`] and [`GraphText::set`] included.
 pub fn check(text: &GraphText, catalog: &Catalog) -> Checked {
+    let text = &*text.fitted(catalog);
     let mut checker = Checker {
         text,
         catalog,

@@ -35,7 +35,9 @@ impl<'a> Checker<'a> {
         }
         for (index, params) in params.iter().enumerate() {
             let id = self.id(index);
-            if !self.sound[index] || self.doubled.contains(id) {
+            // Parameters of a part that is checked alone get their values from its user.
+            let open = self.text.is_part() && self.text.flat.params.iter().any(|target| target.node == id);
+            if !self.sound[index] || self.doubled.contains(id) || open {
                 continue;
             }
             let Some(node_type) = self.type_of(index) else { continue };

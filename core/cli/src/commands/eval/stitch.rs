@@ -7,6 +7,8 @@ use panoscope_eval::Session;
 use panoscope_eval::eval::stitch::{self, SpeedList};
 use panoscope_eval::figures::Figure;
 
+use crate::given::Given;
+
 /// Arguments of `eval stitch`.
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -35,6 +37,8 @@ pub struct Arguments {
     /// Sets a parameter; wins over the file. May be given again.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
+    #[command(flatten)]
+    given: Given,
     /// Leaves OpenCV's conventional pipeline out.
     #[arg(long)]
     no_peer: bool,
@@ -80,18 +84,19 @@ pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>
     let Sweeps { speeds, cases, only, more } = &arguments.sweeps;
     let Arguments { set: settings, frames, data, plot, .. } = arguments;
     let (settings, frames, data, plot) = (settings.clone(), *frames, data.clone(), plot.clone());
+    let given = arguments.given.options(&[]);
     let graphs: Vec<PathBuf> = arguments.graph.iter().chain(more).cloned().collect();
     Ok(match speeds {
         _ if arguments.fov.fov => {
             let distances_mm = arguments.fov.distances.clone();
-            stitch::fov::judge(session, &stitch::fov::Options { graphs, settings, frames, distances_mm })?
+            stitch::fov::judge(session, &stitch::fov::Options { graphs, settings, given, frames, distances_mm })?
         }
         Some(speeds) => {
-            let options = stitch::speeds::Options { graphs, speeds: speeds.clone(), frames, settings, plot };
+            let options = stitch::speeds::Options { graphs, speeds: speeds.clone(), frames, settings, given, plot };
             stitch::speeds::judge(session, &options)?
         }
         None if *cases => {
-            let options = stitch::cases::Options { graphs, only: only.clone(), frames, settings, data, plot };
+            let options = stitch::cases::Options { graphs, only: only.clone(), frames, settings, given, data, plot };
             stitch::cases::judge(session, &options)?
         }
         None if !more.is_empty() => {
@@ -106,6 +111,7 @@ pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>
                 rows: arguments.rows.clone(),
                 frames,
                 settings,
+                given,
                 with_peer: !arguments.no_peer,
             };
             stitch::judge(session, &options)?

@@ -3,9 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_arm_core::rehearsal::Row;
+use panoscope_graph::GraphOptions;
 
 use super::preset;
-use crate::error::{Context, EvalError, FileAction, OnFile, Result};
+use crate::error::{Context, EvalError, Result};
+use crate::graph_file;
 use crate::inputs::Folder;
 use crate::packets::Table;
 use crate::run::{self, Pace, Plan};
@@ -134,7 +136,7 @@ pub fn run(session: &dyn Session, name: &str, seed: u64, seconds: u32, width: u3
 
 /// The same for a graph that ships.
 pub fn run_preset(session: &dyn Session, name: &str, seed: u64, seconds: u32, file: PathBuf) -> Result<Run> {
-    let text = std::fs::read_to_string(&file).on_file(FileAction::Read, &file)?;
+    let text = graph_file::flattened(&file, &GraphOptions::default())?;
     let preset = preset::of(name, seed, &text, file)?;
     judged(session, &preset.text, &preset.path, name, seconds, preset.size)
 }

@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use panoscope_graph::{Catalog, GraphOptions};
 use toml::{Table, Value};
 
 use super::graphs::{self, setting};
 use super::sources::Source;
 use crate::error::{Context, Result, bail};
+use crate::inputs::embedded;
 use crate::inputs::wiring::Wiring;
 use crate::packets;
 use crate::run::{self, Pace, Plan};
@@ -18,13 +20,13 @@ const CORRELATED_EVERY: u32 = 3;
 /// Name of the shared source in the graph that is run, and in `--set`.
 pub const SOURCE: &str = "scope";
 
-/// Our conventional, ROI and grid pipelines and the two of the thesis, as their graphs are.
+/// Our conventional, ROI and grid pipelines and the two of the thesis, by the files of their graphs.
 const BUILT_IN: [(&str, &str); 5] = [
-    ("conventional", include_str!("../../../../../graphs/stitch_conventional.toml")),
-    ("ROI", include_str!("../../../../../graphs/stitch_roi.toml")),
-    ("grid", include_str!("../../../../../graphs/stitch_grid.toml")),
-    ("chapter 2", include_str!("../../../../../graphs/thesis_chapter2.toml")),
-    ("chapter 4", include_str!("../../../../../graphs/thesis_chapter4.toml")),
+    ("conventional", "stitch_conventional.toml"),
+    ("ROI", "stitch_roi.toml"),
+    ("grid", "stitch_grid.toml"),
+    ("chapter 2", "thesis_chapter2.toml"),
+    ("chapter 4", "thesis_chapter4.toml"),
 ];
 
 /// A graph under the name that tables give it.
@@ -40,7 +42,8 @@ pub struct Method {
 pub fn built_in(names: &[&str]) -> Result<Vec<Method>> {
     let find = |name: &&str| BUILT_IN.iter().find(|(known, _)| known == name);
     let known = names.iter().filter_map(find);
-    known.map(|(name, text)| Ok(Method { name: (*name).to_owned(), wiring: Wiring::of(text, name)? })).collect()
+    let wiring = |file: &str| Wiring::of(&embedded::graph(file).context(file)?, &Catalog::default());
+    known.map(|(name, file)| Ok(Method { name: (*name).to_owned(), wiring: wiring(file)? })).collect()
 }
 
 /// Applies `--set` to every graph that has the node.
@@ -49,14 +52,13 @@ pub fn built_in(names: &[&str]) -> Result<Vec<Method>> {
 /// When no graph has it, or the text is no setting.
 pub fn set_all(methods: &mut [Method], settings: &[String]) -> Result<()> {
     for text in settings {
-        let (node, param, value) = setting(text).with_context(|| format!("`{text}` is not NODE.PARAM=VALUE"))?;
+        let (node, ..) = setting(text).with_context(|| format!("`{text}` is not NODE.PARAM=VALUE"))?;
         let mut known = node == SOURCE;
-        for method in methods.iter_mut().filter(|method| method.wiring.has(node)) {
-            known = true;
-            method.wiring.set(node, param, value.clone());
+        for method in methods.iter_mut() {
+            known |= method.wiring.apply(text);
         }
         if !known {
-            bail!("`{text}`: none of the graphs has a node `{node}`");
+            bail!("`{text}`: none of the graphs has such a node `{node}`");
         }
     }
     Ok(())
@@ -195,10 +197,10 @@ pub fn timed(session: &dyn Session, method: &Method, source: &Source, frames: u6
 ///
 /// # Errors
 /// A graph has mistakes or no composite, or no graph has the node of a setting.
-pub fn methods(given: &[PathBuf], names: &[&str], settings: &[String]) -> Result<Vec<Method>> {
-    let mut all = if given.is_empty() { built_in(names)? } else { Vec::new() };
-    for path in given {
-        let wiring = graphs::wiring(path, &[])?;
+pub fn methods(paths: &[PathBuf], names: &[&str], given: &GraphOptions, settings: &[String]) -> Result<Vec<Method>> {
+    let mut all = if paths.is_empty() { built_in(names)? } else { Vec::new() };
+    for path in paths {
+        let wiring = graphs::wiring(path, given)?;
         all.push(Method { name: wiring.name.clone(), wiring });
     }
     set_all(&mut all, settings)?;
@@ -217,16 +219,20 @@ mod tests {
         let nodes = graph["nodes"].as_table().unwrap();
         let mut names: Vec<&str> = nodes.keys().map(String::as_str).collect();
         names.sort_unstable();
-        assert_eq!(names, ["judge_0", "judge_1", "m0_register", "m1_match", "m1_register", "scope"]);
+        let all = ["judge_0", "judge_1", "m0_wide/register", "m1_wide/join/register", "m1_wide/match", "scope"];
+        assert_eq!(names, all);
         assert_eq!(
-            nodes["m0_register"]["params"]["min_inliers"].as_integer(),
+            nodes["m0_wide/register"]["params"]["min_inliers"].as_integer(),
             Some(4),
             "the graph's own parameters stay"
         );
-        assert_eq!(nodes["m1_match"]["inputs"]["left"].as_str(), Some("scope.left"));
-        let roi = &nodes["m1_match"]["inputs"]["roi"];
-        assert_eq!((roi["from"].as_str(), roi["delay"].as_integer()), (Some("m1_register.roi_left"), Some(1)));
-        assert_eq!(nodes["judge_1"]["inputs"]["homography"].as_str(), Some("m1_register.homography"));
+        assert_eq!(nodes["m1_wide/match"]["inputs"]["left"].as_str(), Some("scope.left"));
+        let roi = &nodes["m1_wide/match"]["inputs"]["roi"];
+        assert_eq!(
+            (roi["from"].as_str(), roi["delay"].as_integer()),
+            (Some("m1_wide/join/register.roi_left"), Some(1))
+        );
+        assert_eq!(nodes["judge_1"]["inputs"]["homography"].as_str(), Some("m1_wide/join/register.homography"));
         assert_eq!(nodes["judge_1"]["inputs"]["truth"].as_str(), Some("scope.homography"));
         let real = Source { has_truth: false, ..Source::phantom([]) };
         let graph: Table = joined(&methods, &real).unwrap().parse().unwrap();
@@ -237,13 +243,13 @@ mod tests {
     #[test]
     fn settings_reach_the_source_and_each_graph_that_has_the_node() {
         let mut methods = built_in(&["ROI", "grid"]).unwrap();
-        let settings = ["match.scale=4", "scope.smoke=0.5", "register.anchor_fit = 0.25"].map(str::to_owned);
+        let settings = ["wide.match_scale=4", "scope.smoke=0.5", "wide.anchor_fit = 0.25"].map(str::to_owned);
         set_all(&mut methods, &settings).unwrap();
         let texts: Vec<String> = methods.iter().map(|m| m.wiring.text()).collect();
         assert!(texts[1].contains("scale = 4") && !texts[0].contains("scale = 4"));
         assert!(texts.iter().all(|text| text.contains("anchor_fit = 0.25")));
         assert_eq!(source_params(&settings).collect::<Vec<_>>(), [("smoke", Value::from(0.5))]);
-        for (text, words) in [("nobody.x=1", "no"), ("plain", "NODE.PARAM=VALUE")] {
+        for (text, words) in [("nobody.x=1", "no"), ("wide.nothing=1", "none"), ("plain", "NODE.PARAM=VALUE")] {
             let error = set_all(&mut methods, &[text.to_owned()]).unwrap_err();
             assert!(error.to_string().contains(words), "{error}");
         }

@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use panoscope_graph::GraphOptions;
 use toml::Value;
 
 use super::beside::{self, Method, Times};
@@ -292,6 +293,8 @@ pub struct Options {
     pub frames: u64,
     /// `NODE.PARAM=VALUE`; node `scope` is the source that all graphs share.
     pub settings: Vec<String>,
+    /// Overlays of the graphs, and values of their arguments.
+    pub given: GraphOptions,
     /// Folders of data sets, searched before the usual ones.
     pub data: Vec<PathBuf>,
     /// Picture file (PNG) for all measures by case.
@@ -306,7 +309,7 @@ pub struct Options {
 /// A graph or a setting cannot be used, a run fails, or the picture cannot be written.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let work = Folder::new("panoscope-eval")?;
-    let methods = beside::methods(&options.graphs, &METHODS, &options.settings)?;
+    let methods = beside::methods(&options.graphs, &METHODS, &options.given, &options.settings)?;
     let names: Vec<&str> = methods.iter().map(|method| method.name.as_str()).collect();
     let wanted = |name: &str| options.only.is_empty() || options.only.iter().any(|only| only == name);
     let mut all = Vec::new();

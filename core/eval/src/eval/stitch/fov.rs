@@ -6,6 +6,8 @@
 
 use std::path::PathBuf;
 
+use panoscope_graph::GraphOptions;
+
 use super::graphs;
 use super::incidents::WRONG;
 use crate::error::{EvalError, Result};
@@ -34,6 +36,8 @@ pub struct Options {
     pub graphs: Vec<PathBuf>,
     /// `NODE.PARAM=VALUE`, applied to every graph.
     pub settings: Vec<String>,
+    /// Overlays of the graphs, and values of their arguments.
+    pub given: GraphOptions,
     /// Ticks of each run.
     pub frames: u64,
     /// Distances from the scope to the tissue.
@@ -193,7 +197,7 @@ const HEAD: [&str; 13] = [
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let mut wirings = Vec::new();
     for path in &options.graphs {
-        let wiring = graphs::wiring(path, &options.settings)?;
+        let wiring = graphs::wiring(path, &GraphOptions { set: options.settings.clone(), ..options.given.clone() })?;
         let Some(phantom) = wiring.phantom() else {
             let reason = format!(
                 "{}: its views do not come from a `phantom`, so the true field of view is not known",
@@ -235,7 +239,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
 
 /// Name of a composite in tables: that of its graph, and its own where the graph has several.
 fn name_of(wiring: &Wiring, composite: &Composite) -> String {
-    if wiring.composites.len() > 1 { format!("{}_{}", wiring.name, composite.id) } else { wiring.name.clone() }
+    if wiring.composites.len() > 1 { format!("{}_{}", wiring.name, composite.name()) } else { wiring.name.clone() }
 }
 
 #[cfg(test)]

@@ -2,35 +2,24 @@
 
 use std::path::Path;
 
-use toml::{Table, Value};
+use panoscope_graph::GraphOptions;
 
-use crate::error::{EvalError, FileAction, OnFile, Result};
+use crate::error::{EvalError, Result};
 use crate::graph_file;
 use crate::inputs::wiring::Wiring;
 
-/// Splits `NODE.PARAM=VALUE`; a value that is no TOML is taken as text.
-pub fn setting(text: &str) -> Option<(&str, &str, Value)> {
-    let (target, value) = text.split_once('=')?;
-    let (node, param) = target.split_once('.')?;
-    let parsed = format!("v = {value}").parse::<Table>().ok().and_then(|mut t| t.remove("v"));
-    Some((node.trim(), param.trim(), parsed.unwrap_or_else(|| value.trim().into())))
-}
+pub use crate::inputs::wiring::setting;
 
-/// Reads a graph file, checks it with its settings (`NODE.PARAM=VALUE`) and takes it apart.
+/// Reads a graph file with its parts, overlays, arguments and settings, checks it and takes it apart.
 ///
 /// # Errors
 /// The graph has mistakes, or nothing in it can be judged.
-pub fn wiring(path: &Path, settings: &[String]) -> Result<Wiring> {
-    // All mistakes of the file as it stands, with their lines.
-    if let Err(diagnostics) = graph_file::load(path, settings) {
-        return Err(EvalError::Check { diagnostics });
-    }
-    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
-    let stem = path.file_stem().map_or_else(|| "graph".into(), |s| s.to_string_lossy());
-    let mut wiring = Wiring::of(&text, &stem)
-        .map_err(|error| EvalError::Options { reason: format!("{}: {error}", path.display()) })?;
-    for (node, param, value) in settings.iter().filter_map(|text| setting(text)) {
-        wiring.set(node, param, value);
-    }
-    Ok(wiring)
+pub fn wiring(path: &Path, options: &GraphOptions) -> Result<Wiring> {
+    // All mistakes of the files as they stand, with their lines.
+    let ready = match graph_file::open(path, options) {
+        Ok(ready) => ready,
+        Err(diagnostics) => return Err(EvalError::Check { diagnostics }),
+    };
+    Wiring::of(&ready.text, &ready.catalog)
+        .map_err(|error| EvalError::Options { reason: format!("{}: {error}", path.display()) })
 }

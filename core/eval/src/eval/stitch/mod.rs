@@ -13,6 +13,8 @@ mod tally;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use panoscope_graph::GraphOptions;
+
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::inputs::Folder;
@@ -49,6 +51,8 @@ pub struct Options {
     pub frames: u64,
     /// `NODE.PARAM=VALUE`.
     pub settings: Vec<String>,
+    /// Overlays of the graphs, and values of their arguments.
+    pub given: GraphOptions,
     /// Runs OpenCV's conventional pipeline on the same pictures.
     pub with_peer: bool,
 }
@@ -227,7 +231,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let folders = sources::data_folders(&options.data);
     let work = Folder::new("panoscope-eval")?;
     let path = options.graph.as_path();
-    let graph = graphs::wiring(path, &options.settings)?;
+    let graph = graphs::wiring(path, &GraphOptions { set: options.settings.clone(), ..options.given.clone() })?;
     let places = Places { folders: &folders, work: work.path() };
     let wanted = |name: &str| {
         if options.cases.is_empty() { name == CASES[0] } else { options.cases.iter().any(|c| c == name) }

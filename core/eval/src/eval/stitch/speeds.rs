@@ -6,6 +6,7 @@
 
 use std::path::PathBuf;
 
+use panoscope_graph::GraphOptions;
 use toml::Value;
 
 use super::beside::{self, Method};
@@ -158,6 +159,8 @@ pub struct Options {
     pub frames: u64,
     /// `NODE.PARAM=VALUE`; node `scope` is the phantom that all graphs share.
     pub settings: Vec<String>,
+    /// Overlays of the graphs, and values of their arguments.
+    pub given: GraphOptions,
     /// Picture file (PNG) for both measures over the speed.
     pub plot: Option<PathBuf>,
 }
@@ -167,7 +170,7 @@ pub struct Options {
 /// # Errors
 /// A graph or a setting cannot be used, a run fails, or the picture cannot be written.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
-    let methods = beside::methods(&options.graphs, &METHODS, &options.settings)?;
+    let methods = beside::methods(&options.graphs, &METHODS, &options.given, &options.settings)?;
     let mut points = Vec::new();
     for speed_cm_s in &options.speeds.0 {
         points.push(point(session, &methods, *speed_cm_s, options.frames, &options.settings)?);
