@@ -4,6 +4,7 @@
 
 mod elements;
 mod error;
+pub mod input;
 
-pub use elements::{init, make};
+pub use elements::{init, is_installed, make};
 pub use error::MediaError;
