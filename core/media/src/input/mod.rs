@@ -326,9 +326,11 @@ impl<T: Send + 'static> Input<T> {
             }
             _ => {}
         }
-        if matches!(name, InputName::Address(_)) && self.duration().is_none() && !options.is_lossless {
+        if matches!(name, InputName::Address(_)) && self.duration().is_none() {
             self.is_live = true;
-            self.queue.set_policy(Policy::NewestWins);
+            if !options.is_lossless {
+                self.queue.set_policy(Policy::NewestWins);
+            }
         }
         Ok(self)
     }

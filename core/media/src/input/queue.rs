@@ -164,6 +164,12 @@ impl<T> Queue<T> {
         !state.items.is_empty() || state.end.is_some()
     }
 
+    /// Waits until there is a picture, at most for `limit`; returns whether there is.
+    pub fn wait_for_item(&self, limit: Duration) -> bool {
+        self.wait(limit);
+        !locked(&self.state).items.is_empty()
+    }
+
     /// The oldest picture, waiting for it at most for `limit`; `None` at the end or after the limit.
     pub fn pop(&self, limit: Duration) -> Option<Item<T>> {
         let begin = Instant::now();

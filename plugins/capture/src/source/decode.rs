@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use image::DynamicImage;
-use panoscope_media::input::{Input, InputName, InputOptions, Signal, jpeg};
+use panoscope_media::input::{CameraMode, Input, InputName, InputOptions, Signal, jpeg};
 use tiff::ColorType;
 use tiff::decoder::DecodingResult;
 
@@ -118,7 +118,7 @@ pub(super) fn bgr<T: Copy>(values: &[T], channels: usize) -> Vec<T> {
 /// Decodes formats that only GStreamer knows.
 fn decode_other(path: &Path) -> Result<Picture, PictureError> {
     let name = InputName::File(path.to_owned());
-    let options = InputOptions { is_lossless: true, capacity: 1, limit: LIMIT, ..InputOptions::default() };
+    let options = InputOptions { mode: CameraMode::default(), is_lossless: true, capacity: 1, limit: LIMIT };
     let mut frames = Frames::default();
     let unknown = |cause: &dyn std::fmt::Display| PictureError::Unknown { reason: cause.to_string() };
     let input = Input::open(&name, &options, Signal::default().into(), move |received| frames.of_sample(&received))

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use gstreamer_video::VideoFrame;
+use gstreamer_video::prelude::*;
 use gstreamer_video::video_frame::Readable;
 
 /// Blue, green, red of every pixel.
