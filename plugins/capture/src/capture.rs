@@ -52,6 +52,8 @@ pub struct Capture {
     /// Ticks of this instance.
     since_open: u64,
     timing: Timing,
+    /// Arrival of the tick's oldest live picture by the host's clock, ns.
+    arrived_ns: Option<i64>,
     has_ended: bool,
     is_lost: bool,
     sizes_warned: bool,
@@ -133,21 +135,17 @@ impl Capture {
 
     /// Sets the tick's capture time: the file's, or the clock's for devices.
     fn set_time(&mut self, cx: &Context<'_>, clock: Clock<'_>) {
+        // Both clocks count at one rate from different starts.
+        self.arrived_ns = self.views.arrived_ns().map(|arrived_ns| clock() - (monotonic_ns() - arrived_ns));
         let time = match self.views.media_s() {
             Some(media_s) => Time::Media(media_s),
-            None if self.views.has_device() => Time::Device(self.arrived_ns(clock)),
+            None if self.views.has_device() => Time::Device(self.arrived_ns),
             None => Time::Rate(self.frame, self.views.rate_hz()),
         };
         cx.set_capture_ns(self.timing.advance(time, clock));
-        if let Some(arrived_ns) = self.arrived_ns(clock) {
+        if let Some(arrived_ns) = self.arrived_ns {
             cx.set_arrived_ns(arrived_ns);
         }
-    }
-
-    /// Arrival of the tick's oldest live picture by the host's clock, ns.
-    fn arrived_ns(&self, clock: Clock<'_>) -> Option<i64> {
-        // Both clocks count at one rate from different starts.
-        self.views.arrived_ns().map(|arrived_ns| clock() - (monotonic_ns() - arrived_ns))
     }
 
     /// Waits until the picture is due.
@@ -353,6 +351,7 @@ impl Node for Capture {
             frame: 0,
             since_open: 0,
             timing: Timing::default(),
+            arrived_ns: None,
             has_ended: false,
             is_lost: false,
             sizes_warned: false,
@@ -399,6 +398,9 @@ impl Node for Capture {
                 "the views differ in size ({}x{} and {}x{}): each is passed on as it is",
                 parts[0].1.width, parts[0].1.height, rect.width, rect.height
             ));
+        }
+        if let Some(arrived_ns) = self.arrived_ns {
+            cx.metric("latency_ms", (clock() - arrived_ns) as f64 * 1e-6);
         }
         if out.calibration.is_read()
             && let Some(calibration) = self.calibration_for(cx, &parts)?

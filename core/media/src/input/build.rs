@@ -91,10 +91,11 @@ fn link(pipeline: &gst::Pipeline, pad: &gst::Pad, sink: &AppSink, shared: &Share
 
 /// Sets `decoder` to leave JPEGs undecoded, and links it to the appsink once it knows its stream.
 fn decode_to(decoder: &gst::Element, built: &Built, shared: &std::sync::Arc<Shared>) {
-    decoder.set_property("caps", wanted());
-    if decoder.has_property("expose-all-streams") {
-        decoder.set_property("expose-all-streams", false);
-    }
+    // Decoders are chosen by what they could give, from any memory.
+    let mut caps = gst::Caps::new_empty_simple("image/jpeg");
+    caps.merge(gst::Caps::builder("video/x-raw").any_features().build());
+    decoder.set_property("caps", caps);
+    decoder.set_property("expose-all-streams", false);
     let (pipeline, sink, shared) = (built.pipeline.downgrade(), built.sink.downgrade(), std::sync::Arc::downgrade(shared));
     decoder.connect_pad_added(move |_, pad| {
         let (Some(pipeline), Some(sink), Some(shared)) = (pipeline.upgrade(), sink.upgrade(), shared.upgrade()) else { return };

@@ -266,7 +266,7 @@ impl Stream {
         // Closed first: it may be a pipeline with a device.
         self.state = State::Waiting(i64::MAX, FIRST_WAIT);
         self.state = State::Open(self.start(self.demands.open_limit)?.wait()?);
-        (self.frames, self.first_pos_s, self.media_s) = (0, None, None);
+        (self.frames, self.frames_before, self.first_pos_s, self.media_s) = (0, 0, None, None);
         Ok(())
     }
 
@@ -382,16 +382,8 @@ impl Stream {
     /// Skips the frames before the one asked for.
     fn skip_to_target(&mut self) -> bool {
         let target = std::mem::take(&mut self.go_to);
-        if target > self.frames + READ_TO
-            && let (State::Open(input), Some(fps)) = (&self.state, self.fps)
-        {
-            // Half a frame earlier, for times that are rounded.
-            let time = Duration::from_secs_f64((target as f64 - 0.5) / fps);
-            if input.seek(time, target + 1) {
-                self.frames = target;
-            } else if self.rewind().is_err() {
-                return false;
-            }
+        if target > self.frames + READ_TO && !self.seek_before(target) && self.rewind().is_err() {
+            return false;
         }
         while self.frames < target {
             if self.grab_one(FILE_LIMIT).is_none() {
@@ -399,6 +391,21 @@ impl Stream {
             }
         }
         true
+    }
+
+    /// Goes to a frame shortly before number `target`, by the times of the file. Returns whether that is possible.
+    fn seek_before(&mut self, target: u64) -> bool {
+        let (State::Open(input), Some(fps)) = (&self.state, self.fps) else { return false };
+        // Between two frames, for times that are rounded; the first frame that comes says which one it is.
+        if !input.seek(Duration::from_secs_f64((target as f64 - 1.5).max(0.0) / fps), 1) {
+            return false;
+        }
+        let Some(item) = input.queue().pop(FILE_LIMIT) else { return false };
+        let Some(pts_ns) = item.pts_ns else { return false };
+        let index = (pts_ns as f64 * 1e-9 * fps).round().max(0.0) as u64;
+        self.frames_before = index + 1 - item.number;
+        self.frames = index + 1;
+        self.frames <= target
     }
 
     /// Takes the next picture, in order.

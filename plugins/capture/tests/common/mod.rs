@@ -37,16 +37,6 @@ impl Folder {
                 let head = format!("P6\n{width} {HEIGHT}\n255\n");
                 fs::write(path, [head.as_bytes(), picture.as_raw()].concat()).unwrap();
             }
-            Some("webp") => {
-                let png = path.with_extension("webp.png");
-                picture.save(&png).unwrap();
-                launch(&format!(
-                    "filesrc location={} ! pngdec ! videoconvert ! webpenc lossless=true ! filesink location={}",
-                    png.display(),
-                    path.display()
-                ));
-                fs::remove_file(png).unwrap();
-            }
             _ => picture.save(path).unwrap(),
         }
     }
@@ -187,4 +177,37 @@ pub fn encode(
         }
         source.end_of_stream().unwrap();
     });
+}
+
+/// Rows of the number at the top of a [`scene`].
+const NUMBER_ROWS: usize = 32;
+
+/// BGR pixels of picture `number` of a stream: the number's 16 lower bits as black and white blocks, above a texture that moves with every picture.
+pub fn scene(number: usize, (width, height): (usize, usize)) -> Vec<u8> {
+    let mut bgr = Vec::with_capacity(3 * width * height);
+    for y in 0..height {
+        for x in 0..width {
+            let gray = if y < NUMBER_ROWS {
+                if number >> (x * 16 / width) & 1 == 1 { 235 } else { 16 }
+            } else {
+                let cell = ((x + 5 * number) / 4).wrapping_mul(0x9E37) ^ ((y + 3 * number) / 4).wrapping_mul(0x85EB);
+                60 + (cell.wrapping_mul(0x2545_F491) >> 12) % 120
+            };
+            bgr.extend([gray as u8; 3]);
+        }
+    }
+    bgr
+}
+
+/// The number that is drawn into a picture; `None` where a block is neither black nor white.
+pub fn number(out: &Outputs, port: &str) -> Option<usize> {
+    let plane = out.plane::<Bgr8>(port).unwrap();
+    (0..16).try_fold(0, |sum, bit| {
+        let x = (2 * bit + 1) * plane.width / 32;
+        match plane.row(NUMBER_ROWS / 2)[3 * x] {
+            0..=60 => Some(sum),
+            190.. => Some(sum | 1 << bit),
+            _ => None,
+        }
+    })
 }
