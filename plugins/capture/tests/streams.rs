@@ -49,7 +49,6 @@ fn pipelines_end_in_any_format() {
     encode(&folder.0.join("v.mkv"), 25.0, SIZE, "x264enc ! h264parse ! matroskamux", frames);
     let file = folder.0.join("v.mkv").display().to_string();
     for tail in [
-        "",
         " ! matroskademux",
         " ! decodebin",
         " ! decodebin ! appsink",

@@ -55,7 +55,12 @@ impl Frames {
         let info = frame.info();
         let unsupported = || FrameError::Unsupported { format: format!("{:?}", info.format()) };
         if self.converter.as_ref().is_none_or(|(known, ..)| known != info) {
-            let target = VideoInfo::builder(VideoFormat::Bgr, info.width(), info.height()).build().map_err(|_| unsupported())?;
+            // The converter changes the format only: rate and fields must be the same.
+            let target = VideoInfo::builder(VideoFormat::Bgr, info.width(), info.height())
+                .fps(info.fps())
+                .interlace_mode(info.interlace_mode())
+                .build()
+                .map_err(|_| unsupported())?;
             let converter = VideoConverter::new(info, &target, None).map_err(|_| unsupported())?;
             self.converter = Some((info.clone(), converter, target));
         }

@@ -204,9 +204,11 @@ pub fn number(out: &Outputs, port: &str) -> Option<usize> {
     let plane = out.plane::<Bgr8>(port).unwrap();
     (0..16).try_fold(0, |sum, bit| {
         let x = (2 * bit + 1) * plane.width / 32;
-        match plane.row(NUMBER_ROWS / 2)[3 * x] {
-            0..=60 => Some(sum),
-            190.. => Some(sum | 1 << bit),
+        let rows = NUMBER_ROWS / 2 - 4..NUMBER_ROWS / 2 + 4;
+        let values = rows.flat_map(|y| plane.row(y)[3 * (x - 2)..3 * (x + 3)].iter().map(|value| u32::from(*value)));
+        match values.sum::<u32>() / (8 * 15) {
+            0..=70 => Some(sum),
+            180.. => Some(sum | 1 << bit),
             _ => None,
         }
     })
