@@ -77,7 +77,8 @@ impl MediaError {
         if !["video/", "image/", "application/x-rtp"].iter().any(|kind| media.starts_with(kind)) {
             return None;
         }
-        let package = PACKAGES.iter().find(|(kind, _)| media.starts_with(kind)).map_or("gstreamer1.0-libav", |(_, p)| p);
+        let package =
+            PACKAGES.iter().find(|(kind, _)| media.starts_with(kind)).map_or("gstreamer1.0-libav", |(_, p)| p);
         let name = structure.get::<&str>("name").map_or_else(|_| media.clone(), |name| format!("{name} ({media})"));
         Some(Self::MissingDecoder { format: name, package })
     }

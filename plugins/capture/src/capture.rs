@@ -335,7 +335,8 @@ impl Node for Capture {
         for remark in pair_by_numbers(&mut names, &texts) {
             open.warn(&remark);
         }
-        let mut views = Views::open(&names, texts, demands, params.r#loop, (params.rate_hz, IMAGE_FPS), params.tolerance_ms)?;
+        let mut views =
+            Views::open(&names, texts, demands, params.r#loop, (params.rate_hz, IMAGE_FPS), params.tolerance_ms)?;
         for remark in views.remarks() {
             open.info(&remark);
         }

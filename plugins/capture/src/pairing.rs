@@ -44,8 +44,10 @@ pub fn pair(arrivals: &[Vec<i64>], tolerance_ns: i64) -> Pairing {
     let mut before_ns = vec![last_ns.saturating_sub(tolerance_ns); arrivals.len()];
     // Its own may still get a partner only where no other view is past them.
     let past_ns = arrivals.iter().filter_map(|times| times.last()).max().copied().unwrap_or(0);
-    before_ns[slowest] = if past_ns > last_ns { last_ns.saturating_add(1) } else { last_ns.saturating_sub(tolerance_ns) };
-    let is_any = arrivals.iter().zip(&before_ns).any(|(times, before)| times.first().is_some_and(|first| first < before));
+    before_ns[slowest] =
+        if past_ns > last_ns { last_ns.saturating_add(1) } else { last_ns.saturating_sub(tolerance_ns) };
+    let is_any =
+        arrivals.iter().zip(&before_ns).any(|(times, before)| times.first().is_some_and(|first| first < before));
     if is_any { Pairing::Skip { before_ns } } else { Pairing::Wait }
 }
 

@@ -191,7 +191,9 @@ fn a_webp_is_read_whole_or_not_at_all() {
         Some(out.plane::<Bgr8>("left").unwrap().data.to_vec())
     };
     let (bytes, whole) = (fs::read(&path).unwrap(), pixels().unwrap());
-    assert!(whole.len() >= 3 * 64 * 48 && whole.iter().any(|value| *value > 200) && whole.iter().any(|value| *value < 50));
+    assert!(
+        whole.len() >= 3 * 64 * 48 && whole.iter().any(|value| *value > 200) && whole.iter().any(|value| *value < 50)
+    );
     for parts in 1..12 {
         fs::write(&path, &bytes[..bytes.len() * parts / 12]).unwrap();
         assert!(pixels().is_none_or(|shown| shown == whole), "{parts} of 12 parts");

@@ -74,7 +74,11 @@ fn area_difference(a: &[u8], b: &[u8], x: usize, y: usize) -> f64 {
     let mut sum = 0_u32;
     for row in y..y + AREA {
         let start = 3 * (row * SIZE.0 + x);
-        sum += a[start..start + 3 * AREA].iter().zip(&b[start..start + 3 * AREA]).map(|(a, b)| u32::from(a.abs_diff(*b))).sum::<u32>();
+        sum += a[start..start + 3 * AREA]
+            .iter()
+            .zip(&b[start..start + 3 * AREA])
+            .map(|(a, b)| u32::from(a.abs_diff(*b)))
+            .sum::<u32>();
     }
     f64::from(sum) / (3 * AREA * AREA) as f64
 }
@@ -175,9 +179,21 @@ fn no_stale_pixels_are_shown() {
     let videos = [
         made(&folder, "jpeg.avi", "jpegenc quality=80 ! avimux"),
         made(&folder, "jpeg.mkv", "jpegenc quality=80 ! matroskamux"),
-        made(&folder, "cabac.mkv", "x264enc key-int-max=12 tune=zerolatency bitrate=1500 ! video/x-h264,profile=main ! h264parse ! matroskamux"),
-        made(&folder, "cavlc.mkv", "x264enc key-int-max=12 cabac=false bitrate=1500 ! video/x-h264,profile=baseline ! h264parse ! matroskamux"),
-        made(&folder, "b_frames.mkv", "x264enc key-int-max=12 bframes=2 b-adapt=false bitrate=1500 ! h264parse ! matroskamux"),
+        made(
+            &folder,
+            "cabac.mkv",
+            "x264enc key-int-max=12 tune=zerolatency bitrate=1500 ! video/x-h264,profile=main ! h264parse ! matroskamux",
+        ),
+        made(
+            &folder,
+            "cavlc.mkv",
+            "x264enc key-int-max=12 cabac=false bitrate=1500 ! video/x-h264,profile=baseline ! h264parse ! matroskamux",
+        ),
+        made(
+            &folder,
+            "b_frames.mkv",
+            "x264enc key-int-max=12 bframes=2 b-adapt=false bitrate=1500 ! h264parse ! matroskamux",
+        ),
     ];
     let mut totals: Vec<Shown> = videos.iter().map(|_| Shown::default()).collect();
     // Of codecs that predict, where bits were flipped.
@@ -226,10 +242,13 @@ fn pictures_that_lack_packets_are_withheld_until_the_next_key_picture() {
     let folder = Folder::new("lost_packets");
     let (mut whole, mut withheld, mut missing) = (0, 0, 0);
     for (name, options) in [("main.mkv", "tune=zerolatency"), ("b_frames.mkv", "bframes=2 b-adapt=false")] {
-        let video = made(&folder, name, &format!("x264enc key-int-max=9 {options} bitrate=1500 ! h264parse ! matroskamux"));
-        let network = "rtph264pay mtu=400 config-interval=-1 ! identity drop-probability=0.01 ! rtph264depay ! h264parse";
+        let video =
+            made(&folder, name, &format!("x264enc key-int-max=9 {options} bitrate=1500 ! h264parse ! matroskamux"));
+        let network =
+            "rtph264pay mtu=400 config-interval=-1 ! identity drop-probability=0.01 ! rtph264depay ! h264parse";
         for _ in 0..4 {
-            let text = format!("filesrc location={} ! matroskademux ! h264parse ! {network}", folder.0.join(name).display());
+            let text =
+                format!("filesrc location={} ! matroskademux ! h264parse ! {network}", folder.0.join(name).display());
             // The first packets may be lost, too.
             let Ok(mut node) = folder.try_open(&format!("left = '{text}', on_damage = 'skip'")) else { continue };
             let mut shown = 0;

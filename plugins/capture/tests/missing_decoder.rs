@@ -14,7 +14,10 @@ fn the_package_of_a_missing_decoder_is_named() {
     encode(&folder.0.join("v.mkv"), 25.0, size, "x264enc ! h264parse ! matroskamux", frames);
     let decodes = |factory: &gst::ElementFactory| {
         let caps = gst::Caps::new_empty_simple("video/x-h264");
-        factory.static_pad_templates().iter().any(|pad| pad.direction() == gst::PadDirection::Sink && pad.caps().can_intersect(&caps))
+        factory
+            .static_pad_templates()
+            .iter()
+            .any(|pad| pad.direction() == gst::PadDirection::Sink && pad.caps().can_intersect(&caps))
     };
     let decoders = gst::ElementFactory::factories_with_type(gst::ElementFactoryType::DECODER, gst::Rank::NONE);
     let hidden: Vec<gst::ElementFactory> = decoders.into_iter().filter(decodes).collect();

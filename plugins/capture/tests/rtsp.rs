@@ -126,20 +126,28 @@ fn age_ms(number: usize) -> f64 {
 
 fn quantiles(values: &mut [f64]) -> String {
     values.sort_by(f64::total_cmp);
-    let at = |share: f64| values.get(((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1))).copied().unwrap_or(f64::NAN);
+    let at = |share: f64| {
+        values
+            .get(((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1)))
+            .copied()
+            .unwrap_or(f64::NAN)
+    };
     format!("median {:.1}, 99 % {:.1}, largest {:.1}", at(0.5), at(0.99), at(1.0))
 }
 
 #[test]
 fn a_server_that_is_killed_comes_back_and_no_old_picture_is_shown() {
-    let (seconds, kills) = (from_environment("PANOSCOPE_RTSP_SECONDS", 15), from_environment("PANOSCOPE_RTSP_KILLS", 3));
+    let (seconds, kills) =
+        (from_environment("PANOSCOPE_RTSP_SECONDS", 15), from_environment("PANOSCOPE_RTSP_KILLS", 3));
     let folder = Folder::new("rtsp");
     let port = free_port();
     let mut server = Some(Server::start(port, FPS));
     let address = |path: &str| format!("rtsp://127.0.0.1:{port}/{path}");
     let params = format!(r#"left = "{}", right = "{}", open_limit_s = 20.0"#, address("left"), address("right"));
-    let mut node = Harness::<Capture>::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&folder.0)).unwrap();
-    let (mut pairs, mut ages, mut latencies, mut skews, mut back, mut faults) = (0, Vec::new(), Vec::new(), Vec::new(), Vec::new(), 0);
+    let mut node =
+        Harness::<Capture>::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&folder.0)).unwrap();
+    let (mut pairs, mut ages, mut latencies, mut skews, mut back, mut faults) =
+        (0, Vec::new(), Vec::new(), Vec::new(), Vec::new(), 0);
     let (mut old, mut differing, mut unread) = (0, 0, 0);
     let mut last = None;
     let mut restarted: Option<Instant> = None;
@@ -174,7 +182,10 @@ fn a_server_that_is_killed_comes_back_and_no_old_picture_is_shown() {
         let (Some(left), Some(right)) = (number(&out, "left"), number(&out, "right")) else {
             unread += 1;
             let plane = out.plane::<panoscope_node::Bgr8>("left").unwrap();
-            println!("a picture without a number, bytes at its top: {:?}", &plane.row(16)[..3 * SIZE.0].iter().step_by(15).collect::<Vec<_>>());
+            println!(
+                "a picture without a number, bytes at its top: {:?}",
+                &plane.row(16)[..3 * SIZE.0].iter().step_by(15).collect::<Vec<_>>()
+            );
             continue;
         };
         pairs += 1;
@@ -209,7 +220,8 @@ fn a_camera_that_counts_at_another_rate_is_stamped_by_arrival() {
     let port = free_port();
     let _server = Server::start(port, 10.0);
     let params = format!(r#"left = "rtsp://127.0.0.1:{port}/left", open_limit_s = 20.0"#);
-    let mut node = Harness::<Capture>::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&folder.0)).unwrap();
+    let mut node =
+        Harness::<Capture>::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&folder.0)).unwrap();
     let (mut steps, mut last, mut oldest): (Vec<f64>, Option<i64>, f64) = (Vec::new(), None, 0.0);
     for _ in 0..30 {
         let out = node.process().unwrap();

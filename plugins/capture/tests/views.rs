@@ -241,6 +241,10 @@ fn a_calibration_travels_with_the_views() {
     let out = folder.open(&views("a.png")).process().unwrap();
     let found: Calibration = out.value("calibration").unwrap();
     assert_eq!((found.left.fx, found.baseline_mm, found.right.width), (20.0, 4.0, 16));
+    // Pixels that are no squares (a PAL endoscope's) have two focal lengths.
+    write(&CALIBRATION.replace("20., 0., 7.5, 0., 20.", "20., 0., 7.5, 0., 21.8"));
+    let left = folder.open(&views("a.png")).process().unwrap().value::<Calibration>("calibration").unwrap().left;
+    assert_eq!((left.fx, left.fy), (20.0, 21.8));
     // A file without a size takes that of the views.
     write(&CALIBRATION.replace("image_width: 16\nimage_height: 8\n", ""));
     let out = folder.open(&views("a.png")).process().unwrap();

@@ -99,7 +99,10 @@ mod tests {
         // A recovery point with no frame to wait for, and one that waits for five.
         assert!(is_key(Codec::H264, &[0, 0, 1, 0x06, 6, 1, 0xC4, 0x80], None));
         assert!(!is_key(Codec::H264, &[0, 0, 1, 0x06, 6, 1, 0x34, 0x80], None));
-        assert!(is_key(Codec::H265, &[0, 0, 1, 19 << 1, 1, 7], None) && !is_key(Codec::H265, &[0, 0, 1, 1 << 1, 1, 7], None));
+        assert!(
+            is_key(Codec::H265, &[0, 0, 1, 19 << 1, 1, 7], None)
+                && !is_key(Codec::H265, &[0, 0, 1, 1 << 1, 1, 7], None)
+        );
         // Nonsense is no key and does no harm.
         for length in 0..idr.len() {
             let _ = is_key(Codec::H264, &idr[..length], Some(4));

@@ -96,9 +96,12 @@ fn decode_to(decoder: &gst::Element, built: &Built, shared: &std::sync::Arc<Shar
     caps.merge(gst::Caps::builder("video/x-raw").any_features().build());
     decoder.set_property("caps", caps);
     decoder.set_property("expose-all-streams", false);
-    let (pipeline, sink, shared) = (built.pipeline.downgrade(), built.sink.downgrade(), std::sync::Arc::downgrade(shared));
+    let (pipeline, sink, shared) =
+        (built.pipeline.downgrade(), built.sink.downgrade(), std::sync::Arc::downgrade(shared));
     decoder.connect_pad_added(move |_, pad| {
-        let (Some(pipeline), Some(sink), Some(shared)) = (pipeline.upgrade(), sink.upgrade(), shared.upgrade()) else { return };
+        let (Some(pipeline), Some(sink), Some(shared)) = (pipeline.upgrade(), sink.upgrade(), shared.upgrade()) else {
+            return;
+        };
         if let Err(error) = link(&pipeline, pad, &sink, &shared) {
             shared.fail(error.to_string());
         }

@@ -124,7 +124,11 @@ pub fn check(bytes: &[u8]) -> Result<(), JpegError> {
         if marker == SOS {
             let end = scan_end(&bytes, at);
             // Several scans: not baseline.
-            return if bytes.get(end + 1) == Some(&EOI) { jpeg_scan::check(&segments, &bytes[at..end]) } else { Ok(()) };
+            return if bytes.get(end + 1) == Some(&EOI) {
+                jpeg_scan::check(&segments, &bytes[at..end])
+            } else {
+                Ok(())
+            };
         }
     }
     Err(JpegError::NoPicture)

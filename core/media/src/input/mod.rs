@@ -108,10 +108,13 @@ impl Shared {
         let size = |name: &str| structure.get::<i32>(name).map_or(0, |value| usize::try_from(value).unwrap_or(0));
         let rate = structure.get::<gst::Fraction>("framerate").ok();
         let fps = rate.map(|rate| f64::from(rate.numer()) / f64::from(rate.denom().max(1)));
-        let aspect = structure.get::<gst::Fraction>("pixel-aspect-ratio").map_or((1, 1), |ratio| (ratio.numer(), ratio.denom()));
+        let aspect =
+            structure.get::<gst::Fraction>("pixel-aspect-ratio").map_or((1, 1), |ratio| (ratio.numer(), ratio.denom()));
         let mut format = locked(&self.format);
         let is_interlaced = format.is_interlaced
-            || structure.get::<&str>("interlace-mode").is_ok_and(|mode| VideoInterlaceMode::from_string(mode) != VideoInterlaceMode::Progressive);
+            || structure
+                .get::<&str>("interlace-mode")
+                .is_ok_and(|mode| VideoInterlaceMode::from_string(mode) != VideoInterlaceMode::Progressive);
         *format = Format {
             media: structure.name().to_string(),
             width: size("width"),
@@ -149,8 +152,7 @@ impl Shared {
                 Some(gst::PadProbeData::BufferList(list)) => list.get(0).and_then(gst::BufferRef::pts),
                 _ => None,
             };
-            if let (Some(pts), Some(shared), Some(pipeline)) = (pts, shared.upgrade(), pipeline.upgrade())
-            {
+            if let (Some(pts), Some(shared), Some(pipeline)) = (pts, shared.upgrade(), pipeline.upgrade()) {
                 let now_ns = monotonic_ns();
                 let segment = pad.sticky_event::<gst::event::Segment>(0);
                 let running = segment.as_ref().and_then(|event| {

@@ -38,10 +38,16 @@ pub fn nearest(offered: &gst::Caps, wanted: CameraMode) -> Option<gst::Caps> {
             let rate = gst::Fraction::approximate_f64(wanted.fps).unwrap_or(gst::Fraction::new(30, 1));
             fixed.fixate_field_nearest_fraction("framerate", rate);
         }
-        let rate = fixed.get::<gst::Fraction>("framerate").ok().map(|rate| f64::from(rate.numer()) / f64::from(rate.denom().max(1)));
-        let off = |wanted: u32, got: Option<i32>| if wanted == 0 { 0 } else { got.map_or(0, |got| (i64::from(wanted) - i64::from(got)).abs()) };
+        let rate = fixed
+            .get::<gst::Fraction>("framerate")
+            .ok()
+            .map(|rate| f64::from(rate.numer()) / f64::from(rate.denom().max(1)));
+        let off = |wanted: u32, got: Option<i32>| {
+            if wanted == 0 { 0 } else { got.map_or(0, |got| (i64::from(wanted) - i64::from(got)).abs()) }
+        };
         let size_error = off(wanted.width, width) + off(wanted.height, height);
-        let rate_error = if wanted.fps > 0.0 { rate.map_or(0, |rate| ((wanted.fps - rate).abs() * 1e3) as i64) } else { 0 };
+        let rate_error =
+            if wanted.fps > 0.0 { rate.map_or(0, |rate| ((wanted.fps - rate).abs() * 1e3) as i64) } else { 0 };
         let score = (size_error, rate_error, rank);
         if best.as_ref().is_none_or(|(least, _)| score < *least) {
             let mut caps = gst::Caps::new_empty();
@@ -72,7 +78,8 @@ mod tests {
              video/x-bayer, width=640, height=480, framerate=30/1"
             .parse()
             .expect("caps");
-        let chosen = |width, height, fps| nearest(&offered, CameraMode { width, height, fps }).map(|caps| caps.to_string());
+        let chosen =
+            |width, height, fps| nearest(&offered, CameraMode { width, height, fps }).map(|caps| caps.to_string());
         let text = chosen(1280, 720, 30.0).unwrap_or_default();
         assert!(text.starts_with("image/jpeg") && text.contains("1280") && text.contains("30/1"), "{text}");
         let text = chosen(700, 500, 15.0).unwrap_or_default();

@@ -88,7 +88,15 @@ pub struct Queue<T> {
 impl<T> Queue<T> {
     /// An empty queue for `capacity` pictures.
     pub fn new(policy: Policy, capacity: usize) -> Self {
-        let state = State { items: VecDeque::new(), pushed: 0, dropped: 0, end: None, policy, is_closed: false, is_refusing: false };
+        let state = State {
+            items: VecDeque::new(),
+            pushed: 0,
+            dropped: 0,
+            end: None,
+            policy,
+            is_closed: false,
+            is_refusing: false,
+        };
         Self { state: Mutex::new(state), space: Condvar::new(), filled: Condvar::new(), capacity }
     }
 

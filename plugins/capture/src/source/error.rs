@@ -145,7 +145,9 @@ pub enum PictureError {
     #[error("the image is damaged: parts of it cannot be decoded")]
     Incomplete,
     /// Values or channels that are no picture.
-    #[error("its format ({format}) is not supported: convert it to gray or colour of 8 or 16 bits without sign, or of 32-bit floats")]
+    #[error(
+        "its format ({format}) is not supported: convert it to gray or colour of 8 or 16 bits without sign, or of 32-bit floats"
+    )]
     Unsupported {
         /// The format in words.
         format: String,

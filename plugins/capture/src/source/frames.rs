@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use gstreamer as gst;
-use gstreamer_video::video_frame::Readable;
 use gstreamer_video::prelude::*;
+use gstreamer_video::video_frame::Readable;
 use gstreamer_video::{VideoConverter, VideoFormat, VideoFrame, VideoInfo};
 use panoscope_media::input::{Received, jpeg};
 

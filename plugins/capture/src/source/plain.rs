@@ -15,7 +15,8 @@ fn unsupported(format: String) -> PictureError {
 /// # Errors
 /// Another kind of bitmap; missing bytes.
 pub fn bmp(bytes: &[u8]) -> Result<Picture, PictureError> {
-    let word = |at: usize| bytes.get(at..at + 2).map(|b| u16::from_le_bytes([b[0], b[1]])).ok_or(PictureError::Incomplete);
+    let word =
+        |at: usize| bytes.get(at..at + 2).map(|b| u16::from_le_bytes([b[0], b[1]])).ok_or(PictureError::Incomplete);
     let long = |at: usize| {
         bytes.get(at..at + 4).map(|b| i32::from_le_bytes([b[0], b[1], b[2], b[3]])).ok_or(PictureError::Incomplete)
     };

@@ -22,6 +22,8 @@ use crate::devices;
 const FIRST_WAIT: Duration = Duration::from_millis(250);
 /// Longest pause between two attempts: a source that is back is shown within 2 s.
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
+/// Limit of the first attempt to open a lost source again. An attempt that is not answered is given up, and the next one may take twice as long.
+const FIRST_ATTEMPT: Duration = Duration::from_millis(1500);
 /// A file that gives nothing for this long is given up.
 const FILE_LIMIT: Duration = Duration::from_secs(10);
 
@@ -44,8 +46,8 @@ enum State {
     Open(Input<Content>),
     /// Lost. Opened again at this time of the host's clock (ns); the last pause before it.
     Waiting(i64, Duration),
-    /// Being opened; the last pause before it.
-    Opening(Opening<Input<Content>>, Duration),
+    /// Being opened since this time of the host's clock (ns); the last pause before it.
+    Opening(Opening<Input<Content>>, i64, Duration),
 }
 
 /// An open stream, or a lost one that is opened again.
@@ -71,6 +73,8 @@ pub struct Stream {
     /// Index of the frame that the next grab returns; 0 for the next one.
     go_to: u64,
     lock: Lock,
+    /// Limit of the next attempt to open it again.
+    attempt_limit: Duration,
     /// Why the source was lost.
     loss: String,
     /// Frames of the connection that were there at this time of the host's clock, ns.
@@ -159,6 +163,7 @@ impl Stream {
             current: None,
             go_to: 0,
             lock: Lock::default(),
+            attempt_limit: FIRST_ATTEMPT,
             loss: String::new(),
             heard: (0, i64::MIN),
             damaged: Arc::default(),
@@ -250,7 +255,8 @@ impl Stream {
         if format.is_interlaced {
             parts.push("its pictures are interlaced: each is made of the upper field".to_owned());
         }
-        (!parts.is_empty()).then(|| format!("{} ({}x{}): {}", self.name.in_words(), format.width, format.height, parts.join("; ")))
+        (!parts.is_empty())
+            .then(|| format!("{} ({}x{}): {}", self.name.in_words(), format.width, format.height, parts.join("; ")))
     }
 
     /// Goes on at frame `frame` with the next grab.
@@ -278,16 +284,24 @@ impl Stream {
                 State::Waiting(when, _) if clock() < *when => return false,
                 State::Waiting(_, wait) => {
                     let wait = *wait;
-                    match self.start(self.demands.open_limit) {
-                        Ok(opening) => (State::Opening(opening, wait), false),
+                    match self.start(self.attempt_limit.min(self.demands.open_limit)) {
+                        Ok(opening) => (State::Opening(opening, clock(), wait), false),
                         Err(_) => (again(wait, clock()), true),
                     }
                 }
-                State::Opening(opening, wait) => match opening.poll(clock()) {
+                State::Opening(opening, since_ns, wait) => match opening.poll(clock()) {
                     None => return false,
-                    Some(Ok(input)) => (State::Open(input), false),
+                    Some(Ok(input)) => {
+                        self.attempt_limit = FIRST_ATTEMPT;
+                        (State::Open(input), false)
+                    }
                     Some(Err(error)) => {
                         self.loss = error.to_string();
+                        let took_ns = clock().saturating_sub(*since_ns);
+                        // Not refused, but without an answer: it may be slow.
+                        if took_ns >= self.attempt_limit.as_nanos() as i64 * 9 / 10 {
+                            self.attempt_limit = (self.attempt_limit * 2).min(self.demands.open_limit);
+                        }
                         (again(*wait, clock()), true)
                     }
                 },
