@@ -35,7 +35,7 @@ fn number_now() -> usize {
     (monotonic_ns() / PERIOD_NS) as usize & 0xFFFF
 }
 
-/// Draws pictures for one client until it goes.
+/// Draws pictures as long as the process lives.
 fn feed(source: &AppSrc, rate_hz: f64) {
     let begin = Instant::now();
     for index in 0.. {
@@ -47,9 +47,8 @@ fn feed(source: &AppSrc, rate_hz: f64) {
             let begin = source.base_time().map(|base| gst::SystemClock::obtain().time().saturating_sub(base));
             buffer.get_mut().unwrap().set_pts(begin);
         }
-        if source.push_buffer(buffer).is_err() {
-            return;
-        }
+        // It refuses pictures while the server prepares it.
+        let _ = source.push_buffer(buffer);
     }
 }
 

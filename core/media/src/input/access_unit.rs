@@ -1,4 +1,4 @@
-//! Whether the pictures from an access unit on can be decoded without anything before it.
+//! What can be read from an access unit without decoding it: whether it is damaged, and whether the pictures from it on need nothing before it.
 
 /// How the codec separates its units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +75,39 @@ pub fn is_key(codec: Codec, bytes: &[u8], length_bytes: Option<usize>) -> bool {
     })
 }
 
+/// Whether an access unit cannot be whole: its units do not fill it, or hold bytes that the codecs' emulation prevention rules out, as zeroed and
+/// shifted data do.
+pub fn is_broken(codec: Codec, bytes: &[u8], length_bytes: Option<usize>) -> bool {
+    let units = units(bytes, length_bytes);
+    let is_filled = length_bytes.is_none_or(|length_bytes| {
+        let filled: usize = units.iter().map(|unit| unit.len() + length_bytes).sum();
+        let last_length = units.last().map_or(0, |unit| {
+            let at = bytes.len().saturating_sub(unit.len() + length_bytes);
+            let length = bytes.get(at..at + length_bytes).unwrap_or(&[]);
+            length.iter().fold(0_usize, |sum, byte| sum << 8 | usize::from(*byte))
+        });
+        filled == bytes.len() && units.last().is_none_or(|unit| unit.len() == last_length)
+    });
+    !is_filled || units.iter().any(|unit| is_unit_broken(codec, unit, length_bytes.is_none()))
+}
+
+fn is_unit_broken(codec: Codec, unit: &[u8], may_end_in_zeros: bool) -> bool {
+    let header_bytes = match codec {
+        Codec::H264 => 1,
+        Codec::H265 => 2,
+    };
+    let mut end = unit.len();
+    while may_end_in_zeros && end > 0 && unit[end - 1] == 0 {
+        end -= 1;
+    }
+    let unit = &unit[..end];
+    // The first bit is always 0.
+    if unit.len() <= header_bytes || unit[0] & 0x80 != 0 {
+        return true;
+    }
+    unit.windows(3).any(|bytes| bytes[0] == 0 && bytes[1] == 0 && bytes[2] <= 2)
+}
+
 /// Bytes of the length before each unit, from the codec's configuration record.
 pub fn length_bytes(codec: Codec, record: &[u8]) -> usize {
     let at = match codec {
@@ -108,6 +141,19 @@ mod tests {
             let _ = is_key(Codec::H264, &idr[..length], Some(4));
             let _ = is_key(Codec::H264, &idr[length..], None);
         }
+        let whole = [0, 0, 0, 4, 0x41, 1, 0, 7, 0, 0, 0, 2, 0x06, 0xFF];
+        assert!(!is_broken(Codec::H264, &whole, Some(4)) && !is_broken(Codec::H264, &other, None));
+        assert!(!is_broken(Codec::H264, &[0, 0, 1, 0x41, 1, 0, 0, 3, 1, 0, 0, 0, 1, 0x41, 9, 0], None));
+        for (at, value) in [(3, 5), (4, 0xC1), (5, 0), (11, 200), (11, 1)] {
+            let mut broken = whole;
+            (broken[at], broken[7]) = (value, if at == 5 { 0 } else { 7 });
+            assert!(is_broken(Codec::H264, &broken, Some(4)), "{at}");
+        }
+        assert!((1..whole.len()).filter(|length| *length != 8).all(|length| is_broken(
+            Codec::H264,
+            &whole[..length],
+            Some(4)
+        )));
         assert_eq!(length_bytes(Codec::H264, &[1, 100, 0, 31, 0xFF]), 4);
         assert_eq!(length_bytes(Codec::H264, &[1, 100, 0, 31, 0xFD]), 2);
     }

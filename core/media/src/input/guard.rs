@@ -158,6 +158,11 @@ impl Guard {
         if is_flagged {
             span.damage = Some("the source marked it".to_owned());
         }
+        if let Format::Units(codec, length) = span.format
+            && access_unit::is_broken(codec, bytes, length)
+        {
+            span.damage = Some("its data cannot be whole".to_owned());
+        }
         let is_leading = pts_ns.is_some_and(|pts| pts < span.clean_from_ns);
         if let Some(pts_ns) = pts_ns
             && (span.damage.is_some() || is_leading)
