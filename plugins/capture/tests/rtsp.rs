@@ -43,6 +43,9 @@ fn feed(source: &AppSrc, rate_hz: f64) {
         std::thread::sleep(due.saturating_sub(begin.elapsed()));
         let mut buffer = common::buffer(scene(number_now(), SIZE), index, FPS);
         // Times count at 30 per second also where pictures come at another rate; else they are those of the clock.
+        if source.current_state() != gst::State::Playing {
+            continue;
+        }
         if rate_hz == FPS {
             let begin = source.base_time().map(|base| gst::SystemClock::obtain().time().saturating_sub(base));
             buffer.get_mut().unwrap().set_pts(begin);

@@ -150,10 +150,8 @@ impl Guard {
         if is_gap {
             span.damage = Some("data is missing before it".to_owned());
         }
-        if is_key {
-            if span.damage.take().is_some() {
-                span.clean_from_ns = pts_ns.unwrap_or(0);
-            }
+        if is_key && span.damage.take().is_some() {
+            span.clean_from_ns = pts_ns.unwrap_or(0);
         }
         if is_flagged {
             span.damage = Some("the source marked it".to_owned());

@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn bitmaps_are_read_from_below_and_by_their_palette() {
-        let mut header = vec![0; 54];
+        let mut header = [0; 54];
         header[..2].copy_from_slice(b"BM");
         (header[10], header[14], header[18], header[22], header[28]) = (62, 40, 2, 2, 8);
         let palette = [9, 8, 7, 0, 1, 2, 3, 0];
