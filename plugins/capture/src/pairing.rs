@@ -117,6 +117,7 @@ mod tests {
             }
         }
         assert!(pairs > 2500, "{pairs}");
-        assert!(waiting.iter().all(|times| times.len() < 4), "{waiting:?}");
+        // The second view ends six periods ahead of the first, and its pictures wait.
+        assert!(waiting.iter().all(|times| times.len() < 10), "{waiting:?}");
     }
 }
