@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Endings of image files.
-const IMAGE_ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "webp", "pgm", "ppm", "jp2"];
+const IMAGE_ENDINGS: [&str; 11] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "exr", "webp", "pgm", "ppm", "jp2"];
 
 /// Whether a file's ending is that of an image.
 pub fn is_image(path: &Path) -> bool {

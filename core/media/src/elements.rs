@@ -35,8 +35,11 @@ const PACKAGES: &[(&str, &[&str])] = &[
             "rtph265pay",
             "rtpjpegpay",
             "rtph264depay",
+            "souphttpsrc",
+            "multipartdemux",
         ],
     ),
+    ("libgstreamer1.0-0", &["capsfilter", "filesrc", "queue"]),
     ("gstreamer1.0-plugins-bad", &["h264parse", "h265parse", "jpegparse", "openh264enc", "openh264dec", "x265enc"]),
     ("gstreamer1.0-plugins-ugly", &["x264enc"]),
     ("gstreamer1.0-libav", &["avdec_h264", "avdec_h265", "avdec_mjpeg", "avenc_ffv1", "avdec_ffv1", "avenc_mpeg4"]),
@@ -64,6 +67,12 @@ pub fn make(name: &str) -> Result<Element, MediaError> {
     ElementFactory::make(name)
         .build()
         .map_err(|_| MediaError::MissingElement { element: name.to_owned(), package: package_of(name) })
+}
+
+/// Whether an element `name` is installed; `None` when GStreamer does not start.
+pub fn is_installed(name: &str) -> Option<bool> {
+    init().ok()?;
+    Some(ElementFactory::find(name).is_some())
 }
 
 /// Debian's package that holds `element`.

@@ -1,5 +1,7 @@
 //! Errors of pipelines.
 
+use std::time::Duration;
+
 use gstreamer::message::Error as BusError;
 use gstreamer::prelude::*;
 
@@ -45,6 +47,55 @@ pub enum MediaError {
         /// What it says for developers.
         details: Option<String>,
     },
+    /// No decoder for a stream is installed.
+    #[error("no installed GStreamer element decodes {format}: `apt install {package}`")]
+    MissingDecoder {
+        /// Name of the format.
+        format: String,
+        /// Debian package that holds decoders of it.
+        package: &'static str,
+    },
+    /// A pipeline that cannot be built or started.
+    #[error("{reason}")]
+    Refused {
+        /// GStreamer's words.
+        reason: String,
+    },
+    /// No picture came in time.
+    #[error("no picture came within {} s", limit.as_secs_f64())]
+    Silent {
+        /// The limit.
+        limit: Duration,
+    },
+}
+
+/// Formats that decoders outside gstreamer1.0-libav are for, by the start of their media type.
+const PACKAGES: &[(&str, &str)] = &[
+    ("video/x-vp8", "gstreamer1.0-plugins-good"),
+    ("video/x-vp9", "gstreamer1.0-plugins-good"),
+    ("video/x-theora", "gstreamer1.0-plugins-base"),
+    ("video/x-av1", "gstreamer1.0-plugins-bad"),
+    ("image/webp", "gstreamer1.0-plugins-bad"),
+    ("application/x-rtp", "gstreamer1.0-plugins-good"),
+];
+
+impl MediaError {
+    /// The error that a `missing-plugin` message of a decoder stands for.
+    pub(crate) fn of_missing_plugin(structure: &gstreamer::StructureRef) -> Option<Self> {
+        if structure.name() != "missing-plugin" || structure.get::<&str>("type").ok()? != "decoder" {
+            return None;
+        }
+        let caps = structure.get::<gstreamer::Caps>("detail").ok()?;
+        let media = caps.structure(0)?.name().to_string();
+        // Sound and subtitles are not needed.
+        if !["video/", "image/", "application/x-rtp"].iter().any(|kind| media.starts_with(kind)) {
+            return None;
+        }
+        let package =
+            PACKAGES.iter().find(|(kind, _)| media.starts_with(kind)).map_or("gstreamer1.0-libav", |(_, p)| p);
+        let name = structure.get::<&str>("name").map_or_else(|_| media.clone(), |name| format!("{name} ({media})"));
+        Some(Self::MissingDecoder { format: name, package })
+    }
 }
 
 impl From<&BusError> for MediaError {

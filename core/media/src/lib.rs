@@ -7,8 +7,9 @@ mod elements;
 mod encode;
 mod error;
 mod planes;
+pub mod input;
 
 pub use container::{Container, ContainerFile};
-pub use elements::{init, make};
+pub use elements::{init, is_installed, make};
 pub use encode::{Encoder, EncoderSettings, Framing, Packet, RateControl, VideoCodec};
 pub use error::MediaError;

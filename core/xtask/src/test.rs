@@ -54,6 +54,14 @@ static SUITES: &[Suite] = &[
         only: &["-p", "panoscope-sinks", "-p", "panoscope-record", "--test", "disk"],
         env: &[("PANOSCOPE_DISK_TICKS", "12")],
     },
+    // PANOSCOPE_DAMAGE_CASES and PANOSCOPE_DAMAGE_SEED choose how many damaged videos and which.
+    Suite {
+        name: "damaged-streams",
+        lints: false,
+        tests: true,
+        only: &["-p", "panoscope-capture", "--test", "damaged_streams"],
+        env: &[("PANOSCOPE_DAMAGE_CASES", "1000")],
+    },
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
     Suite { name: "kill", lints: false, tests: true, only: &["-p", "panoscope-editor", "--test", "kill"], env: &[] },
 ];

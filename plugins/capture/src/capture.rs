@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
+use panoscope_media::input::monotonic_ns;
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
     Bgr8, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Ports, Rect, Result, Slot, Validation,
@@ -12,7 +13,7 @@ use crate::crop::{self, Halves};
 use crate::depth::Depth;
 use crate::position::{Position, ViewPosition};
 use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings};
-use crate::source::{Clock, Demands, Lock, SourceName};
+use crate::source::{Clock, Demands, Lock, SourceName, Stream};
 use crate::timing::{Time, Timing};
 use crate::views::{Grabbed, View, Views, pair_by_numbers};
 
@@ -40,7 +41,7 @@ pub struct Out<'f> {
     pub calibration: Slot<'f, Calibration>,
 }
 
-/// Takes the pictures of all views: grabs all first, then decodes them on the host's threads.
+/// Takes the pictures of all views. Streams are decoded on GStreamer's threads, images on the host's.
 pub struct Capture {
     /// One per source; a split source serves two views.
     views: Views,
@@ -51,9 +52,12 @@ pub struct Capture {
     /// Ticks of this instance.
     since_open: u64,
     timing: Timing,
+    /// Arrival of the tick's oldest live picture by the host's clock, ns.
+    arrived_ns: Option<i64>,
     has_ended: bool,
     is_lost: bool,
     sizes_warned: bool,
+    damage_warned: bool,
     reconnects: u64,
     calibration: Option<Calibration>,
 }
@@ -64,7 +68,7 @@ impl Capture {
     /// # Errors
     /// A view that ended too early; in batch mode also a device that is gone.
     fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>, params: &Settings) -> Result<Option<()>> {
-        let mut grabbed = self.views.grab(cx, clock);
+        let mut grabbed = self.views.grab(cx, clock, self.is_lost);
         if grabbed == Grabbed::End {
             if let Some(words) = self.views.left_over() {
                 cx.warn(&words);
@@ -73,7 +77,7 @@ impl Capture {
             if params.r#loop && self.since_open > 0 {
                 let last_s = self.timing.capture_ns.max(0) as f64 / 1e9;
                 self.views.rewind(last_s)?;
-                grabbed = self.views.grab(cx, clock);
+                grabbed = self.views.grab(cx, clock, self.is_lost);
             }
         }
         match grabbed {
@@ -89,9 +93,7 @@ impl Capture {
                 if !self.is_lost {
                     self.is_lost = true;
                     self.reconnects += 1;
-                    cx.fault(&format!(
-                        "{words}: outputs stay empty, and it is opened again every few seconds until it comes back"
-                    ));
+                    cx.fault(&format!("{words}. Outputs stay empty until it is back; it is opened again every second"));
                 }
                 cx.metric("lost", 1.0);
                 self.frame += 1;
@@ -108,6 +110,9 @@ impl Capture {
         cx.metric("reconnects", self.reconnects as f64);
         cx.metric("skew_ms", self.views.skew_ms());
         cx.metric("unpaired", self.views.unpaired() as f64);
+        if self.views.has_device() {
+            cx.metric("dropped", self.views.dropped() as f64);
+        }
         Ok(Some(()))
     }
 
@@ -130,12 +135,17 @@ impl Capture {
 
     /// Sets the tick's capture time: the file's, or the clock's for devices.
     fn set_time(&mut self, cx: &Context<'_>, clock: Clock<'_>) {
+        // Both clocks count at one rate from different starts.
+        self.arrived_ns = self.views.arrived_ns().map(|arrived_ns| clock() - (monotonic_ns() - arrived_ns));
         let time = match self.views.media_s() {
             Some(media_s) => Time::Media(media_s),
-            None if self.views.has_device() => Time::Device,
+            None if self.views.has_device() => Time::Device(self.arrived_ns),
             None => Time::Rate(self.frame, self.views.rate_hz()),
         };
         cx.set_capture_ns(self.timing.advance(time, clock));
+        if let Some(arrived_ns) = self.arrived_ns {
+            cx.set_arrived_ns(arrived_ns);
+        }
     }
 
     /// Waits until the picture is due.
@@ -152,7 +162,7 @@ impl Capture {
         }
     }
 
-    /// Decodes what was grabbed; `false` when a damaged picture leaves the tick empty.
+    /// Reads the images that were grabbed and takes the frames of streams; `false` when a damaged picture leaves the tick empty.
     ///
     /// # Errors
     /// A damaged picture, by file and number.
@@ -163,9 +173,22 @@ impl Capture {
             let view = &mut *view;
             view.result = view.source.retrieve(&mut view.picture)
         });
-        let Some(why) = self.views.iter().find_map(|view| std::mem::replace(&mut view.result, Ok(())).err()) else {
+        cx.metric("damaged", self.views.total(Stream::damaged) as f64);
+        let failed = self.views.iter().find_map(|view| {
+            let why = std::mem::replace(&mut view.result, Ok(())).err()?;
+            Some((why, view.source.newest_mut().is_some()))
+        });
+        let Some((why, is_live)) = failed else {
+            self.damage_warned = false;
             return Ok(true);
         };
+        if is_live {
+            // One warning for each series: a stream may be damaged until its next key picture.
+            if !std::mem::replace(&mut self.damage_warned, true) {
+                cx.warn(&format!("{why}: outputs stay empty until an undamaged picture comes"));
+            }
+            return Ok(false);
+        }
         match params.on_damage {
             OnDamage::Skip => {
                 cx.warn(&format!("{why}: this tick stays empty"));
@@ -302,6 +325,8 @@ impl Node for Capture {
             height: params.height,
             fps: params.fps,
             open_limit: Duration::from_secs_f64(params.open_limit_s.max(0.0)),
+            silence_limit: Duration::from_secs_f64(params.timeout_s.max(0.0)),
+            is_lossless: open.is_batch(),
         };
         let texts = params.source_texts()?;
         let texts: Vec<String> = texts.into_iter().map(|(_, text)| text.to_owned()).collect();
@@ -310,7 +335,11 @@ impl Node for Capture {
         for remark in pair_by_numbers(&mut names, &texts) {
             open.warn(&remark);
         }
-        let mut views = Views::open(&names, texts, demands, params.r#loop, (params.rate_hz, IMAGE_FPS))?;
+        let mut views =
+            Views::open(&names, texts, demands, params.r#loop, (params.rate_hz, IMAGE_FPS), params.tolerance_ms)?;
+        for remark in views.remarks() {
+            open.info(&remark);
+        }
         if let Some(words) = views.rates_in_words() {
             open.warn(&words);
         }
@@ -323,9 +352,11 @@ impl Node for Capture {
             frame: 0,
             since_open: 0,
             timing: Timing::default(),
+            arrived_ns: None,
             has_ended: false,
             is_lost: false,
             sizes_warned: false,
+            damage_warned: false,
             reconnects: 0,
             calibration,
         })
@@ -368,6 +399,9 @@ impl Node for Capture {
                 "the views differ in size ({}x{} and {}x{}): each is passed on as it is",
                 parts[0].1.width, parts[0].1.height, rect.width, rect.height
             ));
+        }
+        if let Some(arrived_ns) = self.arrived_ns {
+            cx.metric("latency_ms", (clock() - arrived_ns) as f64 * 1e-6);
         }
         if out.calibration.is_read()
             && let Some(calibration) = self.calibration_for(cx, &parts)?

@@ -1,9 +1,11 @@
-//! Sources: cameras, video files, images, pipelines.
+//! Sources: cameras, video files, images, network streams, pipelines.
 
 pub mod capture;
 pub mod crop;
 mod depth;
 pub mod devices;
+mod live;
+mod pairing;
 mod position;
 pub mod settings;
 pub mod source;

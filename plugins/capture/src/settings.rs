@@ -45,8 +45,9 @@ pub enum OnDamage {
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address, or
-    /// GStreamer pipeline (any text with !). Pictures of folders and patterns are paired by the numbers in their names, videos by time.
+    /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address
+    /// (rtsp://..., or rtspt://... for TCP), or GStreamer pipeline (any text with !). Pictures of folders and patterns are paired by the numbers in
+    /// their names, videos by time, live views by their arrival.
     #[param(default = "", reopen, file)]
     pub left: String,
     /// Right view, as `left`.
@@ -91,12 +92,18 @@ pub struct Settings {
     /// Number of pictures after which exposure and white balance are locked.
     #[param(default = 30, range = 0..=10000, unit = "frames", reopen)]
     pub lock_after: u64,
-    /// How a damaged picture is handled.
+    /// How a damaged picture of a file is handled. Damaged pictures of live sources are counted and leave their tick empty.
     #[param(default = "fail")]
     pub on_damage: OnDamage,
     /// Bit depth of pictures with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
     #[param(default = 0, range = 0..=16)]
     pub bit_depth: u32,
+    /// Largest difference of the times of pictures that belong together. 0 is half a period of the fastest view.
+    #[param(default = 0.0, range = 0.0..=10000.0, unit = "ms", reopen)]
+    pub tolerance_ms: f64,
+    /// A camera, stream or live pipeline without data for this long is lost: it is opened again until it is back.
+    #[param(default = 1.0, range = 0.1..=60.0, unit = "s", reopen)]
+    pub timeout_s: f64,
     /// Time limit for opening a camera, stream or pipeline.
     #[param(default = 10.0, range = 0.1..=600.0, unit = "s", reopen)]
     pub open_limit_s: f64,

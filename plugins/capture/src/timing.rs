@@ -29,8 +29,8 @@ impl Default for Timing {
 pub enum Time {
     /// The source gives it: media time, s.
     Media(f64),
-    /// The host's clock, for a device.
-    Device,
+    /// Arrival by the host's clock, ns, for a live source; `None` for a tick without a picture.
+    Device(Option<i64>),
     /// The number of the tick and the rate, Hz.
     Rate(u64, f64),
 }
@@ -40,8 +40,8 @@ impl Timing {
     pub fn advance(&mut self, time: Time, clock: Clock<'_>) -> i64 {
         let next_ns = match time {
             Time::Media(media_s) => (media_s * 1e9).round() as i64,
-            Time::Device => {
-                let now_ns = clock();
+            Time::Device(arrived_ns) => {
+                let now_ns = arrived_ns.unwrap_or_else(clock);
                 let (start_ns, first_ns) = *self.device_from.get_or_insert((now_ns, self.capture_ns + 1));
                 first_ns + now_ns.saturating_sub(start_ns)
             }
@@ -82,12 +82,13 @@ mod tests {
         let now_ns = Cell::new(7_000);
         let clock = || now_ns.get();
         let mut timing = Timing::default();
-        assert_eq!(timing.advance(Time::Device, &clock), 0);
-        assert_eq!(timing.advance(Time::Device, &clock), 1, "the clock stands still");
+        assert_eq!(timing.advance(Time::Device(None), &clock), 0);
+        assert_eq!(timing.advance(Time::Device(None), &clock), 1, "the clock stands still");
         now_ns.set(7_500);
-        assert_eq!(timing.advance(Time::Device, &clock), 500);
+        assert_eq!(timing.advance(Time::Device(None), &clock), 500);
         now_ns.set(0);
-        assert_eq!(timing.advance(Time::Device, &clock), 501, "the clock went back");
+        assert_eq!(timing.advance(Time::Device(None), &clock), 501, "the clock went back");
+        assert_eq!(timing.advance(Time::Device(Some(8_000)), &clock), 1_000, "the arrival stands for the clock");
     }
 
     #[test]

@@ -1,15 +1,21 @@
 //! The views of one node: taken together, pictures of one instant.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use panoscope_calibration::views::matched;
+use panoscope_media::input::Signal;
 use panoscope_node::Context;
 
-use crate::source::{CaptureError, Clock, Demands, Grab, Picture, Source, SourceName};
+use crate::live::Live;
+use crate::source::{CaptureError, Clock, Demands, Grab, Picture, Source, SourceName, Stream};
 
 /// Rates that differ by no more than this share are meant to be one.
 const SAME_RATE: f64 = 0.01;
+/// Pictures further apart than this share of the fastest view's period do not belong together.
+const TOLERANCE: f64 = 0.5;
+/// Rate of live sources that state none, Hz.
+const LIVE_FPS: f64 = 30.0;
 /// Names of files that a message lists.
 const LISTED: usize = 6;
 
@@ -38,18 +44,22 @@ pub enum Grabbed {
     End,
     /// A view has no more pictures although more were promised.
     Failed(String),
-    /// A device is gone.
+    /// A device or stream is gone, or no pictures of all views belong together; what happened.
     Lost(String),
 }
 
-/// All views of a node. They lie behind locks because they are decoded on several threads at a time.
+/// All views of a node. They are behind locks because images are decoded on several threads at a time.
 pub struct Views {
     list: Vec<Mutex<View>>,
+    live: Live,
+    /// Arrival of the tick's oldest live picture, ns of `CLOCK_MONOTONIC`.
+    arrived_ns: Option<i64>,
     /// Rate of pictures that have no time of their own, and of all when it `is_forced`.
     rate_hz: f64,
     is_forced: bool,
     /// Pictures further apart in time than this do not belong together, s.
     tolerance_s: f64,
+
     /// Time between two ticks, s.
     period_s: f64,
     /// One rate for all: every picture should have a partner.
@@ -104,7 +114,7 @@ pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String
 }
 
 impl Views {
-    /// Opens all sources; `rate_hz` 0 takes the first rate that a source has, else `default_hz`.
+    /// Opens all sources; `rate_hz` 0 takes the first rate that a source has, else `default_hz`; `tolerance_ms` 0 is half a period.
     ///
     /// # Errors
     /// As [`Source::open`].
@@ -114,10 +124,12 @@ impl Views {
         demands: Demands,
         is_repeated: bool,
         (rate_hz, default_hz): (f64, f64),
+        tolerance_ms: f64,
     ) -> Result<Self, CaptureError> {
+        let signal = Arc::new(Signal::default());
         let mut list = Vec::new();
         for (name, text) in names.iter().zip(texts) {
-            let source = Source::open(name, demands, is_repeated)?;
+            let source = Source::open(name, demands, is_repeated, &signal)?;
             list.push(View {
                 source,
                 picture: Picture::default(),
@@ -136,11 +148,16 @@ impl Views {
         let fastest = rates.iter().copied().reduce(f64::max).unwrap_or(rate_hz);
         let slowest = rates.iter().copied().reduce(f64::min).unwrap_or(rate_hz);
         let is_one_rate = rates.iter().all(|rate| fastest - rate <= SAME_RATE * fastest);
+        let live = list.iter().filter(|view| view.source.is_device());
+        let live_hz = live.filter_map(|view| view.source.native_fps()).reduce(f64::max).unwrap_or(LIVE_FPS);
+        let tolerance_s = |rate_hz: f64| if tolerance_ms > 0.0 { tolerance_ms * 1e-3 } else { TOLERANCE / rate_hz };
         Ok(Self {
+            live: Live::new(signal, tolerance_s(live_hz), demands.silence_limit),
             list: list.into_iter().map(Mutex::new).collect(),
+            arrived_ns: None,
             rate_hz,
             is_forced,
-            tolerance_s: 0.5 / fastest,
+            tolerance_s: tolerance_s(fastest),
             period_s: 1.0 / slowest,
             is_one_rate,
             round_s: 0.0,
@@ -174,14 +191,34 @@ impl Views {
         self.rate_hz
     }
 
-    /// Time between the first and the last picture of the tick, ms: of media time where sources have one, else of the clock.
+    /// Arrival of the tick's oldest picture of a live view, ns of `CLOCK_MONOTONIC`; `None` without such a view.
+    pub fn arrived_ns(&self) -> Option<i64> {
+        self.arrived_ns
+    }
+
+    /// Sum of a count over all streams.
+    pub fn total(&mut self, count: impl Fn(&Stream) -> u64) -> u64 {
+        self.iter().filter_map(|view| view.source.stream().map(&count)).sum()
+    }
+
+    /// What is unusual in the pictures of the streams, in words.
+    pub fn remarks(&mut self) -> Vec<String> {
+        self.iter().filter_map(|view| view.source.stream()?.remark()).collect()
+    }
+
+    /// Time between the first and the last picture of the tick, ms: of media time where sources have one, else of arrival.
     pub fn skew_ms(&self) -> f64 {
         self.skew_ms
     }
 
     /// Number of pictures without a partner although all views have one rate.
     pub fn unpaired(&self) -> u64 {
-        self.unpaired
+        self.unpaired + self.live.unpaired
+    }
+
+    /// Number of live pictures that were dropped because newer ones came.
+    pub fn dropped(&mut self) -> u64 {
+        self.live.superseded + self.total(Stream::dropped)
     }
 
     /// A warning where the views' rates differ.
@@ -217,17 +254,34 @@ impl Views {
         self.iter().find_map(|view| view.source.media_s(rate_hz, is_forced)).map(|time| round_s + time)
     }
 
-    /// Grabs one picture of every view, then more of those that are behind the others in time.
-    pub fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>) -> Grabbed {
-        let all: Vec<usize> = (0..self.len()).collect();
+    /// Takes one picture of every view: the newest live ones that arrived together, the next ones of the others, then more of those that are behind
+    /// in media time.
+    pub fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>, is_lost: bool) -> Grabbed {
         self.iter().for_each(|view| view.is_ahead = false);
+        self.arrived_ns = None;
+        let (mut live, mut others) = (Vec::new(), Vec::new());
+        for (index, view) in self.list.iter_mut().enumerate() {
+            let view = view.get_mut().unwrap_or_else(PoisonError::into_inner);
+            match view.source.newest_mut() {
+                Some(stream) => live.push(stream),
+                None => others.push(index),
+            }
+        }
+        if !live.is_empty() {
+            match self.live.grab(&mut live, clock, is_lost) {
+                Grabbed::Ready => {}
+                other => return other,
+            }
+            (self.skew_ms, self.arrived_ns) = (self.live.skew_ms, Some(self.live.arrived_ns));
+        }
         let mut times = Vec::with_capacity(self.len());
-        match self.grab_some(&all, &mut times, clock) {
+        match self.grab_some(&others, &mut times, clock) {
             Grabbed::Ready => {}
             other => return other,
         }
         if let (Some(first), Some(last)) = (times.iter().min(), times.iter().max()) {
             self.skew_ms = last.saturating_sub(*first) as f64 * 1e-6;
+            self.arrived_ns = Some(self.arrived_ns.map_or(*first, |arrived| arrived.min(*first)));
         }
         let (rate_hz, is_forced, tolerance_s) = (self.rate_hz, self.is_forced, self.tolerance_s);
         loop {
@@ -269,12 +323,12 @@ impl Views {
             let view = self.view(index);
             let next = match view.source.grab(clock) {
                 Grab::Ready(time) => {
-                    times.push(time);
+                    times.extend(time);
                     view.is_ahead = true;
                     continue;
                 }
                 Grab::Failed(words) => Grabbed::Failed(words),
-                Grab::Lost => Grabbed::Lost(format!("{} is gone after {} frames", view.name, view.source.grabbed())),
+                Grab::Lost(words) => Grabbed::Lost(words),
                 Grab::End => Grabbed::End,
             };
             // A failure matters more than an end.

@@ -1,16 +1,22 @@
-//! Decodes image files and matrices to pictures.
+//! Decodes image files to pictures.
 
 use std::fs;
+use std::io::Cursor;
 use std::path::Path;
+use std::time::Duration;
 
 use image::DynamicImage;
-use opencv::core::{CV_8U, CV_16U, CV_32F, CV_64F, Mat, Scalar, Vector};
-use opencv::imgcodecs;
-use opencv::prelude::*;
+use panoscope_media::input::{CameraMode, Input, InputName, InputOptions, Signal, jpeg};
+use tiff::ColorType;
+use tiff::decoder::DecodingResult;
 
 use super::error::PictureError;
-use super::jpeg;
+use super::frames::Frames;
 use super::picture::{Picture, Samples};
+use super::plain;
+
+/// Longest that GStreamer may take for a file.
+const LIMIT: Duration = Duration::from_secs(10);
 
 /// Reads an image file as BGR. A file that ends too early is an error, never a picture with old or gray parts.
 ///
@@ -23,27 +29,28 @@ pub fn read(path: &Path) -> Result<Picture, PictureError> {
     }
     match image::guess_format(&bytes) {
         Ok(image::ImageFormat::Jpeg) => decode_jpeg(&bytes),
-        Ok(format @ image::ImageFormat::Png) => decode(&bytes, format),
-        _ => decode_opencv(&bytes),
+        Ok(format @ (image::ImageFormat::Png | image::ImageFormat::OpenExr)) => decode(&bytes, format),
+        Ok(image::ImageFormat::Tiff) => decode_tiff(&bytes),
+        Ok(image::ImageFormat::Bmp) => plain::bmp(&bytes),
+        Ok(image::ImageFormat::Pnm) => plain::pnm(&bytes),
+        _ => decode_other(path),
     }
 }
 
-/// Decodes a PNG, or a JPEG that is known to be whole.
-pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, PictureError> {
+/// Decodes a PNG or an EXR, or a JPEG that is known to be whole.
+fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, PictureError> {
     let picture =
         image::load_from_memory_with_format(bytes, format).map_err(|cause| PictureError::Damaged { cause })?;
     let (width, height) = (picture.width() as usize, picture.height() as usize);
-    let is_deep = matches!(
-        picture,
+    let samples = match picture {
         DynamicImage::ImageLuma16(_)
-            | DynamicImage::ImageLumaA16(_)
-            | DynamicImage::ImageRgb16(_)
-            | DynamicImage::ImageRgba16(_)
-    );
-    let samples = if is_deep {
-        Samples::Sixteen(bgr_of_rgb(picture.into_rgb16().into_raw()))
-    } else {
-        Samples::Eight(bgr_of_rgb(picture.into_rgb8().into_raw()))
+        | DynamicImage::ImageLumaA16(_)
+        | DynamicImage::ImageRgb16(_)
+        | DynamicImage::ImageRgba16(_) => Samples::Sixteen(bgr_of_rgb(picture.into_rgb16().into_raw())),
+        DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_) => {
+            Samples::Float(bgr_of_rgb(picture.into_rgb32f().into_raw()))
+        }
+        _ => Samples::Eight(bgr_of_rgb(picture.into_rgb8().into_raw())),
     };
     Ok(Picture { width, height, samples })
 }
@@ -63,102 +70,59 @@ fn bgr_of_rgb<T>(mut values: Vec<T>) -> Vec<T> {
     values
 }
 
-/// Decodes formats that only OpenCV knows. OpenCV leaves the memory of damaged areas unchanged, so the picture is decoded twice onto different
-/// backgrounds: where a background shows, the picture is damaged.
-fn decode_opencv(bytes: &[u8]) -> Result<Picture, PictureError> {
-    let buffer = Vector::<u8>::from_slice(bytes);
-    let flags = imgcodecs::IMREAD_UNCHANGED;
-    let first = imgcodecs::imdecode(&buffer, flags)?;
-    let mut out = Picture::default();
-    copy_mat(&first, &mut out)?;
-    if out.bytes() == 0 {
-        return Err(PictureError::Unknown);
-    }
-    for background in [0.0, 77.0] {
-        let mut again =
-            Mat::new_rows_cols_with_default(first.rows(), first.cols(), first.typ(), Scalar::all(background))?;
-        imgcodecs::imdecode_to(&buffer, flags, &mut again)?;
-        if again.empty() {
-            return Err(PictureError::Unknown);
-        }
-        // Bytes and not values: NaN is equal to itself here.
-        if again.data_bytes()? != first.data_bytes()? {
-            return Err(PictureError::Incomplete);
-        }
-    }
-    Ok(out)
-}
-
-/// Copies a gray, BGR or BGRA matrix of 8 or 16 bits or floats.
-///
-/// # Errors
-/// OpenCV's; a matrix of another type.
-pub fn copy_mat(mat: &Mat, out: &mut Picture) -> opencv::Result<()> {
-    out.clear();
-    let (width, height) = (mat.cols().max(0) as usize, mat.rows().max(0) as usize);
-    if width == 0 || height == 0 {
-        return Ok(());
-    }
-    let channels = mat.channels();
-    let unsupported = |message: String| opencv::Error::new(opencv::core::StsUnsupportedFormat, message);
-    if !matches!(channels, 1 | 3 | 4) {
-        return Err(unsupported(format!("{channels} channels are no picture: convert it to gray or colour")));
-    }
-    let whole;
-    let mat = if mat.is_continuous() {
-        mat
-    } else {
-        whole = mat.try_clone()?;
-        &whole
+/// Decodes a TIFF of 8 or 16 bits without sign, or of floats.
+fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
+    let damaged = |cause: tiff::TiffError| PictureError::Tiff { cause };
+    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(damaged)?;
+    let (width, height) = decoder.dimensions().map_err(damaged)?;
+    let color = decoder.colortype().map_err(damaged)?;
+    let channels = match color {
+        ColorType::Gray(_) => 1,
+        ColorType::GrayA(_) => 2,
+        ColorType::RGB(_) => 3,
+        ColorType::RGBA(_) => 4,
+        other => return Err(PictureError::Unsupported { format: format!("{other:?}") }),
     };
-    match mat.depth() {
-        CV_8U => {
-            let bytes = mat.data_bytes()?;
-            if let Samples::Eight(bgr) = &mut out.samples {
-                bgr_of(bytes, channels, bgr);
-            }
+    let (width, height) = (width as usize, height as usize);
+    let samples = match decoder.read_image().map_err(damaged)? {
+        DecodingResult::U8(values) => Samples::Eight(bgr(&values, channels)),
+        DecodingResult::U16(values) => Samples::Sixteen(bgr(&values, channels)),
+        DecodingResult::F32(values) => Samples::Float(bgr(&values, channels)),
+        DecodingResult::F64(values) => {
+            let values: Vec<f32> = values.into_iter().map(|value| value as f32).collect();
+            Samples::Float(bgr(&values, channels))
         }
-        CV_16U => out.samples = Samples::Sixteen(collected(values::<u16>(mat)?, channels)),
-        CV_32F => out.samples = Samples::Float(collected(values::<f32>(mat)?, channels)),
-        CV_64F => {
-            let values: Vec<f32> = values::<f64>(mat)?.iter().map(|value| *value as f32).collect();
-            out.samples = Samples::Float(collected(&values, channels));
-        }
-        depth => {
-            let kind = ["", "signed 8-bit", "", "signed 16-bit", "signed 32-bit", "", "", "16-bit floating"];
-            let kind = usize::try_from(depth).ok().and_then(|depth| kind.get(depth)).copied().unwrap_or("unknown");
-            return Err(unsupported(format!(
-                "its {kind} values are not supported: convert it to 8 or 16 bits without sign, or to 32-bit floats"
-            )));
-        }
-    }
-    (out.width, out.height) = (width, height);
-    Ok(())
+        DecodingResult::I8(_) => return Err(PictureError::Unsupported { format: "signed 8-bit".to_owned() }),
+        DecodingResult::I16(_) => return Err(PictureError::Unsupported { format: "signed 16-bit".to_owned() }),
+        _ => return Err(PictureError::Unsupported { format: format!("{color:?}") }),
+    };
+    let picture = Picture { width, height, samples };
+    let values = 3 * width * height;
+    let is_whole = match &picture.samples {
+        Samples::Eight(bgr) => bgr.len() == values,
+        Samples::Sixteen(bgr) => bgr.len() == values,
+        Samples::Float(bgr) => bgr.len() == values,
+        Samples::Decoded(_) => true,
+    };
+    if is_whole { Ok(picture) } else { Err(PictureError::Incomplete) }
 }
 
-/// The values of a continuous matrix of any number of channels.
-fn values<T: Copy>(mat: &Mat) -> opencv::Result<&[T]> {
-    let bytes = mat.data_bytes()?;
-    // SAFETY: `copy_mat` calls this for `u16`, `f32` and `f64` only, of which every bit pattern is a value. `align_to` returns unaligned bytes
-    // apart; OpenCV's buffers are aligned to 64 bytes, and the check below refuses any other.
-    let (head, values, _) = unsafe { bytes.align_to::<T>() };
-    if head.is_empty() {
-        Ok(values)
-    } else {
-        Err(opencv::Error::new(opencv::core::StsError, "a matrix that is not aligned"))
-    }
-}
-
-fn collected<T: Copy>(values: &[T], channels: i32) -> Vec<T> {
-    let mut bgr = Vec::new();
-    bgr_of(values, channels, &mut bgr);
-    bgr
-}
-
-fn bgr_of<T: Copy>(values: &[T], channels: i32, bgr: &mut Vec<T>) {
+/// BGR of interleaved gray or RGB values, with or without alpha.
+pub(super) fn bgr<T: Copy>(values: &[T], channels: usize) -> Vec<T> {
     match channels {
-        3 => bgr.extend_from_slice(values),
-        1 => bgr.extend(values.iter().flat_map(|&gray| [gray; 3])),
-        _ => bgr.extend(values.as_chunks::<4>().0.iter().flat_map(|&[blue, green, red, _]| [blue, green, red])),
+        1 | 2 => values.chunks_exact(channels).flat_map(|pixel| [pixel[0]; 3]).collect(),
+        _ => values.chunks_exact(channels).flat_map(|pixel| [pixel[2], pixel[1], pixel[0]]).collect(),
     }
+}
+
+/// Decodes formats that only GStreamer knows.
+fn decode_other(path: &Path) -> Result<Picture, PictureError> {
+    let name = InputName::File(path.to_owned());
+    let options = InputOptions { mode: CameraMode::default(), is_lossless: true, capacity: 1, limit: LIMIT };
+    let mut frames = Frames::default();
+    let unknown = |cause: &dyn std::fmt::Display| PictureError::Unknown { reason: cause.to_string() };
+    let input = Input::open(&name, &options, Signal::default().into(), move |received| frames.of_sample(&received))
+        .map_err(|cause| unknown(&cause))?;
+    let item = input.queue().pop(LIMIT).ok_or(PictureError::Incomplete)?;
+    item.content.map_err(|cause| unknown(&cause))
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 /// Reads the host's monotonic clock, ns.
 pub type Clock<'c> = &'c dyn Fn() -> i64;
 
-/// Mode asked of a device, 0 leaves its own; and the time limit of opening.
+/// Mode asked of a device, 0 leaves its own; time limits; and whether pictures may be dropped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Demands {
     /// Columns in px.
@@ -16,6 +16,10 @@ pub struct Demands {
     pub fps: f64,
     /// Longest time that opening may take.
     pub open_limit: Duration,
+    /// A live source without data for this long is lost.
+    pub silence_limit: Duration,
+    /// No picture of a live source is dropped either.
+    pub is_lossless: bool,
 }
 
 /// Values at which a device's automatics are locked.
@@ -30,12 +34,12 @@ pub struct Lock {
 /// Result of a grab.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Grab {
-    /// A picture waits to be decoded; it was taken at this time of the host's clock, ns.
-    Ready(i64),
+    /// A picture waits to be taken. Its arrival, ns of `CLOCK_MONOTONIC`, where the source is live.
+    Ready(Option<i64>),
     /// The source has ended.
     End,
     /// The source has ended before the announced number of pictures: what is missing, in words.
     Failed(String),
-    /// The device is gone; it is opened again with growing pauses.
-    Lost,
+    /// The device or stream is gone, and why; it is opened again with growing pauses.
+    Lost(String),
 }

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use panoscope_media::input::jpeg::JpegError;
+
 /// Why a source gives no picture.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
@@ -64,15 +66,32 @@ pub enum CaptureError {
 /// What is wrong with a frame of a stream.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
-    /// The source has been lost.
-    #[error("the source is not open")]
-    NotOpen,
-    /// The decoder returned no picture.
-    #[error("the decoder gave nothing")]
-    NoPicture,
+    /// Nothing was grabbed.
+    #[error("no frame is there")]
+    NotThere,
     /// The decoder returned a picture of no pixels.
     #[error("an empty picture came")]
     Empty,
+    /// It was made from damaged or missing data.
+    #[error("its data are damaged: {reason}")]
+    Damaged {
+        /// What the source or the decoder reported.
+        reason: String,
+    },
+    /// Fewer bytes than the format needs.
+    #[error("{bytes} bytes came, its format needs {expected}")]
+    Short {
+        /// Bytes that came.
+        bytes: usize,
+        /// Bytes of a whole frame.
+        expected: usize,
+    },
+    /// A format that is no picture of rows and columns.
+    #[error("the format {format} is not supported")]
+    Unsupported {
+        /// GStreamer's name.
+        format: String,
+    },
     /// A JPEG of another size than the stream announces.
     #[error(
         "a JPEG of {width}x{height} came where {announced_width}x{announced_height} was announced (interlaced?): convert it to another format"
@@ -105,47 +124,35 @@ pub enum PictureError {
     #[error("the file is empty")]
     Empty,
     /// No decoder takes it.
-    #[error("the file is no image that OpenCV knows, or it is damaged")]
-    Unknown,
-    /// A PNG or JPEG that its decoder refuses.
+    #[error("the file is no image that can be read, or it is damaged: {reason}")]
+    Unknown {
+        /// GStreamer's words.
+        reason: String,
+    },
+    /// A PNG, JPEG or EXR that its decoder refuses.
     #[error("the image is damaged: {cause}")]
     Damaged {
         /// The decoder's error.
         cause: image::ImageError,
     },
+    /// A TIFF that its decoder refuses.
+    #[error("the TIFF is damaged or of an unknown kind: {cause}")]
+    Tiff {
+        /// The decoder's error.
+        cause: tiff::TiffError,
+    },
     /// Parts of the picture are not in the file.
     #[error("the image is damaged: parts of it cannot be decoded")]
     Incomplete,
+    /// Values or channels that are no picture.
+    #[error(
+        "its format ({format}) is not supported: convert it to gray or colour of 8 or 16 bits without sign, or of 32-bit floats"
+    )]
+    Unsupported {
+        /// The format in words.
+        format: String,
+    },
     /// A JPEG that is not whole.
     #[error(transparent)]
     Jpeg(#[from] JpegError),
-    /// OpenCV refuses it.
-    #[error("{message}")]
-    OpenCv {
-        /// OpenCV's message.
-        message: String,
-    },
-}
-
-impl From<opencv::Error> for PictureError {
-    fn from(error: opencv::Error) -> Self {
-        Self::OpenCv { message: error.message }
-    }
-}
-
-/// What is wrong with the markers of a JPEG.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum JpegError {
-    /// The first bytes are not those of a JPEG.
-    #[error("it does not begin as a JPEG")]
-    NotJpeg,
-    /// The end marker is missing.
-    #[error("the JPEG is cut off after {bytes} bytes: its end is missing")]
-    CutOff {
-        /// Bytes that there are.
-        bytes: usize,
-    },
-    /// No scan stands before the end marker.
-    #[error("the JPEG holds no picture")]
-    NoPicture,
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::decode::read;
-use super::demands::{Clock, Grab};
+use super::demands::Grab;
 use super::error::CaptureError;
 use super::picture::Picture;
 
@@ -51,7 +51,7 @@ impl Images {
     }
 
     /// Steps to the next file.
-    pub fn grab(&mut self, clock: Clock<'_>) -> Grab {
+    pub fn grab(&mut self) -> Grab {
         if self.still {
             self.next = 0;
         }
@@ -60,7 +60,7 @@ impl Images {
         }
         self.grabbed = self.next;
         self.next += 1;
-        Grab::Ready(clock())
+        Grab::Ready(None)
     }
 
     /// The next file; `None` at the end.

@@ -1,27 +1,32 @@
 //! Where pictures come from: one [`Source`] per camera, file, image sequence or pipeline.
 
+mod avi;
+mod controls;
 mod decode;
 mod demands;
 mod elements;
 mod error;
+mod frames;
 mod images;
-mod jpeg;
 mod name;
-mod open;
 mod opening;
 mod picture;
+mod plain;
 mod stream;
 
 use std::path::Path;
+use std::sync::Arc;
+
+use panoscope_media::input::Signal;
 
 pub use demands::{Clock, Demands, Grab, Lock};
 pub use elements::unknown_element;
 pub use error::CaptureError;
 pub use name::SourceName;
 pub use picture::{Picture, Samples, white_of_bits};
+pub use stream::Stream;
 
 use images::Images;
-use stream::Stream;
 
 /// One source.
 pub enum Source {
@@ -32,27 +37,32 @@ pub enum Source {
 }
 
 impl Source {
-    /// Opens `name`. With `is_repeated` decoded images stay in memory.
+    /// Opens `name`. With `is_repeated` decoded images stay in memory. `signal` is notified of every picture of a stream.
     ///
     /// # Errors
     /// The source is missing, damaged, refused, or does not open in time.
-    pub fn open(name: &SourceName, demands: Demands, is_repeated: bool) -> Result<Self, CaptureError> {
+    pub fn open(
+        name: &SourceName,
+        demands: Demands,
+        is_repeated: bool,
+        signal: &Arc<Signal>,
+    ) -> Result<Self, CaptureError> {
         match name {
             SourceName::Images(files) => Ok(Self::Images(Images::new(files.clone(), is_repeated))),
             SourceName::Image(file) => Ok(Self::Images(Images::still(file.clone()))),
-            other => Ok(Self::Stream(Box::new(Stream::open(other, demands)?))),
+            other => Ok(Self::Stream(Box::new(Stream::open(other, demands, signal)?))),
         }
     }
 
-    /// Takes the next picture without decoding it, so that several sources are grabbed at nearly the same time.
+    /// Steps to the next picture. Images are read by [`Self::retrieve`]; pictures of streams are decoded already.
     pub fn grab(&mut self, clock: Clock<'_>) -> Grab {
         match self {
-            Self::Images(images) => images.grab(clock),
+            Self::Images(images) => images.grab(),
             Self::Stream(stream) => stream.grab(clock),
         }
     }
 
-    /// Decodes the picture that was grabbed.
+    /// Returns the picture that was grabbed.
     ///
     /// # Errors
     /// A damaged file or frame, by name and number; never old pixels.
@@ -124,6 +134,22 @@ impl Source {
     /// Whether the source sets the pace by itself.
     pub fn is_device(&self) -> bool {
         matches!(self, Self::Stream(stream) if stream.is_live())
+    }
+
+    /// The stream, if only its newest pictures count: pictures of such streams are paired by their arrival.
+    pub fn newest_mut(&mut self) -> Option<&mut Stream> {
+        match self {
+            Self::Stream(stream) if stream.is_newest_wins() => Some(stream),
+            _ => None,
+        }
+    }
+
+    /// The stream of a camera, video, address or pipeline.
+    pub fn stream(&self) -> Option<&Stream> {
+        match self {
+            Self::Stream(stream) => Some(stream),
+            Self::Images(_) => None,
+        }
     }
 
     /// The device's stream.

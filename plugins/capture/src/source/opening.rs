@@ -1,17 +1,13 @@
-//! Opening with a time limit. OpenCV, FFmpeg and GStreamer may wait for ever, so the call runs on a thread of its own, which is abandoned when it does
-//! not return in time.
+//! Opening with a time limit. GStreamer may wait for ever for a disk, a driver or a network, so the call runs on a thread of its own, which is
+//! abandoned when it does not return in time.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, channel};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use opencv::videoio::VideoCapture;
-
-use super::demands::Demands;
 use super::error::CaptureError;
 use super::name::SourceName;
-use super::open::open;
 
 /// Calls that have not returned yet, by the source's name.
 static RUNNING: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
@@ -19,24 +15,28 @@ static RUNNING: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
 const MOST_RUNNING: usize = 3;
 
 /// A call that opens a source.
-pub struct Opening {
+pub struct Opening<T> {
     name: SourceName,
     /// Time of the host's clock at the first [`Self::poll`], ns.
     since_ns: Option<i64>,
     limit: Duration,
-    result: Receiver<Result<VideoCapture, CaptureError>>,
+    result: Receiver<Result<T, CaptureError>>,
 }
 
-fn running<T>(look: impl FnOnce(&mut BTreeMap<String, usize>) -> T) -> T {
-    look(&mut RUNNING.lock().unwrap_or_else(PoisonError::into_inner))
+fn running<R>(change: impl FnOnce(&mut BTreeMap<String, usize>) -> R) -> R {
+    change(&mut RUNNING.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
-impl Opening {
-    /// Begins to open `name`.
+impl<T: Send + 'static> Opening<T> {
+    /// Begins to open `name` by `open`, which has `limit` for it.
     ///
     /// # Errors
     /// [`CaptureError::Closed`] when too many earlier calls for the same source have not returned, or no thread starts.
-    pub fn start(name: &SourceName, demands: Demands) -> Result<Self, CaptureError> {
+    pub fn start(
+        name: &SourceName,
+        limit: Duration,
+        open: impl FnOnce() -> Result<T, CaptureError> + Send + 'static,
+    ) -> Result<Self, CaptureError> {
         let key = name.in_words();
         let closed = |reason: String| CaptureError::Closed { name: key.clone(), reason };
         let is_free = running(|running| {
@@ -49,9 +49,9 @@ impl Opening {
             return Err(closed(format!("{MOST_RUNNING} earlier attempts have not returned yet")));
         }
         let (sender, result) = channel();
-        let (task, key_of_task) = (name.clone(), key.clone());
+        let key_of_task = key.clone();
         let started = std::thread::Builder::new().name("open source".to_owned()).spawn(move || {
-            let opened = open(&task, demands);
+            let opened = open();
             returned(&key_of_task);
             // After the limit nobody receives it: the source closes again here.
             let _ = sender.send(opened);
@@ -60,29 +60,29 @@ impl Opening {
             returned(&key);
             return Err(closed(format!("no thread starts: {error}")));
         }
-        Ok(Self { name: name.clone(), since_ns: None, limit: demands.open_limit, result })
+        Ok(Self { name: name.clone(), since_ns: None, limit, result })
     }
 
     /// Waits for the result of the call, or for the limit.
     ///
     /// # Errors
     /// Why the source does not open.
-    pub fn wait(self) -> Result<VideoCapture, CaptureError> {
+    pub fn wait(self) -> Result<T, CaptureError> {
         match self.result.recv_timeout(self.limit) {
             Ok(opened) => opened,
-            Err(RecvTimeoutError::Timeout) => Err(self.too_late()),
+            Err(RecvTimeoutError::Timeout) => Err(too_late(&self.name, self.limit)),
             Err(RecvTimeoutError::Disconnected) => Err(self.broken()),
         }
     }
 
     /// The result of the call, or of the limit, once there is one. The limit counts from the first poll.
-    pub fn poll(&mut self, now_ns: i64) -> Option<Result<VideoCapture, CaptureError>> {
+    pub fn poll(&mut self, now_ns: i64) -> Option<Result<T, CaptureError>> {
         let passed_ns = now_ns.saturating_sub(*self.since_ns.get_or_insert(now_ns));
         let is_in_time = passed_ns < i64::try_from(self.limit.as_nanos()).unwrap_or(i64::MAX);
         match self.result.try_recv() {
             Ok(opened) => Some(opened),
             Err(TryRecvError::Empty) if is_in_time => None,
-            Err(TryRecvError::Empty) => Some(Err(self.too_late())),
+            Err(TryRecvError::Empty) => Some(Err(too_late(&self.name, self.limit))),
             Err(TryRecvError::Disconnected) => Some(Err(self.broken())),
         }
     }
@@ -90,22 +90,23 @@ impl Opening {
     fn broken(&self) -> CaptureError {
         CaptureError::Closed { name: self.name.in_words(), reason: "the call that opens it panicked".to_owned() }
     }
+}
 
-    fn too_late(&self) -> CaptureError {
-        let seconds = self.limit.as_secs_f64();
-        let hint = match &self.name {
-            SourceName::Address(_) => {
-                "is the address right, and the sender running? `open_limit_s` sets the time".to_owned()
-            }
-            SourceName::Pipeline(text) => format!(
-                "one of its elements ({}) waits for data, a device or an address; try it with gst-launch-1.0, or set `open_limit_s`",
-                super::elements::names(text).join(", ")
-            ),
-            SourceName::Device(_) => "the driver does not answer; unplug the camera and plug it in again".to_owned(),
-            _ => "is it a file, on a disk that answers?".to_owned(),
-        };
-        CaptureError::Closed { name: self.name.in_words(), reason: format!("no answer within {seconds} s: {hint}") }
-    }
+/// The error of a source that does not answer within `limit`.
+pub fn too_late(name: &SourceName, limit: Duration) -> CaptureError {
+    let seconds = limit.as_secs_f64();
+    let hint = match name {
+        SourceName::Address(_) => {
+            "is the address right, and the sender running? `open_limit_s` sets the time".to_owned()
+        }
+        SourceName::Pipeline(text) => format!(
+            "one of its elements ({}) waits for data, a device or an address; try it with gst-launch-1.0, or set `open_limit_s`",
+            super::elements::names(text).join(", ")
+        ),
+        SourceName::Device(_) => "the driver does not answer; unplug the camera and plug it in again".to_owned(),
+        _ => "is it a file, on a disk that answers?".to_owned(),
+    };
+    CaptureError::Closed { name: name.in_words(), reason: format!("no answer within {seconds} s: {hint}") }
 }
 
 fn returned(key: &str) {

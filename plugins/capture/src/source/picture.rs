@@ -1,18 +1,26 @@
 //! One picture as its file or device gave it, and how its values become eight bits.
 
-/// Blue, green, red of every pixel, row after row without padding.
-#[derive(Clone, Debug, PartialEq)]
+use std::sync::Arc;
+
+use gstreamer_video::VideoFrame;
+use gstreamer_video::prelude::*;
+use gstreamer_video::video_frame::Readable;
+
+/// Blue, green, red of every pixel.
+#[derive(Clone, Debug)]
 pub enum Samples {
-    /// 0..=255.
+    /// 0..=255, row after row without padding.
     Eight(Vec<u8>),
-    /// As the file holds them; white may be any of 255, 1023, 4095, 16383, 65535.
+    /// 0..=255, in the decoder's memory.
+    Decoded(Arc<VideoFrame<Readable>>),
+    /// As the file holds them; white may be any of 255, 1023, 4095, 16383, 65535. Rows have no padding.
     Sixteen(Vec<u16>),
     /// As the file holds them; white may be 1.0 or any of the above.
     Float(Vec<f32>),
 }
 
 /// One picture.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Picture {
     /// Columns in px.
     pub width: usize,
@@ -51,6 +59,7 @@ impl Picture {
     pub fn bytes(&self) -> usize {
         match &self.samples {
             Samples::Eight(bgr) => bgr.len(),
+            Samples::Decoded(_) => 3 * self.width * self.height,
             Samples::Sixteen(bgr) => 2 * bgr.len(),
             Samples::Float(bgr) => 4 * bgr.len(),
         }
@@ -59,7 +68,7 @@ impl Picture {
     /// The largest value of a picture with more than eight bits; `None` for one of eight. NaN counts as nothing.
     pub fn peak(&self) -> Option<f32> {
         match &self.samples {
-            Samples::Eight(_) => None,
+            Samples::Eight(_) | Samples::Decoded(_) => None,
             Samples::Sixteen(bgr) => Some(f32::from(bgr.iter().copied().max().unwrap_or(0))),
             Samples::Float(bgr) => Some(bgr.iter().copied().fold(0.0, f32::max)),
         }
@@ -82,6 +91,13 @@ impl Picture {
         let end = start + out.len();
         match &self.samples {
             Samples::Eight(bgr) => out.copy_from_slice(&bgr[start..end]),
+            Samples::Decoded(frame) => {
+                let first = y * usize::try_from(frame.plane_stride()[0]).unwrap_or(0) + 3 * x;
+                // The frame was mapped with this size; see `frames::of_sample`.
+                if let Some(row) = frame.plane_data(0).ok().and_then(|plane| plane.get(first..first + out.len())) {
+                    out.copy_from_slice(row);
+                }
+            }
             Samples::Sixteen(bgr) => {
                 let scale = 255.0 / white;
                 for (out, value) in out.iter_mut().zip(&bgr[start..end]) {

@@ -1,25 +1,36 @@
-//! Devices, video files, network streams and pipelines, through OpenCV's `VideoCapture`.
+//! Devices, video files, network streams and pipelines, through GStreamer.
 
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use opencv::core::Mat;
-use opencv::prelude::*;
-use opencv::videoio::{self, VideoCapture};
+use panoscope_media::MediaError;
+use panoscope_media::input::{CameraMode, End, Input, InputName, InputOptions, Signal};
 
-use super::decode::{copy_mat, decode_jpeg};
+use super::controls::Controls;
 use super::demands::{Clock, Demands, Grab, Lock};
-use super::error::{CaptureError, FrameError, PictureError};
+use super::elements;
+use super::error::{CaptureError, FrameError};
+use super::frames::Frames;
 use super::name::SourceName;
-use super::opening::Opening;
+use super::opening::{Opening, too_late};
 use super::picture::Picture;
+use crate::devices;
 
 /// Pause before the first attempt to open a lost source again.
 const FIRST_WAIT: Duration = Duration::from_millis(250);
-/// Longest pause between two attempts.
-const LONGEST_WAIT: Duration = Duration::from_secs(5);
-/// V4L2's "manual" in the terms of OpenCV's `CAP_PROP_AUTO_EXPOSURE`.
-const MANUAL_EXPOSURE: f64 = 1.0;
+/// Longest pause between two attempts: a source that is back is shown within 2 s.
+const LONGEST_WAIT: Duration = Duration::from_secs(1);
+/// Limit of the first attempt to open a lost source again. An attempt that is not answered is given up, and the next one may take twice as long.
+const FIRST_ATTEMPT: Duration = Duration::from_millis(1500);
+/// A file that gives nothing for this long is given up.
+const FILE_LIMIT: Duration = Duration::from_secs(10);
 
+/// Decoded pictures of a file that may wait.
+const FILE_QUEUE: usize = 4;
+/// Pictures of a live source that wait for a partner.
+const LIVE_QUEUE: usize = 8;
 /// Frames that a video may lack of the number in its header, which is often an estimate.
 const HEADER_ERROR_FRAMES: u64 = 2;
 /// Frames up to which a position is reached by reading, which is exact, instead of seeking, which is fast.
@@ -27,33 +38,49 @@ const READ_TO: u64 = 500;
 /// Containers round times to milliseconds: times that differ less from the frame rate's are ignored, s.
 const ROUNDING_S: f64 = 0.0015;
 
+/// What is in the queue of an input: a picture, or why it must not be shown.
+type Content = Result<Picture, FrameError>;
+
 /// State of the connection.
 enum State {
-    Open(VideoCapture),
+    Open(Input<Content>),
     /// Lost. Opened again at this time of the host's clock (ns); the last pause before it.
     Waiting(i64, Duration),
-    /// Being opened; the last pause before it.
-    Opening(Opening, Duration),
+    /// Being opened since this time of the host's clock (ns); the last pause before it.
+    Opening(Opening<Input<Content>>, i64, Duration),
 }
 
-/// An open stream, or a lost device that is opened again.
+/// An open stream, or a lost one that is opened again.
 pub struct Stream {
     name: SourceName,
     demands: Demands,
+    signal: Arc<Signal>,
     state: State,
-    mat: Mat,
+    is_live: bool,
     /// It has an end of its own.
     is_finite: bool,
-    /// Frames since the start.
+    /// The number of the newest frame taken, from 1.
     frames: u64,
+    /// Frames of earlier connections.
+    frames_before: u64,
     /// Number of frames by the file's header or the pipeline; 0 when unknown.
     expected: u64,
     fps: Option<f64>,
     first_pos_s: Option<f64>,
     media_s: Option<f64>,
+    /// The frame that was grabbed.
+    current: Option<Content>,
     /// Index of the frame that the next grab returns; 0 for the next one.
     go_to: u64,
     lock: Lock,
+    /// Limit of the next attempt to open it again.
+    attempt_limit: Duration,
+    /// Why the source was lost.
+    loss: String,
+    /// Frames of the connection that were there at this time of the host's clock, ns.
+    heard: (u64, i64),
+    damaged: Arc<AtomicU64>,
+    dropped_before: u64,
 }
 
 /// Pictures after which a pipeline ends, and whether it is made of files.
@@ -66,44 +93,118 @@ fn end_of(text: &str) -> (u64, bool) {
     (count.unwrap_or(0), has_files || count.is_some_and(|count| count > 0))
 }
 
+/// Opens `name`. May wait for ever: [`Opening`] sets the limit.
+fn open(
+    name: &SourceName,
+    demands: Demands,
+    signal: Arc<Signal>,
+    damaged: Arc<AtomicU64>,
+) -> Result<Input<Content>, CaptureError> {
+    let closed = |reason: String| CaptureError::Closed { name: name.in_words(), reason };
+    let input_name = match name {
+        SourceName::Device(number) => InputName::Camera(PathBuf::from(format!("/dev/video{number}"))),
+        SourceName::Pipeline(text) => {
+            if let Some(missing) = elements::unknown_element(text) {
+                return Err(closed(format!(
+                    "GStreamer has no element `{missing}`: is it spelt right, and is the package installed that brings it? gst-inspect-1.0 lists what there is"
+                )));
+            }
+            InputName::Text(text.clone())
+        }
+        SourceName::Address(text) => InputName::Address(text.clone()),
+        SourceName::Video(path) | SourceName::Image(path) => InputName::File(path.clone()),
+        SourceName::Images(files) => InputName::File(files.first().cloned().unwrap_or_default()),
+    };
+    let options = InputOptions {
+        mode: CameraMode { width: demands.width, height: demands.height, fps: demands.fps },
+        is_lossless: demands.is_lossless,
+        capacity: if matches!(name, SourceName::Video(_)) { FILE_QUEUE } else { LIVE_QUEUE },
+        limit: demands.open_limit,
+    };
+    let mut frames = Frames::default();
+    let opened = Input::open(&input_name, &options, signal, move |received| {
+        let content = frames.of_sample(&received);
+        damaged.fetch_add(u64::from(content.is_err()), Ordering::Relaxed);
+        content
+    });
+    opened.map_err(|error| match error {
+        MediaError::Silent { limit } => too_late(name, limit),
+        error @ (MediaError::MissingDecoder { .. } | MediaError::MissingElement { .. }) => closed(error.to_string()),
+        error => closed(match name {
+            SourceName::Device(_) => {
+                format!("{error}. It may be in use by another program, or be no camera; {}", devices::in_words())
+            }
+            SourceName::Pipeline(_) => format!("{error}. Try it with gst-launch-1.0"),
+            SourceName::Address(_) => format!("{error}. Is the address right, and the sender running?"),
+            _ => format!("it is no video that GStreamer knows, or it is damaged: {error}"),
+        }),
+    })
+}
+
 impl Stream {
-    /// Opens `name` within the time limit.
+    /// Opens `name` within the time limit. `signal` is notified of every picture.
     ///
     /// # Errors
     /// [`CaptureError::Closed`].
-    pub fn open(name: &SourceName, demands: Demands) -> Result<Self, CaptureError> {
-        let capture = Opening::start(name, demands)?.wait()?;
-        let count = capture.get(videoio::CAP_PROP_FRAME_COUNT).unwrap_or(0.0);
-        let count = if count > 0.0 && count < 1e12 { count as u64 } else { 0 };
-        let (is_finite, expected) = match name {
-            SourceName::Device(_) => (false, 0),
-            SourceName::Address(_) => (count > 0, count),
-            SourceName::Pipeline(text) => match end_of(text) {
-                (0, is_finite) => (is_finite, count),
-                (buffers, is_finite) => (is_finite, buffers),
-            },
-            _ => (true, count),
-        };
-        let fps = capture.get(videoio::CAP_PROP_FPS).ok().filter(|fps| *fps > 0.1 && *fps <= 1000.0);
-        Ok(Self {
+    pub fn open(name: &SourceName, demands: Demands, signal: &Arc<Signal>) -> Result<Self, CaptureError> {
+        let mut stream = Self {
             name: name.clone(),
             demands,
-            state: State::Open(capture),
-            mat: Mat::default(),
-            is_finite,
+            signal: signal.clone(),
+            state: State::Waiting(0, FIRST_WAIT),
+            is_live: false,
+            is_finite: false,
             frames: 0,
-            expected,
-            fps,
+            frames_before: 0,
+            expected: 0,
+            fps: None,
             first_pos_s: None,
             media_s: None,
+            current: None,
             go_to: 0,
             lock: Lock::default(),
-        })
+            attempt_limit: FIRST_ATTEMPT,
+            loss: String::new(),
+            heard: (0, i64::MIN),
+            damaged: Arc::default(),
+            dropped_before: 0,
+        };
+        let input = stream.start(demands.open_limit)?.wait()?;
+        let format = input.format();
+        stream.fps = format.fps;
+        let (buffers, has_end) = match name {
+            SourceName::Pipeline(text) => end_of(text),
+            _ => (0, false),
+        };
+        let length = input.duration();
+        stream.is_live = input.is_live();
+        stream.is_finite = !stream.is_live || has_end || (matches!(name, SourceName::Address(_)) && length.is_some());
+        if stream.is_finite {
+            let by_length = length.zip(format.fps).map(|(length, fps)| (length.as_secs_f64() * fps).round() as u64);
+            let announced = if let SourceName::Video(path) = name { super::avi::frames(path) } else { None };
+            stream.expected = match buffers {
+                0 => announced.or_else(|| input.pictures()).or(by_length).unwrap_or(0),
+                buffers => buffers,
+            };
+        }
+        stream.state = State::Open(input);
+        Ok(stream)
     }
 
-    /// Whether pictures come at their own pace and may come back after a loss.
+    fn start(&self, limit: Duration) -> Result<Opening<Input<Content>>, CaptureError> {
+        let (name, signal, damaged) = (self.name.clone(), self.signal.clone(), self.damaged.clone());
+        let demands = Demands { open_limit: limit, ..self.demands };
+        Opening::start(&self.name, limit, move || open(&name, demands, signal, damaged))
+    }
+
+    /// Whether pictures come at their own pace.
     pub fn is_live(&self) -> bool {
-        !self.is_finite
+        self.is_live
+    }
+
+    /// Whether pictures are taken by their arrival, and older ones than the newest are dropped.
+    pub fn is_newest_wins(&self) -> bool {
+        self.is_live && !self.demands.is_lossless
     }
 
     /// Frames per second as the file or the driver says.
@@ -111,9 +212,12 @@ impl Stream {
         self.fps
     }
 
-    /// Frames grabbed since the start.
+    /// Frames since the start, with those that were dropped.
     pub fn frames(&self) -> u64 {
-        self.frames
+        match &self.state {
+            State::Open(input) if self.is_newest_wins() => self.frames_before + input.queue().pushed(),
+            _ => self.frames,
+        }
     }
 
     /// Frames that should still come, as far as the source promises.
@@ -126,6 +230,35 @@ impl Stream {
         self.media_s
     }
 
+    /// Frames that were damaged since the start; none of them was shown.
+    pub fn damaged(&self) -> u64 {
+        self.damaged.load(Ordering::Relaxed)
+    }
+
+    /// Frames of a live source that were dropped since the start because newer ones came.
+    pub fn dropped(&self) -> u64 {
+        let now = if let State::Open(input) = &self.state { input.queue().dropped() } else { 0 };
+        self.dropped_before + now
+    }
+
+    /// What is unusual in its pictures, in words.
+    pub fn remark(&self) -> Option<String> {
+        let State::Open(input) = &self.state else { return None };
+        let format = input.format();
+        let (width, height) = format.pixel_aspect;
+        let mut parts = Vec::new();
+        if width != height {
+            parts.push(format!(
+                "its pixels are {width}:{height}: they are kept as they are, so fx and fy of its calibration differ by this ratio"
+            ));
+        }
+        if format.is_interlaced {
+            parts.push("its pictures are interlaced: each is made of the upper field".to_owned());
+        }
+        (!parts.is_empty())
+            .then(|| format!("{} ({}x{}): {}", self.name.in_words(), format.width, format.height, parts.join("; ")))
+    }
+
     /// Goes on at frame `frame` with the next grab.
     pub fn go_to(&mut self, frame: u64) {
         self.go_to = frame;
@@ -136,8 +269,10 @@ impl Stream {
     /// # Errors
     /// [`CaptureError::Closed`].
     pub fn rewind(&mut self) -> Result<(), CaptureError> {
-        self.state = State::Open(Opening::start(&self.name, self.demands)?.wait()?);
-        (self.frames, self.first_pos_s, self.media_s) = (0, None, None);
+        // Closed first: it may be a pipeline with a device.
+        self.state = State::Waiting(i64::MAX, FIRST_WAIT);
+        self.state = State::Open(self.start(self.demands.open_limit)?.wait()?);
+        (self.frames, self.frames_before, self.first_pos_s, self.media_s) = (0, 0, None, None);
         Ok(())
     }
 
@@ -147,14 +282,28 @@ impl Stream {
             let (next, is_settled) = match &mut self.state {
                 State::Open(_) => return true,
                 State::Waiting(when, _) if clock() < *when => return false,
-                State::Waiting(_, wait) => match Opening::start(&self.name, self.demands) {
-                    Ok(opening) => (State::Opening(opening, *wait), false),
-                    Err(_) => (again(*wait, clock()), true),
-                },
-                State::Opening(opening, wait) => match opening.poll(clock()) {
+                State::Waiting(_, wait) => {
+                    let wait = *wait;
+                    match self.start(self.attempt_limit.min(self.demands.open_limit)) {
+                        Ok(opening) => (State::Opening(opening, clock(), wait), false),
+                        Err(_) => (again(wait, clock()), true),
+                    }
+                }
+                State::Opening(opening, since_ns, wait) => match opening.poll(clock()) {
                     None => return false,
-                    Some(Ok(capture)) => (State::Open(capture), false),
-                    Some(Err(_)) => (again(*wait, clock()), true),
+                    Some(Ok(input)) => {
+                        self.attempt_limit = FIRST_ATTEMPT;
+                        (State::Open(input), false)
+                    }
+                    Some(Err(error)) => {
+                        self.loss = error.to_string();
+                        let took_ns = clock().saturating_sub(*since_ns);
+                        // Not refused, but without an answer: it may be slow.
+                        if took_ns >= self.attempt_limit.as_nanos() as i64 * 9 / 10 {
+                            self.attempt_limit = (self.attempt_limit * 2).min(self.demands.open_limit);
+                        }
+                        (again(*wait, clock()), true)
+                    }
                 },
             };
             self.state = next;
@@ -162,68 +311,156 @@ impl Stream {
                 return false;
             }
             if matches!(self.state, State::Open(_)) {
+                self.heard = (0, clock());
                 self.apply_lock();
             }
         }
     }
 
-    fn grab_one(&mut self) -> bool {
-        let State::Open(capture) = &mut self.state else { return false };
-        let is_grabbed = capture.grab().unwrap_or(false);
-        self.frames += u64::from(is_grabbed);
-        is_grabbed
+    /// Gives the connection up, to be opened again.
+    fn lose(&mut self, why: &str, clock: Clock<'_>) -> Grab {
+        if let State::Open(input) = &self.state {
+            self.frames_before = if self.is_newest_wins() { self.frames() } else { self.frames };
+            self.dropped_before += input.queue().dropped();
+        }
+        self.loss = format!("{} is gone after {} frames: {why}", self.name.in_words(), self.frames_before);
+        self.current = None;
+        self.state = waiting(FIRST_WAIT, clock());
+        Grab::Lost(self.loss.clone())
+    }
+
+    fn end_words(&self, end: Option<End>) -> String {
+        match end {
+            Some(End::Failed(reason)) => reason,
+            Some(End::EndOfStream) => "the stream has ended".to_owned(),
+            None => format!("no data for {} s", self.demands.silence_limit.as_secs_f64()),
+        }
+    }
+
+    /// For streams of which the newest picture counts: opens a lost one again, and tells whether there is a connection.
+    pub fn poll(&mut self, clock: Clock<'_>) -> Grab {
+        if !self.is_open(clock) {
+            return Grab::Lost(self.loss.clone());
+        }
+        let State::Open(input) = &self.state else { return Grab::Lost(self.loss.clone()) };
+        let (end, pushed, now_ns) = (input.queue().ended(), input.queue().pushed(), clock());
+        if pushed > self.heard.0 || self.heard.1 == i64::MIN {
+            self.heard = (pushed, now_ns);
+        }
+        let silent = Duration::from_nanos(u64::try_from(now_ns.saturating_sub(self.heard.1)).unwrap_or(0));
+        if end == Some(End::EndOfStream) && self.is_finite {
+            return if input.queue().wait_for_item(Duration::ZERO) { Grab::Ready(None) } else { Grab::End };
+        }
+        if end.is_some() || silent > self.demands.silence_limit {
+            let words = self.end_words(end);
+            return self.lose(&words, clock);
+        }
+        Grab::Ready(None)
+    }
+
+    /// Arrival times of the pictures that wait, oldest first, ns of `CLOCK_MONOTONIC`.
+    pub fn arrivals(&self, out: &mut Vec<i64>) {
+        out.clear();
+        if let State::Open(input) = &self.state {
+            input.queue().arrivals(out);
+        }
+    }
+
+    /// Drops the waiting pictures that arrived before `arrived_ns`; returns how many.
+    pub fn discard_before(&self, arrived_ns: i64) -> u64 {
+        if let State::Open(input) = &self.state { input.queue().discard_before(arrived_ns) } else { 0 }
+    }
+
+    /// Takes the waiting picture that arrived at `arrived_ns`, if the queue still has it.
+    pub fn take(&mut self, arrived_ns: i64) -> bool {
+        let State::Open(input) = &self.state else { return false };
+        let Some(item) = input.queue().pop(Duration::ZERO) else { return false };
+        if item.arrived_ns != arrived_ns {
+            return false;
+        }
+        self.frames = self.frames_before + item.number;
+        self.current = Some(item.content);
+        true
+    }
+
+    /// Takes the next frame in order, waiting for it; its arrival.
+    fn grab_one(&mut self, limit: Duration) -> Option<i64> {
+        let State::Open(input) = &self.state else { return None };
+        let item = input.queue().pop(limit)?;
+        self.frames = self.frames_before + item.number;
+        self.note_time(item.pts_ns);
+        self.current = Some(item.content);
+        Some(item.arrived_ns)
     }
 
     /// Skips the frames before the one asked for.
     fn skip_to_target(&mut self) -> bool {
         let target = std::mem::take(&mut self.go_to);
-        if target > self.frames + READ_TO
-            && let State::Open(capture) = &mut self.state
-        {
-            let seek = capture.set(videoio::CAP_PROP_POS_FRAMES, target as f64).unwrap_or(false);
-            if seek && capture.get(videoio::CAP_PROP_POS_FRAMES).unwrap_or(-1.0) == target as f64 {
-                self.frames = target;
-            } else if self.rewind().is_err() {
-                return false;
-            }
+        if target > self.frames + READ_TO && !self.seek_before(target) && self.rewind().is_err() {
+            return false;
         }
         while self.frames < target {
-            if !self.grab_one() {
+            if self.grab_one(FILE_LIMIT).is_none() {
                 return false;
             }
         }
         true
     }
 
-    /// Takes the next picture without decoding it.
+    /// Goes to a frame shortly before number `target`, by the times of the file. Returns whether that is possible.
+    fn seek_before(&mut self, target: u64) -> bool {
+        let (State::Open(input), Some(fps)) = (&self.state, self.fps) else { return false };
+        // Between two frames, for times that are rounded; the first frame that comes says which one it is.
+        if !input.seek(Duration::from_secs_f64((target as f64 - 1.5).max(0.0) / fps), 1) {
+            return false;
+        }
+        let Some(item) = input.queue().pop(FILE_LIMIT) else { return false };
+        let Some(pts_ns) = item.pts_ns else { return false };
+        let index = (pts_ns as f64 * 1e-9 * fps).round().max(0.0) as u64;
+        self.frames_before = index + 1 - item.number;
+        self.frames = index + 1;
+        self.frames <= target
+    }
+
+    /// Takes the next picture, in order.
     pub fn grab(&mut self, clock: Clock<'_>) -> Grab {
         if !self.is_open(clock) {
-            return Grab::Lost;
+            return Grab::Lost(self.loss.clone());
         }
         let is_there = if self.is_finite && self.go_to > 0 { self.skip_to_target() } else { true };
-        if is_there && self.grab_one() {
-            self.note_time();
-            return Grab::Ready(clock());
+        let limit = if self.is_live { self.demands.silence_limit } else { FILE_LIMIT };
+        if is_there && let Some(arrived_ns) = self.grab_one(limit) {
+            return Grab::Ready(self.is_live.then_some(arrived_ns));
         }
-        if self.is_finite {
-            return match self.missing() {
-                Some(words) => Grab::Failed(words),
-                None => Grab::End,
-            };
+        let end = if let State::Open(input) = &self.state { input.queue().ended() } else { None };
+        if !self.is_finite {
+            let words = self.end_words(end);
+            return self.lose(&words, clock);
         }
-        self.state = waiting(FIRST_WAIT, clock());
-        Grab::Lost
+        match (end, self.missing()) {
+            (Some(End::EndOfStream), None) => Grab::End,
+            (Some(End::EndOfStream), Some(words)) => Grab::Failed(words),
+            (Some(End::Failed(reason)), words) => Grab::Failed(format!(
+                "{}: {reason}",
+                words.unwrap_or_else(|| format!("{} failed after {} frames", self.name.in_words(), self.frames))
+            )),
+            (None, _) => Grab::Failed(format!(
+                "{} gave nothing for {} s after {} frames",
+                self.name.in_words(),
+                limit.as_secs_f64(),
+                self.frames
+            )),
+        }
     }
 
     /// The file's own time where it says more than its frame rate.
-    fn note_time(&mut self) {
-        let State::Open(capture) = &self.state else { return };
+    fn note_time(&mut self, pts_ns: Option<i64>) {
         if !self.is_finite {
             return;
         }
-        let index = (self.frames - 1) as f64;
+        let index = self.frames.saturating_sub(1) as f64;
         let by_rate = self.fps.map(|fps| index / fps);
-        let pos_s = capture.get(videoio::CAP_PROP_POS_MSEC).ok().filter(|ms| ms.is_finite()).map(|ms| ms / 1e3);
+        let pos_s = pts_ns.map(|pts| pts as f64 * 1e-9);
         // After a seek the first time is that of a later frame.
         let first = *self.first_pos_s.get_or_insert(pos_s.unwrap_or(0.0) - by_rate.unwrap_or(0.0));
         let by_file = pos_s.map(|pos| pos - first).filter(|pos| self.media_s.is_none_or(|last| *pos > last));
@@ -245,60 +482,34 @@ impl Stream {
         })
     }
 
-    /// Decodes the picture that was grabbed.
+    /// Moves the picture that was grabbed to `out`.
     ///
     /// # Errors
     /// [`CaptureError::Frame`]. `out` is empty then.
     pub fn retrieve(&mut self, out: &mut Picture) -> Result<(), CaptureError> {
         out.clear();
-        let result = self.try_retrieve(out);
-        if result.is_err() {
-            // The next frame must not show parts of this one.
-            self.mat = Mat::default();
-            out.clear();
+        match self.current.take().unwrap_or(Err(FrameError::NotThere)) {
+            Ok(picture) => {
+                *out = picture;
+                Ok(())
+            }
+            Err(cause) => Err(CaptureError::Frame {
+                name: self.name.in_words(),
+                frame: self.frames,
+                of_expected: if self.expected > 0 { format!(" of {}", self.expected) } else { String::new() },
+                cause,
+            }),
         }
-        let expected = self.expected;
-        result.map_err(|cause| CaptureError::Frame {
-            name: self.name.in_words(),
-            frame: self.frames,
-            of_expected: if expected > 0 { format!(" of {expected}") } else { String::new() },
-            cause,
-        })
     }
 
-    fn try_retrieve(&mut self, out: &mut Picture) -> Result<(), FrameError> {
-        let State::Open(capture) = &mut self.state else { return Err(FrameError::NotOpen) };
-        if !capture.retrieve(&mut self.mat, 0).map_err(PictureError::from)? {
-            return Err(FrameError::NoPicture);
-        }
-        let mat = &self.mat;
-        if mat.rows() == 1 && mat.cols() > 1 && mat.channels() == 1 && mat.depth() == opencv::core::CV_8U {
-            *out = decode_jpeg(mat.data_bytes().map_err(PictureError::from)?)?;
-            let announced = |property| capture.get(property).unwrap_or(0.0) as usize;
-            let size = (announced(videoio::CAP_PROP_FRAME_WIDTH), announced(videoio::CAP_PROP_FRAME_HEIGHT));
-            if size.0 > 0 && size.1 > 0 && size != (out.width, out.height) {
-                return Err(FrameError::OtherSize {
-                    width: out.width,
-                    height: out.height,
-                    announced_width: size.0,
-                    announced_height: size.1,
-                });
-            }
-            return Ok(());
-        }
-        copy_mat(mat, out).map_err(PictureError::from)?;
-        if out.bytes() == 0 { Err(FrameError::Empty) } else { Ok(()) }
+    fn controls(&self) -> Option<Controls> {
+        let SourceName::Device(number) = self.name else { return None };
+        Controls::open(&PathBuf::from(format!("/dev/video{number}")))
     }
 
     /// Values that the device's automatics have set.
     pub fn automatic_values(&self) -> Lock {
-        let State::Open(capture) = &self.state else { return Lock::default() };
-        let get = |property| capture.get(property).ok().filter(|value| *value > 0.0);
-        let gain = get(videoio::CAP_PROP_GAIN).unwrap_or(0.0);
-        Lock {
-            exposure: get(videoio::CAP_PROP_EXPOSURE).map(|exposure| (exposure, gain)),
-            white_balance_k: get(videoio::CAP_PROP_WB_TEMPERATURE),
-        }
+        self.controls().map(|controls| controls.automatic_values()).unwrap_or_default()
     }
 
     /// Switches the automatics off and sets `lock`, after a reconnection too. Returns whether the driver accepted all values.
@@ -307,22 +518,8 @@ impl Stream {
         self.apply_lock()
     }
 
-    fn apply_lock(&mut self) -> bool {
-        let State::Open(capture) = &mut self.state else { return false };
-        let mut is_accepted = true;
-        let mut set = |property, value| is_accepted &= capture.set(property, value).unwrap_or(false);
-        if let Some((exposure, gain)) = self.lock.exposure {
-            set(videoio::CAP_PROP_AUTO_EXPOSURE, MANUAL_EXPOSURE);
-            set(videoio::CAP_PROP_EXPOSURE, exposure);
-            if gain > 0.0 {
-                set(videoio::CAP_PROP_GAIN, gain);
-            }
-        }
-        if let Some(temperature) = self.lock.white_balance_k {
-            set(videoio::CAP_PROP_AUTO_WB, 0.0);
-            set(videoio::CAP_PROP_WB_TEMPERATURE, temperature);
-        }
-        is_accepted
+    fn apply_lock(&self) -> bool {
+        self.lock == Lock::default() || self.controls().is_some_and(|controls| controls.apply(self.lock))
     }
 }
 

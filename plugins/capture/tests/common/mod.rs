@@ -6,9 +6,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use opencv::core::{Mat, Scalar, Size, Vec3b, Vector};
-use opencv::prelude::*;
-use opencv::{imgcodecs, videoio};
+use gstreamer as gst;
+use gstreamer::prelude::*;
+use gstreamer_app::AppSrc;
 use panoscope_capture::capture::Capture;
 use panoscope_node::Bgr8;
 use panoscope_node::harness::{Harness, HarnessError, Level, Outputs, Setup};
@@ -28,9 +28,17 @@ impl Folder {
     }
 
     pub fn image(&self, name: &str, value: u8, width: usize) {
-        let bgr: Vec<u8> = (0..width * HEIGHT).flat_map(|i| [value, (i % width) as u8, (i / width) as u8]).collect();
-        let mat = Mat::new_rows_cols_with_bytes::<Vec3b>(HEIGHT as i32, width as i32, &bgr).unwrap();
-        imgcodecs::imwrite(self.0.join(name).to_str().unwrap(), &mat, &Vector::new()).unwrap();
+        let rgb: Vec<u8> = (0..width * HEIGHT).flat_map(|i| [(i / width) as u8, (i % width) as u8, value]).collect();
+        let picture = image::RgbImage::from_raw(width as u32, HEIGHT as u32, rgb).unwrap();
+        let path = self.0.join(name);
+        match path.extension().and_then(|ending| ending.to_str()) {
+            Some("bmp") => fs::write(path, bmp(&picture)).unwrap(),
+            Some("ppm") => {
+                let head = format!("P6\n{width} {HEIGHT}\n255\n");
+                fs::write(path, [head.as_bytes(), picture.as_raw()].concat()).unwrap();
+            }
+            _ => picture.save(path).unwrap(),
+        }
     }
 
     pub fn try_open(&self, params: &str) -> Result<Harness<Capture>, HarnessError> {
@@ -92,13 +100,116 @@ pub fn write_video(path: &Path, frames: u8) {
 
 /// Motion JPEG with frames of these grays.
 pub fn write_video_at(path: &Path, fps: f64, grays: impl Iterator<Item = u8>) {
-    let fourcc = i32::from_le_bytes(*b"MJPG");
-    let size = Size::new(64, 48);
-    let mut writer =
-        videoio::VideoWriter::new_with_backend(path, videoio::CAP_FFMPEG, fourcc, fps, size, true).unwrap();
-    for gray in grays {
-        let mat = Mat::new_rows_cols_with_default(48, 64, opencv::core::CV_8UC3, Scalar::all(f64::from(gray)));
-        writer.write(&mat.unwrap()).unwrap();
+    let frames = grays.map(|gray| vec![gray; 64 * 48 * 3]);
+    encode(path, fps, (64, 48), "jpegenc ! avimux", frames.enumerate());
+}
+
+/// A bitmap of 24 bits.
+fn bmp(picture: &image::RgbImage) -> Vec<u8> {
+    let (width, height) = picture.dimensions();
+    let stride = (3 * width).next_multiple_of(4);
+    let mut bytes = b"BM".to_vec();
+    bytes.extend((54 + stride * height).to_le_bytes());
+    for word in [0, 54, 40, width, height, 1 | 24 << 16, 0, stride * height, 0, 0, 0, 0] {
+        bytes.extend(word.to_le_bytes());
     }
-    writer.release().unwrap();
+    for row in (0..height).rev() {
+        let line = (0..width).flat_map(|x| {
+            let [r, g, b] = picture.get_pixel(x, row).0;
+            [b, g, r]
+        });
+        bytes.extend(line.chain(std::iter::repeat(0)).take(stride as usize));
+    }
+    bytes
+}
+
+/// Runs a pipeline to its end.
+pub fn launch(text: &str) {
+    panoscope_media::init().unwrap();
+    finish(&gst::parse::launch(text).unwrap().downcast().unwrap(), || {});
+}
+
+fn finish(pipeline: &gst::Pipeline, feed: impl FnOnce()) {
+    pipeline.set_state(gst::State::Playing).unwrap();
+    feed();
+    let kinds = [gst::MessageType::Eos, gst::MessageType::Error];
+    let message = pipeline.bus().unwrap().timed_pop_filtered(gst::ClockTime::from_seconds(120), &kinds).unwrap();
+    pipeline.set_state(gst::State::Null).unwrap();
+    if let gst::MessageView::Error(error) = message.view() {
+        panic!("{}: {:?}", error.error(), error.debug());
+    }
+}
+
+/// A buffer of BGR pixels with its time; `index` is the picture's place in the stream.
+pub fn buffer(bgr: Vec<u8>, index: usize, fps: f64) -> gst::Buffer {
+    let time = |index: usize| gst::ClockTime::from_nseconds((index as f64 * 1e9 / fps).round() as u64);
+    let mut buffer = gst::Buffer::from_mut_slice(bgr);
+    let fields = buffer.get_mut().unwrap();
+    fields.set_pts(time(index));
+    fields.set_duration(time(index + 1) - time(index));
+    buffer
+}
+
+pub fn bgr_caps((width, height): (usize, usize), fps: f64) -> String {
+    let rate = gst::Fraction::approximate_f64(fps).unwrap();
+    format!("video/x-raw,format=BGR,width={width},height={height},framerate={}/{}", rate.numer(), rate.denom())
+}
+
+/// Writes BGR frames, each with its place in the stream, through the elements `encoder`.
+pub fn encode(
+    path: &Path,
+    fps: f64,
+    size: (usize, usize),
+    encoder: &str,
+    frames: impl Iterator<Item = (usize, Vec<u8>)>,
+) {
+    panoscope_media::init().unwrap();
+    let caps = bgr_caps(size, fps);
+    let text = format!(
+        "appsrc name=frames format=time block=true max-buffers=4 caps={caps} ! videoconvert ! {encoder} ! filesink location={}",
+        path.display()
+    );
+    let pipeline: gst::Pipeline = gst::parse::launch(&text).unwrap().downcast().unwrap();
+    let source: AppSrc = pipeline.by_name("frames").unwrap().downcast().unwrap();
+    finish(&pipeline, || {
+        for (index, bgr) in frames {
+            source.push_buffer(buffer(bgr, index, fps)).unwrap();
+        }
+        source.end_of_stream().unwrap();
+    });
+}
+
+/// Rows of the number at the top of a [`scene`].
+const NUMBER_ROWS: usize = 32;
+
+/// BGR pixels of picture `number` of a stream: the number's 16 lower bits as black and white blocks, above a texture that moves with every picture.
+pub fn scene(number: usize, (width, height): (usize, usize)) -> Vec<u8> {
+    let mut bgr = Vec::with_capacity(3 * width * height);
+    for y in 0..height {
+        for x in 0..width {
+            let gray = if y < NUMBER_ROWS {
+                if number >> (x * 16 / width) & 1 == 1 { 235 } else { 16 }
+            } else {
+                let cell = ((x + 5 * number) / 4).wrapping_mul(0x9E37) ^ ((y + 3 * number) / 4).wrapping_mul(0x85EB);
+                60 + (cell.wrapping_mul(0x2545_F491) >> 12) % 120
+            };
+            bgr.extend([gray as u8; 3]);
+        }
+    }
+    bgr
+}
+
+/// The number that is drawn into a picture; `None` where a block is neither black nor white.
+pub fn number(out: &Outputs, port: &str) -> Option<usize> {
+    let plane = out.plane::<Bgr8>(port).unwrap();
+    (0..16).try_fold(0, |sum, bit| {
+        let x = (2 * bit + 1) * plane.width / 32;
+        let rows = NUMBER_ROWS / 2 - 4..NUMBER_ROWS / 2 + 4;
+        let values = rows.flat_map(|y| plane.row(y)[3 * (x - 2)..3 * (x + 3)].iter().map(|value| u32::from(*value)));
+        match values.sum::<u32>() / (8 * 15) {
+            0..=70 => Some(sum),
+            180.. => Some(sum | 1 << bit),
+            _ => None,
+        }
+    })
 }

@@ -1,11 +1,34 @@
 //! Checks that a JPEG is whole.
 //!
 //! Decoders fill missing parts of a damaged file with gray, or leave the memory unchanged, which holds the previous picture. So the file is read
-//! marker by marker first, and a file without its end marker is refused.
+//! marker by marker first, and a file without its end marker is refused. [`check`] reads the coded data, too.
 
 use std::borrow::Cow;
 
-use super::error::JpegError;
+use super::jpeg_scan;
+
+/// What is wrong with a JPEG.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum JpegError {
+    /// The first bytes are not those of a JPEG.
+    #[error("it does not begin as a JPEG")]
+    NotJpeg,
+    /// The end marker is missing.
+    #[error("the JPEG is cut off after {bytes} bytes: its end is missing")]
+    CutOff {
+        /// Bytes that there are.
+        bytes: usize,
+    },
+    /// No scan stands before the end marker.
+    #[error("the JPEG holds no picture")]
+    NoPicture,
+    /// Its coded data do not make the blocks that its header announces.
+    #[error("the data of the JPEG are damaged near block {block}")]
+    Broken {
+        /// Number of the block, or group of blocks, at which this was noticed.
+        block: usize,
+    },
+}
 
 const SOI: u8 = 0xD8;
 const EOI: u8 = 0xD9;
@@ -78,6 +101,51 @@ pub fn whole(bytes: &[u8]) -> Result<Cow<'_, [u8]>, JpegError> {
     }
     let (head, rest) = bytes[..found.end].split_at(found.first_scan);
     Ok(Cow::Owned([head, &standard_tables(), rest].concat()))
+}
+
+/// Reads markers and coded data without decoding a picture.
+///
+/// # Errors
+/// A JPEG that is not whole, or whose coded data are damaged.
+pub fn check(bytes: &[u8]) -> Result<(), JpegError> {
+    let bytes = whole(bytes)?;
+    let (mut at, mut segments) = (2, Vec::new());
+    // `whole` has seen that all of this is there; fill bytes may stand before a marker.
+    while let Some(&[0xFF, marker]) = bytes.get(at..at + 2) {
+        if marker == 0xFF {
+            at += 1;
+            continue;
+        }
+        let Some(&[high, low]) = bytes.get(at + 2..at + 4) else { break };
+        let end = at + 2 + usize::from(u16::from_be_bytes([high, low]));
+        let Some(content) = bytes.get(at + 4..end) else { break };
+        segments.push((marker, content));
+        at = end;
+        if marker == SOS {
+            let end = scan_end(&bytes, at);
+            // Several scans: not baseline.
+            return if bytes.get(end + 1) == Some(&EOI) {
+                jpeg_scan::check(&segments, &bytes[at..end])
+            } else {
+                Ok(())
+            };
+        }
+    }
+    Err(JpegError::NoPicture)
+}
+
+/// Where the scan that begins at `start` ends: before the next marker, and before fill bytes in front of it.
+fn scan_end(bytes: &[u8], start: usize) -> usize {
+    let mut at = start;
+    while let Some(found) = bytes[at..].iter().position(|byte| *byte == 0xFF) {
+        at += found;
+        match bytes.get(at + 1) {
+            Some(0x00 | 0xD0..=0xD7) => at += 2,
+            Some(0xFF) => at += 1,
+            _ => return at,
+        }
+    }
+    bytes.len()
 }
 
 /// The tables of the standard (ITU-T T.81, annex K.3), which Motion JPEG may leave out.

@@ -1,0 +1,74 @@
+//! When pictures arrived at this machine.
+//!
+//! A probe at the output of every live source notes by the monotonic clock when the data with each presentation time entered the pipeline.
+//! Queues, jitter and decoding come later, so they are part of a picture's age. A source's own stamp (the driver's, or the one of RTP's jitter
+//! buffer) is more exact than the probe, and is taken where it agrees with the probe. A camera that counts `1 / rate` steps at another rate
+//! than it has disagrees soon, and the probe's time stands.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
+
+/// Stamps that are kept: 30 s at 60 pictures per second.
+const KEPT: usize = 2048;
+/// A stamp may be this much earlier than the probe's time: exposure, transfer and a busy machine.
+const LARGEST_LAG_NS: i64 = 60_000_000;
+
+/// Stamps of one pipeline's sources: presentation time and arrival, ns.
+#[derive(Debug, Default)]
+pub struct Arrivals(Mutex<VecDeque<(u64, i64)>>);
+
+impl Arrivals {
+    /// Notes that data of presentation time `pts_ns` entered the pipeline at `now_ns`; `stamp_ns` is the source's own time for it. Of several
+    /// buffers with one time, such as the packets of a picture, the first counts.
+    pub fn note(&self, pts_ns: u64, stamp_ns: Option<i64>, now_ns: i64) {
+        let mut stamps = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if stamps.back().is_some_and(|(last, _)| *last == pts_ns) {
+            return;
+        }
+        let agrees = |stamp: &i64| (0..=LARGEST_LAG_NS).contains(&(now_ns - stamp));
+        if stamps.len() == KEPT {
+            stamps.pop_front();
+        }
+        stamps.push_back((pts_ns, stamp_ns.filter(agrees).unwrap_or(now_ns)));
+    }
+
+    /// Arrival of the picture of presentation time `pts_ns`; `None` when no source gave data with this time.
+    pub fn of(&self, pts_ns: u64) -> Option<i64> {
+        let stamps = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        stamps.iter().rev().find(|(pts, _)| *pts == pts_ns).map(|(_, arrived)| *arrived)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn a_stamp_counts_while_it_agrees_with_the_probe() {
+        let arrivals = Arrivals::default();
+        // A camera that promises 30 per second and gives 10: its stamps fall behind by 67 ms with every picture.
+        for index in 0..50_i64 {
+            arrivals.note((index * 33 * MS) as u64, Some(1000 * MS + index * 33 * MS), 1010 * MS + index * 100 * MS);
+        }
+        assert_eq!(arrivals.of(0), Some(1000 * MS));
+        for index in 1..50_i64 {
+            assert_eq!(arrivals.of((index * 33 * MS) as u64), Some(1010 * MS + index * 100 * MS), "{index}");
+        }
+        assert_eq!(arrivals.of(5), None);
+        // A stamp of the future is none.
+        arrivals.note(7, Some(9000 * MS), 8000 * MS);
+        assert_eq!(arrivals.of(7), Some(8000 * MS));
+    }
+
+    #[test]
+    fn packets_of_one_picture_count_once_and_old_stamps_go() {
+        let arrivals = Arrivals::default();
+        for pts in 0..KEPT as u64 + 10 {
+            arrivals.note(pts, None, pts as i64 * MS);
+            arrivals.note(pts, None, pts as i64 * MS + 5);
+        }
+        assert_eq!((arrivals.of(9), arrivals.of(10)), (None, Some(10 * MS)));
+    }
+}

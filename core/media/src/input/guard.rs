@@ -1,0 +1,273 @@
+//! Marks the pictures that a decoder makes from damaged data.
+//!
+//! Damage is data that is missing (a discontinuity), that is flagged by the source, or that the decoder complains about. A picture of a codec
+//! that predicts is right again from the next key picture on; until then everything that is decoded is marked. Marked buffers carry
+//! `GST_BUFFER_FLAG_CORRUPTED`; their times are kept as well, because some elements do not pass the flag on.
+
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use gstreamer as gst;
+use gstreamer::prelude::*;
+
+use super::access_unit::{self, Codec};
+use super::jpeg;
+use super::libav_log;
+
+/// Times of marked pictures that are kept.
+const KEPT: usize = 1024;
+/// Longest text of a decoder that is passed on.
+const LONGEST_REASON: usize = 120;
+
+/// How a decoder's input shows where decoding can begin.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Format {
+    /// Access units of this codec; bytes of the length before each unit, or start codes.
+    Units(Codec, Option<usize>),
+    /// Every buffer is one JPEG.
+    Jpeg,
+    /// As GStreamer's flags say.
+    #[default]
+    Flags,
+}
+
+#[derive(Debug)]
+struct Span {
+    format: Format,
+    has_begun: bool,
+    /// Why what is decoded now is damaged.
+    damage: Option<String>,
+    /// Pictures to be shown before this time need what came before the last key picture.
+    clean_from_ns: u64,
+    /// Time of the access unit that is decoded now.
+    decoding_ns: Option<u64>,
+    bad: BTreeSet<u64>,
+    /// The newest reason of a mark.
+    reason: String,
+}
+
+/// The guard of one decoder.
+#[derive(Debug)]
+pub struct Guard {
+    span: Mutex<Span>,
+    /// Anything was marked since the pipeline began.
+    has_marks: Arc<AtomicBool>,
+    complaints: AtomicU64,
+}
+
+impl Guard {
+    fn new(has_marks: Arc<AtomicBool>) -> Self {
+        let span = Span {
+            format: Format::default(),
+            has_begun: false,
+            damage: Some("the stream has not had a key picture yet".to_owned()),
+            clean_from_ns: 0,
+            decoding_ns: None,
+            bad: BTreeSet::new(),
+            reason: String::new(),
+        };
+        Self { span: Mutex::new(span), has_marks, complaints: AtomicU64::new(0) }
+    }
+
+    fn span(&self) -> MutexGuard<'_, Span> {
+        self.span.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The decoder complains about the data that it decodes now.
+    pub fn report(&self, words: &str) {
+        self.complaints.fetch_add(1, Ordering::Relaxed);
+        let words: String = words.trim().chars().take(LONGEST_REASON).collect();
+        let mut span = self.span();
+        let is_jpeg = span.format == Format::Jpeg;
+        if let Some(now_ns) = span.decoding_ns {
+            self.mark(&mut span, now_ns, &words);
+        }
+        if !is_jpeg {
+            span.damage.get_or_insert(words);
+        }
+    }
+
+    fn mark(&self, span: &mut Span, pts_ns: u64, words: &str) {
+        if span.bad.len() >= KEPT {
+            span.bad.pop_first();
+        }
+        span.bad.insert(pts_ns);
+        words.clone_into(&mut span.reason);
+        self.has_marks.store(true, Ordering::Release);
+    }
+
+    /// Why the picture of this time is damaged.
+    pub fn reason_of(&self, pts_ns: u64) -> Option<String> {
+        let span = self.span();
+        span.bad.contains(&pts_ns).then(|| span.reason.clone())
+    }
+
+    fn set_format(&self, caps: &gst::CapsRef) {
+        let Some(structure) = caps.structure(0) else { return };
+        let codec = match structure.name().as_str() {
+            "video/x-h264" => Some(Codec::H264),
+            "video/x-h265" => Some(Codec::H265),
+            _ => None,
+        };
+        let is_jpeg = structure.name() == "image/jpeg";
+        let is_sized = structure.get::<&str>("stream-format").is_ok_and(|format| format != "byte-stream");
+        let record = structure.get::<gst::Buffer>("codec_data").ok();
+        let record = record.as_ref().and_then(|record| record.map_readable().ok());
+        self.span().format = match codec {
+            Some(codec) => {
+                let length = |codec| record.map_or(4, |record| access_unit::length_bytes(codec, &record));
+                Format::Units(codec, is_sized.then(|| length(codec)))
+            }
+            None if is_jpeg => Format::Jpeg,
+            None => Format::Flags,
+        };
+    }
+
+    /// Notes what the decoder is given next.
+    fn before(&self, buffer: &gst::BufferRef) {
+        let mut span = self.span();
+        let pts_ns = buffer.pts().map(gst::ClockTime::nseconds);
+        span.decoding_ns = pts_ns;
+        let flags = buffer.flags();
+        let is_first = !std::mem::replace(&mut span.has_begun, true);
+        let is_flagged = flags.contains(gst::BufferFlags::CORRUPTED);
+        let is_gap = !is_first && flags.contains(gst::BufferFlags::DISCONT);
+        let map = buffer.map_readable();
+        let bytes = map.as_ref().map_or(&[][..], |map| map.as_slice());
+        if span.format == Format::Jpeg {
+            span.damage = None;
+            let fault = if is_flagged { Some("the source marked it".to_owned()) } else { jpeg_fault(bytes) };
+            if let (Some(words), Some(pts_ns)) = (fault, pts_ns) {
+                self.mark(&mut span, pts_ns, &words);
+            }
+            return;
+        }
+        let is_key = match span.format {
+            Format::Units(codec, length) => access_unit::is_key(codec, bytes, length),
+            _ => !flags.contains(gst::BufferFlags::DELTA_UNIT),
+        };
+        if is_gap {
+            span.damage = Some("data is missing before it".to_owned());
+        }
+        if is_key && span.damage.take().is_some() {
+            span.clean_from_ns = pts_ns.unwrap_or(0);
+        }
+        if is_flagged {
+            span.damage = Some("the source marked it".to_owned());
+        }
+        if let Format::Units(codec, length) = span.format
+            && access_unit::is_broken(codec, bytes, length)
+        {
+            span.damage = Some("its data cannot be whole".to_owned());
+        }
+        let is_leading = pts_ns.is_some_and(|pts| pts < span.clean_from_ns);
+        if let Some(pts_ns) = pts_ns
+            && (span.damage.is_some() || is_leading)
+        {
+            let words = span.damage.clone().unwrap_or_else(|| "it needs pictures before the key picture".to_owned());
+            self.mark(&mut span, pts_ns, &words);
+        }
+    }
+
+    /// Whether what the decoder returns is damaged.
+    fn is_bad(&self, pts: Option<gst::ClockTime>) -> bool {
+        let span = self.span();
+        match pts {
+            Some(pts) => span.bad.contains(&pts.nseconds()),
+            None => span.damage.is_some(),
+        }
+    }
+
+    /// After a seek what comes has nothing to do with what was.
+    fn flush(&self) {
+        let mut span = self.span();
+        span.has_begun = false;
+        span.bad.clear();
+        span.clean_from_ns = 0;
+        if span.format != Format::Jpeg {
+            span.damage = Some("the stream has not had a key picture yet".to_owned());
+        }
+    }
+}
+
+fn jpeg_fault(bytes: &[u8]) -> Option<String> {
+    jpeg::check(bytes).err().map(|error| error.to_string())
+}
+
+/// The guards of a pipeline's decoders.
+#[derive(Debug, Default)]
+pub struct Guards {
+    list: Mutex<Vec<Arc<Guard>>>,
+    has_marks: Arc<AtomicBool>,
+}
+
+impl Guards {
+    /// Why the picture of this time is damaged.
+    pub fn reason_of(&self, pts_ns: Option<u64>) -> Option<String> {
+        if !self.has_marks.load(Ordering::Acquire) {
+            return None;
+        }
+        let list = self.list.lock().unwrap_or_else(PoisonError::into_inner);
+        list.iter().find_map(|guard| guard.reason_of(pts_ns?))
+    }
+
+    /// The newest reason of a mark.
+    pub fn newest_reason(&self) -> Option<String> {
+        let list = self.list.lock().unwrap_or_else(PoisonError::into_inner);
+        list.iter().map(|guard| guard.span().reason.clone()).find(|reason| !reason.is_empty())
+    }
+
+    /// Guards `element` if it decodes video or images.
+    pub fn attach(&self, element: &gst::Element) {
+        let Some(factory) = element.factory() else { return };
+        let class = factory.metadata("klass").unwrap_or("");
+        if !class.contains("Decoder") || !(class.contains("Video") || class.contains("Image")) {
+            return;
+        }
+        let (Some(sink), Some(source)) = (element.static_pad("sink"), element.static_pad("src")) else { return };
+        if element.has_property_with_type("max-threads", i32::static_type()) {
+            // FFmpeg's complaints come on the thread that decodes: only so are they this decoder's.
+            element.set_property("max-threads", 1_i32);
+        }
+        let guard = Arc::new(Guard::new(self.has_marks.clone()));
+        self.list.lock().unwrap_or_else(PoisonError::into_inner).push(guard.clone());
+        if let Some(caps) = sink.current_caps() {
+            guard.set_format(&caps);
+        }
+        let kinds = gst::PadProbeType::BUFFER | gst::PadProbeType::EVENT_DOWNSTREAM | gst::PadProbeType::EVENT_FLUSH;
+        let at_sink = guard.clone();
+        sink.add_probe(kinds, move |_, info| {
+            libav_log::attend(&at_sink);
+            match &info.data {
+                Some(gst::PadProbeData::Buffer(buffer)) => at_sink.before(buffer),
+                Some(gst::PadProbeData::Event(event)) => match event.view() {
+                    gst::EventView::Caps(caps) => at_sink.set_format(caps.caps()),
+                    gst::EventView::FlushStop(_) => at_sink.flush(),
+                    _ => {}
+                },
+                _ => {}
+            }
+            gst::PadProbeReturn::Ok
+        });
+        source.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
+            if let Some(gst::PadProbeData::Buffer(buffer)) = &mut info.data
+                && guard.is_bad(buffer.pts())
+            {
+                buffer.make_mut().set_flags(gst::BufferFlags::CORRUPTED);
+            }
+            gst::PadProbeReturn::Ok
+        });
+    }
+
+    /// A warning of `element`, which may be a guarded decoder: what it decodes now is damaged. Called on the thread that reports it.
+    pub fn warned(&self, element: &gst::Object, words: &str) {
+        let class = element.downcast_ref::<gst::Element>().and_then(|element| element.factory());
+        let is_decoder = class.is_some_and(|factory| factory.metadata("klass").is_some_and(|k| k.contains("Decoder")));
+        if is_decoder {
+            for guard in self.list.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+                guard.report(words);
+            }
+        }
+    }
+}
