@@ -306,6 +306,12 @@ impl GraphEdit {
         {
             views.iter_mut().for_each(|view| rename_view(view, old, new));
         }
+        self.rename_positions(old, new);
+        Ok(())
+    }
+
+    /// Gives a node and the nodes inside it other names in `[editor]`.
+    pub fn rename_positions(&mut self, old: &str, new: &str) {
         if let Some(editor) = self.document.get_mut("editor").and_then(Item::as_table_like_mut) {
             let keys: Vec<String> =
                 editor.iter().map(|(key, _)| key.to_owned()).filter(|key| mentions(key, old)).collect();
@@ -318,7 +324,6 @@ impl GraphEdit {
                 }
             }
         }
-        Ok(())
     }
 
     /// Sets what stands under a key of `[editor]`, or with `None` takes it out.

@@ -1,5 +1,6 @@
 //! Errors of edits of a graph file.
 
+use std::path::PathBuf;
 use thiserror::Error;
 
 /// Why a file could not be changed. The text is as before then.
@@ -44,10 +45,10 @@ pub enum EditError {
         id: String,
     },
     /// The part's file is used several times, and nobody agreed to change all of them.
-    #[error("{file} is used {} times in this graph ({}): the change would apply to each", .users.len(), .users.join(", "))]
+    #[error("{} is used {} times in this graph ({}): the change would apply to each", .file.display(), .users.len(), .users.join(", "))]
     SharedPart {
         /// The part's file.
-        file: String,
+        file: PathBuf,
         /// The nodes that use it.
         users: Vec<String>,
     },

@@ -87,11 +87,6 @@ impl<'g> FileEdits<'g> {
         changed.filter(|(_, old, new)| old.as_ref() != Some(new)).chain(new).collect()
     }
 
-    /// Files that were edited so far, by absolute path.
-    pub fn touched(&self) -> impl Iterator<Item = &Path> {
-        self.edits.keys().map(PathBuf::as_path)
-    }
-
     /// Absolute path of the file that holds the nodes of a part; of the graph file for an empty name.
     pub(super) fn level_file(&self, part: &str) -> Result<PathBuf, EditError> {
         if part.is_empty() {
@@ -129,6 +124,15 @@ impl<'g> FileEdits<'g> {
     pub(super) fn users(&self, part: &str) -> Vec<String> {
         let file = self.parts.iter().find(|p| p.id == part).and_then(|p| p.path.clone());
         file.map(|file| self.graph.part_users(&file)).unwrap_or_default()
+    }
+
+    /// The file that a node is written in, and the node's name there.
+    ///
+    /// # Errors
+    /// There is no such node.
+    pub fn entry(&mut self, id: &str) -> Result<(&GraphEdit, String), EditError> {
+        let home = self.home(id)?;
+        Ok((&*self.file(&home.file)?, home.local))
     }
 
     /// Adds a node to a part, or to the graph file where `part` is empty; returns its whole name.

@@ -1,8 +1,10 @@
 //! The editor's window: draws all panels and handles what the user asks for.
 
+mod arguments;
 mod commands;
 mod conflict;
 mod new_graph;
+mod parts;
 mod picking;
 mod saving;
 mod script;
@@ -14,6 +16,7 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, RichText, Ui};
 use panoscope_abi::LINKS;
+use panoscope_graph::edit::EditError;
 use panoscope_graph::{GraphOptions, GraphText, installed};
 
 use crate::actions;
@@ -28,11 +31,12 @@ use crate::panels::{below, history, overview, plugins};
 use crate::picker::Picker;
 use crate::view3d::View3d;
 use crate::viewer::{Source, Viewer};
+use panoscope_editor_model::arguments::Form;
 use panoscope_editor_model::disk::{self, DiskWatch};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::numbered::{FolderError, next_file};
 use panoscope_editor_model::observe::{Counters, LARGE_INTERVAL, Observer, Output, PreviewRequest, THUMBNAIL_INTERVAL};
-use panoscope_editor_model::ops::Detour;
+use panoscope_editor_model::ops::{BypassError, Detour, InsertError};
 use panoscope_editor_model::picture::is_pictorial;
 use panoscope_editor_model::session::{Phase, Session, Status};
 use panoscope_editor_widgets::OutputCache;
@@ -60,6 +64,8 @@ pub struct Options {
     pub shot: Shot,
     /// Overlays and values of the graph's arguments.
     pub given: GraphOptions,
+    /// Folder for values of arguments that are remembered; `None` to remember none.
+    pub config: Option<PathBuf>,
 }
 
 /// Why the window did not open.
@@ -99,7 +105,20 @@ pub struct App {
     /// The highlighted line of the file's text.
     reading: below::Reading,
     disk: DiskWatch,
-    conflict: Option<Conflict>,
+    conflicts: Vec<Conflict>,
+    /// Watches of part and overlay files.
+    other_disks: HashMap<PathBuf, DiskWatch>,
+    /// The open form for arguments, and the folder where its values are remembered.
+    arguments: Option<Form>,
+    config: Option<PathBuf>,
+    /// The name being typed for a new part, and whether the field was shown already.
+    part_name: Option<(String, bool)>,
+    /// A change of a part that is used several times, until the user agrees or not.
+    consent: Option<parts::Consent>,
+    /// What the user asked for last, to be repeated after a consent.
+    asked: Option<parts::Asked>,
+    /// Counters with those of folded parts, and what they were made of.
+    summed: Option<(Arc<Counters>, u64, Arc<Counters>)>,
     /// Whether the view moves with every frame, for measurements.
     panning: bool,
     notification: Option<(String, bool, Instant)>,
@@ -125,6 +144,8 @@ impl App {
         session.set_wake(Arc::new(move || for_wake.request_repaint()));
         let observer = Observer::new(session.handle())?;
         let document = Document::with_options(path, text, session.loader(), options.given);
+        let arguments = (!document.missing_args().is_empty())
+            .then(|| arguments::form(&document, &session.loader(), options.config.as_deref()));
         if document.view().valid {
             session.run(document.runnable());
         }
@@ -146,7 +167,14 @@ impl App {
             detours: HashMap::new(),
             reading: below::Reading::default(),
             disk: DiskWatch::new(path),
-            conflict: None,
+            conflicts: Vec::new(),
+            other_disks: HashMap::new(),
+            arguments,
+            config: options.config,
+            part_name: None,
+            consent: None,
+            asked: None,
+            summed: None,
             panning: false,
             notification: installed::notice(path).map(|notice| (notice, false, Instant::now())),
             requested_revision: 1,
@@ -194,7 +222,7 @@ impl App {
 
     /// The description of each wire, with its maximum queue length in the recorded history.
     pub fn queues(&self) -> Vec<(String, f64)> {
-        let (counters, view) = (self.observer.counters(), self.document.view());
+        let (counters, view) = (self.observer.counters(), self.document.view().flat());
         let most = |points: &std::collections::VecDeque<[f64; 2]>| points.iter().map(|p| p[1]).fold(0.0, f64::max);
         counters.queues.iter().map(|(end, points)| (view.wire_name(end), most(points))).collect()
     }
@@ -209,8 +237,25 @@ impl App {
         self.notification = Some((message.into(), wrong, Instant::now()));
     }
 
-    pub(crate) fn try_edit<T, E: std::fmt::Display>(&mut self, result: Result<T, E>) -> Option<T> {
-        result.map_err(|e| self.notify(e.to_string(), true)).ok()
+    /// The result of an edit; an error is shown. Where a part would change that is used several times, the user is asked.
+    pub(crate) fn try_edit<T, E: std::fmt::Display + 'static>(&mut self, result: Result<T, E>) -> Option<T> {
+        result.map_err(|error| self.refuse(&error)).ok()
+    }
+
+    fn refuse<E: std::fmt::Display + 'static>(&mut self, error: &E) {
+        let any = error as &dyn std::any::Any;
+        let edit = any.downcast_ref::<EditError>();
+        let edit = edit.or_else(|| match any.downcast_ref::<BypassError>() {
+            Some(BypassError::Edit(error)) => Some(error),
+            _ => None,
+        });
+        let edit = edit.or_else(|| match any.downcast_ref::<InsertError>() {
+            Some(InsertError::Edit(error)) => Some(error),
+            _ => None,
+        });
+        if !edit.is_some_and(|edit| self.hold_for_consent(edit)) {
+            self.notify(error.to_string(), true);
+        }
     }
 
     /// Requests the session to run a new, valid text.
@@ -236,13 +281,14 @@ impl App {
         if let Some(text) = self.disk.poll() {
             self.changed_on_disk(text);
         }
+        self.poll_other_files();
         let typing = ctx.text_edit_focused();
         // While a picker or a dialog is open, it gets the keys.
         if self.picker.is_some() && !self.help {
             for action in ctx.input_mut(actions::pressed_while_picking) {
                 self.perform(action);
             }
-        } else if self.palette.is_none() && self.files.is_none() && !self.help && !self.plugins {
+        } else if !self.is_asking() {
             for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
                 self.perform(action);
             }
@@ -258,6 +304,9 @@ impl App {
         self.panels(ui, &status);
         self.palettes(&ctx);
         self.offer_templates(&ctx);
+        self.ask_arguments(&ctx);
+        self.ask_part_name(&ctx);
+        self.ask_consent(&ctx);
         self.take_dropped(&ctx);
         self.show_notification(&ctx);
         self.run_document();
@@ -268,8 +317,14 @@ impl App {
         self.shot.measure(&ctx, &self.costs, &self.session);
     }
 
+    /// Whether a dialog is open that gets the keys.
+    fn is_asking(&self) -> bool {
+        let parts = self.part_name.is_some() || self.consent.is_some();
+        parts || self.palette.is_some() || self.files.is_some() || self.arguments.is_some() || self.help || self.plugins
+    }
+
     fn panels(&mut self, ui: &mut Ui, status: &Status) {
-        let counters = self.observer.counters();
+        let counters = self.summed_counters();
         let bar = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 8));
         let actions = Panel::top("top")
             .frame(bar)
@@ -315,6 +370,7 @@ impl App {
             for request in requests.inner {
                 match request {
                     overview::OverviewRequest::Go(id) => self.canvas.show_node(&view, &id),
+                    overview::OverviewRequest::Perform(action) => self.perform(action),
                     overview::OverviewRequest::Param(id, change) => {
                         self.handle_inspector(&id, InspectorRequest::Param(change))
                     }
@@ -395,13 +451,11 @@ impl App {
         let view = self.document.view();
         let mut found: Vec<Source> = Vec::new();
         let read = view.wires.iter().map(|w| (w.from, w.output.clone()));
-        let shown = (0..view.nodes.len()).filter_map(|n| {
-            let (output, _) = self.canvas.shown_output(view, n)?;
-            Some((view.node(&output.node)?, output.port))
-        });
-        for (node, port) in read.chain(shown) {
-            let Some(packet) = view.packet(node, &port).map(|p| p.name.clone()) else { continue };
-            let source = Source { output: Output::new(view.nodes[node].id(), &port), packet };
+        let shown = (0..view.nodes.len()).filter_map(|n| Some(self.canvas.shown_output(view, n)?.0));
+        let read = read.map(|(node, port)| view.running_output(view.nodes[node].id(), &port));
+        for output in read.chain(shown) {
+            let Some(packet) = view.packet_of(&output).map(|p| p.name.clone()) else { continue };
+            let source = Source { output, packet };
             if is_pictorial(&source.packet) && !found.contains(&source) {
                 found.push(source);
             }
@@ -418,7 +472,7 @@ impl App {
 
     /// Outputs whose packets are of one of the given types, with the type.
     fn outputs_of(&self, packets: &[&str]) -> Vec<(Output, String)> {
-        let nodes = self.document.view().nodes.iter();
+        let nodes = self.document.view().flat().nodes.iter();
         let outputs = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.outputs).map(move |port| (n.id(), port)));
         outputs
             .filter(|(_, port)| packets.contains(&port.packet.name.as_str()))
@@ -550,7 +604,7 @@ impl App {
             requests.viewpoint = Some(viewpoint);
         }
         let view = self.document.view();
-        self.shown.retain(|output| requests.contains_key(output) || view.node(&output.node).is_some());
+        self.shown.retain(|output| requests.contains_key(output) || view.flat().node(&output.node).is_some());
         let large = self.viewer.source().is_some();
         self.observer.set_requests(requests, if large { LARGE_INTERVAL } else { THUMBNAIL_INTERVAL });
     }

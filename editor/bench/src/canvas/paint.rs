@@ -174,6 +174,11 @@ impl Canvas {
             painter.galley(pos2(rect.left() + 6.0 * scale, rect.top() + 4.0 * scale), name, theme::TEXT);
             return;
         }
+        if this.is_part {
+            // A second edge behind the first: there is more inside.
+            let behind = rect.translate(vec2(4.0, 4.0) * scale);
+            painter.rect(behind, radius, theme::PANEL, Stroke::new(1.0, theme::LINE), StrokeKind::Outside);
+        }
         painter.rect(rect, radius, fill, stroke, StrokeKind::Outside);
         let bar = Rect::from_min_size(rect.min, vec2(4.0 * scale, HEADER * scale));
         let left = CornerRadius { nw: radius.nw, ne: 0, sw: 0, se: 0 };
@@ -197,7 +202,10 @@ impl Canvas {
         painter.galley(pos2(rect.left() + 14.0 * scale, line - name.size().y / 2.0), name, theme::TEXT);
         self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
         let room = rect.width() - name_width - 52.0 * scale;
-        if room > 30.0 * scale {
+        if this.is_part {
+            let at = pos2(rect.right() - 26.0 * scale, line);
+            painter.text(at, Align2::RIGHT_CENTER, "open", self.font(11.0), theme::ACCENT);
+        } else if room > 30.0 * scale {
             let caption = elided(painter, &this.outline.type_name, self.font(11.0), theme::MUTED, room);
             let at = pos2(rect.right() - 26.0 * scale - caption.size().x, line - caption.size().y / 2.0);
             painter.galley(at, caption, theme::MUTED);

@@ -55,6 +55,13 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
             let wrong = document.view().diagnostics.len() + usize::from(status.problem.is_some());
             let caption = if wrong == 0 { "Problems".to_owned() } else { format!("Problems {wrong}") };
             button(ui, Action::Problems, &caption, on.problems, true);
+            if !document.args().is_empty() || !document.given().with.is_empty() {
+                let caption = match document.missing_args().len() {
+                    0 => "Arguments".to_owned(),
+                    missing => format!("Arguments {missing}"),
+                };
+                button(ui, Action::Arguments, &caption, false, true);
+            }
             ui.separator();
             button(ui, Action::Fit, "Fit", false, true);
             button(ui, Action::Find, "Find", false, true);
