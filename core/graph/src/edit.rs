@@ -16,6 +16,9 @@ pub use crate::edit_error::{EditError, NoHome};
 pub use files::FileEdits;
 pub use part::PartPortKind;
 
+/// Key in `[editor]` for the list of parts whose nodes the editor shows; no node can have this name.
+pub const OPENED_PARTS: &str = ":open";
+
 /// A graph file under edit.
 #[derive(Clone, Debug, Default)]
 pub struct GraphEdit {
@@ -354,8 +357,15 @@ impl GraphEdit {
         at.insert("y", y.into());
         let root = self.document.as_table_mut();
         let editor = root.entry("editor").or_insert_with(|| Item::Table(Table::new()));
-        if let Some(editor) = editor.as_table_like_mut() {
-            set(editor, id, EditValue::InlineTable(at));
+        if let Some(table) = editor.as_table_like_mut() {
+            set(table, id, EditValue::InlineTable(at));
+        }
+        // Behind all positions, so that removing and adding the list changes nothing else.
+        if let Some(table) = editor.as_table_mut()
+            && table.iter().last().is_some_and(|(key, _)| key != OPENED_PARTS)
+            && let Some((key, list)) = table.remove_entry(OPENED_PARTS)
+        {
+            table.insert_formatted(&key, list);
         }
     }
 

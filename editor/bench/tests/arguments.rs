@@ -22,10 +22,10 @@ doc = "Share of the past in each picture"
 unit = "/256"
 range = [0, 255]
 
-[args.size]
+[args.shade]
 type = "choice"
-choices = ["small", "large"]
-default = "small"
+choices = ["dark", "light"]
+default = "dark"
 
 [args.rate]
 type = "number"
@@ -83,7 +83,7 @@ fn a_graph_without_values_asks_for_them_and_remembers_them() {
     window.harness.get_by_label("Start").click();
     window.until_shown("`calm` needs a value");
     assert!(window.app().arguments().is_some());
-    window.harness.get_by_label("calm").focus();
+    window.harness.get_by_label("Argument calm").focus();
     window.steps(2);
     for _ in 0..3 {
         window.key(NONE, Key::ArrowUp);

@@ -31,6 +31,8 @@ pub struct Form {
     texts: BTreeMap<PathBuf, String>,
     /// Arguments of the graph with the chosen overlays.
     pub args: Vec<Arg>,
+    /// Arguments that need a value: those without a default that the graph uses.
+    pub required: Vec<String>,
     /// Values by argument, as on a command line; the default holds where there is none.
     pub values: BTreeMap<String, String>,
     /// Chosen overlays.
@@ -52,6 +54,7 @@ impl Form {
             text: text.to_owned(),
             texts: given.texts.clone(),
             args: Vec::new(),
+            required: Vec::new(),
             values,
             with: given.with.clone(),
             overlays: Vec::new(),
@@ -85,7 +88,9 @@ impl Form {
     /// Arguments follow the chosen overlays.
     pub fn refresh(&mut self) {
         let options = GraphOptions { args: Vec::new(), ..self.options(&self.with, true) };
-        self.args = GraphText::parse_with(&self.graph, &self.text, &options).args().to_vec();
+        let parsed = GraphText::parse_with(&self.graph, &self.text, &options);
+        self.args = parsed.args().to_vec();
+        self.required = parsed.missing_args().into_iter().map(str::to_owned).collect();
         self.problems.clear();
     }
 

@@ -45,6 +45,8 @@ pub struct Document {
     /// Arguments that the graph declares, and the names of those that have no value.
     args: Vec<Arg>,
     missing_args: Vec<String>,
+    /// Parameters that the preset pins: node, parameter, label.
+    pins: Vec<(String, String, String)>,
     /// Overlays and values of arguments.
     given: GraphOptions,
     /// One text of all files, for the session; the text itself for a graph of one file.
@@ -79,6 +81,7 @@ impl Document {
             shared: BTreeSet::new(),
             args: Vec::new(),
             missing_args: Vec::new(),
+            pins: Vec::new(),
             runnable: text.into(),
             undo: Vec::new(),
             redo: Vec::new(),
@@ -174,6 +177,12 @@ impl Document {
         &self.missing_args
     }
 
+    /// Whether nothing is wrong but that arguments have no value.
+    pub fn lacks_only_arguments(&self) -> bool {
+        let mut errors = self.view.diagnostics.iter().filter(|d| d.severity == Severity::Error);
+        !self.missing_args.is_empty() && errors.all(|d| d.code == "missing-arg")
+    }
+
     /// Overlays and values of arguments.
     pub fn given(&self) -> &GraphOptions {
         &self.given
@@ -187,6 +196,11 @@ impl Document {
             self.merge = None;
             self.derive();
         }
+    }
+
+    /// Parameters that the preset pins, with their labels. One of an opened part is that of the node inside.
+    pub fn pins(&self) -> impl Iterator<Item = (&str, &str, &str)> {
+        self.pins.iter().map(|(node, param, label)| (node.as_str(), param.as_str(), label.as_str()))
     }
 
     /// The parameter of a node that a parameter of a part stands for: `stereo.far_mm` is `stereo/points.far_mm`.
@@ -586,6 +600,7 @@ impl Document {
             }
         }
         let view = folding::drawn(view, &parsed);
+        self.pins = pins_of(&self.text, &parsed, &view);
         self.view = Arc::new(view);
     }
 }
@@ -593,6 +608,20 @@ impl Document {
 fn params_of(text: &GraphText) -> HashMap<String, toml::Table> {
     let nodes = text.outline().into_iter().map(|n| (n.id, n.params));
     nodes.chain(text.parts().into_iter().map(|p| (p.id, p.given_params))).collect()
+}
+
+fn pins_of(text: &str, parsed: &GraphText, view: &GraphView) -> Vec<(String, String, String)> {
+    let Ok(table) = text.parse::<toml::Table>() else { return Vec::new() };
+    let pins = table.get("preset").and_then(|p| p.get("pinned")).and_then(toml::Value::as_array);
+    let pin = |pin: &toml::Value| {
+        let written = pin.get("param")?.as_str()?;
+        let (node, param) = written.split_once('.')?;
+        let label = pin.get("label").and_then(toml::Value::as_str).unwrap_or(param).to_owned();
+        let whole = if view.node(node).is_some() { written.to_owned() } else { parsed.resolve_param(written) };
+        let (node, param) = whole.split_once('.')?;
+        Some((node.to_owned(), param.to_owned(), label))
+    };
+    pins.into_iter().flatten().filter_map(pin).collect()
 }
 
 /// The nodes that a diagnostic is about: those whose entry in the diagnostic's file it is in.

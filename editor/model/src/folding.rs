@@ -5,12 +5,10 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
+use panoscope_graph::edit::OPENED_PARTS;
 use panoscope_graph::{GraphText, NodeOutline, NodeType, Param, ParamKind, PartOutline, PartPort, Port};
 
 use crate::graph_view::{GraphView, NodeView, PartView, Wire};
-
-/// Key in `[editor]` for the opened parts; no node can have this name.
-pub(crate) const OPEN: &str = ":open";
 
 /// The family of folded parts, for their colour.
 const FAMILY: &str = "part";
@@ -22,7 +20,7 @@ pub fn parent(id: &str) -> &str {
 
 /// The opened parts of an `[editor]` table.
 pub fn opened(editor: &toml::Table) -> BTreeSet<String> {
-    let list = editor.get(OPEN).and_then(toml::Value::as_array);
+    let list = editor.get(OPENED_PARTS).and_then(toml::Value::as_array);
     list.into_iter().flatten().filter_map(toml::Value::as_str).map(str::to_owned).collect()
 }
 

@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use panoscope_graph::edit::{EditError, GraphEdit};
+use panoscope_graph::edit::{EditError, GraphEdit, OPENED_PARTS};
 use panoscope_graph::{GraphText, NodeType};
 
 use crate::document::Document;
-use crate::folding::{OPEN, opened, parent, position};
+use crate::folding::{opened, parent, position};
 use crate::graph_view::{FRAMES, GraphView, NOTES, Wire};
 use crate::history::Origin;
 use crate::mark::Mark;
@@ -443,7 +443,7 @@ fn set_opened(edit: &mut GraphEdit, parsed: &GraphText, change: impl FnOnce(&mut
     open.dedup();
     if open != before {
         let list = toml::Value::from(open);
-        edit.set_editor(OPEN, Some(&list).filter(|list| list.as_array().is_some_and(|l| !l.is_empty())));
+        edit.set_editor(OPENED_PARTS, Some(&list).filter(|list| list.as_array().is_some_and(|l| !l.is_empty())));
     }
 }
 

@@ -91,7 +91,7 @@ fn the_theatre_asks_for_arguments_and_a_panel_changes_them() {
     assert!(window.opening().theatre().is_none());
     window.0.get_by_label("Start").click();
     window.until("a reason", |o| o.form().is_some_and(|f| f.problems == ["`calm` needs a value"]));
-    window.0.get_by_label("calm").focus();
+    window.0.get_by_label("Argument calm").focus();
     window.0.step();
     window.0.key_press(Key::ArrowUp);
     window.0.step();
@@ -110,7 +110,7 @@ fn the_theatre_asks_for_arguments_and_a_panel_changes_them() {
     window.0.key_press(Key::A);
     window.until("the panel", |o| o.form().is_some());
     window.0.step();
-    window.0.get_by_label("calm").focus();
+    window.0.get_by_label("Argument calm").focus();
     window.0.step();
     for _ in 0..4 {
         window.0.key_press(Key::ArrowUp);

@@ -90,7 +90,8 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
             (Some(_), Some(default)) => format!("default: {default}"),
             (None, Some(_)) => "default".to_owned(),
             (Some(_), None) => String::new(),
-            (None, None) => "required".to_owned(),
+            (None, None) if form.required.contains(&arg.name) => "required".to_owned(),
+            (None, None) => "not used".to_owned(),
         };
         let color = if state == "required" { theme::WARN } else { theme::MUTED };
         ui.label(RichText::new(state).size(style.size * 0.85).color(color));
@@ -116,7 +117,7 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
         ArgKind::Flag => {
             let mut on = now == "true";
             let response = ui.checkbox(&mut on, "");
-            name(&response, &arg.name);
+            name(&response, &format!("Argument {}", arg.name));
             response.changed().then(|| on.to_string())
         }
         ArgKind::Choice => {
@@ -127,7 +128,7 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
                     ui.selectable_value(&mut picked, choice.clone(), choice);
                 }
             });
-            name(&response.response, &arg.name);
+            name(&response.response, &format!("Argument {}", arg.name));
             (picked != now).then_some(picked)
         }
         ArgKind::Number | ArgKind::Whole => number(ui, arg, &now),
@@ -143,7 +144,7 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
                 let field =
                     TextEdit::singleline(&mut text).hint_text(hint).desired_width(ui.available_width() - room - 16.0);
                 let field = ui.add(field.font(eframe::egui::FontId::proportional(style.size)));
-                name(&field, &arg.name);
+                name(&field, &format!("Argument {}", arg.name));
                 if pick_camera {
                     let menu = ui.menu_button("Cameras", |ui| {
                         for (device, model) in &devices {
@@ -182,7 +183,7 @@ fn number(ui: &mut Ui, arg: &Arg, now: &str) -> Option<String> {
     let drag = DragValue::new(&mut number).range(low..=high).clamp_existing_to_range(false).suffix(unit);
     let drag = if whole { drag.speed(speed.max(0.25)).max_decimals(0) } else { drag.speed(speed).max_decimals(4) };
     let response = ui.add(drag);
-    name(&response, &arg.name);
+    name(&response, &format!("Argument {}", arg.name));
     response.changed().then(|| if whole { format!("{}", number.round()) } else { format!("{number}") })
 }
 

@@ -196,8 +196,14 @@ impl Canvas {
         self.positions.get(id).copied()
     }
 
-    /// Centres the view on a node and selects it.
+    /// Centres the view on a node and selects it; on the part that is shown in its place, where it is inside a folded one.
     pub fn show_node(&mut self, view: &GraphView, id: &str) {
+        let mut id = id;
+        while view.node(id).is_none()
+            && let Some((part, _)) = id.rsplit_once('/')
+        {
+            id = part;
+        }
         if let (Some(node), Some(position)) = (view.node(id), self.positions.get(id))
             && let Some(shape) = self.shapes.get(node)
         {

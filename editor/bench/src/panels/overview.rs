@@ -23,18 +23,6 @@ pub enum OverviewRequest {
     Param(String, params::ParamRequest),
 }
 
-/// The parameters that the preset pins: node, parameter, label.
-fn pinned(document: &Document) -> Vec<(String, String, String)> {
-    let Ok(table) = document.text().parse::<toml::Table>() else { return Vec::new() };
-    let pins = table.get("preset").and_then(|p| p.get("pinned")).and_then(toml::Value::as_array);
-    let pin = |pin: &toml::Value| {
-        let (node, param) = pin.get("param")?.as_str()?.split_once('.')?;
-        let label = pin.get("label").and_then(toml::Value::as_str).unwrap_or(param);
-        Some((node.to_owned(), param.to_owned(), label.to_owned()))
-    };
-    pins.into_iter().flatten().filter_map(pin).collect()
-}
-
 /// Shows the panel; returns the user's requests.
 pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usize) -> Vec<OverviewRequest> {
     let view = document.view();
@@ -49,24 +37,17 @@ pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usi
             ui.label(RichText::new(&view.name).size(16.0));
             ui.label(RichText::new(opening(document.text())).size(12.0).color(theme::MUTED));
         }
-        let pinned = pinned(document);
-        if !pinned.is_empty() {
+        if document.pins().next().is_some() {
             section(ui, "Preset");
         }
-        for (node, param, label) in pinned {
-            // A parameter of an opened part is one of a node inside.
-            let resolved = document.resolve_param(&format!("{node}.{param}"));
-            let (node, param) = match (view.node(&node), resolved.split_once('.')) {
-                (None, Some((node, param))) => (node.to_owned(), param.to_owned()),
-                _ => (node, param),
-            };
-            let all = if view.node(&node).is_some() { view } else { view.flat() };
-            let this = all.node(&node).map(|n| &all.nodes[n]);
+        for (node, param, label) in document.pins() {
+            let all = if view.node(node).is_some() { view } else { view.flat() };
+            let this = all.node(node).map(|n| &all.nodes[n]);
             let declared = this.and_then(|n| n.node_type.as_ref()?.params.iter().find(|p| p.name == param));
             if let (Some(this), Some(declared)) = (this, declared) {
-                ui.push_id((&node, &param), |ui| {
-                    let change = params::one(ui, document, this, declared, &label);
-                    requests.extend(change.map(|c| OverviewRequest::Param(node.clone(), c)));
+                ui.push_id((node, param), |ui| {
+                    let change = params::one(ui, document, this, declared, label);
+                    requests.extend(change.map(|c| OverviewRequest::Param(node.to_owned(), c)));
                 });
             }
         }

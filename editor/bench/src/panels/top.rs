@@ -90,6 +90,9 @@ fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters)
         Phase::Idle if document.view().nodes.is_empty() && document.view().diagnostics.is_empty() => {
             (theme::MUTED, "no nodes yet: press A to add one".to_owned())
         }
+        Phase::Idle if document.lacks_only_arguments() => {
+            (theme::WARN, format!("needs a value for {}", document.missing_args().join(", ")))
+        }
         Phase::Idle => (theme::FAULT, "the file has mistakes".to_owned()),
         Phase::Starting => (theme::MUTED, "starting".to_owned()),
         Phase::Running if status.problem.is_some() => {
