@@ -9,6 +9,7 @@ pub mod content;
 pub mod copying;
 pub mod disk;
 pub mod document;
+mod entries;
 pub mod folding;
 pub mod graph_view;
 pub mod history;
