@@ -335,9 +335,14 @@ fn a_part_is_opened_edited_and_saved_in_the_window() {
     window.settled();
     // A value of the part's file.
     window.select("calm/mean");
-    window.harness.get_by_role_and_label(eframe::egui::accesskit::Role::Slider, "past_weight").focus();
-    window.steps(2);
-    window.key(NONE, Key::ArrowRight);
+    // A key has no effect in a frame in which the panel moves.
+    let until = std::time::Instant::now() + common::PATIENCE;
+    while window.app().document().changed_files().is_empty() {
+        assert!(std::time::Instant::now() < until, "the slider moves: {}", window.app().document().text());
+        window.harness.get_by_role_and_label(eframe::egui::accesskit::Role::Slider, "past_weight").focus();
+        window.steps(2);
+        window.key(NONE, Key::ArrowRight);
+    }
     window.settled();
     let changed = CALM.replace("past_weight = 100", "past_weight = 101");
     assert_eq!(**window.app().document().file_text(&part).expect("the part"), *changed);
