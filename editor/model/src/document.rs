@@ -396,10 +396,15 @@ impl Document {
         Ok(result)
     }
 
+    /// Overlays and values of arguments, with the current texts of parts and overlays.
+    pub fn options(&self) -> GraphOptions {
+        let texts = self.others.iter().map(|(path, text)| (path.clone(), text.to_string())).collect();
+        GraphOptions { texts, ..self.given.clone() }
+    }
+
     /// The texts as read.
     fn parse(&self) -> GraphText {
-        let texts = self.others.iter().map(|(path, text)| (path.clone(), text.to_string())).collect();
-        GraphText::parse_with(&self.path, &self.text, &GraphOptions { texts, ..self.given.clone() })
+        GraphText::parse_with(&self.path, &self.text, &self.options())
     }
 
     /// Looks at the files without changing them.

@@ -14,7 +14,7 @@ use panoscope_editor_widgets::theme;
 
 /// A form with the current values of the graph, and where there are none with those that were given last.
 pub(super) fn form(document: &Document, loader: &Loader, config: Option<&Path>) -> Form {
-    let mut form = Form::new(document.path(), document.text(), document.given(), loader);
+    let mut form = Form::new(document.path(), document.text(), &document.options(), loader);
     if let Some(remembered) = config.and_then(|folder| arguments::recall(folder, document.path())) {
         form.recall(remembered);
     }
