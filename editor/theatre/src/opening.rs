@@ -109,9 +109,11 @@ impl Opening {
             Stage::Running(theatre) => {
                 let typing = ctx.text_edit_focused();
                 if !typing && ctx.input_mut(|i| i.consume_key(Modifiers::NONE, KEY)) {
-                    let form = if self.form.is_some() { None } else { Some(()) };
-                    self.form =
-                        form.map(|()| Form::new(&self.path, &self.text, &self.given, &theatre.session().loader()));
+                    let loader = theatre.session().loader();
+                    self.form = match self.form {
+                        Some(_) => None,
+                        None => Some(Form::new(&self.path, &self.text, &self.given, &loader)),
+                    };
                     if self.form.as_ref().is_some_and(Form::is_empty) {
                         self.form = None;
                         theatre.notify("the graph has no arguments", false);
@@ -180,10 +182,9 @@ impl Opening {
                 Ok(theatre) => *stage = Stage::Running(Box::new(theatre)),
                 Err(error) => *stage = self.options.failed(ctx, &self.path, &error),
             },
-            (stage, Err(error @ OpenError::Graph(_))) => {
-                // Wrong values can be put right here.
+            // Wrong values can be put right here.
+            (Stage::Asking | Stage::Failed(_), Err(error @ OpenError::Graph(_))) => {
                 form.problems = vec![error.to_string()];
-                let _ = stage;
                 return;
             }
             (stage, Err(error)) => *stage = self.options.failed(ctx, &self.path, &error),

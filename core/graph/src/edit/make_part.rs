@@ -87,9 +87,7 @@ impl FileEdits<'_> {
         let inside = |reference: &str| {
             reference.split_once('.').is_some_and(|(node, _)| names.iter().any(|name| mentions(node, name)))
         };
-        let mut part = GraphEdit::default();
-        part.final_newline = true;
-        part.crlf = edit.crlf;
+        let mut part = GraphEdit { final_newline: true, crlf: edit.crlf, ..GraphEdit::default() };
         let (mut inputs, mut outputs, mut params) = (Ports::default(), Ports::default(), Ports::default());
         // What the file's own `[part]` offers of these nodes stays offered.
         for kind in PartPortKind::ALL {
