@@ -24,6 +24,9 @@ const EMPTY_GRAPH: &str = "empty-graph";
 /// Texts of part and overlay files, by absolute path.
 type Texts = BTreeMap<PathBuf, Arc<str>>;
 
+/// A file whose text is not on disk: path, text now, text as it was read or saved.
+pub type ChangedFile<'d> = (&'d Path, &'d Arc<str>, Option<&'d Arc<str>>);
+
 #[derive(Clone, Debug)]
 struct UndoStep {
     text: Arc<str>,
@@ -128,7 +131,7 @@ impl Document {
 
     /// Part and overlay files whose texts differ from the disk's: path, text now, text as it was read or saved. A file that was created here has
     /// none of the latter.
-    pub fn changed_files(&self) -> Vec<(&Path, &Arc<str>, Option<&Arc<str>>)> {
+    pub fn changed_files(&self) -> Vec<ChangedFile<'_>> {
         let all = self.others.iter().map(|(path, text)| (path.as_path(), text, self.saved_others.get(path)));
         all.filter(|(_, text, saved)| *saved != Some(*text)).collect()
     }
