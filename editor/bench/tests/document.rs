@@ -242,6 +242,6 @@ fn a_copy_takes_parts_and_unsaved_changes_along() {
     let changed: Vec<_> =
         document.changed_files().into_iter().map(|(path, text, _)| (path.to_owned(), text.to_string())).collect();
     assert_eq!(changed, [(copied, part.to_owned())]);
-    assert_eq!(document.view().nodes[0].outline.params["inner"].as_integer(), Some(1));
+    assert_eq!(document.view().flat().nodes[0].outline.params["inner"].as_integer(), Some(1));
     std::fs::remove_dir_all(root).expect("removed");
 }
