@@ -17,12 +17,7 @@ pub struct Given {
 impl Given {
     /// As options to open the graph, with `node.param=value` settings.
     pub fn options(&self, settings: &[String]) -> GraphOptions {
-        GraphOptions {
-            with: self.with.clone(),
-            args: self.graph_args.iter().map(|text| command_line::split(text)).collect(),
-            set: settings.to_vec(),
-            ..GraphOptions::default()
-        }
+        command_line::options(&self.with, &self.graph_args, settings)
     }
 
     /// The same as words of a command line.

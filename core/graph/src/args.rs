@@ -532,7 +532,7 @@ fn check(kind: ArgKind, arg: &ArgText, value: &Kind) -> Result<Kind, Wrong> {
 }
 
 /// Whether a text names no file: a camera number, an address, a pipeline.
-fn is_no_file(text: &str) -> bool {
+pub(crate) fn is_no_file(text: &str) -> bool {
     text.is_empty() || text.bytes().all(|b| b.is_ascii_digit()) || text.contains("://") || text.contains(" ! ")
 }
 

@@ -105,8 +105,14 @@ fn table(args: &[Arg]) -> String {
     args.iter().map(|arg| format!("      {:<width$}  {}\n", left(arg), arg.help())).collect()
 }
 
+/// What a command line gives to a graph: the files of `--with`, the values of `--graph-arg`, and `node.param=value` settings.
+pub fn options(with: &[PathBuf], graph_args: &[String], settings: &[String]) -> GraphOptions {
+    let args = graph_args.iter().map(|text| split(text)).collect();
+    GraphOptions { with: with.to_vec(), args, set: settings.to_vec(), ..GraphOptions::default() }
+}
+
 /// `NAME=VALUE` of the option as a value of an argument.
-pub fn split(text: &str) -> (String, String) {
+fn split(text: &str) -> (String, String) {
     let (name, value) = text.split_once('=').unwrap_or((text, ""));
     (name.to_owned(), value.to_owned())
 }

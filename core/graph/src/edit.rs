@@ -1,14 +1,26 @@
 //! Changes to a graph file that leave every other byte as it was: comments, order, spacing. For the editor and `lock`.
 //! Two things are tidied by `toml_edit`: spaces inside a table's header, and a mixture of line ends.
 
+mod dissolve;
+mod files;
+mod make_part;
+mod part;
+mod references;
+
 use crate::value::{Kind, Value};
+use references::{for_each_table, mentions, rename_reference, rename_references, rename_view, shows, without};
 
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, TableLike, Value as EditValue};
 
 pub use crate::edit_error::{EditError, NoHome};
+pub use files::FileEdits;
+pub use part::PartPortKind;
+
+/// Key in `[editor]` for the list of parts whose nodes the editor shows; no node can have this name.
+pub const OPENED_PARTS: &str = ":open";
 
 /// A graph file under edit.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct GraphEdit {
     document: DocumentMut,
     /// Whether the file ends its lines with CR LF, which `toml_edit` reads as LF.
@@ -204,6 +216,17 @@ impl GraphEdit {
         Ok(())
     }
 
+    /// Lists a folder to look for plugins in, unless it is listed already.
+    fn add_plugin_path(&mut self, folder: &str) {
+        let root = self.document.as_table_mut();
+        let item = root.entry("plugin_paths").or_insert_with(|| toml_edit::value(Array::new()));
+        if let Some(array) = item.as_array_mut()
+            && !array.iter().any(|p| p.as_str() == Some(folder))
+        {
+            array.push(folder);
+        }
+    }
+
     /// Removes a node with its table, every connection that reads it, its pins and views in the preset and its place in the editor.
     pub fn remove_node(&mut self, id: &str) -> Result<(), EditError> {
         let nodes = self.nodes()?;
@@ -213,9 +236,14 @@ impl GraphEdit {
                 false => EditError::NoNode { id: id.to_owned() },
             });
         }
+        self.remove_mentions(id)
+    }
+
+    /// Removes what names a node outside of its own table: connections, preset, `[part]` and `[editor]`.
+    pub(crate) fn remove_mentions(&mut self, id: &str) -> Result<(), EditError> {
         let pins = |value: &EditValue| {
             let param = value.as_inline_table().and_then(|t| t.get("param")).and_then(EditValue::as_str);
-            param.and_then(|p| p.split_once('.')).is_some_and(|(node, _)| node == id)
+            param.and_then(|p| p.split_once('.')).is_some_and(|(node, _)| mentions(node, id))
         };
         if let Some(pinned) = self.document.get_mut("preset").and_then(|p| p.get_mut("pinned"))
             && let Some(pinned) = pinned.as_array_mut()
@@ -228,8 +256,13 @@ impl GraphEdit {
             views.retain(|view| !shows(view, id));
         }
         if let Some(editor) = self.document.get_mut("editor").and_then(Item::as_table_like_mut) {
-            editor.remove(id);
+            let gone: Vec<String> =
+                editor.iter().map(|(key, _)| key.to_owned()).filter(|key| mentions(key, id)).collect();
+            for key in gone {
+                editor.remove(&key);
+            }
         }
+        self.remove_part_targets(id);
         self.each_input(|inputs| {
             let gone: Vec<String> =
                 inputs.iter_mut().filter_map(|(key, item)| without(item, id).then(|| key.get().to_owned())).collect();
@@ -253,6 +286,12 @@ impl GraphEdit {
             return Err(EditError::NodeExists { id: new.to_owned() });
         }
         rename_key(nodes, old, new);
+        self.rename_mentions(old, new)
+    }
+
+    /// Gives a node another name wherever the file names it outside of its own table: connections, preset, `[part]` and `[editor]`.
+    pub(crate) fn rename_mentions(&mut self, old: &str, new: &str) -> Result<(), EditError> {
+        self.rename_part_targets(old, new);
         self.each_input(|inputs| {
             for (_, item) in inputs.iter_mut() {
                 rename_references(item, old, new);
@@ -270,13 +309,24 @@ impl GraphEdit {
         {
             views.iter_mut().for_each(|view| rename_view(view, old, new));
         }
-        if let Some(editor) = self.document.get_mut("editor").and_then(Item::as_table_like_mut)
-            && !editor.contains_key(new)
-            && let Some(item) = editor.remove(old)
-        {
-            editor.insert(new, item);
-        }
+        self.rename_positions(old, new);
         Ok(())
+    }
+
+    /// Gives a node and the nodes inside it other names in `[editor]`.
+    pub fn rename_positions(&mut self, old: &str, new: &str) {
+        if let Some(editor) = self.document.get_mut("editor").and_then(Item::as_table_like_mut) {
+            let keys: Vec<String> =
+                editor.iter().map(|(key, _)| key.to_owned()).filter(|key| mentions(key, old)).collect();
+            for key in keys {
+                let renamed = format!("{new}{}", &key[old.len()..]);
+                if !editor.contains_key(&renamed)
+                    && let Some(item) = editor.remove(&key)
+                {
+                    editor.insert(&renamed, item);
+                }
+            }
+        }
     }
 
     /// Sets what stands under a key of `[editor]`, or with `None` takes it out.
@@ -290,8 +340,11 @@ impl GraphEdit {
                 }
             }
             None => {
-                if let Some(editor) = root.get_mut("editor").and_then(Item::as_table_like_mut) {
-                    editor.remove(key);
+                if let Some(editor) = root.get_mut("editor").and_then(Item::as_table_like_mut)
+                    && editor.remove(key).is_some()
+                    && editor.is_empty()
+                {
+                    root.remove("editor");
                 }
             }
         }
@@ -304,8 +357,15 @@ impl GraphEdit {
         at.insert("y", y.into());
         let root = self.document.as_table_mut();
         let editor = root.entry("editor").or_insert_with(|| Item::Table(Table::new()));
-        if let Some(editor) = editor.as_table_like_mut() {
-            set(editor, id, EditValue::InlineTable(at));
+        if let Some(table) = editor.as_table_like_mut() {
+            set(table, id, EditValue::InlineTable(at));
+        }
+        // Behind all positions, so that removing and adding the list changes nothing else.
+        if let Some(table) = editor.as_table_mut()
+            && table.iter().last().is_some_and(|(key, _)| key != OPENED_PARTS)
+            && let Some((key, list)) = table.remove_entry(OPENED_PARTS)
+        {
+            table.insert_formatted(&key, list);
         }
     }
 
@@ -340,34 +400,21 @@ impl GraphEdit {
             .ok_or_else(|| EditError::Shape { place: format!("nodes.{id}.{part}"), expected: "a table" })
     }
 
-    /// Sets an entry of `inputs` or `params`. The space before the closing brace stays there when an entry is added.
-    fn put(&mut self, id: &str, part: &str, key: &str, mut value: EditValue) -> Result<(), EditError> {
+    /// Sets an entry of `inputs` or `params`.
+    fn put(&mut self, id: &str, part: &str, key: &str, value: EditValue) -> Result<(), EditError> {
         self.table_of(id, part)?;
-        if let Some(inline) = self.node(id)?.get_mut(part).and_then(Item::as_inline_table_mut)
-            && !inline.contains_key(key)
-            && let Some((_, last)) = inline.iter_mut().last()
-        {
-            let space = last.decor().suffix().cloned().unwrap_or_default();
-            last.decor_mut().set_suffix("");
-            *value.decor_mut() = toml_edit::Decor::new(" ", space);
+        if let Some(entries) = self.node(id)?.get_mut(part) {
+            put_entry(entries, key, value);
         }
-        set(self.table_of(id, part)?, key, value);
         Ok(())
     }
 
     /// Removes an entry of `inputs` or `params`; the space before the closing brace stays there.
     fn take(&mut self, id: &str, part: &str, key: &str) -> Result<(), EditError> {
         self.table_of(id, part)?;
-        if let Some(inline) = self.node(id)?.get_mut(part).and_then(Item::as_inline_table_mut)
-            && inline.iter().last().is_some_and(|(last, _)| last == key)
-            && let Some(gone) = inline.remove(key)
-        {
-            if let Some((_, last)) = inline.iter_mut().last() {
-                last.decor_mut().set_suffix(gone.decor().suffix().cloned().unwrap_or_default());
-            }
-            return Ok(());
+        if let Some(entries) = self.node(id)?.get_mut(part) {
+            take_entry(entries, key);
         }
-        self.table_of(id, part)?.remove(key);
         Ok(())
     }
 
@@ -412,6 +459,37 @@ fn point_at(place: &mut EditValue, from: &str) {
             *value.decor_mut() = other.decor().clone();
             *other = value;
         }
+    }
+}
+
+/// Sets an entry of a table. The space before the closing brace stays there when an entry is added.
+fn put_entry(table: &mut Item, key: &str, mut value: EditValue) {
+    if let Some(inline) = table.as_inline_table_mut()
+        && !inline.contains_key(key)
+        && let Some((_, last)) = inline.iter_mut().last()
+    {
+        let space = last.decor().suffix().cloned().unwrap_or_default();
+        last.decor_mut().set_suffix("");
+        *value.decor_mut() = toml_edit::Decor::new(" ", space);
+    }
+    if let Some(table) = table.as_table_like_mut() {
+        set(table, key, value);
+    }
+}
+
+/// Removes an entry of a table; the space before the closing brace stays there.
+fn take_entry(table: &mut Item, key: &str) {
+    if let Some(inline) = table.as_inline_table_mut()
+        && inline.iter().last().is_some_and(|(last, _)| last == key)
+        && let Some(gone) = inline.remove(key)
+    {
+        if let Some((_, last)) = inline.iter_mut().last() {
+            last.decor_mut().set_suffix(gone.decor().suffix().cloned().unwrap_or_default());
+        }
+        return;
+    }
+    if let Some(table) = table.as_table_like_mut() {
+        table.remove(key);
     }
 }
 
@@ -460,89 +538,6 @@ pub(crate) fn edit_value(value: &toml::Value) -> EditValue {
         toml::Value::Array(items) => EditValue::Array(items.iter().map(edit_value).collect()),
         toml::Value::Table(table) => {
             EditValue::InlineTable(table.iter().map(|(k, v)| (k.as_str(), edit_value(v))).collect())
-        }
-    }
-}
-
-fn reads(value: &EditValue, id: &str) -> bool {
-    let text = match value {
-        EditValue::InlineTable(table) => table.get("from").and_then(EditValue::as_str),
-        other => other.as_str(),
-    };
-    text.and_then(|t| t.split_once('.')).is_some_and(|(node, _)| node == id)
-}
-
-/// Removes connections that read `id` from an input. Returns whether nothing is left of it.
-fn without(item: &mut Item, id: &str) -> bool {
-    if let Some(array) = item.as_array_mut() {
-        array.retain(|v| !reads(v, id));
-        return array.is_empty();
-    }
-    match item {
-        Item::Value(value) => reads(value, id),
-        Item::Table(table) => {
-            table.get("from").and_then(Item::as_str).and_then(|t| t.split_once('.')).is_some_and(|(n, _)| n == id)
-        }
-        _ => false,
-    }
-}
-
-fn rename_references(item: &mut Item, old: &str, new: &str) {
-    if let Some(array) = item.as_array_mut() {
-        for value in array.iter_mut() {
-            match value {
-                EditValue::InlineTable(table) => {
-                    if let Some(from) = table.get_mut("from") {
-                        rename_reference(from, old, new);
-                    }
-                }
-                other => rename_reference(other, old, new),
-            }
-        }
-        return;
-    }
-    if let Some(table) = item.as_table_like_mut() {
-        if let Some(from) = table.get_mut("from").and_then(Item::as_value_mut) {
-            rename_reference(from, old, new);
-        }
-    } else if let Some(value) = item.as_value_mut() {
-        rename_reference(value, old, new);
-    }
-}
-
-/// Whether an entry of the preset's `views` shows an output of `node`.
-fn shows(view: &EditValue, node: &str) -> bool {
-    let from = view.as_inline_table().map_or(Some(view), |table| table.get("from"));
-    from.and_then(EditValue::as_str).and_then(|t| t.split_once('.')).is_some_and(|(n, _)| n == node)
-}
-
-fn rename_view(view: &mut EditValue, old: &str, new: &str) {
-    let EditValue::InlineTable(table) = view else { return rename_reference(view, old, new) };
-    if let Some(from) = table.get_mut("from") {
-        rename_reference(from, old, new);
-    }
-}
-
-/// `old.port` becomes `new.port`, with the spaces around it kept.
-fn rename_reference(value: &mut EditValue, old: &str, new: &str) {
-    let Some((node, rest)) = value.as_str().and_then(|t| t.split_once('.')) else { return };
-    if node == old {
-        let mut renamed = EditValue::from(format!("{new}.{rest}"));
-        *renamed.decor_mut() = value.decor().clone();
-        *value = renamed;
-    }
-}
-
-fn for_each_table(item: &mut Item, mut act: impl FnMut(&mut dyn TableLike)) {
-    if let Some(array) = item.as_array_mut() {
-        for value in array.iter_mut() {
-            if let EditValue::InlineTable(table) = value {
-                act(table);
-            }
-        }
-    } else if let Some(tables) = item.as_array_of_tables_mut() {
-        for table in tables.iter_mut() {
-            act(table);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Errors of edits of a graph file.
 
+use std::path::PathBuf;
 use thiserror::Error;
 
 /// Why a file could not be changed. The text is as before then.
@@ -23,11 +24,66 @@ pub enum EditError {
         /// The name looked for.
         name: String,
     },
-    /// The node belongs to a part and is changed in the part's file.
-    #[error("`{id}` belongs to a part: open the part's file to change more than its parameters")]
+    /// The node belongs to a part; its entry is in the part's file.
+    #[error("`{id}` belongs to a part: this file has no entry of it, the part's file has")]
     InPart {
         /// The node.
         id: String,
+    },
+    /// The node is an overlay's.
+    #[error("`{id}` comes from the overlay {file}: change it there, or open the graph without the overlay")]
+    FromOverlay {
+        /// The node.
+        id: String,
+        /// The overlay.
+        file: String,
+    },
+    /// The node is no part, or the part's file cannot be used.
+    #[error("`{id}` is no part with a file that can be read")]
+    NoPart {
+        /// The node.
+        id: String,
+    },
+    /// The part's file is used several times, and nobody agreed to change all of them.
+    #[error("{} is used {} times in this graph ({}): the change would apply to each", .file.display(), .users.len(), .users.join(", "))]
+    SharedPart {
+        /// The part's file.
+        file: PathBuf,
+        /// The nodes that use it.
+        users: Vec<String>,
+    },
+    /// Nodes for a new part that are not all in one file and part.
+    #[error("a part is made of nodes of one level: `{id}` is in another part than the others")]
+    SeveralLevels {
+        /// One of the nodes.
+        id: String,
+    },
+    /// No node was named.
+    #[error("select at least one node to make a part of")]
+    NothingSelected,
+    /// An input that would be connected inside a part and from outside at once.
+    #[error(
+        "input `{input}` of `{id}` would be connected both inside the part and from outside: a part supplies all of a list or none of it"
+    )]
+    MixedInput {
+        /// The node.
+        id: String,
+        /// Its input.
+        input: String,
+    },
+    /// A part has no arguments, and only parameters and inputs can be handed to it.
+    #[error("`{key}` of `{id}` is the value of an argument, which a part cannot take: write a value there first")]
+    ArgInPart {
+        /// The node.
+        id: String,
+        /// The entry.
+        key: String,
+    },
+    /// The file of a new part exists.
+    #[error("{file} exists already: choose another name for the part")]
+    FileExists {
+        /// The file.
+        file: String,
     },
     /// The value comes from the command line.
     #[error(transparent)]

@@ -128,6 +128,8 @@ pub(crate) struct RefText {
     pub(crate) optional: bool,
     /// The part that an overlay put in the producer's place has no such output.
     pub(crate) absent: bool,
+    /// Part and output that the file names, of a reference through a part.
+    pub(crate) written: Option<(String, String)>,
 }
 
 #[derive(Clone, Debug)]

@@ -47,7 +47,7 @@ pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
 pub use dot::to_dot;
 pub use flatten::{HomeEntry, ParamHome};
 pub use options::GraphOptions;
-pub use outline::{InputOutline, NodeOutline, Reference};
+pub use outline::{InputOutline, NodeHome, NodeOutline, PartOutline, PartPort, Reference};
 pub use packet::{PacketMismatch, PacketType};
 pub use param::{Param, ParamKind, ParamValue, Pick, ValueError};
 pub use schema::json_schema;

@@ -2,8 +2,12 @@
 
 use crate::catalog::Catalog;
 use crate::checked::Align;
-use crate::text::GraphText;
+use crate::file::InputText;
+use crate::parts::Target;
+use crate::source::tidy;
+use crate::text::{FileKind, GraphText};
 use crate::value::plain_table;
+use std::path::{Path, PathBuf};
 
 /// One node as its table says it; names are not looked up yet.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,6 +56,60 @@ pub struct Reference {
     pub align: Align,
     /// 1 for the value of the tick before.
     pub delay: u8,
+    /// Part and output that the file names, where the reference goes through a part.
+    pub written: Option<(String, String)>,
+}
+
+/// A node that is a graph file, and what that file offers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PartOutline {
+    /// Its name in the flattened graph: `depth/eyes` for part `eyes` of part `depth`.
+    pub id: String,
+    /// Its file as written.
+    pub file: String,
+    /// Absolute path of its file; `None` when the file could not be used.
+    pub path: Option<PathBuf>,
+    /// Inputs that it offers.
+    pub inputs: Vec<PartPort>,
+    /// Outputs that it offers.
+    pub outputs: Vec<PartPort>,
+    /// Parameters that it offers.
+    pub params: Vec<PartPort>,
+    /// Inputs that its user gives; a reference names a node or a part, and not what it stands for.
+    pub given: Vec<InputOutline>,
+    /// Parameters that its user gives.
+    pub given_params: toml::Table,
+    /// Line of its name in its user's file, from 1.
+    pub line: usize,
+}
+
+/// An input, output or parameter of a part.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PartPort {
+    /// Its name.
+    pub name: String,
+    /// What it stands for: nodes, or parts of the part, by whole names, with their ports.
+    pub targets: Vec<(String, String)>,
+}
+
+impl PartOutline {
+    /// An input, output or parameter by name.
+    pub fn find<'p>(ports: &'p [PartPort], name: &str) -> Option<&'p PartPort> {
+        ports.iter().find(|port| port.name == name)
+    }
+}
+
+/// The entry of a node in a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeHome {
+    /// Absolute path of the file.
+    pub file: PathBuf,
+    /// What the file is to the graph.
+    pub kind: FileKind,
+    /// The node's name in the file.
+    pub local: String,
+    /// Line of its name, from 1.
+    pub line: usize,
 }
 
 impl GraphText {
@@ -60,33 +118,78 @@ impl GraphText {
         let nodes = self.flat.nodes.iter().map(|node| NodeOutline {
             id: node.id.value.clone(),
             type_name: node.type_name.as_ref().map(|t| t.value.clone()).unwrap_or_default(),
-            inputs: node
-                .inputs
-                .iter()
-                .map(|input| InputOutline {
-                    port: input.port.value.clone(),
-                    is_list: input.is_list,
-                    from: input
-                        .refs
-                        .iter()
-                        .map(|r| Reference {
-                            node: r.node.clone(),
-                            port: r.port.clone(),
-                            align: r.align,
-                            delay: r.delay,
-                        })
-                        .collect(),
-                })
-                .collect(),
+            inputs: node.inputs.iter().map(input).collect(),
             params: plain_table(&node.params),
             line: self.sources.line(&node.id.span),
         });
         nodes.collect()
     }
 
+    /// The parts, those inside a part before it.
+    pub fn parts(&self) -> Vec<PartOutline> {
+        let ports = |entries: &[(String, Vec<Target>)]| {
+            let port = |(name, targets): &(String, Vec<Target>)| PartPort {
+                name: name.clone(),
+                targets: targets.iter().map(|t| (t.node.clone(), t.port.value.clone())).collect(),
+            };
+            entries.iter().map(port).collect::<Vec<_>>()
+        };
+        let parts = self.flat.parts.iter().map(|part| {
+            let interface = part.interface.clone().unwrap_or_default();
+            PartOutline {
+                id: part.node.id.value.clone(),
+                file: part.node.part.as_ref().map(|file| file.value.clone()).unwrap_or_default(),
+                path: part.interface.as_ref().map(|i| tidy(Path::new(&i.file))),
+                inputs: ports(&interface.inputs),
+                outputs: ports(&interface.outputs),
+                params: ports(&interface.params),
+                given: part.node.inputs.iter().map(input).collect(),
+                given_params: plain_table(&part.node.params),
+                line: self.sources.line(&part.node.id.span),
+            }
+        });
+        parts.collect()
+    }
+
+    /// The nodes that use a part's file, given by its absolute path.
+    pub fn part_users(&self, file: &Path) -> Vec<String> {
+        let parts = self.flat.parts.iter();
+        let uses = parts.filter(|p| p.interface.as_ref().is_some_and(|i| tidy(Path::new(&i.file)) == file));
+        uses.map(|p| p.node.id.value.clone()).collect()
+    }
+
+    /// Where the entry of a node or part is written.
+    pub fn node_home(&self, id: &str) -> Option<NodeHome> {
+        let node = self.flat.nodes.iter().find(|n| n.id.value == id);
+        let node = node.or_else(|| self.flat.part(id).map(|part| &part.node))?;
+        let index = self.sources.index(node.id.span.start);
+        let kind = match index {
+            0 => FileKind::Graph,
+            _ if self.overlays.contains(&index) => FileKind::Overlay,
+            _ => FileKind::Part,
+        };
+        let file = tidy(Path::new(&self.sources.of(&node.id.span).name));
+        Some(NodeHome { file, kind, local: node.local.clone(), line: self.sources.line(&node.id.span) })
+    }
+
     /// The `[editor]` table as written.
     pub fn editor(&self) -> &toml::Table {
         &self.editor
+    }
+}
+
+fn input(input: &InputText) -> InputOutline {
+    let reference = |r: &crate::file::RefText| Reference {
+        node: r.node.clone(),
+        port: r.port.clone(),
+        align: r.align,
+        delay: r.delay,
+        written: r.written.clone(),
+    };
+    InputOutline {
+        port: input.port.value.clone(),
+        is_list: input.is_list,
+        from: input.refs.iter().map(reference).collect(),
     }
 }
 

@@ -36,9 +36,9 @@ pub(crate) struct Part {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Interface {
     /// File as it is shown.
-    file: String,
-    inputs: Vec<(String, Vec<Target>)>,
-    outputs: Vec<(String, Vec<Target>)>,
+    pub(crate) file: String,
+    pub(crate) inputs: Vec<(String, Vec<Target>)>,
+    pub(crate) outputs: Vec<(String, Vec<Target>)>,
     pub(crate) params: Vec<(String, Vec<Target>)>,
 }
 
@@ -457,7 +457,9 @@ impl Flattener<'_> {
         let Some(part) = self.flat.part(&reference.node) else { return true };
         let Some(interface) = &part.interface else { return false };
         if let Some(target) = self.flat.output_target(&reference.node, &reference.port) {
-            (reference.node, reference.port) = (target.node, target.port.value);
+            let node = std::mem::replace(&mut reference.node, target.node);
+            let port = std::mem::replace(&mut reference.port, target.port.value);
+            reference.written = Some((node, port));
             reference.through_part = true;
             // A part whose file could not be used has no nodes.
             return self.flat.part(&reference.node).is_none();

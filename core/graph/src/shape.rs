@@ -343,6 +343,7 @@ impl<'s> Reader<'s> {
                 through_part: false,
                 optional: false,
                 absent: false,
+                written: None,
             });
         }
         let help = match parts[..] {

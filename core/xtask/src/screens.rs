@@ -16,8 +16,10 @@ use crate::workspace::Workspace;
 /// Name of the picture, graph, what is done before it is taken, seconds until then.
 const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench", "graphs/panorama.toml", &[], "8"),
-    ("bench_node", "graphs/panorama.toml", &["select:wide/composite"], "8"),
-    ("bench_depth", "graphs/depth.toml", &["select:stereo/match"], "12"),
+    ("bench_node", "graphs/panorama.toml", &["select:wide"], "8"),
+    ("bench_depth", "graphs/depth.toml", &["select:stereo"], "12"),
+    ("bench_part", "graphs/depth.toml", &["select:stereo", "openpart"], "12"),
+    ("bench_arguments", "graphs/surgeon_cameras.toml", &[], "6"),
     ("bench_heat_text", "graphs/stereo_wls_fbs.toml", &["heat", "text"], "12"),
     ("bench_plots", "graphs/panorama.toml", &["plots"], "20"),
     ("bench_sweep", "graphs/depth.toml", &["select:lengths", "sweep:lengths.radius_px lengths.table.error_mm"], "45"),
@@ -43,6 +45,7 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("theatre_panorama", "graphs/panorama.toml", &["view:1"], "8"),
     ("theatre_surface", "graphs/depth.toml", &["view:2"], "12"),
     ("theatre_measure", "graphs/depth.toml", &["measure", "wait:2", "tap:0.45,0.4", "tap:0.7,0.62"], "14"),
+    ("theatre_arguments", "graphs/surgeon_cameras.toml", &[], "6"),
     ("theatre_frozen", "graphs/panorama.toml", &["freeze"], "8"),
     ("theatre_arm", "graphs/surgeon.toml", &[], "15"),
     ("theatre_arm_stopped", "graphs/surgeon.toml", &["stop", "more"], "15"),

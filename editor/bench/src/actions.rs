@@ -45,6 +45,14 @@ pub enum Action {
     Note,
     /// Align the selected nodes.
     Align,
+    /// Open the selected part, or fold it.
+    OpenPart,
+    /// Make a part of the selected nodes.
+    MakePart,
+    /// Put the nodes of the selected part in its place.
+    Dissolve,
+    /// Show the form for arguments and overlays.
+    Arguments,
     /// Colour nodes by the time that they take.
     Heat,
     /// Show the file's text.
@@ -100,6 +108,10 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Frame, NONE, Key::G, "Frame the selected nodes"),
         (Note, NONE, Key::O, "Add a note"),
         (Align, NONE, Key::L, "Align the selected nodes"),
+        (OpenPart, NONE, Key::E, "Open the selected part, or fold it"),
+        (MakePart, NONE, Key::K, "Make a part of the selected nodes"),
+        (Dissolve, Modifiers::SHIFT, Key::K, "Dissolve the selected part into its nodes"),
+        (Arguments, NONE, Key::I, "Arguments and overlays of the graph"),
         (Heat, NONE, Key::H, "Heat map: where time goes"),
         (Text, NONE, Key::T, "The file's text"),
         (Plots, NONE, Key::P, "Plots of times and values"),

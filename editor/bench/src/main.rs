@@ -51,6 +51,7 @@ fn run(arguments: &Arguments) -> i32 {
         scale: arguments.window.scale,
         shot,
         given: arguments.given.options(),
+        config: panoscope_editor_model::arguments::config_folder(),
     };
     window::open(viewport, move |cc| Ok(Box::new(App::open(&cc.egui_ctx, &path, &text, options)?)))
 }

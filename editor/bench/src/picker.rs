@@ -54,7 +54,7 @@ pub fn picture_of(view: &GraphView, node: usize) -> Option<(Output, String, bool
     let read = node_type.inputs.iter().filter(|p| is_pictorial(&p.packet.name)).find_map(|p| {
         let wire = view.wires_into(node, &p.name).next()?;
         let packet = view.packet(wire.from, &wire.output)?.name.clone();
-        Some((Output::new(view.nodes[wire.from].id(), &wire.output), packet, false))
+        Some((view.running_output(view.nodes[wire.from].id(), &wire.output), packet, false))
     });
     let made = || {
         let port = node_type.outputs.iter().find(|p| is_pictorial(&p.packet.name))?;

@@ -3,14 +3,16 @@
 //! Every edit gives a new text, which is checked as a whole. A valid text is passed to the session to run. A text with mistakes is
 //! shown with them while the last valid one keeps running. Undo and redo step through texts.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use panoscope_graph::edit::{EditError, GraphEdit, NoHome};
-use panoscope_graph::{Catalog, Diagnostic, GraphOptions, GraphText, NodeType, ParamKind, Severity, check};
+use panoscope_graph::edit::{EditError, FileEdits, GraphEdit, NoHome};
+use panoscope_graph::{Arg, Catalog, Diagnostic, GraphOptions, GraphText, NodeType, ParamKind, Severity, check};
 use panoscope_loader::Loader;
 
+use crate::entries::{nodes_of, params_of, pins_of};
+use crate::folding;
 use crate::graph_view::{GraphView, NodeView, Wire, marks_of};
 use crate::history::{Change, History, Origin};
 
@@ -22,10 +24,13 @@ const EMPTY_GRAPH: &str = "empty-graph";
 /// Texts of part and overlay files, by absolute path.
 type Texts = BTreeMap<PathBuf, Arc<str>>;
 
+/// A file whose text is not on disk: path, text now, text as it was read or saved.
+pub type ChangedFile<'d> = (&'d Path, &'d Arc<str>, Option<&'d Arc<str>>);
+
 #[derive(Clone, Debug)]
 struct UndoStep {
     text: Arc<str>,
-    /// Of those other files that were ever changed.
+    /// Those of the other files.
     others: Texts,
     /// Label of the edit that replaced this text.
     label: String,
@@ -36,9 +41,16 @@ pub struct Document {
     path: PathBuf,
     text: Arc<str>,
     saved: Arc<str>,
-    /// Part and overlay files that were changed here, as they are now and as the disk holds them.
+    /// Part and overlay files, as they are now and as the disk holds them. A file that was created here is not on disk until it is saved.
     others: Texts,
     saved_others: Texts,
+    /// Parts that are used several times and may be changed all the same.
+    shared: BTreeSet<PathBuf>,
+    /// Arguments that the graph declares, and the names of those that have no value.
+    args: Vec<Arg>,
+    missing_args: Vec<String>,
+    /// Parameters that the preset pins: node, parameter, label.
+    pins: Vec<(String, String, String)>,
     /// Overlays and values of arguments.
     given: GraphOptions,
     /// One text of all files, for the session; the text itself for a graph of one file.
@@ -70,6 +82,10 @@ impl Document {
             saved: text.into(),
             others: Texts::new(),
             saved_others: Texts::new(),
+            shared: BTreeSet::new(),
+            args: Vec::new(),
+            missing_args: Vec::new(),
+            pins: Vec::new(),
             runnable: text.into(),
             undo: Vec::new(),
             redo: Vec::new(),
@@ -105,7 +121,7 @@ impl Document {
 
     /// Whether the text differs from the file.
     pub fn is_changed(&self) -> bool {
-        self.text != self.saved || self.others != self.saved_others
+        self.text != self.saved || !self.changed_files().is_empty()
     }
 
     /// One text of the graph file with its parts, overlays and arguments: what the session runs.
@@ -113,11 +129,21 @@ impl Document {
         &self.runnable
     }
 
-    /// Part and overlay files whose texts differ from the disk's: path, text now, text as it was read or saved.
-    pub fn changed_files(&self) -> Vec<(&Path, &Arc<str>, &Arc<str>)> {
-        let pairs =
-            self.others.iter().filter_map(|(path, text)| Some((path.as_path(), text, self.saved_others.get(path)?)));
-        pairs.filter(|(_, text, saved)| text != saved).collect()
+    /// Part and overlay files whose texts differ from the disk's: path, text now, text as it was read or saved. A file that was created here has
+    /// none of the latter.
+    pub fn changed_files(&self) -> Vec<ChangedFile<'_>> {
+        let all = self.others.iter().map(|(path, text)| (path.as_path(), text, self.saved_others.get(path)));
+        all.filter(|(_, text, saved)| *saved != Some(*text)).collect()
+    }
+
+    /// Part and overlay files with the text that the disk held when it was last read or saved.
+    pub fn saved_files(&self) -> impl Iterator<Item = (&Path, &Arc<str>)> {
+        self.saved_others.iter().map(|(path, text)| (path.as_path(), text))
+    }
+
+    /// The current text of a part or overlay.
+    pub fn file_text(&self, path: &Path) -> Option<&Arc<str>> {
+        self.others.get(path)
     }
 
     /// The disk holds the text of a part or overlay now.
@@ -125,6 +151,65 @@ impl Document {
         if let Some(text) = self.others.get(path) {
             self.saved_others.insert(path.to_owned(), Arc::clone(text));
         }
+        self.saved_params = params_of(&self.parse_saved());
+    }
+
+    /// The disk holds another text of a part or overlay; with `take` it becomes the current one, as one undo step.
+    pub fn file_changed_on_disk(&mut self, path: &Path, text: &str, take: bool) {
+        self.saved_others.insert(path.to_owned(), text.into());
+        self.saved_params = params_of(&self.parse_saved());
+        if take {
+            let mut others = self.others.clone();
+            others.insert(path.to_owned(), text.into());
+            let root = Arc::clone(&self.text);
+            self.set_texts_by(Origin::File, &root, others, "change on disk", None);
+        }
+    }
+
+    /// Allows changes of a part that is used several times in the graph.
+    pub fn allow_shared(&mut self, path: &Path) {
+        self.shared.insert(path.to_owned());
+    }
+
+    /// Arguments that the graph and its overlays declare.
+    pub fn args(&self) -> &[Arg] {
+        &self.args
+    }
+
+    /// Names of required arguments without a value.
+    pub fn missing_args(&self) -> &[String] {
+        &self.missing_args
+    }
+
+    /// Whether nothing is wrong but that arguments have no value.
+    pub fn lacks_only_arguments(&self) -> bool {
+        let mut errors = self.view.diagnostics.iter().filter(|d| d.severity == Severity::Error);
+        !self.missing_args.is_empty() && errors.all(|d| d.code == "missing-arg")
+    }
+
+    /// Overlays and values of arguments.
+    pub fn given(&self) -> &GraphOptions {
+        &self.given
+    }
+
+    /// Sets overlays and values of arguments. The texts do not change.
+    pub fn set_given(&mut self, given: GraphOptions) {
+        if given != self.given {
+            self.given = given;
+            self.saved_params = params_of(&self.parse_saved());
+            self.merge = None;
+            self.derive();
+        }
+    }
+
+    /// Parameters that the preset pins, with their labels. One of an opened part is that of the node inside.
+    pub fn pins(&self) -> impl Iterator<Item = (&str, &str, &str)> {
+        self.pins.iter().map(|(node, param, label)| (node.as_str(), param.as_str(), label.as_str()))
+    }
+
+    /// The parameter of a node that a parameter of a part stands for: `stereo.far_mm` is `stereo/points.far_mm`.
+    pub fn resolve_param(&self, reference: &str) -> String {
+        self.parse().resolve_param(reference)
     }
 
     /// Part and overlay files with their texts as they are now, by absolute path.
@@ -254,52 +339,103 @@ impl Document {
         merge: Option<&str>,
         changes: &[(&str, &str, Option<&toml::Value>)],
     ) -> Result<(), EditError> {
-        let mut root = GraphEdit::parse(&self.text)?;
+        self.edit_files(by, label, merge, |files, parsed| {
+            for (node, param, value) in changes {
+                match parsed.param_home(node, param) {
+                    Ok(home) => {
+                        let all = parsed.files();
+                        let other = all.iter().skip(1).find(|f| Path::new(f.path) == home.file);
+                        let edit = match other {
+                            Some(other) => files.file(&other.key())?,
+                            None => files.root()?,
+                        };
+                        home.entry.set(edit, *value)?;
+                    }
+                    // The edit of the text says what is wrong.
+                    Err(NoHome::NoNode(_)) => match value {
+                        Some(value) => files.root()?.set_param(node, param, value)?,
+                        None => files.root()?.unset_param(node, param)?,
+                    },
+                    Err(error) => return Err(error.into()),
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Edits the graph file with its parts and overlays as one undo step.
+    ///
+    /// # Errors
+    /// The edit does not fit the texts, or it changes a part that is used several times and that [`Self::allow_shared`] does not allow to change;
+    /// all texts are as before.
+    pub fn edit_files<T>(
+        &mut self,
+        by: Origin,
+        label: &str,
+        merge: Option<&str>,
+        edit: impl FnOnce(&mut FileEdits<'_>, &GraphText) -> Result<T, EditError>,
+    ) -> Result<T, EditError> {
         let parsed = self.parse();
-        let mut edits: BTreeMap<PathBuf, (Arc<str>, GraphEdit)> = BTreeMap::new();
-        for (node, param, value) in changes {
-            let home = match parsed.param_home(node, param) {
-                Ok(home) => home,
-                // The edit of the text says what is wrong.
-                Err(NoHome::NoNode(_)) => {
-                    match value {
-                        Some(value) => root.set_param(node, param, value)?,
-                        None => root.unset_param(node, param)?,
-                    }
-                    continue;
-                }
-                Err(error) => return Err(error.into()),
-            };
-            let files = parsed.files();
-            match files.iter().skip(1).find(|f| Path::new(f.path) == home.file) {
-                Some(file) => {
-                    let key = file.key();
-                    if !edits.contains_key(&key) {
-                        edits.insert(key.clone(), (file.text.into(), GraphEdit::parse(file.text)?));
-                    }
-                    let Some((_, edit)) = edits.get_mut(&key) else { continue };
-                    home.entry.set(edit, *value)?;
-                }
-                None => home.entry.set(&mut root, *value)?,
-            }
-        }
+        let mut edits = FileEdits::new(&parsed);
+        let result = edit(&mut edits, &parsed)?;
+        let root = parsed.files().first().map(|f| f.key()).unwrap_or_default();
+        let mut text = Arc::clone(&self.text);
         let mut others = self.others.clone();
-        for (key, (before, edit)) in edits {
-            // Steps before the first change of a file hold it as it was.
-            let steps = self.undo.iter_mut().chain(&mut self.redo).map(|step| &mut step.others);
-            for texts in steps.chain([&mut self.saved_others, &mut self.others]) {
-                texts.entry(key.clone()).or_insert_with(|| Arc::clone(&before));
+        for (path, before, new) in edits.into_texts() {
+            if path == root {
+                text = new.into();
+                continue;
             }
-            others.insert(key, edit.text().into());
+            if before.is_none() && (others.contains_key(&path) || path.exists()) {
+                return Err(EditError::FileExists { file: path.display().to_string() });
+            }
+            let users = parsed.part_users(&path);
+            if by == Origin::Hand && users.len() > 1 && !self.shared.contains(&path) {
+                return Err(EditError::SharedPart { file: path, users });
+            }
+            others.insert(path, new.into());
         }
-        self.set_texts_by(by, &root.text(), others, label, merge);
-        Ok(())
+        self.set_texts_by(by, &text, others, label, merge);
+        Ok(result)
+    }
+
+    /// Overlays and values of arguments, with the current texts of parts and overlays.
+    pub fn options(&self) -> GraphOptions {
+        let texts = self.others.iter().map(|(path, text)| (path.clone(), text.to_string())).collect();
+        GraphOptions { texts, ..self.given.clone() }
     }
 
     /// The texts as read.
     fn parse(&self) -> GraphText {
-        let texts = self.others.iter().map(|(path, text)| (path.clone(), text.to_string())).collect();
-        GraphText::parse_with(&self.path, &self.text, &GraphOptions { texts, ..self.given.clone() })
+        GraphText::parse_with(&self.path, &self.text, &self.options())
+    }
+
+    /// Looks at the files without changing them.
+    ///
+    /// # Errors
+    /// Those of `read`.
+    pub fn read_files<T>(&self, read: impl FnOnce(&mut FileEdits<'_>) -> Result<T, EditError>) -> Result<T, EditError> {
+        read(&mut FileEdits::new(&self.parse()))
+    }
+
+    /// The texts as the disk holds them.
+    fn parse_saved(&self) -> GraphText {
+        let texts = self.saved_others.iter().map(|(path, text)| (path.clone(), text.to_string())).collect();
+        GraphText::parse_with(&self.path, &self.saved, &GraphOptions { texts, ..self.given.clone() })
+    }
+
+    /// Keeps the texts of parts and overlays as they were first read, so that the disk cannot change the graph unnoticed.
+    fn adopt(&mut self, parsed: &GraphText) {
+        for file in parsed.files().iter().skip(1) {
+            let key = file.key();
+            if !self.others.contains_key(&key) {
+                let text: Arc<str> = file.text.into();
+                let steps = self.undo.iter_mut().chain(&mut self.redo).map(|step| &mut step.others);
+                for texts in steps.chain([&mut self.saved_others, &mut self.others]) {
+                    texts.entry(key.clone()).or_insert_with(|| Arc::clone(&text));
+                }
+            }
+        }
     }
 
     /// Draws anew, and writes down which values are others than before.
@@ -309,7 +445,8 @@ impl Document {
         if by == Origin::History {
             return;
         }
-        for now in &self.view.nodes {
+        let before = before.flat();
+        for now in &self.view.flat().nodes {
             // Adding or removing a node is not a change of its values.
             let Some(then) = before.node(now.id()).map(|n| &before.nodes[n]) else { continue };
             let (then, now_params) = (&then.outline.params, &now.outline.params);
@@ -404,13 +541,16 @@ impl Document {
     /// The file holds `text` now.
     pub fn set_saved(&mut self, text: &str) {
         self.saved = text.into();
-        self.saved_params = params_of(&GraphText::parse_with(&self.path, text, &self.given));
+        self.saved_params = params_of(&self.parse_saved());
         self.merge = None;
     }
 
     fn derive(&mut self) {
         self.revision += 1;
         let parsed = self.parse();
+        self.adopt(&parsed);
+        self.args = parsed.args().to_vec();
+        self.missing_args = parsed.missing_args().into_iter().map(str::to_owned).collect();
         let plugins = parsed.plugins();
         if plugins != self.plugins {
             self.catalog = Arc::new(self.loader.catalog(&plugins));
@@ -419,7 +559,6 @@ impl Document {
         }
         let (catalog, types) = (&self.catalog, &mut self.types);
         let editor = parsed.editor();
-        let number = |v: &toml::Value| v.as_float().or(v.as_integer().map(|i| i as f64)).map(|v| v as f32);
         let mut nodes: Vec<NodeView> = parsed
             .outline()
             .into_iter()
@@ -427,9 +566,8 @@ impl Document {
                 let node_type = outline.type_index(catalog).map(|index| {
                     Arc::clone(types.entry(index).or_insert_with(|| Arc::new(catalog.node_types[index].clone())))
                 });
-                let place = editor.get(&outline.id);
-                let at = |axis: &str| place.and_then(|p| p.get(axis)).and_then(number);
-                NodeView { node_type, position: at("x").zip(at("y")), mistakes: Vec::new(), outline }
+                let position = folding::position(editor, &outline.id);
+                NodeView { node_type, position, mistakes: Vec::new(), outline, is_part: false }
             })
             .collect();
         let by_id: HashMap<&str, usize> = nodes.iter().enumerate().map(|(i, n)| (n.id(), i)).collect();
@@ -459,25 +597,21 @@ impl Document {
             nodes: std::mem::take(&mut nodes),
             wires,
             diagnostics,
+            ..GraphView::default()
         };
-        let about: Vec<(Option<String>, String)> = view
-            .diagnostics
-            .iter()
-            .filter(|d| d.severity == Severity::Error)
-            .map(|d| (view.node_of(d, &self.text), d.message.clone()))
-            .collect();
         let mut view = view;
-        for (node, message) in about {
-            if let Some(node) = node.and_then(|id| view.node(&id)) {
-                view.nodes[node].mistakes.push(message);
+        let errors = view.diagnostics.iter().filter(|d| d.severity == Severity::Error);
+        let about: Vec<(Vec<String>, String)> =
+            errors.map(|d| (nodes_of(&parsed, &view, d), d.message.clone())).collect();
+        for (nodes, message) in about {
+            for node in nodes.iter().filter_map(|id| view.node(id)).collect::<Vec<_>>() {
+                view.nodes[node].mistakes.push(message.clone());
             }
         }
+        let view = folding::drawn(view, &parsed);
+        self.pins = pins_of(&self.text, &parsed, &view);
         self.view = Arc::new(view);
     }
-}
-
-fn params_of(text: &GraphText) -> HashMap<String, toml::Table> {
-    text.outline().into_iter().map(|n| (n.id, n.params)).collect()
 }
 
 /// The default of a parameter as a TOML value.

@@ -1,10 +1,13 @@
 //! A graph as the windows draw it: nodes, wires, frames, notes and diagnostics, derived from its text.
 
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use panoscope_graph::{Diagnostic, NodeOutline, NodeType, PacketType, Port};
 
 use crate::mark::Mark;
+use crate::observe::Output;
 
 /// A node as it is drawn.
 #[derive(Clone, Debug)]
@@ -13,10 +16,29 @@ pub struct NodeView {
     pub outline: NodeOutline,
     /// Its type; `None` when no plugin of the graph has it.
     pub node_type: Option<Arc<NodeType>>,
-    /// Its position in the file's `[editor]` table.
+    /// Its position in the file's `[editor]` table; in an opened part, from the corner of the part's frame.
     pub position: Option<(f32, f32)>,
     /// Messages of the errors in this node.
     pub mistakes: Vec<String>,
+    /// Whether it is a folded part; its type then has the ports that the part's file offers.
+    pub is_part: bool,
+}
+
+/// A part of the graph, folded or opened.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PartView {
+    /// Its name in the graph.
+    pub id: String,
+    /// Its file as written.
+    pub file: String,
+    /// Absolute path of its file; `None` when the file cannot be used.
+    pub path: Option<PathBuf>,
+    /// All nodes of the graph that use the file, this one included.
+    pub users: Vec<String>,
+    /// Whether its nodes are shown.
+    pub open: bool,
+    /// Its position in the file's `[editor]` table.
+    pub position: Option<(f32, f32)>,
 }
 
 impl NodeView {
@@ -75,6 +97,12 @@ pub struct GraphView {
     pub file: String,
     /// Frames and notes.
     pub marks: Vec<Mark>,
+    /// Parts that are not inside a folded one.
+    pub parts: Vec<PartView>,
+    /// The graph that runs, without folded parts; `None` where this is it.
+    pub flat: Option<Arc<GraphView>>,
+    /// Ports of nodes that the ports of parts stand for: by part, port, and whether it is an input.
+    pub(crate) targets: BTreeMap<(String, String, bool), Vec<(String, String)>>,
 }
 
 /// Keys in `[editor]` for frames and notes; no node can have these names.
@@ -139,6 +167,35 @@ impl GraphView {
         self.nodes.iter().position(|n| n.id() == id)
     }
 
+    /// A part by name.
+    pub fn part(&self, id: &str) -> Option<&PartView> {
+        self.parts.iter().find(|p| p.id == id)
+    }
+
+    /// The graph that runs.
+    pub fn flat(&self) -> &GraphView {
+        self.flat.as_deref().unwrap_or(self)
+    }
+
+    /// Whether a name is that of a node or part, shown or not.
+    pub fn is_taken(&self, id: &str) -> bool {
+        self.node(id).is_some() || self.flat().node(id).is_some() || self.part(id).is_some()
+    }
+
+    /// The output of a running node that an output stands for.
+    pub fn running_output(&self, node: &str, port: &str) -> Output {
+        let targets = self.targets.get(&(node.to_owned(), port.to_owned(), false));
+        let first = targets.and_then(|t| t.first());
+        first.map_or_else(|| Output::new(node, port), |(node, port)| Output::new(node, port))
+    }
+
+    /// Packet type of an output of a node that is shown, or of one inside a folded part.
+    pub fn packet_of(&self, output: &Output) -> Option<&PacketType> {
+        let own = self.node(&output.node).and_then(|n| self.packet(n, &output.port));
+        let inside = || Some(&self.flat.as_ref()?.nodes).and_then(|nodes| nodes.iter().find(|n| n.id() == output.node));
+        own.or_else(|| Some(&inside()?.output(&output.port)?.packet))
+    }
+
     /// The name of the node that a diagnostic refers to.
     pub fn node_of(&self, diagnostic: &Diagnostic, text: &str) -> Option<String> {
         if self.file != diagnostic.file {
@@ -158,6 +215,9 @@ impl GraphView {
 
     /// A wire's description, such as `a.image to b.image`, from its end.
     pub fn wire_name(&self, end: &crate::observe::WireEnd) -> String {
+        if let Some(flat) = &self.flat {
+            return flat.wire_name(end);
+        }
         let Some(node) = self.node(&end.node) else { return end.node.clone() };
         let port = self.nodes[node].node_type.as_ref().and_then(|t| t.inputs.get(end.port));
         let Some(port) = port else { return end.node.clone() };
@@ -169,6 +229,17 @@ impl GraphView {
     /// Packet type of an output; `None` when it is not known.
     pub fn packet(&self, node: usize, output: &str) -> Option<&PacketType> {
         Some(&self.nodes[node].output(output)?.packet)
+    }
+
+    /// Whether a wire from an output to an input would close a loop without delay. A path around a loop must run through nodes: a part may carry
+    /// two paths that do not meet.
+    fn wire_closes_loop(&self, from: usize, output: &str, to: usize, input: &str) -> bool {
+        let Some(flat) = &self.flat else { return self.closes_loop(from, to) };
+        let from = self.running_output(self.nodes[from].id(), output).node;
+        let key = (self.nodes[to].id().to_owned(), input.to_owned(), true);
+        let ends = self.targets.get(&key).cloned().unwrap_or_else(|| vec![(key.0, key.1)]);
+        let index = |id: &str| flat.node(id);
+        ends.iter().any(|(to, _)| index(&from).zip(index(to)).is_some_and(|(from, to)| flat.closes_loop(from, to)))
     }
 
     /// Whether a wire from node `from` to node `to` would close a loop without delay.
@@ -193,10 +264,10 @@ impl GraphView {
         let (source, target) = (&self.nodes[from], &self.nodes[to]);
         let no_output = || WireError::NoOutput { node: source.id().to_owned(), output: output.to_owned() };
         let no_input = || WireError::NoInput { node: target.id().to_owned(), input: input.to_owned() };
-        let output = source.output(output).ok_or_else(no_output)?;
-        let input = target.input(input).ok_or_else(no_input)?;
-        output.packet.fits(&input.packet).map_err(|reason| WireError::Packets { reason: reason.to_string() })?;
-        if self.closes_loop(from, to) {
+        let (packet, wants) =
+            (&source.output(output).ok_or_else(no_output)?.packet, &target.input(input).ok_or_else(no_input)?.packet);
+        packet.fits(wants).map_err(|reason| WireError::Packets { reason: reason.to_string() })?;
+        if self.wire_closes_loop(from, output, to, input) {
             return Err(WireError::Loop);
         }
         Ok(())

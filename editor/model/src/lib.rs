@@ -4,10 +4,13 @@
 //! The graph file's text is the only state ([`document`]). A session ([`session`]) changes the running graph to match the text, one
 //! transaction after the other. An observer ([`observe`]) renders previews and reads counters on a thread of its own.
 
+pub mod arguments;
 pub mod content;
 pub mod copying;
 pub mod disk;
 pub mod document;
+mod entries;
+pub mod folding;
 pub mod graph_view;
 pub mod history;
 pub mod layout;

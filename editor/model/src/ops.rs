@@ -1,9 +1,12 @@
 //! The user's operations on a graph, as edits of its text. Each is one undo step.
 
-use panoscope_graph::edit::{EditError, GraphEdit};
+use std::path::{Path, PathBuf};
+
+use panoscope_graph::edit::{EditError, GraphEdit, OPENED_PARTS};
 use panoscope_graph::{GraphText, NodeType};
 
 use crate::document::Document;
+use crate::folding::{opened, parent, position};
 use crate::graph_view::{FRAMES, GraphView, NOTES, Wire};
 use crate::history::Origin;
 use crate::mark::Mark;
@@ -22,7 +25,7 @@ pub fn set_param(doc: &mut Document, node: &str, param: &str, value: Option<&tom
 /// A node or parameter of the history no longer exists; nothing is changed.
 pub fn step_to(doc: &mut Document, at: usize) -> Result<usize, EditError> {
     let values = doc.history().values_at(at);
-    let here = |node: &str| doc.view().node(node).is_some();
+    let here = |node: &str| doc.view().flat().node(node).is_some();
     let values: Vec<_> = values.into_iter().filter(|(node, ..)| here(node)).collect();
     let changes: Vec<_> =
         values.iter().map(|(node, param, value)| (node.as_str(), param.as_str(), value.as_ref())).collect();
@@ -49,27 +52,48 @@ pub fn wire(
     let list = is_list(&view, node, input);
     let end = view.node(node).map_or(0, |n| view.wires_into(n, input).count());
     let at = if list { index.unwrap_or(end) } else { 0 };
-    doc.edit(&format!("wire {from} to {node}.{input}"), None, |edit| {
-        edit.connect(node, input, list, at, &from.to_string())?;
-        moved.map_or(Ok(()), |(node, input, index)| edit.disconnect(node, input, index))
+    doc.edit_files(Origin::Hand, &format!("wire {from} to {node}.{input}"), None, |files, _| {
+        files.connect((&from.node, &from.port), to, list, at)?;
+        moved.map_or(Ok(()), |(node, input, index)| files.disconnect(node, input, index))
     })
 }
 
 /// Removes a wire.
 pub fn unwire(doc: &mut Document, node: &str, input: &str, index: usize) -> Result<(), EditError> {
-    doc.edit(&format!("unwire {node}.{input}"), None, |edit| edit.disconnect(node, input, index))
+    let label = format!("unwire {node}.{input}");
+    doc.edit_files(Origin::Hand, &label, None, |files, _| files.disconnect(node, input, index))
 }
 
-/// Removes nodes with all their wires.
+/// Removes nodes with all their wires. A node of a part is removed from the part's file; the file of a removed part stays.
 pub fn remove(doc: &mut Document, nodes: &[String]) -> Result<(), EditError> {
     let label = format!("delete {}", nodes.join(", "));
-    doc.edit(&label, None, |edit| nodes.iter().try_for_each(|id| edit.remove_node(id)))
+    // A node goes with the part around it.
+    let inside = |id: &&String| {
+        let mut around = nodes.iter().filter(|part| id.strip_prefix(part.as_str()).is_some_and(|r| r.starts_with('/')));
+        around.next().is_none()
+    };
+    doc.edit_files(Origin::Hand, &label, None, |files, parsed| {
+        nodes.iter().filter(inside).try_for_each(|id| files.remove_node(id))?;
+        let gone = |part: &str| nodes.iter().any(|id| within(part, id));
+        set_opened(files.root()?, parsed, |open| open.retain(|part| !gone(part)));
+        Ok(())
+    })
 }
 
-/// A name that no node has: `base`, `base_2`, ...
-pub fn free_name(view: &GraphView, base: &str) -> String {
+/// A name that no node of a part has, or no node of the graph where `part` is empty: `base`, `base_2`, ...
+pub fn free_name(view: &GraphView, part: &str, base: &str) -> String {
     let mut names = std::iter::once(base.to_owned()).chain((2..).map(|k| format!("{base}_{k}")));
-    names.find(|name| view.node(name).is_none()).unwrap_or_default()
+    names.find(|name| !view.is_taken(&whole(part, name))).unwrap_or_default()
+}
+
+/// The whole name of a node of a part.
+fn whole(part: &str, name: &str) -> String {
+    if part.is_empty() { name.to_owned() } else { format!("{part}/{name}") }
+}
+
+/// Whether a node is `part` or inside it.
+fn within(id: &str, part: &str) -> bool {
+    id.strip_prefix(part).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
 /// A name without a number at its end.
@@ -83,21 +107,22 @@ pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<V
     let view = doc.view().clone();
     let mut copies: Vec<(String, String)> = Vec::new();
     for (id, _) in nodes {
-        let taken = |name: &str| view.node(name).is_some() || copies.iter().any(|(_, copy)| copy == name);
-        let copy = (2..).map(|k| format!("{}_{k}", stem(id))).find(|name| !taken(name)).unwrap_or_default();
-        copies.push((id.clone(), copy));
+        let (part, name) = (parent(id), id.rsplit('/').next().unwrap_or(id));
+        let taken = |copy: &str| view.is_taken(copy) || copies.iter().any(|(_, known)| known == copy);
+        let mut numbered = (2..).map(|k| whole(part, &format!("{}_{k}", stem(name))));
+        copies.push((id.clone(), numbered.find(|copy| !taken(copy)).unwrap_or_default()));
     }
     let copy_of = |id: &str| copies.iter().find(|(old, _)| old == id).map(|(_, new)| new.as_str());
-    doc.edit("duplicate", None, |edit| {
+    doc.edit_files(Origin::Hand, "duplicate", None, |files, _| {
         for ((id, copy), (_, (x, y))) in copies.iter().zip(nodes) {
-            edit.duplicate_node(id, copy)?;
-            edit.set_position(copy, f64::from(*x + 40.0), f64::from(*y + 40.0));
+            files.duplicate_node(id, copy.rsplit('/').next().unwrap_or(copy))?;
+            files.root()?.set_position(copy, f64::from(*x + 40.0), f64::from(*y + 40.0));
         }
         for wire in &view.wires {
             let (from, to) = (view.nodes[wire.from].id(), view.nodes[wire.to].id());
             if let (Some(from), Some(to)) = (copy_of(from), copy_of(to)) {
                 let list = is_list(&view, view.nodes[wire.to].id(), &wire.input);
-                edit.connect(to, &wire.input, list, wire.index, &format!("{from}.{}", wire.output))?;
+                files.connect((from, &wire.output), (to, &wire.input), list, wire.index)?;
             }
         }
         Ok(())
@@ -107,15 +132,21 @@ pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<V
 
 /// The text of nodes, to be pasted into this graph or another one.
 pub fn copy(doc: &Document, nodes: &[String]) -> Result<String, EditError> {
-    let whole = GraphEdit::parse(doc.text())?;
-    let mut part = GraphEdit::parse("")?;
+    let mut copied = GraphEdit::parse("")?;
     let view = doc.view();
-    for node_type in nodes.iter().filter_map(|id| view.nodes[view.node(id)?].node_type.as_ref()) {
-        part.add_plugin(&node_type.plugin)?;
+    for node_type in
+        nodes.iter().filter_map(|id| view.nodes[view.node(id)?].node_type.as_ref().filter(|t| t.plugin != PART))
+    {
+        copied.add_plugin(&node_type.plugin)?;
     }
-    let same: Vec<(String, String)> = nodes.iter().map(|id| (id.clone(), id.clone())).collect();
-    part.paste_nodes(&whole, &same)?;
-    Ok(part.text())
+    doc.read_files(|files| {
+        for id in nodes {
+            let (edit, name) = files.entry(id)?;
+            copied.paste_nodes(edit, &[(name.clone(), name)])?;
+        }
+        Ok(())
+    })?;
+    Ok(copied.text())
 }
 
 /// Adds nodes from copied text beside each other from `at` on; returns their names.
@@ -124,7 +155,7 @@ pub fn paste(doc: &mut Document, text: &str, at: (f32, f32)) -> Result<Vec<Strin
     let part = GraphEdit::parse(text)?;
     let mut names: Vec<(String, String)> = Vec::new();
     for id in part.node_names() {
-        let taken = |name: &str| view.node(name).is_some() || names.iter().any(|(_, new)| new == name);
+        let taken = |name: &str| view.is_taken(name) || names.iter().any(|(_, new)| new == name);
         let others = (2..).map(|k| format!("{}_{k}", stem(&id)));
         let new = std::iter::once(id.clone()).chain(others).find(|name| !taken(name)).unwrap_or_default();
         names.push((id, new));
@@ -236,9 +267,9 @@ fn rewire<'d>(
     wires: impl Iterator<Item = (&'d (String, String, usize), &'d Output)>,
 ) -> Result<(), EditError> {
     let view = doc.view().clone();
-    doc.edit(label, None, |edit| {
+    doc.edit_files(Origin::Hand, label, None, |files, _| {
         for ((node, input, index), from) in wires {
-            edit.connect(node, input, is_list(&view, node, input), *index, &from.to_string())?;
+            files.connect((&from.node, &from.port), (node, input), is_list(&view, node, input), *index)?;
         }
         Ok(())
     })
@@ -268,33 +299,34 @@ pub fn fitting_port(view: &GraphView, node_type: &NodeType, pending: &PendingWir
     port.map(|p| p.name.clone())
 }
 
-/// Adds a node, connects it to the end of a wire if there is one, and returns its name.
+/// Adds a node to a part, or to the graph where `part` is empty; connects it to the end of a wire if there is one, and returns its whole name.
 pub fn add(
     doc: &mut Document,
+    part: &str,
     node_type: &NodeType,
     at: (f32, f32),
     pending: Option<&PendingWire>,
 ) -> Result<String, EditError> {
     let view = doc.view().clone();
-    let id = free_name(&view, &node_type.name);
+    let name = free_name(&view, part, &node_type.name);
+    let id = whole(part, &name);
     // Two plugins may have node types of the same name.
     let twins = doc.catalog().node_types.iter().filter(|t| t.name == node_type.name && t.plugin != node_type.plugin);
     let type_name =
         if twins.count() == 0 { node_type.name.clone() } else { format!("{}/{}", node_type.plugin, node_type.name) };
     let port = pending.and_then(|w| Some((w, fitting_port(&view, node_type, w)?)));
-    doc.edit(&format!("add {id}"), None, |edit| {
-        edit.add_plugin(&node_type.plugin)?;
-        edit.add_node(&id, &type_name)?;
-        edit.set_position(&id, f64::from(at.0), f64::from(at.1));
+    doc.edit_files(Origin::Hand, &format!("add {id}"), None, |files, _| {
+        files.add_node(part, &name, &type_name, &node_type.plugin)?;
+        files.root()?.set_position(&id, f64::from(at.0), f64::from(at.1));
         match port {
             Some((PendingWire::Output(output), port)) => {
                 let list = node_type.inputs.iter().any(|p| p.name == port && p.list);
-                edit.connect(&id, &port, list, 0, &output.to_string())
+                files.connect((&output.node, &output.port), (&id, &port), list, 0)
             }
             Some((PendingWire::Input(node, input), port)) => {
                 let list = is_list(&view, node, input);
                 let end = view.node(node).map_or(0, |n| view.wires_into(n, input).count());
-                edit.connect(node, input, list, if list { end } else { 0 }, &format!("{id}.{port}"))
+                files.connect((&id, &port), (node, input), list, if list { end } else { 0 })
             }
             None => Ok(()),
         }
@@ -358,10 +390,10 @@ pub fn insert(doc: &mut Document, id: &str, to: (&str, &str, usize)) -> Result<(
     let (Some(takes), Some(gives)) = (takes, gives) else {
         return Err(InsertError::NoFit { node: id.to_owned(), packet: packet.name.clone() });
     };
-    let from = format!("{}.{}", view.nodes[wire.from].id(), wire.output);
-    doc.edit(&format!("insert {id}"), None, |edit| {
-        edit.connect(id, &takes.name, takes.list, 0, &from)?;
-        edit.connect(consumer, input, wants.list, index, &format!("{id}.{}", gives.name))
+    let from = (view.nodes[wire.from].id(), wire.output.as_str());
+    doc.edit_files(Origin::Hand, &format!("insert {id}"), None, |files, _| {
+        files.connect(from, (id, &takes.name), takes.list, 0)?;
+        files.connect((id, &gives.name), (consumer, input), wants.list, index)
     })?;
     Ok(())
 }
@@ -386,9 +418,116 @@ fn put_nodes(doc: &mut Document, places: &[(String, (f32, f32))], merge: Option<
     })
 }
 
-/// Renames a node everywhere in the file.
-pub fn rename(doc: &mut Document, old: &str, new: &str) -> Result<(), EditError> {
-    doc.edit(&format!("rename {old} to {new}"), None, |edit| edit.rename_node(old, new))
+/// Renames a node in all files; returns its new whole name.
+pub fn rename(doc: &mut Document, old: &str, new: &str) -> Result<String, EditError> {
+    doc.edit_files(Origin::Hand, &format!("rename {old} to {new}"), None, |files, parsed| {
+        let renamed = files.rename_node(old, new)?;
+        set_opened(files.root()?, parsed, |open| {
+            for part in open.iter_mut().filter(|part| within(part, old)) {
+                *part = format!("{renamed}{}", &part[old.len()..]);
+            }
+        });
+        Ok(renamed)
+    })
+}
+
+/// The plugin of the types of folded parts.
+const PART: &str = "part";
+
+/// Changes the list of opened parts in `[editor]`.
+fn set_opened(edit: &mut GraphEdit, parsed: &GraphText, change: impl FnOnce(&mut Vec<String>)) {
+    let before: Vec<String> = opened(parsed.editor()).into_iter().collect();
+    let mut open = before.clone();
+    change(&mut open);
+    open.sort();
+    open.dedup();
+    if open != before {
+        let list = toml::Value::from(open);
+        edit.set_editor(OPENED_PARTS, Some(&list).filter(|list| list.as_array().is_some_and(|l| !l.is_empty())));
+    }
+}
+
+/// Opens a part, so that its nodes are shown in a frame, or folds it.
+pub fn set_open(doc: &mut Document, part: &str, open: bool) -> Result<(), EditError> {
+    let label = format!("{} {part}", if open { "open" } else { "fold" });
+    doc.edit_files(Origin::Hand, &label, None, |files, parsed| {
+        set_opened(files.root()?, parsed, |list| match open {
+            true => list.push(part.to_owned()),
+            false => list.retain(|known| known != part),
+        });
+        Ok(())
+    })
+}
+
+/// Where the file of a new part goes: `parts/NAME.toml` beside the graph, or beside the graph itself where that is a part.
+pub fn part_file(doc: &Document, name: &str) -> PathBuf {
+    let folder = doc.path().parent().unwrap_or(Path::new(""));
+    let inside = folder.file_name().is_some_and(|name| name == "parts");
+    let folder = if inside { folder.to_owned() } else { folder.join("parts") };
+    folder.join(format!("{name}.toml"))
+}
+
+/// Moves nodes into the file of a new part, and puts the part in their place; returns its whole name. The file is written when the graph is saved.
+pub fn make_part(doc: &mut Document, nodes: &[String], name: &str) -> Result<String, EditError> {
+    let (catalog, file) = (doc.catalog().clone(), part_file(doc, name));
+    doc.edit_files(Origin::Hand, &format!("make part {name}"), None, |files, parsed| {
+        let id = files.make_part(&catalog, nodes, name, &file)?;
+        let editor = parsed.editor();
+        let places: Vec<(&String, (f32, f32))> =
+            nodes.iter().filter_map(|node| Some((node, position(editor, node)?))).collect();
+        let corner = places.iter().map(|(_, at)| *at).reduce(|a, b| (a.0.min(b.0), a.1.min(b.1)));
+        let root = files.root()?;
+        for node in nodes {
+            let moved = format!("{id}/{}", node.rsplit('/').next().unwrap_or(node));
+            root.rename_positions(node, &moved);
+        }
+        if let Some(corner) = corner {
+            for (node, (x, y)) in places {
+                let moved = format!("{id}/{}", node.rsplit('/').next().unwrap_or(node));
+                root.set_position(&moved, f64::from(x - corner.0), f64::from(y - corner.1));
+            }
+            root.set_position(&id, f64::from(corner.0), f64::from(corner.1));
+        }
+        // Parts among the nodes stay opened.
+        set_opened(files.root()?, parsed, |open| {
+            for part in open.iter_mut() {
+                if let Some(node) = nodes.iter().find(|node| within(part, node)) {
+                    *part = format!("{id}/{}{}", node.rsplit('/').next().unwrap_or(node), &part[node.len()..]);
+                }
+            }
+        });
+        Ok(id)
+    })
+}
+
+/// Puts the nodes of a part in its place; returns their whole names. The part's file stays.
+pub fn dissolve(doc: &mut Document, part: &str) -> Result<Vec<String>, EditError> {
+    let catalog = doc.catalog().clone();
+    doc.edit_files(Origin::Hand, &format!("dissolve {part}"), None, |files, parsed| {
+        let names = files.dissolve(&catalog, part)?;
+        let editor = parsed.editor();
+        let corner = position(editor, part);
+        let root = files.root()?;
+        root.set_editor(part, None);
+        for (old, new) in &names {
+            root.rename_positions(old, new);
+            match (corner, position(editor, old)) {
+                (Some(corner), Some((x, y))) => {
+                    root.set_position(new, f64::from(x + corner.0), f64::from(y + corner.1))
+                }
+                _ => root.set_editor(new, None),
+            }
+        }
+        set_opened(files.root()?, parsed, |open| {
+            open.retain(|known| known != part);
+            for known in open.iter_mut() {
+                if let Some((old, new)) = names.iter().find(|(old, _)| within(known, old)) {
+                    *known = format!("{new}{}", &known[old.len()..]);
+                }
+            }
+        });
+        Ok(names.into_iter().map(|(_, new)| new).collect())
+    })
 }
 
 /// Replaces all frames and notes, and moves nodes with them.

@@ -64,6 +64,14 @@ pub fn pressed(input: &mut InputState, reserved: &[Key]) -> Vec<Action> {
     found
 }
 
+/// As [`pressed`], for the keys of a foot pedal only.
+pub fn pressed_by_pedal(input: &mut InputState) -> Vec<Action> {
+    let pedal = [Key::F13, Key::F14, Key::F15, Key::F16, Key::F17, Key::F20];
+    let others: Vec<Key> =
+        KEYS.iter().flat_map(|(_, keys)| keys.iter().copied()).filter(|key| !pedal.contains(key)).collect();
+    pressed(input, &others)
+}
+
 /// The name of an action's key.
 pub fn key_name(action: Action) -> &'static str {
     let keys = KEYS.iter().find(|(a, _)| *a == action).map_or(&[][..], |(_, keys)| keys);

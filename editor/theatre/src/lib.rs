@@ -13,6 +13,7 @@ mod measure;
 mod notices;
 mod open;
 mod open_failed;
+mod opening;
 mod plan;
 mod previews;
 mod recording;
@@ -43,6 +44,7 @@ pub use measure::Length;
 pub use notices::{Notice, Urgency};
 pub use open::{OpenError, Options, Ready, Verified};
 pub use open_failed::OpenFailed;
+pub use opening::Opening;
 pub use plan::{Pane, Plan, Setting};
 pub use storage::{free_bytes, with_clip, without_clip, write_still};
 
@@ -219,8 +221,41 @@ impl Theatre {
         self.remark = Some((message.into(), wrong, Instant::now()));
     }
 
+    /// Changes the running graph to another one of the same file, with the settings that were changed in this window.
+    ///
+    /// # Errors
+    /// Why not, in words: a clip is recorded, or the arm is stopped; nothing is changed.
+    pub fn exchange(&mut self, ready: Ready) -> Result<(), &'static str> {
+        if self.emergency {
+            return Err("the arm is stopped: release it first");
+        }
+        if self.clip.is_some() {
+            return Err("a clip is being recorded: end it first");
+        }
+        let mut text = ready.text;
+        for ((node, param), value) in &self.chosen {
+            let Some(value) = toml_of(value) else { continue };
+            let edited = GraphEdit::parse(&text).and_then(|mut edit| {
+                edit.set_param(node, param, &value)?;
+                Ok(edit.text())
+            });
+            // A node that the new graph does not have needs no setting.
+            text = edited.unwrap_or(text);
+        }
+        (self.plan, self.verified) = (ready.plan, ready.verified);
+        (self.layout, self.frozen, self.measure, self.rig) = (Layout::All, None, Measure::default(), None);
+        self.last_packets.clear();
+        self.run(text);
+        Ok(())
+    }
+
     /// Draws a frame.
     pub fn ui(&mut self, ui: &mut Ui) {
+        self.ui_with_keys(ui, true);
+    }
+
+    /// Draws a frame; with `keys` the theatre takes its keys.
+    pub(crate) fn ui_with_keys(&mut self, ui: &mut Ui, keys: bool) {
         self.costs.count_frame();
         let ctx = ui.ctx().clone();
         let counters = self.observer.counters();
@@ -236,7 +271,12 @@ impl Theatre {
             false if self.measure.is_on() => &[Key::Enter],
             false => &[],
         };
-        for action in ctx.input_mut(|input| actions::pressed(input, reserved)) {
+        // While a text is typed only the pedal's keys count.
+        let pressed = match keys {
+            true => ctx.input_mut(|input| actions::pressed(input, reserved)),
+            false => ctx.input_mut(actions::pressed_by_pedal),
+        };
+        for action in pressed {
             self.perform(action);
         }
         self.leave(&ctx);
@@ -362,13 +402,7 @@ impl Theatre {
 
     /// Sets the value of a setting in the running graph; the file is not changed.
     pub fn choose(&mut self, node: &str, param: &str, value: ParamValue) {
-        let toml: toml::Value = match &value {
-            ParamValue::Bool(on) => (*on).into(),
-            ParamValue::Int(number) => (*number).into(),
-            ParamValue::Float(number) => (*number).into(),
-            ParamValue::Choice { name, .. } => name.as_str().into(),
-            _ => return,
-        };
+        let Some(toml) = toml_of(&value) else { return };
         let text = GraphEdit::parse(&self.text).and_then(|mut edit| {
             edit.set_param(node, param, &toml)?;
             Ok(edit.text())
@@ -417,6 +451,17 @@ impl Theatre {
             ctx.request_repaint();
         }
     }
+}
+
+/// A value of a setting as a file writes it.
+fn toml_of(value: &ParamValue) -> Option<toml::Value> {
+    Some(match value {
+        ParamValue::Bool(on) => (*on).into(),
+        ParamValue::Int(number) => (*number).into(),
+        ParamValue::Float(number) => (*number).into(),
+        ParamValue::Choice { name, .. } => name.as_str().into(),
+        _ => return None,
+    })
 }
 
 impl eframe::App for Theatre {

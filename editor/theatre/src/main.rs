@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Parser;
 use panoscope_editor_widgets::window;
 use panoscope_graph::{GraphText, installed};
-use panoscope_theatre::{OpenFailed, Options, Ready, Theatre};
+use panoscope_theatre::{OpenFailed, Opening, Options, Ready};
 
 /// The surgeon's window: full-screen images, and only the settings that the preset offers.
 #[derive(Parser)]
@@ -53,8 +53,11 @@ fn run(arguments: &Arguments) -> i32 {
         .with_fullscreen(!arguments.windowed)
         .with_decorations(arguments.windowed);
     let path = arguments.graph.clone();
+    let given = arguments.given.options();
+    // A graph that lacks arguments asks for them in its window.
     let ready = match Ready::of(&text, arguments.unlocked) {
-        Ok(ready) => ready,
+        Ok(ready) => Some(ready),
+        Err(_) if !text.missing_args().is_empty() => None,
         Err(error) => {
             // Reported on the terminal, and in a window if there is a screen.
             eprintln!("{}", error.terminal_text());
@@ -75,5 +78,6 @@ fn run(arguments: &Arguments) -> i32 {
         scale: arguments.window.scale,
         shot,
     };
-    window::open(viewport, move |cc| Ok(Box::new(Theatre::of(&cc.egui_ctx, &path, options, ready)?)))
+    let config = panoscope_editor_model::arguments::config_folder();
+    window::open(viewport, move |cc| Ok(Box::new(Opening::new(&cc.egui_ctx, &text, given, ready, config, options)?)))
 }

@@ -1,5 +1,6 @@
 //! What the editor and the theatre share: colours, previews of outputs, keys, and opening a window.
 
+pub mod arguments_form;
 pub mod crosshair;
 mod keys;
 mod output_cache;

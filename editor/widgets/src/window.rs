@@ -59,8 +59,7 @@ pub struct Given {
 impl Given {
     /// As options to open the graph.
     pub fn options(&self) -> GraphOptions {
-        let args = self.graph_args.iter().map(|text| command_line::split(text)).collect();
-        GraphOptions { with: self.with.clone(), args, ..GraphOptions::default() }
+        command_line::options(&self.with, &self.graph_args, &[])
     }
 }
 

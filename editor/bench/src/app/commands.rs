@@ -4,12 +4,14 @@ use eframe::egui::{Context, Event, Modifiers, Vec2, vec2};
 use panoscope_eval::sweep::can_sweep;
 
 use super::App;
+use super::parts::Asked;
 use crate::actions::Action;
 use crate::canvas::CanvasRequest;
 use crate::palette::{Palette, Picked, Purpose};
 use crate::panels::inspector::InspectorRequest;
 use crate::panels::params::ParamRequest;
 use crate::viewer::Source;
+use panoscope_editor_model::folding::parent;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, PendingWire};
 use panoscope_editor_widgets::ARROWS;
@@ -22,6 +24,7 @@ const NUDGE: f32 = 16.0;
 impl App {
     /// Performs a request of the canvas.
     pub(super) fn handle_canvas(&mut self, request: CanvasRequest) {
+        self.asked = Some(Asked::Canvas(request.clone()));
         let doc = &mut self.document;
         match request {
             CanvasRequest::Wire { output, input, moved } => {
@@ -35,17 +38,29 @@ impl App {
                 self.try_edit(result);
             }
             CanvasRequest::Move(places) => {
-                let places: Vec<_> = places.into_iter().map(|(id, at)| (id, (at.x, at.y))).collect();
+                let stored = |(id, at): (String, _)| {
+                    let at = self.canvas.stored(&id, at);
+                    (id, at)
+                };
+                let places: Vec<_> = places.into_iter().map(stored).collect();
                 let result = ops::move_nodes(doc, &places);
                 self.try_edit(result);
             }
             CanvasRequest::Marks { marks, moved } => {
-                let moved: Vec<_> = moved.into_iter().map(|(id, at)| (id, (at.x, at.y))).collect();
+                let stored = |(id, at): (String, _)| {
+                    let at = self.canvas.stored(&id, at);
+                    (id, at)
+                };
+                let moved: Vec<_> = moved.into_iter().map(stored).collect();
                 let result = ops::set_marks(doc, &marks, &moved);
                 self.try_edit(result);
             }
             CanvasRequest::Insert { node, wire } => {
                 let result = ops::insert(doc, &node, (&wire.0, &wire.1, wire.2));
+                self.try_edit(result);
+            }
+            CanvasRequest::Open { part, open } => {
+                let result = ops::set_open(doc, &part, open);
                 self.try_edit(result);
             }
             CanvasRequest::ViewLarge(output) => self.view_large(output),
@@ -65,6 +80,7 @@ impl App {
 
     /// Performs a request of the inspector about a node.
     pub(super) fn handle_inspector(&mut self, node: &str, request: InspectorRequest) {
+        self.asked = Some(Asked::Inspector(node.to_owned(), request.clone()));
         let doc = &mut self.document;
         match request {
             InspectorRequest::Sweep => {
@@ -98,11 +114,28 @@ impl App {
             InspectorRequest::Thumbnail(port) => self.canvas.choose_output(node, &port),
             InspectorRequest::Rename(name) => {
                 let result = ops::rename(doc, node, &name);
-                if self.try_edit(result).is_some() {
-                    self.canvas.select_only(&name);
+                if let Some(id) = self.try_edit(result) {
+                    self.canvas.select_only(&id);
                 }
             }
+            InspectorRequest::Open => {
+                let result = ops::set_open(doc, node, true);
+                self.try_edit(result);
+            }
+            InspectorRequest::Dissolve => {
+                self.canvas.select_only(node);
+                self.dissolve();
+            }
         }
+    }
+
+    /// Positions of nodes as the file stores them.
+    fn stored(&self, places: Vec<(String, (f32, f32))>) -> Vec<(String, (f32, f32))> {
+        let stored = |(id, (x, y)): (String, (f32, f32))| {
+            let at = self.canvas.stored(&id, eframe::egui::pos2(x, y));
+            (id, at)
+        };
+        places.into_iter().map(stored).collect()
     }
 
     /// Shows an output in the viewer.
@@ -116,7 +149,12 @@ impl App {
 
     /// Performs an action.
     pub fn perform(&mut self, action: Action) {
+        self.asked = Some(Asked::Action(action));
         match action {
+            Action::OpenPart => self.open_or_fold(),
+            Action::MakePart => self.name_part(),
+            Action::Dissolve => self.dissolve(),
+            Action::Arguments => self.show_arguments(),
             Action::Undo => {
                 if let Some(label) = self.document.undo() {
                     self.notify(format!("undone: {label}"), false);
@@ -148,7 +186,7 @@ impl App {
                 self.try_edit(result);
             }
             Action::Align => {
-                let places = self.canvas.aligned();
+                let places = self.stored(self.canvas.aligned());
                 if places.len() > 1 {
                     let result = ops::move_nodes(&mut self.document, &places);
                     self.try_edit(result);
@@ -192,7 +230,7 @@ impl App {
     /// An output with its packet type.
     pub(super) fn source(&self, output: Output) -> Source {
         let view = self.document.view();
-        let packet = view.node(&output.node).and_then(|n| view.packet(n, &output.port)).map(|p| p.name.clone());
+        let packet = view.packet_of(&output).map(|p| p.name.clone());
         Source { output, packet: packet.unwrap_or_default() }
     }
 
@@ -217,7 +255,16 @@ impl App {
     pub(super) fn pick(&mut self, picked: Picked) {
         match picked {
             Picked::Add(node_type, at, pending) => {
-                let result = ops::add(&mut self.document, &node_type, at, pending.as_ref());
+                let place = eframe::egui::pos2(at.0, at.1);
+                // Beside the node that it is connected to, else where the pointer is.
+                let part = match &pending {
+                    Some(PendingWire::Output(output)) => parent(&output.node).to_owned(),
+                    Some(PendingWire::Input(node, _)) => parent(node).to_owned(),
+                    None => self.canvas.part_at(place),
+                };
+                let at = self.canvas.stored(&format!("{part}/"), place);
+                let at = if part.is_empty() { (place.x, place.y) } else { at };
+                let result = ops::add(&mut self.document, &part, &node_type, at, pending.as_ref());
                 if let Some(id) = self.try_edit(result) {
                     self.make_room(std::slice::from_ref(&id));
                     self.canvas.select_only(&id);
@@ -239,7 +286,7 @@ impl App {
             return;
         }
         let result = self.document.amend(|edit| {
-            for id in added {
+            for id in added.iter().filter(|id| parent(id).is_empty()) {
                 if let Some((x, y)) = view.node(id).and_then(|n| view.nodes[n].position) {
                     edit.set_position(id, f64::from(x + by.x), f64::from(y + by.y));
                 }
@@ -288,7 +335,7 @@ impl App {
         for (key, [x, y]) in ARROWS {
             let direction = vec2(x, y);
             if ctx.input_mut(|i| i.consume_key(Modifiers::SHIFT, key)) {
-                let places = self.canvas.nudged(direction * NUDGE);
+                let places = self.stored(self.canvas.nudged(direction * NUDGE));
                 let result = ops::nudge_nodes(&mut self.document, &places);
                 self.try_edit(result);
             } else if ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key)) {
@@ -344,8 +391,11 @@ impl App {
 
     fn duplicate(&mut self) {
         let canvas = &self.canvas;
-        let nodes: Vec<(String, (f32, f32))> =
-            canvas.selected.iter().filter_map(|id| canvas.position(id).map(|at| (id.clone(), (at.x, at.y)))).collect();
+        let nodes: Vec<(String, (f32, f32))> = canvas
+            .selected
+            .iter()
+            .filter_map(|id| Some((id.clone(), canvas.stored(id, canvas.position(id)?))))
+            .collect();
         if nodes.is_empty() {
             return;
         }

@@ -1,8 +1,11 @@
 //! The editor's window: draws all panels and handles what the user asks for.
 
+mod arguments;
 mod commands;
 mod conflict;
+mod dialogs;
 mod new_graph;
+mod parts;
 mod picking;
 mod saving;
 mod script;
@@ -12,8 +15,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, RichText, Ui};
+use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, Ui};
 use panoscope_abi::LINKS;
+use panoscope_graph::edit::EditError;
 use panoscope_graph::{GraphOptions, GraphText, installed};
 
 use crate::actions;
@@ -24,15 +28,16 @@ use crate::panels::inspector::{self, InspectorRequest};
 use crate::panels::plots::{Export, Plots};
 use crate::panels::sweep::SweepPanel;
 use crate::panels::top::{self, Switches};
-use crate::panels::{below, history, overview, plugins};
+use crate::panels::{below, history, overview};
 use crate::picker::Picker;
 use crate::view3d::View3d;
 use crate::viewer::{Source, Viewer};
+use panoscope_editor_model::arguments::Form;
 use panoscope_editor_model::disk::{self, DiskWatch};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::numbered::{FolderError, next_file};
 use panoscope_editor_model::observe::{Counters, LARGE_INTERVAL, Observer, Output, PreviewRequest, THUMBNAIL_INTERVAL};
-use panoscope_editor_model::ops::Detour;
+use panoscope_editor_model::ops::{BypassError, Detour, InsertError};
 use panoscope_editor_model::picture::is_pictorial;
 use panoscope_editor_model::session::{Phase, Session, Status};
 use panoscope_editor_widgets::OutputCache;
@@ -60,6 +65,8 @@ pub struct Options {
     pub shot: Shot,
     /// Overlays and values of the graph's arguments.
     pub given: GraphOptions,
+    /// Folder for values of arguments that are remembered; `None` to remember none.
+    pub config: Option<PathBuf>,
 }
 
 /// Why the window did not open.
@@ -99,7 +106,20 @@ pub struct App {
     /// The highlighted line of the file's text.
     reading: below::Reading,
     disk: DiskWatch,
-    conflict: Option<Conflict>,
+    conflicts: Vec<Conflict>,
+    /// Watches of part and overlay files.
+    other_disks: HashMap<PathBuf, DiskWatch>,
+    /// The open form for arguments, and the folder where its values are remembered.
+    arguments: Option<Form>,
+    config: Option<PathBuf>,
+    /// The name being typed for a new part, and whether the field was shown already.
+    part_name: Option<(String, bool)>,
+    /// A change of a part that is used several times, until the user agrees or not.
+    consent: Option<parts::Consent>,
+    /// What the user asked for last, to be repeated after a consent.
+    asked: Option<parts::Asked>,
+    /// Counters with those of folded parts, and what they were made of.
+    summed: Option<(Arc<Counters>, u64, Arc<Counters>)>,
     /// Whether the view moves with every frame, for measurements.
     panning: bool,
     notification: Option<(String, bool, Instant)>,
@@ -125,6 +145,8 @@ impl App {
         session.set_wake(Arc::new(move || for_wake.request_repaint()));
         let observer = Observer::new(session.handle())?;
         let document = Document::with_options(path, text, session.loader(), options.given);
+        let arguments = (!document.missing_args().is_empty())
+            .then(|| arguments::form(&document, &session.loader(), options.config.as_deref()));
         if document.view().valid {
             session.run(document.runnable());
         }
@@ -146,7 +168,14 @@ impl App {
             detours: HashMap::new(),
             reading: below::Reading::default(),
             disk: DiskWatch::new(path),
-            conflict: None,
+            conflicts: Vec::new(),
+            other_disks: HashMap::new(),
+            arguments,
+            config: options.config,
+            part_name: None,
+            consent: None,
+            asked: None,
+            summed: None,
             panning: false,
             notification: installed::notice(path).map(|notice| (notice, false, Instant::now())),
             requested_revision: 1,
@@ -194,7 +223,7 @@ impl App {
 
     /// The description of each wire, with its maximum queue length in the recorded history.
     pub fn queues(&self) -> Vec<(String, f64)> {
-        let (counters, view) = (self.observer.counters(), self.document.view());
+        let (counters, view) = (self.observer.counters(), self.document.view().flat());
         let most = |points: &std::collections::VecDeque<[f64; 2]>| points.iter().map(|p| p[1]).fold(0.0, f64::max);
         counters.queues.iter().map(|(end, points)| (view.wire_name(end), most(points))).collect()
     }
@@ -209,8 +238,25 @@ impl App {
         self.notification = Some((message.into(), wrong, Instant::now()));
     }
 
-    pub(crate) fn try_edit<T, E: std::fmt::Display>(&mut self, result: Result<T, E>) -> Option<T> {
-        result.map_err(|e| self.notify(e.to_string(), true)).ok()
+    /// The result of an edit; an error is shown. Where a part would change that is used several times, the user is asked.
+    pub(crate) fn try_edit<T, E: std::fmt::Display + 'static>(&mut self, result: Result<T, E>) -> Option<T> {
+        result.map_err(|error| self.refuse(&error)).ok()
+    }
+
+    fn refuse<E: std::fmt::Display + 'static>(&mut self, error: &E) {
+        let any = error as &dyn std::any::Any;
+        let edit = any.downcast_ref::<EditError>();
+        let edit = edit.or_else(|| match any.downcast_ref::<BypassError>() {
+            Some(BypassError::Edit(error)) => Some(error),
+            _ => None,
+        });
+        let edit = edit.or_else(|| match any.downcast_ref::<InsertError>() {
+            Some(InsertError::Edit(error)) => Some(error),
+            _ => None,
+        });
+        if !edit.is_some_and(|edit| self.hold_for_consent(edit)) {
+            self.notify(error.to_string(), true);
+        }
     }
 
     /// Requests the session to run a new, valid text.
@@ -236,13 +282,14 @@ impl App {
         if let Some(text) = self.disk.poll() {
             self.changed_on_disk(text);
         }
+        self.poll_other_files();
         let typing = ctx.text_edit_focused();
         // While a picker or a dialog is open, it gets the keys.
         if self.picker.is_some() && !self.help {
             for action in ctx.input_mut(actions::pressed_while_picking) {
                 self.perform(action);
             }
-        } else if self.palette.is_none() && self.files.is_none() && !self.help && !self.plugins {
+        } else if !self.is_asking() {
             for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
                 self.perform(action);
             }
@@ -258,6 +305,9 @@ impl App {
         self.panels(ui, &status);
         self.palettes(&ctx);
         self.offer_templates(&ctx);
+        self.ask_arguments(&ctx);
+        self.ask_part_name(&ctx);
+        self.ask_consent(&ctx);
         self.take_dropped(&ctx);
         self.show_notification(&ctx);
         self.run_document();
@@ -268,8 +318,14 @@ impl App {
         self.shot.measure(&ctx, &self.costs, &self.session);
     }
 
+    /// Whether a dialog is open that gets the keys.
+    fn is_asking(&self) -> bool {
+        let parts = self.part_name.is_some() || self.consent.is_some();
+        parts || self.palette.is_some() || self.files.is_some() || self.arguments.is_some() || self.help || self.plugins
+    }
+
     fn panels(&mut self, ui: &mut Ui, status: &Status) {
-        let counters = self.observer.counters();
+        let counters = self.summed_counters();
         let bar = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 8));
         let actions = Panel::top("top")
             .frame(bar)
@@ -315,6 +371,7 @@ impl App {
             for request in requests.inner {
                 match request {
                     overview::OverviewRequest::Go(id) => self.canvas.show_node(&view, &id),
+                    overview::OverviewRequest::Perform(action) => self.perform(action),
                     overview::OverviewRequest::Param(id, change) => {
                         self.handle_inspector(&id, InspectorRequest::Param(change))
                     }
@@ -395,13 +452,11 @@ impl App {
         let view = self.document.view();
         let mut found: Vec<Source> = Vec::new();
         let read = view.wires.iter().map(|w| (w.from, w.output.clone()));
-        let shown = (0..view.nodes.len()).filter_map(|n| {
-            let (output, _) = self.canvas.shown_output(view, n)?;
-            Some((view.node(&output.node)?, output.port))
-        });
-        for (node, port) in read.chain(shown) {
-            let Some(packet) = view.packet(node, &port).map(|p| p.name.clone()) else { continue };
-            let source = Source { output: Output::new(view.nodes[node].id(), &port), packet };
+        let shown = (0..view.nodes.len()).filter_map(|n| Some(self.canvas.shown_output(view, n)?.0));
+        let read = read.map(|(node, port)| view.running_output(view.nodes[node].id(), &port));
+        for output in read.chain(shown) {
+            let Some(packet) = view.packet_of(&output).map(|p| p.name.clone()) else { continue };
+            let source = Source { output, packet };
             if is_pictorial(&source.packet) && !found.contains(&source) {
                 found.push(source);
             }
@@ -418,7 +473,7 @@ impl App {
 
     /// Outputs whose packets are of one of the given types, with the type.
     fn outputs_of(&self, packets: &[&str]) -> Vec<(Output, String)> {
-        let nodes = self.document.view().nodes.iter();
+        let nodes = self.document.view().flat().nodes.iter();
         let outputs = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.outputs).map(move |port| (n.id(), port)));
         outputs
             .filter(|(_, port)| packets.contains(&port.packet.name.as_str()))
@@ -426,90 +481,10 @@ impl App {
             .collect()
     }
 
-    fn palettes(&mut self, ctx: &Context) {
-        if let Some(palette) = &mut self.palette
-            && let Some(picked) = palette.show(ctx, &self.document, &self.types)
-        {
-            self.palette = None;
-            if let Some(picked) = picked {
-                self.pick(picked);
-            }
-        }
-        if let Some(files) = &mut self.files
-            && let Some(picked) = files.show(ctx)
-        {
-            self.take_file(picked);
-        }
-        if self.plugins {
-            match plugins::show(ctx, &self.session.loader(), self.document.catalog()) {
-                Some(plugins::PluginsRequest::Reload) => self.session.reload_plugins(),
-                Some(plugins::PluginsRequest::Close) => self.plugins = false,
-                None => {}
-            }
-        }
-        if self.help {
-            let modal = egui::Modal::new("help".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
-            let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
-            let shown = modal.frame(frame).show(ctx, |ui| {
-                ui.label(RichText::new("Keys").size(16.0));
-                ui.add_space(2.0 * theme::STEP);
-                let keys =
-                    actions::ALL.iter().map(|(action, .., description)| (actions::key_name(*action), *description));
-                let more = [
-                    ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
-                    ("1 to 9", "Show a recently viewed output"),
-                    ("Ctrl and +, -, 0", "Scale of the window"),
-                    ("Arrows", "Move the view; in the viewer: turn a surface, move the wipe"),
-                    ("Shift and arrows", "Move the selected nodes"),
-                    ("Shift and drag", "Select with a frame"),
-                    ("Double click", "Add a node there"),
-                ];
-                let all: Vec<_> = keys.chain(more.map(|(key, description)| (key.to_owned(), description))).collect();
-                ui.horizontal_top(|ui| {
-                    for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
-                        egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
-                            for (key, description) in part {
-                                ui.label(RichText::new(key).color(theme::ACCENT));
-                                ui.label(*description);
-                                ui.end_row();
-                            }
-                        });
-                        ui.add_space(6.0 * theme::STEP);
-                    }
-                });
-            });
-            self.help = !shown.should_close();
-        }
-    }
-
     /// The selected node, if exactly one is selected.
     pub fn selected(&self) -> Option<String> {
         let mut selected = self.canvas.selected.iter();
         selected.next().filter(|_| selected.next().is_none()).cloned()
-    }
-
-    /// Draws the last notification at the lower edge.
-    fn show_notification(&mut self, ctx: &Context) {
-        let Some((message, wrong, since)) = &self.notification else { return };
-        if since.elapsed() > NOTE {
-            self.notification = None;
-            return;
-        }
-        ctx.request_repaint_after(NOTE.saturating_sub(since.elapsed()));
-        let color = if *wrong { theme::FAULT } else { theme::LINE };
-        egui::Area::new("note".into())
-            .anchor(egui::Align2::LEFT_BOTTOM, egui::vec2(16.0, -16.0))
-            .interactable(false)
-            .show(ctx, |ui| {
-                Frame::new()
-                    .fill(theme::PANEL)
-                    .stroke(egui::Stroke::new(1.0, color))
-                    .corner_radius(6.0)
-                    .inner_margin(Margin::symmetric(12, 8))
-                    .show(ui, |ui| {
-                        ui.add(egui::Label::new(RichText::new(message)).wrap_mode(egui::TextWrapMode::Extend))
-                    });
-            });
     }
 
     /// Requests previews of the visible outputs from the observer.
@@ -550,7 +525,7 @@ impl App {
             requests.viewpoint = Some(viewpoint);
         }
         let view = self.document.view();
-        self.shown.retain(|output| requests.contains_key(output) || view.node(&output.node).is_some());
+        self.shown.retain(|output| requests.contains_key(output) || view.flat().node(&output.node).is_some());
         let large = self.viewer.source().is_some();
         self.observer.set_requests(requests, if large { LARGE_INTERVAL } else { THUMBNAIL_INTERVAL });
     }

@@ -88,6 +88,7 @@ impl App {
 
     /// Handles files as if they were dropped on the window.
     pub fn dropped(&mut self, files: Vec<PathBuf>) {
+        let files = self.drop_on_form(files);
         if files.is_empty() {
             return;
         }

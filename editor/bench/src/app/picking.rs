@@ -73,7 +73,7 @@ impl App {
     }
 
     /// The folder that relative paths in the graph start from.
-    fn folder(&self) -> &Path {
+    pub(super) fn folder(&self) -> &Path {
         self.document.path().parent().unwrap_or(Path::new(""))
     }
 
@@ -85,6 +85,11 @@ impl App {
                 let result = ops::set_param(&mut self.document, &node, &param, Some(&path.into()));
                 self.document.end_merge();
                 self.try_edit(result);
+            }
+            Target::Argument { arg } => {
+                if let Some(form) = &mut self.arguments {
+                    form.values.insert(arg, path);
+                }
             }
             Target::Recording => self.sweep.recording = path,
         }

@@ -1,5 +1,6 @@
 //! Saves the file, and handles changes of the file by other programs: no text is lost, the user chooses.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eframe::egui::{Frame, Margin, Panel, RichText, Ui};
@@ -17,25 +18,73 @@ const NOT_SAVED: &str = "not saved: the file was also changed on disk; choose in
 impl App {
     /// Handles a new text of the file that another program wrote.
     pub(super) fn changed_on_disk(&mut self, text: String) {
+        let path = self.document.path().to_owned();
         if text == **self.document.saved() {
-            self.conflict = None;
+            self.forget_conflict(&path);
             return;
         }
-        if self.document.is_changed() && text != **self.document.text() {
-            let refused_save = self.conflict.as_ref().is_some_and(|c| c.refused_save);
-            self.conflict = Some(Conflict { theirs: text, refused_save });
+        if self.document.text() != self.document.saved() && text != **self.document.text() {
+            self.add_conflict(path, text, false);
             return;
         }
-        self.conflict = None;
+        self.forget_conflict(&path);
         self.document.set_text_by(Origin::File, &text, "change on disk", None);
         self.document.set_saved(&text);
         self.notify("the file changed on disk and was reloaded; undo restores the old text", false);
     }
 
-    /// Shows the bar with the choice during a conflict, and applies the choice.
+    /// Handles new texts of part and overlay files that other programs wrote.
+    pub(super) fn poll_other_files(&mut self) {
+        let known: Vec<PathBuf> = self.document.saved_files().map(|(path, _)| path.to_owned()).collect();
+        self.other_disks.retain(|path, _| known.contains(path));
+        for path in known {
+            let watch = self.other_disks.entry(path.clone()).or_insert_with(|| DiskWatch::new(&path));
+            if let Some(text) = watch.poll() {
+                self.other_changed_on_disk(&path, &text);
+            }
+        }
+    }
+
+    fn other_changed_on_disk(&mut self, path: &Path, text: &str) {
+        let saved = self.document.saved_files().find(|(known, _)| *known == path).map(|(_, text)| Arc::clone(text));
+        let now = self.document.file_text(path).cloned();
+        if saved.as_deref() == Some(text) {
+            self.forget_conflict(path);
+            return;
+        }
+        if now != saved && now.as_deref() != Some(text) {
+            self.add_conflict(path.to_owned(), text.to_owned(), false);
+            return;
+        }
+        self.forget_conflict(path);
+        self.document.file_changed_on_disk(path, text, true);
+        self.notify(format!("{} changed on disk and was reloaded; undo restores the old text", path.display()), false);
+    }
+
+    fn add_conflict(&mut self, path: PathBuf, theirs: String, refused: bool) {
+        let refused_save = refused || self.conflicts.iter().any(|c| c.path == path && c.refused_save);
+        self.forget_conflict(&path);
+        self.conflicts.push(Conflict { path, theirs, refused_save });
+    }
+
+    fn forget_conflict(&mut self, path: &Path) {
+        self.conflicts.retain(|c| c.path != path);
+    }
+
+    /// Shows the bar with the choice during a conflict, and applies the choice. Several conflicts are shown one after the other.
     pub(super) fn conflict_bar(&mut self, ui: &mut Ui) {
-        let Some(conflict) = &self.conflict else { return };
-        let refused = conflict.refused_save;
+        let Some(conflict) = self.conflicts.first() else { return };
+        let (refused, is_root) = (conflict.refused_save, conflict.path == self.document.path());
+        let what = match is_root {
+            true => {
+                "The file was changed on disk, and the graph in this window was changed too. Choose which text to keep:"
+                    .to_owned()
+            }
+            false => {
+                let name = conflict.path.file_name().unwrap_or_default().to_string_lossy();
+                format!("{name} was changed on disk, and in this window too. Choose which text to keep:")
+            }
+        };
         let fill = if refused { theme::FAULT } else { theme::WARN };
         let frame = Frame::new().fill(fill.gamma_multiply(0.18)).inner_margin(Margin::symmetric(16, 8));
         Panel::top("conflict").frame(frame).show(ui, |ui| {
@@ -43,47 +92,29 @@ impl App {
                 if refused {
                     ui.label(RichText::new("Not saved.").color(theme::FAULT).strong());
                 }
-                ui.label("The file was changed on disk, and the graph in this window was changed too. Choose which text to keep:");
+                ui.label(what);
                 let theirs = ui.button("Take the file's").on_hover_text("Undo restores the graph of this window");
                 let ours = ui
                     .button("Keep this one")
                     .on_hover_text("The next save replaces the file and keeps its text as a backup");
-                if theirs.clicked()
-                    && let Some(conflict) = self.conflict.take()
-                {
-                    self.document.set_text_by(Origin::File, &conflict.theirs, "take the file's text", None);
+                let take = theirs.clicked();
+                if !take && !ours.clicked() {
+                    return;
+                }
+                let conflict = self.conflicts.remove(0);
+                if !is_root {
+                    self.document.file_changed_on_disk(&conflict.path, &conflict.theirs, take);
+                } else {
+                    if take {
+                        self.document.set_text_by(Origin::File, &conflict.theirs, "take the file's text", None);
+                    }
                     self.document.set_saved(&conflict.theirs);
-                } else if ours.clicked()
-                    && let Some(conflict) = self.conflict.take()
-                {
-                    self.document.set_saved(&conflict.theirs);
+                }
+                if !take {
                     self.notify("kept; the next save replaces the file and keeps its text as a backup", false);
                 }
             });
         });
-    }
-
-    /// Saves parts and overlays that were changed here; `false` when one of them was not saved.
-    fn save_files(&mut self) -> bool {
-        let changed = self.document.changed_files().into_iter();
-        let changed: Vec<_> =
-            changed.map(|(path, text, saved)| (path.to_owned(), Arc::clone(text), Arc::clone(saved))).collect();
-        for (path, text, saved) in changed {
-            if std::fs::read_to_string(&path).is_ok_and(|disk| disk != *saved && disk != *text) {
-                let words = format!(
-                    "not saved: {} was changed on disk, too; undo the changes here, or put the file back",
-                    path.display()
-                );
-                self.notify(words, true);
-                return false;
-            }
-            let result = disk::save(&path, &text);
-            if self.try_edit(result).is_none() {
-                return false;
-            }
-            self.document.file_now_saved(&path);
-        }
-        true
     }
 
     /// Saves a graph of the installation as a copy, which the window edits from then on; `false` if the graph belongs to no installation.
@@ -100,30 +131,55 @@ impl App {
         true
     }
 
-    /// Saves the text, unless that would lose another program's text.
+    /// Saves all changed files, parts and overlays before the graph, unless that would lose another program's text.
     pub(super) fn save(&mut self) {
         if self.save_copy() {
             return;
         }
-        // A text of another program is not overwritten without asking.
-        if let Ok(text) = std::fs::read_to_string(self.document.path())
-            && text != **self.document.saved()
-            && text != **self.document.text()
-        {
-            self.conflict = Some(Conflict { theirs: text, refused_save: true });
+        // A text of another program is not overwritten without asking. All files are compared before the first is written.
+        let root = (self.document.path(), self.document.text(), Some(self.document.saved()));
+        let root_changed = root.1 != self.document.saved() || !root.0.exists();
+        let mut files: Vec<(PathBuf, Arc<str>)> = Vec::new();
+        let mut theirs: Vec<(PathBuf, String)> = Vec::new();
+        for (path, text, saved) in self.document.changed_files().into_iter().chain([root]) {
+            let disk = std::fs::read_to_string(path);
+            if let Ok(disk) = disk
+                && disk != **text
+                && saved.is_none_or(|saved| disk != **saved)
+            {
+                theirs.push((path.to_owned(), disk));
+            }
+            if path != root.0 || root_changed || files.is_empty() {
+                files.push((path.to_owned(), Arc::clone(text)));
+            }
+        }
+        if !theirs.is_empty() {
+            theirs.into_iter().for_each(|(path, text)| self.add_conflict(path, text, true));
             self.notify(NOT_SAVED, true);
             return;
         }
-        self.conflict = None;
-        if !self.save_files() {
-            return;
+        self.conflicts.clear();
+        let count = files.len();
+        for (path, text) in files {
+            let is_root = path == self.document.path();
+            // The folder of a new part.
+            let folder = path.parent().filter(|folder| !is_root && !folder.as_os_str().is_empty());
+            let result = folder.map_or(Ok(()), std::fs::create_dir_all);
+            let result = result.map_err(|error| format!("{} was not saved: {error}", path.display()));
+            let result = result.and_then(|()| disk::save(&path, &text).map_err(|error| error.to_string()));
+            if self.try_edit(result).is_none() {
+                return;
+            }
+            if is_root {
+                self.disk.mark_known();
+                self.document.set_saved(&text);
+            } else {
+                if let Some(watch) = self.other_disks.get_mut(&path) {
+                    watch.mark_known();
+                }
+                self.document.file_now_saved(&path);
+            }
         }
-        let text = Arc::clone(self.document.text());
-        let result = disk::save(self.document.path(), &text);
-        if self.try_edit(result).is_some() {
-            self.disk.mark_known();
-            self.document.set_saved(&text);
-            self.notify("saved", false);
-        }
+        self.notify(if count > 1 { format!("saved {count} files") } else { "saved".to_owned() }, false);
     }
 }

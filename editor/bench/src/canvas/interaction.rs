@@ -43,6 +43,13 @@ pub enum CanvasRequest {
     },
     /// Set new positions of nodes.
     Move(Vec<(String, Pos2)>),
+    /// Open a part, or fold it.
+    Open {
+        /// The part.
+        part: String,
+        /// Whether its nodes are to be shown.
+        open: bool,
+    },
     /// Show an output large.
     ViewLarge(Output),
     /// Add a node, connected to the end of a wire if there is one.
@@ -179,10 +186,8 @@ impl Canvas {
             let by = body.drag_delta() / transform.scaling;
             *moved |= by != Vec2::ZERO;
             self.fit = false;
-            for selected in &self.selected {
-                if let Some(position) = self.positions.get_mut(selected) {
-                    *position += by;
-                }
+            for selected in self.selected.clone() {
+                self.move_part(&selected, by);
             }
         }
         if body.drag_stopped() && matches!(self.drag, Drag::Nodes { moved: true }) {
@@ -200,8 +205,18 @@ impl Canvas {
                 let clicked_picture = body.clicked()
                     && !modifiers.any()
                     && body.interact_pointer_pos().is_some_and(|at| rect.contains(at));
-                if clicked_picture || body.double_clicked() {
+                if clicked_picture || (body.double_clicked() && !this.is_part) {
                     requests.push(CanvasRequest::ViewLarge(output.clone()));
+                }
+            }
+            if this.is_part {
+                let at = Rect::from_min_size(position, vec2(super::shape::WIDTH, super::shape::HEADER));
+                let header = transform * at.with_min_x(at.right() - super::shape::OPEN);
+                let open = ui.interact(header, Id::new(("open part", id)), Sense::click());
+                open.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Open {id}")));
+                let on_header = body.interact_pointer_pos().is_some_and(|p| (transform * at).contains(p));
+                if open.clicked() || (body.double_clicked() && on_header) {
+                    requests.push(CanvasRequest::Open { part: id.to_owned(), open: true });
                 }
             }
             if let Some(fold) = shape.fold {
@@ -267,7 +282,7 @@ impl Canvas {
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Other, true, format!("{side} {id}.{}", pin.name)));
         let end = End { node: id.to_owned(), port: pin.name.clone(), input: pin.input };
         if !pin.input && response.hovered() {
-            self.under_pointer = Some(Output::new(id, &pin.name));
+            self.under_pointer = Some(scene.view.running_output(id, &pin.name));
         }
         if response.hovered() && matches!(self.drag, Drag::None) {
             let port = if pin.input {

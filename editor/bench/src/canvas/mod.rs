@@ -2,7 +2,9 @@
 //! are returned as [`CanvasRequest`]s; the canvas does not change the graph itself.
 
 mod curve;
+mod frames;
 mod interaction;
+mod levels;
 mod marks;
 mod paint;
 mod shape;
@@ -49,6 +51,9 @@ pub struct Canvas {
     /// Screen distance from the canvas's middle to the graph's origin.
     offset: Vec2,
     positions: HashMap<String, Pos2>,
+    /// Frames of opened parts, and the points that positions inside count from.
+    frames: HashMap<String, Rect>,
+    origins: HashMap<String, Pos2>,
     shapes: Vec<Shape>,
     /// Names of the nodes that the shapes belong to.
     ids: Vec<String>,
@@ -82,6 +87,8 @@ impl Default for Canvas {
             zoom: 0,
             offset: Vec2::ZERO,
             positions: HashMap::new(),
+            frames: HashMap::new(),
+            origins: HashMap::new(),
             shapes: Vec::new(),
             ids: Vec::new(),
             lanes: HashMap::new(),
@@ -103,6 +110,11 @@ impl Default for Canvas {
 }
 
 impl Canvas {
+    /// The frame of an opened part.
+    pub fn frame(&self, part: &str) -> Option<Rect> {
+        self.frames.get(part).copied()
+    }
+
     /// Shows the whole graph, and keeps it in view until the user moves it.
     pub fn fit(&mut self) {
         self.fit = true;
@@ -158,7 +170,8 @@ impl Canvas {
         let before = self.positions.clone();
         self.lay_out(view, revision);
         let grounds = view.nodes.iter().zip(&self.shapes).filter_map(|(node, shape)| {
-            let at = node.position.map(|(x, y)| pos2(x, y)).or_else(|| before.get(node.id()).copied())?;
+            let is_new = added.iter().any(|id| id == node.id());
+            let at = before.get(node.id()).filter(|_| !is_new).or_else(|| self.positions.get(node.id())).copied()?;
             Some((added.iter().any(|id| id == node.id()), Rect::from_min_size(at, shape.size)))
         });
         let (new, others): (Vec<_>, Vec<_>) = grounds.partition(|(new, _)| *new);
@@ -183,8 +196,14 @@ impl Canvas {
         self.positions.get(id).copied()
     }
 
-    /// Centres the view on a node and selects it.
+    /// Centres the view on a node and selects it; on the part that is shown in its place, where it is inside a folded one.
     pub fn show_node(&mut self, view: &GraphView, id: &str) {
+        let mut id = id;
+        while view.node(id).is_none()
+            && let Some((part, _)) = id.rsplit_once('/')
+        {
+            id = part;
+        }
         if let (Some(node), Some(position)) = (view.node(id), self.positions.get(id))
             && let Some(shape) = self.shapes.get(node)
         {
@@ -240,39 +259,15 @@ impl Canvas {
         self.shapes = (0..view.nodes.len())
             .map(|n| Shape::of(view, n, &self.unfolded, self.chosen.get(view.nodes[n].id()).map(String::as_str)))
             .collect();
-        let sizes: Vec<[f32; 2]> = self.shapes.iter().map(|s| [s.size.x, s.size.y]).collect();
-        let edges: Vec<(usize, usize)> = view.wires.iter().filter(|w| !w.delayed).map(|w| (w.from, w.to)).collect();
-        // An unconnected node with a position in the file does not affect the layout.
-        let laid: Vec<usize> = (0..view.nodes.len())
-            .filter(|n| view.nodes[*n].position.is_none() || edges.iter().any(|(from, to)| from == n || to == n))
-            .collect();
-        let automatic = layout::layered_part(&sizes, &edges, &laid);
-        // Nodes without a position in the file are placed around those with one.
-        let mut taken: Vec<layout::Rectangle> = (view.nodes.iter().zip(&sizes))
-            .filter_map(|(node, size)| node.position.map(|(x, y)| ([x, y], *size)))
-            .collect();
-        let placed = taken.len();
-        self.positions = HashMap::with_capacity(view.nodes.len());
-        for (n, node) in view.nodes.iter().enumerate() {
-            let at = match node.position {
-                Some((x, y)) => [x, y],
-                None if placed == 0 => automatic.positions[n],
-                None => {
-                    let at = layout::clear_of(automatic.positions[n], sizes[n], &taken);
-                    taken.push((at, sizes[n]));
-                    at
-                }
-            };
-            self.positions.insert(node.id().to_owned(), pos2(at[0], at[1]));
-        }
-        let untouched = |n: usize| view.nodes[n].position.is_none();
-        let ways = automatic.lanes.into_iter().filter(|((from, to), _)| untouched(*from) && untouched(*to));
-        self.lanes =
-            ways.map(|(ends, lane)| (ends, lane.into_iter().map(|s| s.map(|[x, y]| pos2(x, y))).collect())).collect();
+        let level = levels::lay_out(view, &self.shapes, "");
+        (self.positions, self.frames, self.origins, self.lanes) =
+            (level.nodes, level.frames, level.origins, level.lanes);
+        // A frame has a position as a node has.
+        self.positions.extend(self.frames.iter().map(|(id, rect)| (id.clone(), rect.min)));
         if !matches!(self.mark_edit, marks::MarkEdit::Text { .. }) {
             self.marks.clone_from(&view.marks);
         }
-        let known = |id: &String| view.node(id).is_some();
+        let known = |id: &String| view.node(id).is_some() || view.part(id).is_some_and(|p| p.open);
         self.selected.retain(known);
         self.unfolded.retain(known);
         let wire = |w: &(String, String, usize)| {
@@ -290,7 +285,7 @@ impl Canvas {
             let (w, h) = m.size.unwrap_or((220.0, 40.0));
             Rect::from_min_size(pos2(m.at.0, m.at.1), vec2(w, h))
         });
-        rects.chain(marks).reduce(|a, b| a.union(b))
+        rects.chain(marks).chain(self.frames.values().copied()).reduce(|a, b| a.union(b))
     }
 
     fn fit_now(&mut self, view: &GraphView) {
@@ -319,6 +314,7 @@ impl Canvas {
         let painter = ui.painter().clone();
         self.paint_ground(&painter);
         self.show_marks(ui, scene, &mut requests);
+        self.show_frames(ui, scene, &mut requests);
         self.paint_wires(&painter, scene);
         self.under_pointer = None;
         let order = self.order(scene.view);

@@ -155,6 +155,8 @@ impl Canvas {
         let painter = ui.painter();
         let this = &scene.view.nodes[node];
         let (id, scale) = (this.id(), self.scale());
+        // Inside a frame the part's name is on the frame.
+        let title = id.rsplit('/').next().unwrap_or(id);
         let counters = scene.counters.nodes.get(id);
         let selected = self.selected.contains(id);
         let family = theme::family(this.family());
@@ -170,9 +172,14 @@ impl Canvas {
         };
         if scale < PICTURES {
             painter.add(plain_node(rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family));
-            let name = elided(painter, id, FontId::proportional(9.0), theme::TEXT, rect.width() - 8.0 * scale);
+            let name = elided(painter, title, FontId::proportional(9.0), theme::TEXT, rect.width() - 8.0 * scale);
             painter.galley(pos2(rect.left() + 6.0 * scale, rect.top() + 4.0 * scale), name, theme::TEXT);
             return;
+        }
+        if this.is_part {
+            // A second edge behind the first: there is more inside.
+            let behind = rect.translate(vec2(4.0, 4.0) * scale);
+            painter.rect(behind, radius, theme::PANEL, Stroke::new(1.0, theme::LINE), StrokeKind::Outside);
         }
         painter.rect(rect, radius, fill, stroke, StrokeKind::Outside);
         let bar = Rect::from_min_size(rect.min, vec2(4.0 * scale, HEADER * scale));
@@ -182,7 +189,7 @@ impl Canvas {
         if scale < DETAIL {
             // The name is drawn above the box, where it has more width.
             let font = FontId::proportional(11.0);
-            let name = elided(painter, id, font, theme::TEXT, rect.width() + 48.0 * scale);
+            let name = elided(painter, title, font, theme::TEXT, rect.width() + 48.0 * scale);
             let at = pos2(rect.left(), rect.top() - name.size().y - 1.0);
             painter.galley(at, name, theme::TEXT);
             self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
@@ -192,12 +199,15 @@ impl Canvas {
             self.paint_picture(painter, scene, node, room);
             return;
         }
-        let name = elided(painter, id, self.font(14.0), theme::TEXT, rect.width() - (28.0 + 16.0) * scale);
+        let name = elided(painter, title, self.font(14.0), theme::TEXT, rect.width() - (28.0 + 16.0) * scale);
         let name_width = name.size().x;
         painter.galley(pos2(rect.left() + 14.0 * scale, line - name.size().y / 2.0), name, theme::TEXT);
         self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
         let room = rect.width() - name_width - 52.0 * scale;
-        if room > 30.0 * scale {
+        if this.is_part {
+            let at = pos2(rect.right() - 26.0 * scale, line);
+            painter.text(at, Align2::RIGHT_CENTER, "open", self.font(11.0), theme::ACCENT);
+        } else if room > 30.0 * scale {
             let caption = elided(painter, &this.outline.type_name, self.font(11.0), theme::MUTED, room);
             let at = pos2(rect.right() - 26.0 * scale - caption.size().x, line - caption.size().y / 2.0);
             painter.galley(at, caption, theme::MUTED);

@@ -16,6 +16,8 @@ pub const PICTURES: f32 = 0.2;
 pub const WIDTH: f32 = 208.0;
 /// Height of the header with name and type.
 pub const HEADER: f32 = 36.0;
+/// Width of the button that opens a part.
+pub const OPEN: f32 = 48.0;
 const PICTURE: f32 = 120.0;
 const WORDS: f32 = 52.0;
 const ROW: f32 = 20.0;
@@ -68,7 +70,7 @@ pub fn shown_output(view: &GraphView, node: usize, chosen: Option<&str>) -> Opti
     let this = &view.nodes[node];
     let of = |node: &NodeView, port: &str| {
         let packet = node.output(port).map(|p| p.packet.name.clone())?;
-        Some((Output::new(node.id(), port), packet))
+        Some((view.running_output(node.id(), port), packet))
     };
     if let Some(found) = chosen.and_then(|port| of(this, port)) {
         return Some(found);
@@ -95,7 +97,7 @@ fn backdrop(view: &GraphView, node: usize, packet: &str) -> Option<(Output, Stri
     let wires = view.wires.iter().filter(|w| w.to == node);
     wires.into_iter().find_map(|w| {
         let packet = view.packet(w.from, &w.output).filter(|p| p.name == "image")?;
-        Some((Output::new(view.nodes[w.from].id(), &w.output), packet.name.clone()))
+        Some((view.running_output(view.nodes[w.from].id(), &w.output), packet.name.clone()))
     })
 }
 

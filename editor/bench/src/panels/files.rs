@@ -23,6 +23,11 @@ pub enum Target {
         /// Its parameter.
         param: String,
     },
+    /// An argument of the graph.
+    Argument {
+        /// The argument.
+        arg: String,
+    },
     /// The recording for a sweep.
     Recording,
 }
@@ -98,7 +103,9 @@ impl Files {
 
     /// A path as written in the graph: relative if it is inside the graph's folder.
     fn written(&self, path: &Path) -> String {
-        path.strip_prefix(&self.base).unwrap_or(path).to_string_lossy().into_owned()
+        // Values of arguments start from the working folder.
+        let inside = path.strip_prefix(&self.base).ok().filter(|_| !matches!(self.target, Target::Argument { .. }));
+        inside.unwrap_or(path).to_string_lossy().into_owned()
     }
 
     /// Shows the dialog; returns the picked path, or `Some(None)` when it was closed without picking.

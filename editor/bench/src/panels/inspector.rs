@@ -10,7 +10,7 @@ use super::params;
 use crate::actions::{self, Action};
 use crate::canvas::Canvas;
 use panoscope_editor_model::document::Document;
-use panoscope_editor_model::graph_view::NodeView;
+use panoscope_editor_model::graph_view::{NodeView, PartView};
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{OutputCache, format_time};
@@ -37,6 +37,10 @@ pub enum InspectorRequest {
     Thumbnail(String),
     /// Rename the node.
     Rename(String),
+    /// Open the part.
+    Open,
+    /// Put the part's nodes in its place.
+    Dissolve,
 }
 
 /// Shows the panel of a node; returns the user's requests.
@@ -54,6 +58,9 @@ pub fn show(
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         title(ui, this, &mut requests);
         picture(ui, document, shown, canvas, node, &mut requests);
+        if let Some(part) = view.part(this.id()).filter(|_| this.is_part) {
+            part_buttons(ui, part, &mut requests);
+        }
         for mistake in &this.mistakes {
             ui.label(RichText::new(mistake).color(theme::FAULT));
         }
@@ -93,7 +100,8 @@ fn title(ui: &mut Ui, this: &NodeView, requests: &mut Vec<InspectorRequest>) {
         let (rect, _) = ui.allocate_exact_size(vec2(4.0, 20.0), Sense::hover());
         ui.painter().rect_filled(rect, 2.0, theme::family(this.family()));
         let id = ui.make_persistent_id(("name", this.id()));
-        let mut name = ui.data(|d| d.get_temp::<String>(id)).unwrap_or_else(|| this.id().to_owned());
+        let local = this.id().rsplit('/').next().unwrap_or_default();
+        let mut name = ui.data(|d| d.get_temp::<String>(id)).unwrap_or_else(|| local.to_owned());
         let field = eframe::egui::TextEdit::singleline(&mut name)
             .font(eframe::egui::TextStyle::Heading)
             .frame(eframe::egui::Frame::NONE)
@@ -104,7 +112,7 @@ fn title(ui: &mut Ui, this: &NodeView, requests: &mut Vec<InspectorRequest>) {
             ui.data_mut(|d| d.insert_temp(id, name));
         } else {
             ui.data_mut(|d| d.remove_temp::<String>(id));
-            if response.lost_focus() && name != this.id() {
+            if response.lost_focus() && name != local {
                 requests.push(InspectorRequest::Rename(name));
             }
         }
@@ -118,6 +126,22 @@ fn title(ui: &mut Ui, this: &NodeView, requests: &mut Vec<InspectorRequest>) {
         ui.label(RichText::new(line).size(12.0));
     }
     ui.add_space(theme::STEP);
+}
+
+/// Shows what can be done with a part, and how often its file is used.
+fn part_buttons(ui: &mut Ui, part: &PartView, requests: &mut Vec<InspectorRequest>) {
+    ui.horizontal(|ui| {
+        if ui.button("Open").on_hover_text(actions::hint(Action::OpenPart)).clicked() {
+            requests.push(InspectorRequest::Open);
+        }
+        if ui.button("Dissolve").on_hover_text(actions::hint(Action::Dissolve)).clicked() {
+            requests.push(InspectorRequest::Dissolve);
+        }
+        if part.users.len() > 1 {
+            let caption = format!("used {} times", part.users.len());
+            ui.label(RichText::new(caption).size(12.0).color(theme::WARN)).on_hover_text(part.users.join(", "));
+        }
+    });
 }
 
 fn picture(

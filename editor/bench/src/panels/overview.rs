@@ -4,7 +4,9 @@ use eframe::egui::{Grid, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType
 
 use super::inspector::section;
 use super::params;
+use crate::actions::{self, Action};
 use panoscope_editor_model::document::Document;
+use panoscope_editor_model::folding::opening;
 use panoscope_editor_model::graph_view::NodeView;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_widgets::format_time;
@@ -15,26 +17,10 @@ use panoscope_editor_widgets::theme;
 pub enum OverviewRequest {
     /// Go to a node.
     Go(String),
+    /// Perform an action on the selection.
+    Perform(Action),
     /// A request about a parameter of a node.
     Param(String, params::ParamRequest),
-}
-
-/// The comment at the beginning of the file.
-fn opening(text: &str) -> String {
-    let lines = text.lines().take_while(|line| line.starts_with('#'));
-    lines.map(|line| line.trim_start_matches('#').trim()).collect::<Vec<_>>().join(" ")
-}
-
-/// The parameters that the preset pins: node, parameter, label.
-fn pinned(document: &Document) -> Vec<(String, String, String)> {
-    let Ok(table) = document.text().parse::<toml::Table>() else { return Vec::new() };
-    let pins = table.get("preset").and_then(|p| p.get("pinned")).and_then(toml::Value::as_array);
-    let pin = |pin: &toml::Value| {
-        let (node, param) = pin.get("param")?.as_str()?.split_once('.')?;
-        let label = pin.get("label").and_then(toml::Value::as_str).unwrap_or(param);
-        Some((node.to_owned(), param.to_owned(), label.to_owned()))
-    };
-    pins.into_iter().flatten().filter_map(pin).collect()
 }
 
 /// Shows the panel; returns the user's requests.
@@ -44,21 +30,24 @@ pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usi
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         if selected > 1 {
             ui.label(RichText::new(format!("{selected} nodes selected")).size(15.0));
+            if ui.button("Make a part").on_hover_text(actions::hint(Action::MakePart)).clicked() {
+                requests.push(OverviewRequest::Perform(Action::MakePart));
+            }
         } else {
             ui.label(RichText::new(&view.name).size(16.0));
             ui.label(RichText::new(opening(document.text())).size(12.0).color(theme::MUTED));
         }
-        let pinned = pinned(document);
-        if !pinned.is_empty() {
+        if document.pins().next().is_some() {
             section(ui, "Preset");
         }
-        for (node, param, label) in pinned {
-            let this = view.node(&node).map(|n| &view.nodes[n]);
+        for (node, param, label) in document.pins() {
+            let all = if view.node(node).is_some() { view } else { view.flat() };
+            let this = all.node(node).map(|n| &all.nodes[n]);
             let declared = this.and_then(|n| n.node_type.as_ref()?.params.iter().find(|p| p.name == param));
             if let (Some(this), Some(declared)) = (this, declared) {
-                ui.push_id((&node, &param), |ui| {
-                    let change = params::one(ui, document, this, declared, &label);
-                    requests.extend(change.map(|c| OverviewRequest::Param(node.clone(), c)));
+                ui.push_id((node, param), |ui| {
+                    let change = params::one(ui, document, this, declared, label);
+                    requests.extend(change.map(|c| OverviewRequest::Param(node.to_owned(), c)));
                 });
             }
         }
@@ -107,12 +96,4 @@ fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, requests: &mut V
             ui.end_row();
         }
     });
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn the_opening_comment_is_one_text() {
-        assert_eq!(super::opening("# Wide view\n# from two.\nname = \"x\"\n# not this"), "Wide view from two.");
-    }
 }

@@ -95,8 +95,10 @@ impl SweepPanel {
 
     /// Selects a parameter and its whole range for the next sweep.
     pub fn choose(&mut self, document: &Document, node: &str, param: &str) {
-        self.param = format!("{node}.{param}");
-        let view = document.view();
+        // The sweep runs the flat graph.
+        self.param = document.resolve_param(&format!("{node}.{param}"));
+        let (node, param) = self.param.split_once('.').unwrap_or((node, param));
+        let view = document.view().flat();
         let kind = view.node(node).and_then(|n| {
             let node_type = view.nodes[n].node_type.as_ref()?;
             node_type.params.iter().find(|p| p.name == param).map(|p| p.kind.clone())
@@ -382,14 +384,14 @@ fn name(ui: &Ui, id: Id, label: &str) {
 
 /// The parameters that can be swept, as `node.param`.
 fn sweepable(document: &Document) -> Vec<String> {
-    let nodes = document.view().nodes.iter();
+    let nodes = document.view().flat().nodes.iter();
     let params = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.params).map(move |p| (n.id(), p)));
     params.filter(|(_, p)| can_sweep(&p.kind)).map(|(id, p)| format!("{id}.{}", p.name)).collect()
 }
 
 /// Whether a parameter is a number; its unit, to follow a number; its step.
 fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
-    let view = document.view();
+    let view = document.view().flat();
     let declared = param.split_once('.').and_then(|(node, param)| {
         let node_type = view.nodes[view.node(node)?].node_type.as_ref()?;
         node_type.params.iter().find(|p| p.name == param)
@@ -407,7 +409,8 @@ fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
 /// Possible measures: scalar outputs, columns of tables received so far, metrics, times.
 fn measures(document: &Document, counters: &Counters, shown: &OutputCache) -> Vec<String> {
     let mut found = Vec::new();
-    for node in &document.view().nodes {
+    let flat = document.view().flat();
+    for node in &flat.nodes {
         let outputs = node.node_type.iter().flat_map(|t| &t.outputs).filter(|p| has_numbers(&p.packet.name));
         for port in outputs {
             let output = Output::new(node.id(), &port.name);
@@ -418,9 +421,10 @@ fn measures(document: &Document, counters: &Counters, shown: &OutputCache) -> Ve
             }
         }
     }
-    for (id, node) in &counters.nodes {
+    let running = || counters.nodes.iter().filter(|(id, _)| flat.node(id).is_some());
+    for (id, node) in running() {
         found.extend(node.metrics.iter().map(|(name, _)| format!("{id}.{name}")));
     }
-    found.extend(counters.nodes.keys().map(|id| format!("{id}.{}", COUNTERS[0])));
+    found.extend(running().map(|(id, _)| id).map(|id| format!("{id}.{}", COUNTERS[0])));
     found
 }

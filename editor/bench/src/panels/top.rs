@@ -55,6 +55,13 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
             let wrong = document.view().diagnostics.len() + usize::from(status.problem.is_some());
             let caption = if wrong == 0 { "Problems".to_owned() } else { format!("Problems {wrong}") };
             button(ui, Action::Problems, &caption, on.problems, true);
+            if !document.args().is_empty() || !document.given().with.is_empty() {
+                let caption = match document.missing_args().len() {
+                    0 => "Arguments".to_owned(),
+                    missing => format!("Arguments {missing}"),
+                };
+                button(ui, Action::Arguments, &caption, false, true);
+            }
             ui.separator();
             button(ui, Action::Fit, "Fit", false, true);
             button(ui, Action::Find, "Find", false, true);
@@ -82,6 +89,9 @@ fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters)
         Phase::Idle if document.view().valid => (theme::MUTED, "not started".to_owned()),
         Phase::Idle if document.view().nodes.is_empty() && document.view().diagnostics.is_empty() => {
             (theme::MUTED, "no nodes yet: press A to add one".to_owned())
+        }
+        Phase::Idle if document.lacks_only_arguments() => {
+            (theme::WARN, format!("needs a value for {}", document.missing_args().join(", ")))
         }
         Phase::Idle => (theme::FAULT, "the file has mistakes".to_owned()),
         Phase::Starting => (theme::MUTED, "starting".to_owned()),

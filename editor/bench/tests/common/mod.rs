@@ -157,7 +157,7 @@ impl Window {
     pub fn settled(&mut self) {
         self.until("the text runs", |app| {
             let status = app.session().status();
-            !status.busy && *status.running == **app.document().text()
+            !status.busy && *status.running == **app.document().runnable()
         });
     }
 

@@ -1,0 +1,91 @@
+//! Dialogs over the window: palette, files, plugins, keys; and the notification.
+
+use eframe::egui::{self, Context, Frame, Margin, RichText};
+
+use super::{App, NOTE};
+use crate::actions;
+use crate::panels::plugins;
+use panoscope_editor_widgets::theme;
+
+impl App {
+    /// Shows the dialogs that are open.
+    pub(super) fn palettes(&mut self, ctx: &Context) {
+        if let Some(palette) = &mut self.palette
+            && let Some(picked) = palette.show(ctx, &self.document, &self.types)
+        {
+            self.palette = None;
+            if let Some(picked) = picked {
+                self.pick(picked);
+            }
+        }
+        if let Some(files) = &mut self.files
+            && let Some(picked) = files.show(ctx)
+        {
+            self.take_file(picked);
+        }
+        if self.plugins {
+            match plugins::show(ctx, &self.session.loader(), self.document.catalog()) {
+                Some(plugins::PluginsRequest::Reload) => self.session.reload_plugins(),
+                Some(plugins::PluginsRequest::Close) => self.plugins = false,
+                None => {}
+            }
+        }
+        if self.help {
+            let modal = egui::Modal::new("help".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+            let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
+            let shown = modal.frame(frame).show(ctx, |ui| {
+                ui.label(RichText::new("Keys").size(16.0));
+                ui.add_space(2.0 * theme::STEP);
+                let keys =
+                    actions::ALL.iter().map(|(action, .., description)| (actions::key_name(*action), *description));
+                let more = [
+                    ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
+                    ("1 to 9", "Show a recently viewed output"),
+                    ("Ctrl and +, -, 0", "Scale of the window"),
+                    ("Arrows", "Move the view; in the viewer: turn a surface, move the wipe"),
+                    ("Shift and arrows", "Move the selected nodes"),
+                    ("Shift and drag", "Select with a frame"),
+                    ("Double click", "Add a node there"),
+                ];
+                let all: Vec<_> = keys.chain(more.map(|(key, description)| (key.to_owned(), description))).collect();
+                ui.horizontal_top(|ui| {
+                    for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
+                        egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
+                            for (key, description) in part {
+                                ui.label(RichText::new(key).color(theme::ACCENT));
+                                ui.label(*description);
+                                ui.end_row();
+                            }
+                        });
+                        ui.add_space(6.0 * theme::STEP);
+                    }
+                });
+            });
+            self.help = !shown.should_close();
+        }
+    }
+
+    /// Draws the last notification at the lower edge.
+    pub(super) fn show_notification(&mut self, ctx: &Context) {
+        let Some((message, wrong, since)) = &self.notification else { return };
+        if since.elapsed() > NOTE {
+            self.notification = None;
+            return;
+        }
+        ctx.request_repaint_after(NOTE.saturating_sub(since.elapsed()));
+        let color = if *wrong { theme::FAULT } else { theme::LINE };
+        egui::Area::new("note".into())
+            .anchor(egui::Align2::LEFT_BOTTOM, egui::vec2(16.0, -16.0))
+            .interactable(false)
+            .show(ctx, |ui| {
+                Frame::new()
+                    .fill(theme::PANEL)
+                    .stroke(egui::Stroke::new(1.0, color))
+                    .corner_radius(6.0)
+                    .inner_margin(Margin::symmetric(12, 8))
+                    .show(ui, |ui| {
+                        ui.add(egui::Label::new(RichText::new(message)).wrap_mode(egui::TextWrapMode::Extend))
+                    });
+            });
+    }
+}

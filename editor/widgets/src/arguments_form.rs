@@ -1,0 +1,193 @@
+//! The form for arguments and overlays of a graph, as both windows show it.
+
+use eframe::egui::{Align, ComboBox, DragValue, Label, Layout, Response, RichText, ScrollArea, TextEdit, Ui};
+use panoscope_editor_model::arguments::Form;
+use panoscope_graph::{Arg, ArgKind};
+
+use crate::theme;
+
+/// What the user asks for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum FormRequest {
+    /// Take the values.
+    Apply,
+    /// Leave everything as it is.
+    Cancel,
+    /// Pick a file for an argument.
+    Browse(String),
+}
+
+/// How a form is shown.
+#[derive(Clone, Copy, Debug)]
+pub struct FormStyle<'a> {
+    /// Caption of the button that takes the values.
+    pub apply: &'a str,
+    /// Whether files can be picked in a list.
+    pub browse: bool,
+    /// Size of the text in points.
+    pub size: f32,
+    /// Maximum height of the fields in points.
+    pub height: f32,
+}
+
+/// Shows a form; returns what the user asks for.
+pub fn show(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) -> Option<FormRequest> {
+    let mut request = None;
+    ScrollArea::vertical().max_height(style.height).auto_shrink([false, true]).show(ui, |ui| {
+        overlays(ui, form, style);
+        for arg in form.args.clone() {
+            ui.push_id(&arg.name, |ui| {
+                if let Some(asked) = field(ui, form, &arg, style) {
+                    request = Some(asked);
+                }
+            });
+            ui.add_space(1.5 * theme::STEP);
+        }
+    });
+    for problem in &form.problems {
+        ui.add(Label::new(RichText::new(problem).size(style.size).color(theme::FAULT)).wrap());
+    }
+    ui.add_space(theme::STEP);
+    ui.horizontal(|ui| {
+        let button = |ui: &mut Ui, caption: &str| ui.button(RichText::new(caption).size(style.size)).clicked();
+        if button(ui, style.apply) {
+            request = Some(FormRequest::Apply);
+        }
+        if button(ui, "Cancel") {
+            request = Some(FormRequest::Cancel);
+        }
+        ui.label(RichText::new("The graph file is not changed.").size(style.size * 0.85).color(theme::MUTED));
+    });
+    request
+}
+
+fn overlays(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) {
+    if form.overlays.is_empty() {
+        return;
+    }
+    ui.label(RichText::new("Overlays").size(style.size).strong());
+    for overlay in form.overlays.clone() {
+        let same =
+            |path: &std::path::PathBuf| std::fs::canonicalize(path).ok() == std::fs::canonicalize(&overlay.path).ok();
+        let chosen = form.with.iter().find(|path| same(path)).cloned();
+        let mut on = chosen.is_some();
+        let response = ui.checkbox(&mut on, RichText::new(&overlay.name).size(style.size)).on_hover_text(&overlay.doc);
+        name(&response, &format!("Overlay {}", overlay.name));
+        if response.changed() {
+            form.choose(&chosen.unwrap_or_else(|| overlay.path.clone()), on);
+        }
+    }
+    ui.add_space(2.0 * theme::STEP);
+}
+
+/// Shows one argument with its documentation, unit, range and default.
+fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Option<FormRequest> {
+    let mut request = None;
+    let given = form.values.get(&arg.name).filter(|v| !v.is_empty()).cloned();
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(arg.name.replace('_', " ")).size(style.size).strong());
+        let state = match (&given, &arg.default) {
+            (Some(_), Some(default)) => format!("default: {default}"),
+            (None, Some(_)) => "default".to_owned(),
+            (Some(_), None) => String::new(),
+            (None, None) if form.required.contains(&arg.name) => "required".to_owned(),
+            (None, None) => "not used".to_owned(),
+        };
+        let color = if state == "required" { theme::WARN } else { theme::MUTED };
+        ui.label(RichText::new(state).size(style.size * 0.85).color(color));
+        let range = arg.range.map(|(low, high)| format!("{low} to {high}"));
+        let limits = [range.as_deref(), Some(arg.unit.as_str())];
+        let limits: Vec<&str> = limits.into_iter().flatten().filter(|t| !t.is_empty()).collect();
+        ui.label(RichText::new(limits.join(" ")).size(style.size * 0.85).color(theme::MUTED));
+        if given.is_some() {
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                let clear = ui.small_button("clear").on_hover_text("Takes the value away, so that the default applies");
+                name(&clear, &format!("Clear {}", arg.name));
+                if clear.clicked() {
+                    form.values.remove(&arg.name);
+                }
+            });
+        }
+    });
+    if !arg.doc.is_empty() {
+        ui.add(Label::new(RichText::new(&arg.doc).size(style.size * 0.85).color(theme::MUTED)).wrap());
+    }
+    let now = form.values.get(&arg.name).cloned().or_else(|| arg.default.clone()).unwrap_or_default();
+    let new = match arg.kind {
+        ArgKind::Flag => {
+            let mut on = now == "true";
+            let response = ui.checkbox(&mut on, "");
+            name(&response, &format!("Argument {}", arg.name));
+            response.changed().then(|| on.to_string())
+        }
+        ArgKind::Choice => {
+            let mut picked = now.clone();
+            let combo = ComboBox::from_id_salt("choice").selected_text(&now).width(ui.available_width() - 8.0);
+            let response = combo.show_ui(ui, |ui| {
+                for choice in &arg.choices {
+                    ui.selectable_value(&mut picked, choice.clone(), choice);
+                }
+            });
+            name(&response.response, &format!("Argument {}", arg.name));
+            (picked != now).then_some(picked)
+        }
+        ArgKind::Number | ArgKind::Whole => number(ui, arg, &now),
+        ArgKind::Source | ArgKind::File | ArgKind::Path | ArgKind::Text => {
+            let mut text = form.values.get(&arg.name).cloned().unwrap_or_default();
+            let before = text.clone();
+            ui.horizontal(|ui| {
+                let devices = form.devices.clone();
+                let pick_camera = arg.kind == ArgKind::Source && !devices.is_empty();
+                let pick_file = style.browse && arg.kind != ArgKind::Text;
+                let room = 84.0 * f32::from(u8::from(pick_camera) + u8::from(pick_file));
+                let hint = arg.default.clone().unwrap_or_default();
+                let field =
+                    TextEdit::singleline(&mut text).hint_text(hint).desired_width(ui.available_width() - room - 16.0);
+                let field = ui.add(field.font(eframe::egui::FontId::proportional(style.size)));
+                name(&field, &format!("Argument {}", arg.name));
+                if pick_camera {
+                    let menu = ui.menu_button("Cameras", |ui| {
+                        for (device, model) in &devices {
+                            if ui.button(format!("{device}  {model}")).clicked() {
+                                text.clone_from(device);
+                            }
+                        }
+                    });
+                    name(&menu.response, &format!("Cameras for {}", arg.name));
+                }
+                if pick_file {
+                    let browse = ui.button("Browse");
+                    name(&browse, &format!("Browse {}", arg.name));
+                    if browse.clicked() {
+                        request = Some(FormRequest::Browse(arg.name.clone()));
+                    }
+                }
+            });
+            (text != before).then_some(text)
+        }
+    };
+    if let Some(new) = new {
+        form.values.insert(arg.name.clone(), new);
+        form.problems.clear();
+    }
+    request
+}
+
+/// Shows a number within its range.
+fn number(ui: &mut Ui, arg: &Arg, now: &str) -> Option<String> {
+    let mut number: f64 = now.parse().unwrap_or(arg.range.map_or(0.0, |(low, _)| low));
+    let (low, high) = arg.range.unwrap_or((f64::MIN, f64::MAX));
+    let unit = if arg.unit.is_empty() { String::new() } else { format!(" {}", arg.unit) };
+    let whole = arg.kind == ArgKind::Whole;
+    let speed = arg.range.map_or(0.1, |(low, high)| (high - low) / 500.0);
+    let drag = DragValue::new(&mut number).range(low..=high).clamp_existing_to_range(false).suffix(unit);
+    let drag = if whole { drag.speed(speed.max(0.25)).max_decimals(0) } else { drag.speed(speed).max_decimals(4) };
+    let response = ui.add(drag);
+    name(&response, &format!("Argument {}", arg.name));
+    response.changed().then(|| if whole { format!("{}", number.round()) } else { format!("{number}") })
+}
+
+/// Labels a widget for screen readers and tests.
+fn name(response: &Response, label: &str) {
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(label.to_owned()));
+}
