@@ -373,16 +373,9 @@ impl Case {
         let log = self.firmware.log();
         let speed = self.rad_s.abs();
         let braked = log.set_points.iter().find(|(when, _, velocity)| *when > at && velocity.amax() < 0.97 * speed);
-        let last = log.set_points.iter().rev().find(|(_, _, velocity)| velocity.amax() >= 0.97 * speed);
-        match (braked, last) {
-            (Some((when, ..)), _) => Some((*when - at).as_secs_f64() * 1e3),
-            // No set-point brakes: the guard is gone, and the arm's watchdog counts from the last one.
-            (None, Some((when, ..))) => {
-                let own = log.angles.iter().find(|(then, _)| *then > *when + Duration::from_millis(30))?;
-                Some((own.0.max(at) - at).as_secs_f64() * 1e3)
-            }
-            _ => None,
-        }
+        // No set-point brakes when the guard is gone: the arm's own watchdog does.
+        let when = braked.map(|(when, ..)| *when).or(log.watchdog_at.filter(|when| *when > at))?;
+        Some((when - at).as_secs_f64() * 1e3)
     }
 
     /// Whether the next start of the guard forgets the stop.

@@ -81,6 +81,8 @@ pub struct Log {
     pub angles: Vec<(Instant, JointVector)>,
     /// How often the watchdog stopped the arm.
     pub watchdog: u32,
+    /// When it did so last.
+    pub watchdog_at: Option<Instant>,
     /// `C` lines.
     pub clears: u32,
     /// Lines that were refused.
@@ -315,7 +317,8 @@ impl Controller {
         let is_moving = self.target.is_some_and(|(_, velocity)| velocity != JointVector::zeros());
         if is_moving && now - self.fed > Duration::from_millis(u64::from(behaviour.watchdog_ms)) {
             (self.is_held, self.target) = (true, None);
-            locked(&self.shared.0).log.watchdog += 1;
+            let log = &mut locked(&self.shared.0).log;
+            (log.watchdog, log.watchdog_at) = (log.watchdog + 1, Some(now));
         }
         if behaviour.is_stopped || behaviour.has_fault {
             self.target = None;
