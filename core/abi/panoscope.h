@@ -29,7 +29,7 @@
 /**
  * Grows when fields, flags or host functions are appended.
  */
-#define PANOSCOPE_ABI_MINOR 2
+#define PANOSCOPE_ABI_MINOR 3
 
 /**
  * Set in PanoscopeCall.flags in `batch` mode.
@@ -75,6 +75,11 @@
  * For whoever debugs the node.
  */
 #define PANOSCOPE_LOG_DEBUG 4
+
+/**
+ * For PanoscopeHost.arrived_ns and PanoscopeHost.age_ns: the tick of the call, whatever its inputs are.
+ */
+#define PANOSCOPE_INPUT_TICK 4294967295
 
 /**
  * The node is going to write the file: no other node may.
@@ -400,7 +405,7 @@ typedef struct PanoscopeTick {
      */
     uint32_t source;
     /**
-     * Reserved, 0.
+     * How much older the light of a packet is than that of its tick, in units of 10 us; see PanoscopeHost.set_lag_ns. The host sets it.
      */
     uint32_t flags;
     /**
@@ -561,6 +566,27 @@ typedef struct PanoscopeHost {
      * The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
      */
     int64_t (*clock_ns)(void *call);
+    /**
+     * For a source: when the light (or the packet) of this tick arrived, by the clock of PanoscopeHost.clock_ns. All ages count from there. A
+     * time in the future counts as now. Without this call a tick arrives when it enters the graph.
+     */
+    void (*set_arrived_ns)(void *call, int64_t arrived_ns);
+    /**
+     * When the light of an input frame arrived, by the clock of PanoscopeHost.clock_ns; `input` is an index into PanoscopeCall.inputs or
+     * PANOSCOPE_INPUT_TICK. For times between two arrivals. Where results must not depend on the wall clock (`batch`), the capture time. A replay
+     * returns what the recorded run returned. `INT64_MIN` for an empty frame and where the time is unknown.
+     */
+    int64_t (*arrived_ns)(void *call, uint32_t input);
+    /**
+     * Age of the light of an input frame: the time from PanoscopeHost.arrived_ns to this call. All answers during one call are for the same
+     * moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is `INT64_MIN`.
+     */
+    int64_t (*age_ns)(void *call, uint32_t input);
+    /**
+     * The outputs of this call show light that is older than that of its tick by this: held or predicted values. Readers see this age. An
+     * output never looks younger than an input of the same tick. A source uses PanoscopeHost.set_arrived_ns.
+     */
+    void (*set_lag_ns)(void *call, int64_t lag_ns);
 } PanoscopeHost;
 
 /**
@@ -1370,7 +1396,7 @@ PANOSCOPE_ASSERT(sizeof(PanoscopeParamValue) == 56);
 PANOSCOPE_ASSERT(sizeof(PanoscopeOpenCall) == 80);
 PANOSCOPE_ASSERT(sizeof(PanoscopeValidateCall) == 96);
 PANOSCOPE_ASSERT(sizeof(PanoscopeCall) == 128);
-PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 136);
+PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 168);
 PANOSCOPE_ASSERT(sizeof(PanoscopePort) == 64);
 PANOSCOPE_ASSERT(sizeof(PanoscopeParam) == 136);
 PANOSCOPE_ASSERT(sizeof(PanoscopeNodeType) == 168);

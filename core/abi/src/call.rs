@@ -196,7 +196,23 @@ pub struct Host {
     pub claim_file: Option<unsafe extern "C" fn(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status>,
     /// The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
     pub clock_ns: Option<unsafe extern "C" fn(call: *mut c_void) -> i64>,
+    /// For a source: when the light (or the packet) of this tick arrived, by the clock of [`Host::clock_ns`]. All ages count from there. A
+    /// time in the future counts as now. Without this call a tick arrives when it enters the graph.
+    pub set_arrived_ns: Option<unsafe extern "C" fn(call: *mut c_void, arrived_ns: i64)>,
+    /// When the light of an input frame arrived, by the clock of [`Host::clock_ns`]; `input` is an index into [`Call::inputs`] or
+    /// [`INPUT_TICK`]. For times between two arrivals. Where results must not depend on the wall clock (`batch`), the capture time. A replay
+    /// returns what the recorded run returned. `INT64_MIN` for an empty frame and where the time is unknown.
+    pub arrived_ns: Option<unsafe extern "C" fn(call: *mut c_void, input: u32) -> i64>,
+    /// Age of the light of an input frame: the time from [`Host::arrived_ns`] to this call. All answers during one call are for the same
+    /// moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is `INT64_MIN`.
+    pub age_ns: Option<unsafe extern "C" fn(call: *mut c_void, input: u32) -> i64>,
+    /// The outputs of this call show light that is older than that of its tick by this: held or predicted values. Readers see this age. An
+    /// output never looks younger than an input of the same tick. A source uses [`Host::set_arrived_ns`].
+    pub set_lag_ns: Option<unsafe extern "C" fn(call: *mut c_void, lag_ns: i64)>,
 }
+
+/// For [`Host::arrived_ns`] and [`Host::age_ns`]: the tick of the call, whatever its inputs are.
+pub const INPUT_TICK: u32 = 0xFFFF_FFFF;
 
 /// The node is going to write the file: no other node may.
 pub const CLAIM_HOLD: u32 = 0;

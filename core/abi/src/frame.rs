@@ -8,7 +8,7 @@ use core::ffi::c_void;
 pub struct Tick {
     /// Which source of the graph.
     pub source: u32,
-    /// Reserved, 0.
+    /// How much older the light of a packet is than that of its tick, in units of 10 us; see [`crate::Host::set_lag_ns`]. The host sets it.
     pub flags: u32,
     /// Counts the source's calls from 0.
     pub seq: u64,

@@ -72,7 +72,9 @@ fn generate() -> String {
     builder.with_config(config).generate().expect("the sources have a C form").write(&mut bytes);
     let generated = String::from_utf8(bytes).expect("headers are UTF-8");
     let mut generated = links_to_c(&generated, &types);
-    for family in ["CALL_", "FORMAT_", "KIND_", "LOG_", "NODE_", "PARAM_", "PORT_", "PROBLEM_", "STATE_", "STATUS_"] {
+    for family in
+        ["CALL_", "FORMAT_", "INPUT_", "KIND_", "LOG_", "NODE_", "PARAM_", "PORT_", "PROBLEM_", "STATE_", "STATUS_"]
+    {
         generated = generated.replace(&format!("`{family}"), &format!("`PANOSCOPE_{family}"));
     }
     let generated: String = generated

@@ -50,6 +50,8 @@ pub struct SeenTip {
     pub xyz_mm: Vector3<f64>,
     /// Score, 0 to 1.
     pub score: f64,
+    /// Time since the tip was there, s: the age of the light, which the prediction covers.
+    pub age_s: f64,
 }
 
 /// Result of one tick.
@@ -80,6 +82,8 @@ const FARTHEST_MM: f64 = 1000.0;
 /// A movement counts as limited when less than this share of it was carried out; slower movements (rad/s) are not checked.
 const LEAST_RAD_S: f64 = 0.01;
 const CARRIED: f64 = 0.5;
+/// Longest time over which an old tip is predicted, s: the interlock follows none that is older.
+const LONGEST_AGE_S: f64 = 0.3;
 /// Largest joint angle accepted, rad.
 const FARTHEST_RAD: f64 = 100.0;
 
@@ -152,22 +156,22 @@ impl Controller {
         self.share < 1.0 - 1e-9 || is_behind
     }
 
-    /// Processes one tick: the tip of a picture taken at `capture_ns`, the joint angles at that time, and the newest set-points if they are known.
+    /// Processes one tick: the tip of a picture taken at `taken_ns` in real time, the joint angles at that time, and the newest set-points if they are known.
     /// None while no tip can be followed.
     pub fn step(
         &mut self,
-        capture_ns: i64,
+        taken_ns: i64,
         tip: Option<SeenTip>,
         joints_rad: &JointVector,
         set_point_rad: Option<&JointVector>,
         eyes: &Eyes,
         goals: &Goals,
     ) -> Option<Step> {
-        let passed_s = self.last_ns.map(|last| capture_ns.saturating_sub(last) as f64 * 1e-9);
+        let passed_s = self.last_ns.map(|last| taken_ns.saturating_sub(last) as f64 * 1e-9);
         if passed_s.is_some_and(|s| !(0.0..=LONGEST_TICK_S).contains(&s)) {
             self.reset();
         }
-        let dt_s = self.last_ns.replace(capture_ns).map_or(0.0, |last| capture_ns.saturating_sub(last) as f64 * 1e-9);
+        let dt_s = self.last_ns.replace(taken_ns).map_or(0.0, |last| taken_ns.saturating_sub(last) as f64 * 1e-9);
         let usable = |tip: &SeenTip| {
             tip.xyz_mm.norm() <= FARTHEST_MM
                 && tip.xyz_mm.z >= NEAREST_MM
@@ -186,7 +190,8 @@ impl Controller {
         // The arm's angles when this demand takes effect.
         let coming = set_point_rad.map_or(*joints_rad, |set| set + self.asked * dt_s);
         let stance = self.chain.stance(&coming);
-        let ahead = Point3::from(place + movement * (goals.latency_s + dt_s));
+        let age_s = if tip.age_s > 0.0 { tip.age_s.min(LONGEST_AGE_S) } else { 0.0 };
+        let ahead = Point3::from(place + movement * (goals.latency_s + dt_s + age_s));
         let point = stance.base_from_camera.inverse_transform_point(&ahead).coords;
         let plain = errors(&tip.xyz_mm, eyes, goals.distance_mm);
         let coming_errors = errors(&point, eyes, goals.distance_mm);

@@ -252,22 +252,25 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
         }
         // The nodes, in their order.
         let known = tracker.step(now_ns, reports.iter().copied(), &camera, &rules);
-        let fade = match known {
-            Known::Seen(_) => 1.0,
-            Known::Predicted(gap_s) => (1.0 - gap_s / rules.max_gap_s).clamp(0.0, 1.0),
-            Known::Lost => 0.0,
+        let (gap_s, fade) = match known {
+            Known::Seen(_) => (0.0, 1.0),
+            Known::Predicted(gap_s) => (gap_s, (1.0 - gap_s / rules.max_gap_s).clamp(0.0, 1.0)),
+            Known::Lost => (0.0, 0.0),
         };
         let tip = tracker.state().map(|(place, _)| SeenTip {
             xyz_mm: camera.inverse_transform_point(&Point3::from(place)).coords,
             score: fade * if smoky { 0.55 } else { 0.9 },
+            age_s: 0.0,
         });
         let demand = controller.step(now_ns, tip, &encoders, Some(&set_point), &eyes, goals);
         lock.advance(now_ns, &mut |point| arm.step(point));
         if let Some(tip) = tip {
-            lock.tip(now_ns, Evidence { score: tip.score, in_space: true });
-        }
-        if let Some(step) = demand {
-            lock.demand(now_ns, step.velocity.as_slice());
+            // A predicted tip is as old as the picture in which it was last seen.
+            let light_ns = now_ns.saturating_sub((gap_s * 1e9) as i64);
+            lock.tip(light_ns, Evidence { score: tip.score, in_space: true });
+            if let Some(step) = demand {
+                lock.demand_of_light(now_ns, light_ns, step.velocity.as_slice());
+            }
         }
         let stance = chain.stance(arm.links());
         let velocity = (camera.translation.vector - last.0) * rate_hz;

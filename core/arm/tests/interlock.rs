@@ -61,8 +61,17 @@ fn narrow_joints_hold_too() {
 
 #[test]
 fn every_stop_has_its_cause_and_ends_at_rest() {
-    let cases: [(Cause, Tick); 6] = [
+    let cases: [(Cause, Tick); 8] = [
         (Cause::OldTip, |lock, ms| lock.demand(ms * MS, &roll())),
+        // Tip and demand come in time, but from light of 200 ms ago: ticks that were held back.
+        (Cause::OldTip, |lock, ms| {
+            lock.tip((ms - 200) * MS, SEEN);
+            lock.demand(ms * MS, &roll());
+        }),
+        (Cause::OldTip, |lock, ms| {
+            lock.tip(ms * MS, SEEN);
+            lock.demand_of_light(ms * MS, (ms - 200) * MS, &roll());
+        }),
         (Cause::DoubtfulTip, |lock, ms| {
             lock.tip(ms * MS, Evidence { score: 0.1, in_space: true });
             lock.demand(ms * MS, &roll());

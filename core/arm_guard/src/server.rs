@@ -267,14 +267,12 @@ impl Server {
         if is_reset && !request.emergency_stop {
             self.release();
         }
-        // A demand is as old as the light behind it: the interlock judges the older of both.
-        let demand_light_ns = request.demand.map_or(i64::MAX, |(light_ns, ..)| light_ns);
         if let Some((light_ns, evidence)) = request.tip {
-            self.lock.tip(light_ns.min(demand_light_ns), evidence);
+            self.lock.tip(light_ns, evidence);
         }
-        if let Some((_, values, count)) = request.demand {
+        if let Some((light_ns, values, count)) = request.demand {
             // Another number of values than the arm has joints is an invalid demand.
-            self.lock.demand(request.sent_ns, values.get(..count as usize).unwrap_or(&[]));
+            self.lock.demand_of_light(request.sent_ns, light_ns, values.get(..count as usize).unwrap_or(&[]));
         }
     }
 

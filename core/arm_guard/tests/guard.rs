@@ -185,7 +185,8 @@ fn stale_future_and_disordered_requests_move_nothing() {
 
 #[test]
 fn every_fault_of_arm_and_line_stops_the_arm() {
-    let faults: [(&str, fn(&mut Behaviour), Cause); 9] = [
+    type Fault = fn(&mut Behaviour);
+    let faults: [(&str, Fault, Cause); 9] = [
         ("silent", |b| b.is_silent = true, Cause::Stalled),
         ("garbage", |b| b.is_garbage = true, Cause::Garbage),
         ("numbers", |b| b.has_wrong_numbers = true, Cause::Garbage),
@@ -223,7 +224,8 @@ fn a_stop_survives_restart_crash_and_another_path() {
     let mut guard = start(&firmware, &folder).expect("started");
     let mut reset = 0;
     moving(&mut guard, &firmware, &mut reset);
-    let stopped = || Request { emergency_stop: true, ..request(reset) };
+    let at = reset;
+    let stopped = || Request { emergency_stop: true, ..request(at) };
     let status = drive(&mut guard, &mut Vec::new(), stopped, |s| s.latched && s.set_point.1.amax() == 0.0);
     assert_eq!(status.expect("it stops").stop, Some(Cause::EmergencyStop));
     drop(guard);
@@ -234,7 +236,6 @@ fn a_stop_survives_restart_crash_and_another_path() {
     let mut guard = Guard::start(&other, Path::new(""), Some(&folder.0)).expect("started");
     let status = drive(&mut guard, &mut Vec::new(), || request(reset), |_| true);
     assert_eq!(status.expect("it runs").stop, Some(Cause::EmergencyStop));
-    let mut reset = reset;
     moving(&mut guard, &firmware, &mut reset);
     // The guard is killed while the arm moves: the arm's own watchdog holds it, and the next start is stopped.
     let process = rustix_kill(&guard);

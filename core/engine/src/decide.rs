@@ -30,6 +30,15 @@ pub struct Wanted {
     pub inputs: Vec<Option<(u32, u64)>>,
 }
 
+/// What a node was answered in one call about the time of its inputs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Ages {
+    /// The moment for which ages were given, ns.
+    pub now_ns: i64,
+    /// Per connection that it asked for: its index, and the arrival of its light, ns; `None` where it is unknown.
+    pub arrived: Vec<(u32, Option<i64>)>,
+}
+
 /// An event of a node before a tick.
 #[derive(Clone, Debug)]
 pub enum Turn {
@@ -74,6 +83,9 @@ pub trait Decider: Send + Sync {
 
     /// The next event of a node before `tick`; `None` when there is none left.
     fn next_turn(&self, node: &str, tick: &Tick) -> Option<Turn>;
+
+    /// What a node was answered about the time of its inputs at `tick`; `None` where that is unknown.
+    fn ages(&self, node: &str, tick: &Tick) -> Option<Ages>;
 
     /// Whether the head of a region may admit another tick before the next edit.
     fn may_enter(&self, head: &str) -> bool;

@@ -10,6 +10,7 @@ use crate::instance::Instance;
 use crate::outputs::OutputRule;
 use crate::params::Snapshot;
 use crate::stats::Histogram;
+use crate::times::CallTimes;
 
 /// An output, for the checks after a call.
 #[derive(Clone, Copy)]
@@ -66,6 +67,7 @@ pub(crate) struct Exec {
     pub failures_in_a_row: u32,
     pub silent_calls: u32,
     pub bad_in_a_row: u32,
+    pub times: CallTimes,
     /// Time of the last failure, until a call succeeds; 0 for none.
     pub failed_at_ns: u64,
 }
@@ -113,6 +115,7 @@ impl Exec {
             failures_in_a_row: 0,
             silent_calls: 0,
             bad_in_a_row: 0,
+            times: CallTimes::default(),
             failed_at_ns: 0,
         })
     }

@@ -9,14 +9,15 @@ use panoscope_base::random::SplitMix64;
 use crate::claims::{Claimed, Holds};
 use crate::clock;
 use crate::fault::Cause;
-use crate::log::{Level, Log};
+use crate::log::Level;
 use crate::memory::{FrameRef, MemoryError, memory};
-use crate::node::{NodeRuntime, Refused, RunContext};
+use crate::node::{NodeRuntime, Refused, RunContext, Sources};
 use crate::outputs;
 use crate::pool;
 use crate::retained;
 use crate::stats::bump;
 use crate::sync::lock;
+use crate::times::{self, CallTimes};
 
 /// The target of a `call` handle.
 pub(crate) struct CallContext<'a> {
@@ -34,7 +35,6 @@ pub(crate) struct CallContext<'a> {
     pub runtime: &'a NodeRuntime,
     /// Files that the instance claims.
     pub holds: &'a Holds,
-    pub log: &'a Log,
     /// The node's error message; the buffer is reused.
     pub failure: &'a mut String,
     /// Whether the node reported a fault during this call.
@@ -44,8 +44,13 @@ pub(crate) struct CallContext<'a> {
     /// State of the generator; `None` until the node asks for a number.
     pub random: Option<SplitMix64>,
     pub tick: abi::Tick,
-    /// Whether to wait for frame memory (batch) instead of dropping the tick (live).
-    pub wait_for_memory: bool,
+    pub context: &'a RunContext,
+    /// The sources of the graph; none in calls that have no tick.
+    pub sources: Option<&'a dyn Sources>,
+    /// What the node asks and declares about times; none in calls that have no tick.
+    pub times: Option<&'a mut CallTimes>,
+    /// Whether `times` was used in this call.
+    pub has_times: bool,
 }
 
 /// See [`CallContext::lent`].
@@ -78,13 +83,15 @@ impl<'a> CallContext<'a> {
             first_formats: 0,
             runtime,
             holds,
-            log: &context.log,
             failure,
             has_failure: false,
             refused: None,
             random: None,
             tick: abi::Tick::default(),
-            wait_for_memory: context.ignores_wall_clock(),
+            context,
+            sources: None,
+            times: None,
+            has_times: false,
         }
     }
 }
@@ -115,15 +122,22 @@ impl CallContext<'_> {
         }
     }
 
-    /// Writes the description of an output that exists.
+    /// Writes the description of an output that exists. `frame.tick.flags` is its own lag behind the tick.
     #[inline]
     fn write(&mut self, index: u32, frame: &Frame) {
         // SAFETY: `shown` and `outputs` hold `outputs_len` frames each, more than `index` (the callers' promise).
         let (slot, shown) = unsafe { (&mut *self.outputs.add(index as usize), &mut *self.shown.add(index as usize)) };
+        let tick = abi::Tick { flags: self.tick.flags.max(frame.tick.flags), ..self.tick };
         *slot = *frame;
-        slot.tick = self.tick;
+        slot.tick = tick;
         *shown = *frame;
-        shown.tick = self.tick;
+        shown.tick = tick;
+    }
+
+    /// Lag of a forwarded frame: one that was made at another tick, such as a retained one, keeps the age of its light.
+    #[inline]
+    fn lag_of(&self, tick: &abi::Tick) -> u32 {
+        if (tick.seq, tick.source) == (self.tick.seq, self.tick.source) { 0 } else { self.lag_behind(tick) }
     }
 
     /// Whether output `index` may be a frame of this description.
@@ -157,7 +171,8 @@ impl CallContext<'_> {
     }
 
     fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), Status> {
-        let mut patience_ms = if self.wait_for_memory { 5_000 } else { 0 };
+        // In batch a tick waits for frame memory, in live it is dropped.
+        let mut patience_ms = if self.context.ignores_wall_clock() { 5_000 } else { 0 };
         loop {
             match memory().allocate(len) {
                 Ok(buffer) => return Ok(buffer),
@@ -201,7 +216,8 @@ unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame
     let (Some(call_context), Some(frame)) = (unsafe { (call_context(call), frame.as_ref()) }) else {
         return abi::STATUS_INVALID;
     };
-    let frame = *frame;
+    let mut frame = *frame;
+    frame.tick.flags = call_context.lag_of(&frame.tick);
     if output as usize >= call_context.outputs_len {
         return abi::STATUS_INVALID;
     }
@@ -282,7 +298,7 @@ unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
             _ => Level::Debug,
         };
         // SAFETY: the plugin lends the text for the length of this call (the contract).
-        call_context.log.write(level, &call_context.runtime.id, &unsafe { words(message) });
+        call_context.context.log.write(level, &call_context.runtime.id, &unsafe { words(message) });
     }
 }
 
@@ -377,6 +393,10 @@ pub(crate) fn table(threads: usize) -> Host {
         save: Some(save),
         claim_file: Some(claim_file),
         clock_ns: Some(clock_ns),
+        set_arrived_ns: Some(times::set_arrived_ns),
+        arrived_ns: Some(times::arrived_ns),
+        age_ns: Some(times::age_ns),
+        set_lag_ns: Some(times::set_lag_ns),
     }
 }
 

@@ -41,6 +41,7 @@ pub mod stats;
 pub mod sync;
 mod thread_id;
 mod threads;
+mod times;
 mod watch;
 
 pub use apply::{Applied, ApplyError};

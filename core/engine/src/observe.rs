@@ -8,6 +8,7 @@ use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{Graph, ParamValue};
 
 use crate::apply::Applied;
+use crate::decide::Ages;
 use crate::fault::Fault;
 
 /// An event of a run, in the order in which it happened to its node.
@@ -28,6 +29,15 @@ pub enum Event {
         tick: Tick,
         /// Source slot and number of each connection's packet, `None` where there was none.
         inputs: Vec<Option<(u32, u64)>>,
+    },
+    /// A node asked when the light of its inputs arrived.
+    Ages {
+        /// The node.
+        node: String,
+        /// The tick.
+        tick: Tick,
+        /// The answers.
+        ages: Ages,
     },
     /// From this tick on a node had these values: all its parameters in declaration order.
     Values {

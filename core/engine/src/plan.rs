@@ -10,7 +10,7 @@ use panoscope_abi::{self as abi, PortRange};
 use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, NodeKind};
 
 use crate::join::{Join, Rule, Slot};
-use crate::node::{NodeRuntime, NodeSpec};
+use crate::node::{NodeRuntime, NodeSpec, Sources};
 use crate::params::Snapshot;
 use crate::pool::Urgency;
 use crate::region::Region;
@@ -96,6 +96,12 @@ pub(crate) struct Plan {
     pub nearest: bool,
     /// Ticks of a region that may be in flight; see [`crate::Options::ticks_at_once`].
     pub ticks_at_once: Option<u32>,
+}
+
+impl Sources for Plan {
+    fn light_ns(&self, tick: &abi::Tick) -> Option<i64> {
+        self.runtimes.get(tick.source as usize)?.ticks.light_ns(tick)
+    }
 }
 
 impl Plan {

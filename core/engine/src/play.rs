@@ -57,12 +57,13 @@ impl Shared {
             };
             let raw: Vec<Frame> = outputs.iter().map(|f| *f.frame()).collect();
             runtime.progress.record_ports(&raw);
+            runtime.ticks.arrive(seq, clock::now_ns() as i64);
             runtime.subscribers.show(&raw);
             if let Some(observer) = &self.context.observer {
                 observer.source_tick(&runtime.id, &runtime.output_names, &tick, &raw);
             }
             runtime.ticks.set_last_capture_ns(tick.capture_ns);
-            runtime.ticks.enter(seq, clock::now_ns());
+            runtime.ticks.enter(seq);
             decider.source_done(&runtime.id);
             if !known.admitted || known.gap {
                 if enters {

@@ -26,7 +26,7 @@ pub struct Report {
     pub fps: f64,
     /// Per node.
     pub nodes: BTreeMap<String, NodeReport>,
-    /// Per sink: time from ingest to the end of its work.
+    /// Per sink: time from the arrival of the light to the end of its work.
     pub paths: BTreeMap<String, PathReport>,
     /// Nodes that lost data for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
@@ -253,7 +253,7 @@ pub struct NodeWindow {
     pub p50_ms: f64,
     /// 99th percentile of the time of a call.
     pub p99_ms: f64,
-    /// For sinks: median time from ingest to the end of the node's work.
+    /// For sinks: median time from the arrival of the light to the end of the node's work.
     pub age_p50_ms: Option<f64>,
     /// For sinks: 99th percentile of that time.
     pub age_p99_ms: Option<f64>,

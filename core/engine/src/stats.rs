@@ -146,7 +146,7 @@ pub fn quantile_between_ns(before: &[u64], now: &[u64], q: f64) -> u64 {
 pub struct NodeStats {
     /// Time inside the node's `process`.
     pub time: Arc<Histogram>,
-    /// From ingest of a tick to the end of this node's work on it; kept for sinks.
+    /// From the arrival of a tick's light to the end of this node's work on it; kept for sinks.
     pub age: RareHistogram,
     /// From a failure to the end of the next successful call.
     pub recovery: RareHistogram,

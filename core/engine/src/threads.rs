@@ -176,14 +176,15 @@ impl Shared {
         let Some(mut exec) = runtime.exec.take() else { return Step::End };
         scratch.inputs.append(&mut lock(&runtime.join).staged);
         let start_ns = clock::now_ns();
-        let mut ports = Ports { inputs: &mut scratch.inputs, lone: false, made: &mut scratch.made[0] };
+        let (inputs, made) = (&mut scratch.inputs, &mut scratch.made[0]);
+        let mut ports = Ports { inputs, lone: false, made, sources: self };
         let (outcome, mut now_ns) = runtime.run(&mut exec, &self.context, &mut tick, true, start_ns, &mut ports);
         if outcome == CallOutcome::Abandoned {
             Self::discard_abandoned(runtime, exec, scratch);
             return Step::GivenUp;
         }
         scratch.inputs.clear();
-        let bypassed = exec.bypassed;
+        let (bypassed, declared_ns) = (exec.bypassed, exec.times.take_arrived_ns());
         runtime.exec.put(exec);
         let made = &mut scratch.made[0];
         if outcome != CallOutcome::Ok {
@@ -220,6 +221,7 @@ impl Shared {
             }
         }
         runtime.ticks.set_last_capture_ns(tick.capture_ns);
+        runtime.ticks.arrive(seq, declared_ns.unwrap_or(now_ns as i64));
         runtime.subscribers.show(&made.outputs);
         if let Some(observer) = &self.context.observer {
             observer.source_tick(&runtime.id, &runtime.output_names, &tick, &made.outputs);
@@ -234,7 +236,10 @@ impl Shared {
         if self.paced && !self.context.batch {
             now_ns = self.wait_until_due(runtime, tick.capture_ns, now_ns, &mut pace.first);
         }
-        runtime.ticks.enter(seq, now_ns);
+        if declared_ns.is_none() {
+            runtime.ticks.arrive(seq, now_ns as i64);
+        }
+        runtime.ticks.enter(seq);
         self.meter_allocations(seq + 1);
         let (enter, dropped) = region.admit_or_keep(outputs);
         if let Some(old) = dropped {

@@ -44,7 +44,7 @@ fn log(host: &abi::Host, call: *mut std::ffi::c_void, level: u32, message: &str)
 }
 
 /// Whether the host's table has the fields up to the one that ends at `end`.
-fn has(host: &abi::Host, end: usize) -> bool {
+pub(crate) fn has(host: &abi::Host, end: usize) -> bool {
     host.struct_size as usize >= end
 }
 
@@ -73,7 +73,11 @@ impl<'f> Context<'f> {
         Self { raw, pool: Pool { host }, ended: std::cell::Cell::new(false) }
     }
 
-    fn call(&self) -> &abi::Call {
+    pub(crate) fn host(&self) -> &'f abi::Host {
+        self.pool.host
+    }
+
+    pub(crate) fn call(&self) -> &abi::Call {
         // SAFETY: the host's call is valid for `'f`; callers copy fields out, so no reference lives while one of them changes.
         unsafe { &*self.raw.raw() }
     }

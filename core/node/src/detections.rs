@@ -21,7 +21,7 @@ const _: () = assert!(size_of::<Detection>() == 32 && size_of::<DetectionsHeader
 pub struct Detections<'f> {
     list: packet::Detections<'f>,
     items: &'f [Detection],
-    tick: abi::Tick,
+    frame: &'f abi::Frame,
 }
 
 fn typed<'f>(frame: &'f abi::Frame, list: packet::Detections<'f>) -> Result<Detections<'f>> {
@@ -31,7 +31,7 @@ fn typed<'f>(frame: &'f abi::Frame, list: packet::Detections<'f>) -> Result<Dete
     }
     // SAFETY: the entries are inside the frame and, as just checked, aligned; plain data has no invalid bit pattern.
     let items = unsafe { std::slice::from_raw_parts(entries.as_ptr().cast(), list.len()) };
-    Ok(Detections { list, items, tick: frame.tick })
+    Ok(Detections { list, items, frame })
 }
 
 impl<'f> FromFrame<'f> for Detections<'f> {
@@ -50,7 +50,11 @@ impl<'f> Detections<'f> {
 
     /// The tick of the searched image.
     pub fn tick(&self) -> abi::Tick {
-        self.tick
+        self.frame.tick
+    }
+
+    pub(crate) fn raw_frame(&self) -> &abi::Frame {
+        self.frame
     }
 
     /// Name of a class; empty when the table has none.
@@ -85,6 +89,10 @@ impl<'f> FromFrame<'f> for Instances<'f> {
 }
 
 impl<'f> Instances<'f> {
+    pub(crate) fn list(&self) -> &Detections<'f> {
+        &self.detections
+    }
+
     /// The boxes without their masks.
     pub fn detections(&self) -> Detections<'f> {
         self.detections

@@ -126,6 +126,12 @@ impl<P> Clone for Image<'_, P> {
 }
 impl<P> Copy for Image<'_, P> {}
 
+impl<P> Image<'_, P> {
+    pub(crate) fn raw_frame(&self) -> &abi::Frame {
+        self.frame
+    }
+}
+
 /// Bytes from the first pixel of a frame to the end of the last. Checks that they lie inside the buffer and are aligned to
 /// elements of `size` bytes, a power of two.
 #[inline]
@@ -228,6 +234,10 @@ fn no_image(format: u32) -> NodeError {
 }
 
 impl<'f> AnyImage<'f> {
+    pub(crate) fn raw_frame(&self) -> &abi::Frame {
+        self.frame
+    }
+
     /// The image as a plane of format `P`; `None` when it has another format.
     pub fn as_plane<P: crate::PlaneFormat>(&self) -> Option<Image<'f, P>> {
         Image::from_frame(self.frame).ok()
@@ -288,6 +298,10 @@ pub struct Value<'f, T> {
 }
 
 impl<T> Value<'_, T> {
+    pub(crate) fn raw_frame(&self) -> &abi::Frame {
+        self.frame
+    }
+
     /// The tick of the frame that holds this value.
     pub fn tick(&self) -> abi::Tick {
         self.frame.tick
@@ -345,6 +359,10 @@ impl<'f> Cloud<'f> {
     /// Rows.
     pub fn height(&self) -> usize {
         self.frame.height as usize
+    }
+
+    pub(crate) fn raw_frame(&self) -> &abi::Frame {
+        self.frame
     }
 
     /// The tick of the frame that holds this cloud.

@@ -21,6 +21,7 @@ pub mod packet;
 pub mod param;
 pub mod port;
 pub mod table;
+mod time;
 pub mod validation;
 
 pub use context::{Context, Finish, Open, Pool};
@@ -38,6 +39,7 @@ pub use panoscope_node_derive::{Choice, Packet, Params, Ports};
 pub use param::{Choice, ParamField, Params};
 pub use port::{NoPorts, PortField, Ports, RawCall};
 pub use table::Table;
+pub use time::Timed;
 pub use validation::Validation;
 
 /// One processing node.

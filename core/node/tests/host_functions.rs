@@ -309,6 +309,38 @@ fn a_file_is_claimed_and_begun_in_parts() {
 }
 
 #[test]
+fn ages_count_from_arrival() {
+    SCRIPT.set(|call, host| {
+        let (age, arrived) = (host.age_ns.expect("age_ns"), host.arrived_ns.expect("arrived_ns"));
+        // SAFETY: the host functions take the handle of the call being served.
+        unsafe {
+            for input in 0..2 {
+                host.metric.expect("metric")(call.call, Str::new("age"), age(call.call, input) as f64);
+                host.metric.expect("metric")(call.call, Str::new("arrived"), arrived(call.call, input) as f64);
+            }
+            host.set_arrived_ns.expect("set_arrived_ns")(call.call, i64::MAX);
+            host.set_lag_ns.expect("set_lag_ns")(call.call, -5);
+            host.metric.expect("metric")(call.call, Str::new("tick"), age(call.call, abi::INPUT_TICK) as f64);
+        }
+        abi::STATUS_OK
+    });
+    let mut node = node(Setup::default());
+    let image = [0; 3];
+    let out = node.at_tick(0, 1_000).at_clock(9_000).input_image::<Bgr8>("image", 1, 1, &image);
+    let ns = std::time::Duration::from_nanos;
+    let out = out.input_age("image", ns(2_000)).tick_age(ns(500)).process().expect("runs");
+    let seen: Vec<f64> = node.metrics().iter().map(|m| m.value).collect();
+    assert_eq!(seen, [2_000.0, 7_000.0, i64::MAX as f64, i64::MIN as f64, 500.0], "input 1 does not exist");
+    assert!(out.arrived_ns().is_some_and(|ns| ns < 1 << 60), "not in the future: {:?}", out.arrived_ns());
+    assert_eq!(out.lag_ns(), Some(0), "not in the future");
+    // By default the light arrives with its tick.
+    node.at_tick(1, 5_000).input_image::<Bgr8>("image", 1, 1, &image).process().expect("runs");
+    assert_eq!((node.metrics()[5].value, node.metrics()[6].value), (0.0, 5_000.0));
+    let wrong = node.input_age("imaeg", std::time::Duration::ZERO).process().err().map(|e| e.to_string());
+    assert!(wrong.is_some_and(|words| words.contains("no input `imaeg`")));
+}
+
+#[test]
 fn logs_metrics_and_failures_reach_the_host() {
     SCRIPT.set(|call, host| {
         let (log, metric) = (host.log.expect("log"), host.metric.expect("metric"));

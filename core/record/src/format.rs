@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use panoscope_engine::Applied;
 use panoscope_engine::Machine;
+use panoscope_engine::decide::Ages;
 use panoscope_engine::fault::Fault;
 use panoscope_engine::observe;
 
@@ -22,7 +23,7 @@ pub const EVENTS: &str = "panoscope/events";
 /// Message encoding of packets.
 pub(crate) const PACKET_ENCODING: &str = "panoscope.packet";
 /// Version of the format that is written.
-pub const FORMAT: u32 = 2;
+pub const FORMAT: u32 = 3;
 /// The oldest version that is read: its messages have no checksums.
 pub const OLDEST_FORMAT: u32 = 1;
 /// The first version whose messages have checksums.
@@ -95,6 +96,19 @@ pub enum Event {
         /// The tick of each connection's packet, `None` where there was none.
         inputs: Vec<Option<(u32, u64)>>,
     },
+    /// What a node was answered when it asked when the light of its inputs arrived. Since format 3.
+    Ages {
+        /// The node.
+        node: String,
+        /// Slot of the tick's source.
+        source: u32,
+        /// The tick.
+        seq: u64,
+        /// The moment for which ages were given, ns.
+        now_ns: i64,
+        /// Index of the connection and arrival of its light, ns; `None` where it was unknown.
+        arrived: Vec<(u32, Option<i64>)>,
+    },
     /// A node had these values from this tick on.
     Values {
         /// The node.
@@ -163,6 +177,9 @@ impl From<observe::Event> for Event {
             Observed::Dropped { node, seq } => Self::Dropped { node, seq },
             Observed::Took { node, tick: Tick { source, seq, capture_ns, .. }, inputs } => {
                 Self::Took { node, source, seq, capture_ns, inputs }
+            }
+            Observed::Ages { node, tick, ages: Ages { now_ns, arrived } } => {
+                Self::Ages { node, source: tick.source, seq: tick.seq, now_ns, arrived }
             }
             Observed::Values { node, tick, values } => {
                 Self::Values { node, source: tick.source, seq: tick.seq, values }

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use panoscope_abi::Tick;
 use panoscope_engine::Applied;
-use panoscope_engine::decide::{self, Decider, Turn, Wanted};
+use panoscope_engine::decide::{self, Ages, Decider, Turn, Wanted};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::sync::lock;
 use panoscope_graph::{Graph, ParamValue};
@@ -69,6 +69,8 @@ pub struct Script {
     sources: HashMap<String, SourceScript>,
     turns: HashMap<String, Mutex<VecDeque<NodeTurn>>>,
     took: HashMap<String, Mutex<VecDeque<Wanted>>>,
+    /// By node, then by slot of the source and number of the tick.
+    ages: HashMap<String, HashMap<(u32, u64), Ages>>,
     heads: HashMap<String, HeadScript>,
     pub(crate) edits: Vec<ScriptEdit>,
     pub(crate) changes: Vec<RecordedChange>,
@@ -95,6 +97,7 @@ impl Script {
             sources: HashMap::new(),
             turns: HashMap::new(),
             took: HashMap::new(),
+            ages: HashMap::new(),
             heads: HashMap::new(),
             edits: Vec::new(),
             changes: Vec::new(),
@@ -136,6 +139,11 @@ impl Script {
                 let wanted = Wanted { tick, inputs: inputs.clone() };
                 let list = self.took.entry(node.clone()).or_default();
                 list.get_mut().unwrap_or_else(PoisonError::into_inner).push_back(wanted);
+                return;
+            }
+            Event::Ages { node, source, seq, now_ns, arrived } => {
+                let ages = Ages { now_ns: *now_ns, arrived: arrived.clone() };
+                self.ages.entry(node.clone()).or_default().insert((*source, *seq), ages);
                 return;
             }
             Event::Set { node, values } => {
@@ -224,6 +232,10 @@ impl Decider for Script {
             Turn::Skipped { closed, .. } => Turn::Skipped { here: seq == tick.seq, closed },
             other => other,
         })
+    }
+
+    fn ages(&self, node: &str, tick: &Tick) -> Option<Ages> {
+        self.ages.get(node)?.get(&(tick.source, tick.seq)).cloned()
     }
 
     fn may_enter(&self, head: &str) -> bool {

@@ -8,6 +8,7 @@
 
 pub mod kalman;
 pub mod proximity;
+pub mod real_time;
 pub mod skill;
 pub mod tracker;
 mod vector;

@@ -275,8 +275,8 @@ impl Worker {
             }
             let Some(view) = self.outputs.get_mut(&output) else { continue };
             if let Some(render) = view.render(&request) {
-                let ingest_ns = engine.ingest_ns(&render.tick);
-                lock(&self.mailbox).previews.insert(output, RenderedPacket { ingest_ns, ..render });
+                let arrived_ns = engine.arrived_ns(&render.tick);
+                lock(&self.mailbox).previews.insert(output, RenderedPacket { arrived_ns, ..render });
                 changed = true;
             }
         }

@@ -29,8 +29,8 @@ pub struct RenderedPacket {
     pub capture_ms: f64,
     /// The tick.
     pub tick: abi::Tick,
-    /// When the tick entered the graph, in ns of the host's clock.
-    pub ingest_ns: Option<u64>,
+    /// When its light arrived, in ns of the host's clock; negative for light from before the clock began.
+    pub arrived_ns: Option<i64>,
     /// The numbers of a packet without an image.
     pub content: Content,
     /// For a surface: finds the point under a click.

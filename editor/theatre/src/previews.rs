@@ -22,11 +22,11 @@ const MAX_WIDTH: usize = 4096;
 /// Width of the preview of a camera that is only monitored, px.
 const WATCHED_WIDTH: usize = 64;
 
-/// When the last packet of an output was received, and when its tick entered the graph.
+/// When the last packet of an output was received, and when its light arrived.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LastPacket {
     at: Instant,
-    ingest_ns: Option<u64>,
+    arrived_ns: Option<i64>,
 }
 
 impl Theatre {
@@ -35,7 +35,7 @@ impl Theatre {
         let mut previews = self.observer.take();
         let now = Instant::now();
         for (output, packet) in &previews {
-            self.last_packets.insert(output.clone(), LastPacket { at: now, ingest_ns: packet.ingest_ns });
+            self.last_packets.insert(output.clone(), LastPacket { at: now, arrived_ns: packet.arrived_ns });
         }
         if let Some(rig) = &self.plan.rig
             && let Some(Content::Rig(known)) = previews.get(&rig.calibration).map(|packet| &packet.content)
@@ -134,10 +134,10 @@ impl Theatre {
         }
     }
 
-    /// Age of an output's last packet, from the tick's entry into the graph until now.
+    /// Age of an output's last packet: the time since its light arrived.
     pub(super) fn age_ms(&self, output: &Output) -> Option<f64> {
-        let ingest_ns = self.last_packets.get(output)?.ingest_ns?;
-        Some(clock::now_ns().saturating_sub(ingest_ns) as f64 / 1e6)
+        let arrived_ns = self.last_packets.get(output)?.arrived_ns?;
+        Some(clock::now_ns().saturating_add_signed(arrived_ns.saturating_neg()) as f64 / 1e6)
     }
 
     /// Requests previews of the visible outputs from the observer.

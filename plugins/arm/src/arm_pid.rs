@@ -7,6 +7,7 @@ use panoscope_arm_core::control::{Controller, Eyes, Goals, SeenTip};
 use panoscope_arm_core::pid::Gains;
 use panoscope_node::abi::{Calibration, Joints, Tip};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Validation, Value, error};
+use panoscope_tracking::real_time::RealTime;
 
 use crate::joints::{angles, arm_of, check_arm, packet};
 
@@ -145,6 +146,7 @@ impl PidParams {
 /// The controller.
 pub struct ArmPid {
     controller: Controller,
+    time: RealTime,
 }
 
 impl Node for ArmPid {
@@ -162,7 +164,7 @@ impl Node for ArmPid {
     }
 
     fn open(_: &Open<'_>, params: &PidParams) -> Result<Self> {
-        Ok(Self { controller: Controller::new(arm_of(&params.arm)?) })
+        Ok(Self { controller: Controller::new(arm_of(&params.arm)?), time: RealTime::default() })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &PidParams) -> Result<()> {
@@ -182,12 +184,17 @@ impl Node for ArmPid {
         let joints = input.joints.map(|j| angles(&j)).transpose()?;
         let set_point = input.setpoint.map(|j| angles(&j)).transpose()?;
         let tip = input.tip.filter(|tip| tip.xyz_valid == 1);
-        let seen = tip.as_ref().map(|tip| SeenTip { xyz_mm: Vector3::from(tip.xyz_mm), score: tip.score });
+        // A slow detector's tips are older than the tick, and the tick's light is as old as the host says.
+        let now_ns = self.time.step(cx.tick().capture_ns, cx.tick_arrived_ns());
+        let behind = |tip: &Value<'_, Tip>| cx.tick().capture_ns.saturating_sub(tip.tick().capture_ns);
+        let behind_ns = tip.as_ref().map_or(0, |tip| self.time.real(behind(tip)));
+        let age_s = cx.tick_age().as_secs_f64() + behind_ns as f64 * 1e-9;
+        let place = |tip: &Value<'_, Tip>| SeenTip { xyz_mm: Vector3::from(tip.xyz_mm), score: tip.score, age_s };
+        let seen = tip.as_ref().map(place);
         let Some(joints) = joints else { return Ok(()) };
-        // The time of the picture in which the tip was seen: a slow detector's tips are older than the tick.
-        let capture_ns = tip.as_ref().map_or(cx.tick().capture_ns, |tip| tip.tick().capture_ns);
+        let taken_ns = now_ns.saturating_sub(behind_ns);
         let goals = params.goals(eyes.focal_px.0);
-        let Some(step) = self.controller.step(capture_ns, seen, &joints, set_point.as_ref(), &eyes, &goals) else {
+        let Some(step) = self.controller.step(taken_ns, seen, &joints, set_point.as_ref(), &eyes, &goals) else {
             return Ok(());
         };
         out.joints.set(packet(&joints, &step.velocity))?;

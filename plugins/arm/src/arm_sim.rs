@@ -1,4 +1,5 @@
-//! `arm_sim`: a simulated six-axis arm in virtual time (the media time of its ticks), behind the interlock.
+//! `arm_sim`: a simulated six-axis arm in virtual time (the media time of its ticks), behind the interlock. Ages are those of the host: in a live
+//! run a tip is as old as its light.
 
 use std::path::PathBuf;
 
@@ -11,7 +12,7 @@ use panoscope_node::{
 };
 
 use crate::declared::{In, MotionOut, StopParams};
-use crate::guard::{self, Switches};
+use crate::guard::{self, Switches, age_ns, duration_ns};
 use crate::joints::{arm_of, check_arm, requested};
 
 /// Outputs.
@@ -61,6 +62,8 @@ pub struct ArmSim {
     down: Vector3<f64>,
     switches: Switches,
     started: bool,
+    /// When the light of the newest tip arrived, ns of the host's clock.
+    tip_light_ns: Option<i64>,
     /// The camera at the previous tick: position (mm), velocity (mm/s), time (ns).
     last: Option<(Vector3<f64>, Vector3<f64>, i64)>,
     words: String,
@@ -79,6 +82,7 @@ impl ArmSim {
             down: home.base_from_tip * Vector3::z(),
             switches: Switches::default(),
             started: false,
+            tip_light_ns: None,
             last: None,
             words: String::new(),
         }
@@ -121,12 +125,18 @@ impl Node for ArmSim {
         self.lock.set(params.stop.settings());
         self.switches.obey(&mut self.lock, params.stop.emergency_stop, params.stop.reset);
         let (lock, arm) = (&mut self.lock, &mut self.arm);
+        // The arm moves in media time, the light of the newest tip ages by the clock of the host.
+        let host_ns = cx.tick_arrived_ns().map(|ns| ns.saturating_add(duration_ns(cx.tick_age())));
+        if let (Some(host_ns), Some(light_ns)) = (host_ns, self.tip_light_ns) {
+            lock.correct_tip(now_ns.saturating_sub(host_ns.saturating_sub(light_ns).max(0)));
+        }
         lock.advance(now_ns, &mut |point| arm.step(point));
         if let Some(tip) = &input.tip {
-            lock.tip(tip.tick().capture_ns, guard::evidence(tip));
+            self.tip_light_ns = cx.arrived_ns(tip);
+            lock.tip(now_ns.saturating_sub(age_ns(cx, tip)), guard::evidence(tip));
         }
         if let Some(joints) = &input.joints {
-            lock.demand(now_ns, requested(joints));
+            lock.demand_of_light(now_ns, now_ns.saturating_sub(age_ns(cx, joints)), requested(joints));
         }
         guard::log_events(cx, lock);
 

@@ -65,7 +65,8 @@ pub struct StopParams {
     /// A change of this number releases a latched stop. `arm_serial` then also opens a lost serial line again.
     #[param(default = 0, range = 0..=1_000_000_000)]
     pub reset: u64,
-    /// Age up to which a tip is followed. The arm stops when no younger one has arrived.
+    /// Age of its light up to which a tip is followed, by the host's clock. The arm stops when no younger one has arrived. A predicted tip is as old as
+    /// the picture in which it was last seen.
     #[param(default = 150.0, range = 10.0..=300.0, step = 10.0, unit = "ms")]
     max_age_ms: f64,
     /// Lowest score of a tip that is followed. The score of a predicted tip falls with time.

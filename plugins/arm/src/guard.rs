@@ -1,9 +1,11 @@
 //! What both drivers do with the interlock: hand it tips, latch and release stops, report why it stopped.
 
+use std::time::Duration;
+
 use panoscope_arm_core::Interlock;
 use panoscope_arm_core::interlock::{Cause, Evidence};
-use panoscope_node::Context;
 use panoscope_node::abi::Tip;
+use panoscope_node::{Context, Timed};
 
 /// Latches and releases stops as a driver's parameters ask.
 #[derive(Clone, Copy, Debug, Default)]
@@ -26,6 +28,16 @@ impl Switches {
 /// What the interlock needs to know of a tip.
 pub fn evidence(tip: &Tip) -> Evidence {
     Evidence { score: tip.score, in_space: tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()) }
+}
+
+/// Age of a packet's light, ns; as old as can be where it is unknown.
+pub fn age_ns(cx: &Context<'_>, packet: &impl Timed) -> i64 {
+    duration_ns(cx.age(packet))
+}
+
+/// A time in ns; the longest that fits for one that does not.
+pub fn duration_ns(time: Duration) -> i64 {
+    i64::try_from(time.as_nanos()).unwrap_or(i64::MAX)
 }
 
 /// Writes the state in words to `text`, in place of its contents.

@@ -191,3 +191,81 @@ fn hostile_packets_are_survived() -> Result<(), HarnessError> {
     assert!(refused.is_some_and(|words| words.contains("no.urdf")));
     Ok(())
 }
+
+/// A camera that says 30 pictures a second and gives 10.
+const CLAIMED_NS: i64 = 33_333_333;
+const TRUE_NS: i64 = 100_000_000;
+
+#[test]
+fn the_largest_age_is_real_time_whatever_the_camera_says() -> Result<(), HarnessError> {
+    let mut arm = Harness::<ArmSim>::from_toml("params = { max_age_ms = 150.0 }")?;
+    let cause = |arm: &mut Harness<ArmSim>, n: i64, tip: Option<Tip>| {
+        arm.at_tick(n as u64, n * CLAIMED_NS).at_clock(n * TRUE_NS);
+        if let Some(tip) = tip {
+            arm.input_value("tip", tip);
+        }
+        let mut asked = still();
+        asked.velocity_rad_s[5] = 0.1;
+        let out = arm.input_value("joints", asked).process()?;
+        let cause = out.table("table")?.rows().next().map_or(f64::NAN, |row| row[1]);
+        Ok::<f64, HarnessError>(cause)
+    };
+    for n in 0..30 {
+        cause(&mut arm, n, Some(tip(7.5, 1.0)))?;
+    }
+    assert_eq!(cause(&mut arm, 30, Some(tip(7.5, 1.0)))?, 0.0, "it follows");
+    // 200 ms after the last tip, which are 67 ms of the camera's.
+    cause(&mut arm, 31, None)?;
+    assert_eq!(cause(&mut arm, 32, None)?, 9.0, "the tip is too old");
+    // Fresh by the camera's time, old by the clock: pictures that were held back.
+    cause(&mut arm, 33, Some(tip(7.5, 1.0)))?;
+    cause(&mut arm, 34, Some(tip(7.5, 1.0)))?;
+    assert_eq!(cause(&mut arm, 35, Some(tip(7.5, 1.0)))?, 0.0, "it follows again");
+    arm.input_age("tip", std::time::Duration::from_millis(200));
+    cause(&mut arm, 36, Some(tip(7.5, 1.0)))?;
+    arm.input_age("tip", std::time::Duration::from_millis(200));
+    assert_eq!(cause(&mut arm, 37, Some(tip(7.5, 1.0)))?, 9.0, "a tip of 200 ms ago");
+    arm.input_age("joints", std::time::Duration::from_millis(200));
+    cause(&mut arm, 38, Some(tip(7.5, 1.0)))?;
+    arm.input_age("joints", std::time::Duration::from_millis(200));
+    assert_eq!(cause(&mut arm, 39, Some(tip(7.5, 1.0)))?, 9.0, "a demand from light of 200 ms ago");
+    Ok(())
+}
+
+/// Speed of a tip, mm/s, and the requested speed, rad/s, after some ticks of a camera whose ticks are `claimed_ns` apart by its word and `true_ns` by the
+/// clock. The tip moves at 10 mm/s.
+fn measured(claimed_ns: i64, true_ns: i64, age_ms: u64) -> Result<(f64, f64), HarnessError> {
+    let mut control =
+        Harness::<ArmPid>::from_toml("params = { picture_d = 0.0, picture_i = 0.0, dead_zone_px = 0.0 }")?;
+    let mut last = (f64::NAN, f64::NAN);
+    for n in 0..60 {
+        let at_mm = 7.5 + 10.0 * (n - 60) as f64 * true_ns as f64 * 1e-9;
+        control.at_tick(n as u64, n * claimed_ns).at_clock(n * true_ns);
+        control.input_value("tip", tip(at_mm, 1.0)).input_value("joints", still());
+        let out = control.tick_age(std::time::Duration::from_millis(age_ms)).process()?;
+        if !out.is_empty("table")? {
+            last = out.table("table")?.rows().next().map_or(last, |row| (row[5], row[6]));
+        }
+    }
+    Ok(last)
+}
+
+#[test]
+fn speeds_are_those_of_the_clock_whatever_the_camera_says() -> Result<(), HarnessError> {
+    for (claimed_ns, true_ns) in [(CLAIMED_NS, CLAIMED_NS), (TRUE_NS, TRUE_NS), (CLAIMED_NS, TRUE_NS)] {
+        let (mm_s, _) = measured(claimed_ns, true_ns, 0)?;
+        assert!((mm_s - 10.0).abs() < 1.0, "{claimed_ns} {true_ns}: {mm_s} mm/s");
+    }
+    Ok(())
+}
+
+#[test]
+fn a_late_tip_is_predicted_by_its_age() -> Result<(), HarnessError> {
+    // The tip arrives at the middle from the left at 10 mm/s: 100 ms later it is 1 mm to the right.
+    let (fresh, late) = (measured(CLAIMED_NS, CLAIMED_NS, 0)?.1, measured(CLAIMED_NS, CLAIMED_NS, 100)?.1);
+    assert!(late > 1.2 * fresh, "{late} rad/s for a late tip, {fresh} for a fresh one");
+    // No further than the oldest tip that the interlock follows.
+    let (oldest, beyond) = (measured(CLAIMED_NS, CLAIMED_NS, 300)?.1, measured(CLAIMED_NS, CLAIMED_NS, 5000)?.1);
+    assert!((oldest - beyond).abs() < 1e-9, "{oldest} {beyond}");
+    Ok(())
+}

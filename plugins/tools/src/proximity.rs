@@ -1,6 +1,7 @@
 //! `proximity`: distances of tips to tissue and to each other, and warnings of both (thesis, section 1.2.3).
 
 use std::fmt::Write;
+use std::time::Duration;
 
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
@@ -8,6 +9,7 @@ use panoscope_node::{
     Ports, Result, Slot, TableData, TextPacket, Value, error,
 };
 use panoscope_tracking::proximity::{Hysteresis, Lens, Rule, Surface};
+use panoscope_tracking::real_time::RealTime;
 
 use crate::silhouette::{Cues, Silhouette};
 
@@ -111,6 +113,7 @@ pub struct Proximity {
     surface: Surface,
     /// Capture time of the depth from which the surface was built, ns.
     surface_ns: Option<i64>,
+    time: RealTime,
     silhouette: Silhouette,
     tool: Vec<bool>,
     watches: Vec<Watch>,
@@ -241,6 +244,11 @@ fn call(words: &mut String, names: &str, tip: &Tip) {
     }
 }
 
+/// A time in ns; the longest that fits for one that does not.
+fn nanoseconds(time: Duration) -> i64 {
+    i64::try_from(time.as_nanos()).unwrap_or(i64::MAX)
+}
+
 impl Node for Proximity {
     const INFO: NodeInfo =
         NodeInfo::compute("proximity", "tools", "Measures how near tips are to tissue and to each other, and warns.");
@@ -275,13 +283,16 @@ impl Node for Proximity {
                 self.names.push('\n');
             }
         }
-        let age_ns = self.surface_ns.map_or(i64::MAX, |made| now_ns.saturating_sub(made));
+        let real_ns = self.time.step(now_ns, cx.tick_arrived_ns());
+        let tick_age_ns = nanoseconds(cx.tick_age());
+        let age_of = |made_ns: i64| self.time.real(now_ns.saturating_sub(made_ns)).saturating_add(tick_age_ns);
+        let age_ns = self.surface_ns.map_or(i64::MAX, age_of);
         let is_surface_known = age_ns <= max_age_ns;
         let age_ms = if self.surface_ns.is_some() { age_ns as f64 * 1e-6 } else { f64::NAN };
         let mut known: [Option<Known>; MOST_TIPS] = [None; MOST_TIPS];
         let mut count = 0;
         for (index, tip) in input.tip.iter().enumerate().filter_map(|(index, tip)| Some((index, tip?))) {
-            let age_ns = now_ns.saturating_sub(tip.tick().capture_ns);
+            let age_ns = nanoseconds(cx.age(&tip));
             let is_place = tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()) && tip.xyz_mm[2] > 0.0;
             let key = if tip.track_id >= 0 { tip.track_id } else { -2 - index as i64 };
             let is_known = known[..count].iter().flatten().any(|other| other.key == key);
@@ -291,7 +302,7 @@ impl Node for Proximity {
             }
         }
         let rule = |on_mm: f64| Rule { on_mm, off_mm: on_mm + params.release_mm, least_s: params.min_ms * 1e-3 };
-        let now_s = now_ns as f64 * 1e-9;
+        let now_s = real_ns as f64 * 1e-9;
         self.watches.retain(|watch| now_ns - watch.seen_ns <= MEMORY_NS);
         self.rows.clear();
         self.words.clear();

@@ -1,11 +1,13 @@
 //! `tip_track`: the leading tip over time, in space: filtered, gated, predicted over short gaps (thesis, fig. 6.5: the tip's trajectory).
 
 use std::collections::VecDeque;
+use std::time::Duration;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use panoscope_node::abi::{Calibration, Pose, Tip};
 use panoscope_node::{Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error};
 use panoscope_tracking::kalman::Model;
+use panoscope_tracking::real_time::RealTime;
 use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
 
 /// Inputs.
@@ -81,12 +83,14 @@ const MOST_POSES: usize = 64;
 /// Tracks the leading tip.
 pub struct TipTrack {
     tracker: Tracker,
+    /// The last tip that was seen, and when, ns of real time.
     last: Option<(Tip, i64)>,
     had_pose: bool,
     /// Poses of the camera in the last ticks, with their capture times, ns.
     poses: VecDeque<(i64, Isometry3<f64>)>,
     /// Capture time of the newest tip used of each detector, ns.
     used_ns: Vec<i64>,
+    time: RealTime,
 }
 
 fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
@@ -109,7 +113,14 @@ impl Node for TipTrack {
 
     fn open(_: &Open<'_>, _: &TrackParams) -> Result<Self> {
         let poses = VecDeque::with_capacity(MOST_POSES);
-        Ok(Self { tracker: Tracker::default(), last: None, had_pose: false, poses, used_ns: Vec::new() })
+        Ok(Self {
+            tracker: Tracker::default(),
+            last: None,
+            had_pose: false,
+            poses,
+            used_ns: Vec::new(),
+            time: RealTime::default(),
+        })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &TrackParams) -> Result<()> {
@@ -145,6 +156,9 @@ impl Node for TipTrack {
             self.tracker = Tracker::default();
         }
         let now_ns = cx.tick().capture_ns;
+        let real_ns = self.time.step(now_ns, cx.tick_arrived_ns());
+        let time = &self.time;
+        let age_ns = |tip: &Value<'_, Tip>| time.real(now_ns.saturating_sub(tip.tick().capture_ns));
         if self.poses.back().is_some_and(|(newest, _)| *newest >= now_ns) {
             // Time went backwards.
             self.poses.clear();
@@ -170,7 +184,7 @@ impl Node for TipTrack {
                 let moved = then.filter(|_| seen_ns < now_ns).map_or(at, |(_, room_from_then)| {
                     room_from_camera.inverse_transform_point(&(room_from_then * Point3::from(at))).coords
                 });
-                let age_s = now_ns.saturating_sub(seen_ns) as f64 * 1e-9;
+                let age_s = age_ns(&tip) as f64 * 1e-9;
                 let seen = Report {
                     xyz_mm: moved,
                     score: tip.score,
@@ -187,7 +201,7 @@ impl Node for TipTrack {
             count += 1;
             report
         });
-        let known = self.tracker.step(now_ns, reports, &room_from_camera, &rules);
+        let known = self.tracker.step(real_ns, reports, &room_from_camera, &rules);
         if known == Known::Lost {
             self.last = None;
             cx.metric("gap_ms", f64::NAN);
@@ -195,10 +209,11 @@ impl Node for TipTrack {
         }
         if let Known::Seen(report) = known {
             let index = from.get(report).copied();
-            self.last = index.and_then(|index| input.tip.get(index)).map(|tip| (*tip, tip.tick().capture_ns));
+            self.last =
+                index.and_then(|index| input.tip.get(index)).map(|tip| (*tip, real_ns.saturating_sub(age_ns(&tip))));
         }
         // Counts from the picture in which it was last seen: tips of a slow detector are old when they arrive.
-        let gap_s = self.last.map_or(0.0, |(_, seen_ns)| now_ns.saturating_sub(seen_ns) as f64 * 1e-9);
+        let gap_s = self.last.map_or(0.0, |(_, seen_ns)| real_ns.saturating_sub(seen_ns) as f64 * 1e-9);
         let fade = if gap_s > 0.0 { (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0) } else { 1.0 };
         let (Some((room, speed)), Some((mut tip, _))) = (self.tracker.state(), self.last) else { return Ok(()) };
         let at = room_from_camera.inverse_transform_point(&Point3::from(room)).coords;
@@ -208,6 +223,10 @@ impl Node for TipTrack {
             (tip.u_px, tip.v_px) = (p[0] * at.x / at.z + p[2], p[5] * at.y / at.z + p[6]);
         }
         cx.metric("gap_ms", gap_s * 1e3);
+        if gap_s > 0.0 {
+            // What is predicted is as old as the picture in which the tip was last seen.
+            cx.set_lag(Duration::from_secs_f64(gap_s));
+        }
         out.tip.set(tip)?;
         let row: [f64; COLUMNS.len()] = [
             at.x,

@@ -8,6 +8,8 @@ use panoscope_node::{
     Result, Slot, Validation, Value, View, error,
 };
 
+use panoscope_tracking::real_time::RealTime;
+
 use crate::candidates::iou;
 use crate::second_view::SecondView;
 use crate::shaft::{End, Mask, TipFinder, TipPixel, tip_of_box};
@@ -78,6 +80,7 @@ pub struct ToolTip {
     last: Option<([f64; 3], i64)>,
     /// Capture times, ns, and positions, px, of the last tips.
     observations: VecDeque<(i64, [f64; 2])>,
+    time: RealTime,
 }
 
 /// The last leading tool.
@@ -327,6 +330,7 @@ impl Node for ToolTip {
             half: None,
             last: None,
             observations: VecDeque::with_capacity(MOST_OBSERVATIONS),
+            time: RealTime::default(),
         })
     }
 
@@ -337,7 +341,9 @@ impl Node for ToolTip {
         let now_ns = cx.tick().capture_ns;
         let age_ns = now_ns.saturating_sub(found.tick().capture_ns).max(0);
         // Masks cannot be moved to another picture, and boxes only by a limited distance.
-        if age_ns > 0 && (masks.is_some() || age_ns as f64 > params.max_age_ms * 1e6) {
+        self.time.step(now_ns, cx.tick_arrived_ns());
+        let longest_ns = params.max_age_ms * 1e6;
+        if age_ns > 0 && (masks.is_some() || self.time.real(age_ns) as f64 > longest_ns) {
             return Ok(());
         }
         let shift = self.shift(now_ns, age_ns);
@@ -388,7 +394,7 @@ impl Node for ToolTip {
         let kept = self
             .kept
             .take()
-            .filter(|kept| (0.0..=params.max_age_ms * 1e6).contains(&((now_ns - kept.found_ns) as f64)));
+            .filter(|kept| (0.0..=longest_ns).contains(&(self.time.real(now_ns - kept.found_ns) as f64)));
         // A tool that ends at the picture's border has its tip outside, as boxes of shafts at the border do.
         let mut tried = [usize::MAX; MOST_TRIES];
         let (mut is_cut, mut best) = (false, None);

@@ -304,6 +304,42 @@ fn a_tip_counts_once_and_loses_score_with_its_age() -> Result<(), HarnessError> 
     Ok(())
 }
 
+#[test]
+fn a_camera_slower_than_it_says_neither_stretches_predictions_nor_speeds() -> Result<(), HarnessError> {
+    // It says 30 pictures a second and gives 10; the tip moves at 15 mm/s.
+    let mut node = Harness::<TipTrack>::from_toml("params = { max_gap_ms = 300.0 }")?;
+    let (mut speed_mm_s, mut predicted) = (0.0, Vec::new());
+    for tick in 0..48_u64 {
+        node.at_tick(tick, tick as i64 * 33_333_333).at_clock(tick as i64 * 100_000_000);
+        let x_mm = 1.5 * tick as f64 - 40.0;
+        let tip = Tip {
+            u_px: 80.0,
+            v_px: 60.0,
+            xyz_mm: [x_mm, 0.0, 65.0],
+            score: 0.9,
+            class_index: 0,
+            xyz_valid: 1,
+            track_id: -1,
+        };
+        if tick < 40 {
+            node.input_value("tip", tip)
+        } else {
+            node.input_empty("tip")
+        };
+        let out = node.input_value("calibration", calibration()).process()?;
+        if tick == 39 {
+            speed_mm_s = out.table("table")?.rows().next().map_or(0.0, |row| row[6]);
+            assert_eq!(out.lag_ns(), None, "a seen tip is as old as its tick");
+        } else if tick >= 40 && !out.is_empty("tip")? {
+            predicted.push(out.lag_ns().unwrap_or(0) / 1_000_000);
+        }
+    }
+    assert!((speed_mm_s - 15.0).abs() < 1.0, "{speed_mm_s} mm/s");
+    assert!(predicted.len() == 3 || predicted.len() == 2, "300 ms are three ticks: {predicted:?}");
+    assert!(predicted.iter().enumerate().all(|(n, ms)| (ms - 100 * (n as i64 + 1)).abs() <= 2), "{predicted:?}");
+    Ok(())
+}
+
 /// The right view of [`instrument`]: each pixel shows what the left one shows farther right by its disparity.
 fn right_of(tip: [f64; 2], left: &[u8], depth: &[f32]) -> Vec<u8> {
     let mut picture = vec![0; left.len()];

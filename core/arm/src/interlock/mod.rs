@@ -63,6 +63,17 @@ pub struct Evidence {
     pub in_space: bool,
 }
 
+/// Requested joint velocities.
+#[derive(Clone, Copy, Debug)]
+struct Demand {
+    /// When they were requested, ns.
+    made_ns: i64,
+    /// When the light that they were computed from arrived, ns.
+    light_ns: i64,
+    /// None where they are invalid.
+    velocity: Option<JointVector>,
+}
+
 /// See the module.
 pub struct Interlock {
     chain: Chain,
@@ -76,7 +87,7 @@ pub struct Interlock {
     /// The planned stop from `state`.
     escape: Brake,
     tip: Option<(i64, Evidence)>,
-    demand: Option<(i64, Option<JointVector>)>,
+    demand: Option<Demand>,
     latched: Option<Cause>,
     clock_jumped: bool,
     at_limit: bool,
@@ -148,15 +159,29 @@ impl Interlock {
         };
     }
 
-    /// Takes the newest tip that the arm follows.
-    pub fn tip(&mut self, now_ns: i64, evidence: Evidence) {
-        self.tip = Some((now_ns, evidence));
+    /// Takes the newest tip that the arm follows. Its light arrived at `light_ns`.
+    pub fn tip(&mut self, light_ns: i64, evidence: Evidence) {
+        self.tip = Some((light_ns, evidence));
     }
 
-    /// Requests joint velocities, rad/s. Anything but six finite numbers is an invalid demand, which stops the arm.
+    /// Corrects the time at which the light of the newest tip arrived, for a caller whose clock is not that of the tips.
+    pub fn correct_tip(&mut self, light_ns: i64) {
+        if let Some((at_ns, _)) = &mut self.tip {
+            *at_ns = light_ns;
+        }
+    }
+
+    /// Requests joint velocities, rad/s, computed from light that arrives now. See [`Interlock::demand_of_light`].
     pub fn demand(&mut self, now_ns: i64, velocity_rad_s: &[f64]) {
+        self.demand_of_light(now_ns, now_ns, velocity_rad_s);
+    }
+
+    /// Requests joint velocities, rad/s, at `made_ns`, computed from light that arrived at `light_ns`. The demand expires 30 ms after it was made,
+    /// and is not followed when its light is older than a tip may be. Anything but six finite numbers is an invalid demand, which stops the arm.
+    pub fn demand_of_light(&mut self, made_ns: i64, light_ns: i64, velocity_rad_s: &[f64]) {
         let sound = velocity_rad_s.len() == JOINTS && velocity_rad_s.iter().all(|v| v.is_finite());
-        self.demand = Some((now_ns, sound.then(|| JointVector::from_column_slice(velocity_rad_s))));
+        let velocity = sound.then(|| JointVector::from_column_slice(velocity_rad_s));
+        self.demand = Some(Demand { made_ns, light_ns, velocity });
     }
 
     /// Stops the arm and latches the cause.
@@ -274,10 +299,11 @@ impl Interlock {
         }
         // A tip from the future is as invalid as an old one.
         let age = |at_ns: i64| self.now_ns.saturating_sub(at_ns).saturating_abs();
+        let is_old = |light_ns: i64| age(light_ns) as f64 > self.settings.max_age_ms * 1e6;
         match self.tip {
             None if self.clock_jumped => return Some(Cause::Clock),
             None => return Some(Cause::NoTip),
-            Some((at, _)) if age(at) as f64 > self.settings.max_age_ms * 1e6 => return Some(Cause::OldTip),
+            Some((light_ns, _)) if is_old(light_ns) => return Some(Cause::OldTip),
             // Written so that a NaN score stops the arm.
             Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0 && tip.score <= 1.0) => {
                 return Some(Cause::DoubtfulTip);
@@ -287,9 +313,10 @@ impl Interlock {
         }
         match self.demand {
             None => Some(Cause::NoDemand),
-            Some((at, _)) if age(at) >= caps::DEMAND_AGE.as_nanos() as i64 => Some(Cause::LoopStalled),
-            Some((_, None)) => Some(Cause::BadDemand),
-            Some((_, Some(_))) => None,
+            Some(demand) if age(demand.made_ns) >= caps::DEMAND_AGE.as_nanos() as i64 => Some(Cause::LoopStalled),
+            Some(Demand { velocity: None, .. }) => Some(Cause::BadDemand),
+            Some(demand) if is_old(demand.light_ns) => Some(Cause::OldTip),
+            Some(_) => None,
         }
     }
 
@@ -298,10 +325,10 @@ impl Interlock {
         let mut reason = self.reason();
         let mut steps = most;
         if reason.is_none()
-            && let Some((told_ns, Some(wanted))) = self.demand
+            && let Some(Demand { made_ns, velocity: Some(wanted), .. }) = self.demand
         {
             // Not beyond the time at which the demand expires.
-            let left_ns = caps::DEMAND_AGE.as_nanos() as i64 - self.now_ns.saturating_sub(told_ns);
+            let left_ns = caps::DEMAND_AGE.as_nanos() as i64 - self.now_ns.saturating_sub(made_ns);
             steps = steps.min((left_ns / STEP_NS).clamp(1, i64::from(CHUNK_STEPS)) as u32);
             let wanted = self.tamed(&wanted);
             let followed = SHARES.iter().any(|part| self.try_follow(&(wanted * *part), steps, each));

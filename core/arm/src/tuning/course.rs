@@ -137,7 +137,7 @@ impl Course {
     pub fn play(&self, goals: &Goals, channel: Channel, motion: Motion) -> Result<Vec<Sample>, TuneError> {
         let mut controller = Controller::new(self.chain.clone());
         let mut control = |tick: &Tick<'_>| {
-            let tip = SeenTip { xyz_mm: tick.tip_mm, score: 1.0 };
+            let tip = SeenTip { xyz_mm: tick.tip_mm, score: 1.0, age_s: 0.0 };
             let step = controller.step(tick.now_ns, Some(tip), tick.joints, Some(tick.set_point), &self.eyes, goals);
             step.map(|step| step.velocity)
         };

@@ -232,7 +232,7 @@ impl Switch<'_> {
             *lock(&runtime.join) = new_join;
             old_join.finish();
             drop(old_join);
-            runtime.ticks.set_made(before.ticks.made());
+            runtime.ticks.continue_from(&before.ticks);
             if type_name(before.node_type) == type_name(runtime.node_type) {
                 runtime.subscribers.adopt(&before.subscribers);
             }

@@ -23,7 +23,7 @@ use crate::fault::{Fault, FaultLog};
 use crate::guard::Limit;
 use crate::host;
 use crate::log::{Level, Log};
-use crate::node::{LONGEST_BUDGET_NS, NodeRuntime, RunContext};
+use crate::node::{LONGEST_BUDGET_NS, NodeRuntime, RunContext, Sources};
 use crate::plan;
 use crate::plugins::Plugins;
 use crate::pool::{self, Pool, Task};
@@ -318,9 +318,10 @@ impl Engine {
         }
     }
 
-    /// When a tick entered the graph, in ns of [`clock::now_ns`]. Valid for the newest few thousand ticks only.
-    pub fn ingest_ns(&self, tick: &abi::Tick) -> Option<u64> {
-        self.shared.ingest(&self.shared.plan.load(), tick)
+    /// When the light of a packet arrived, in ns of [`clock::now_ns`]; negative for light from before the clock began. Of a tick older than the
+    /// newest few thousand a later time. `None` where it is unknown.
+    pub fn arrived_ns(&self, tick: &abi::Tick) -> Option<i64> {
+        self.shared.light_ns(tick)
     }
 
     /// Newest log lines: level, node, text.

@@ -273,13 +273,15 @@ impl NodeRuntime {
             first_formats: exec.first_formats(),
             runtime: self,
             holds: &exec.instance.holds,
-            log: &context.log,
             failure: &mut exec.failure,
             has_failure: false,
             refused: None,
             random: None,
             tick: *tick,
-            wait_for_memory: context.ignores_wall_clock(),
+            context,
+            sources: Some(ports.sources),
+            times: Some(&mut exec.times),
+            has_times: false,
         };
         let mut call = abi::Call {
             struct_size: size_of::<abi::Call>() as u32,
@@ -305,6 +307,9 @@ impl NodeRuntime {
         current_node::end_call();
         let refused = call_context.refused.take();
         let reports = call_context.has_failure && status >= abi::STATUS_OK;
+        if call_context.has_times {
+            self.take_times(tick, &mut call_context, &mut made.outputs);
+        }
         if let Some(lent) = call_context.lent {
             // From here on the output holds the input's reference.
             ports.inputs[lent.input as usize].forget();
@@ -319,6 +324,18 @@ impl NodeRuntime {
             self.reported(exec, context, tick, status);
         }
         (status, refused)
+    }
+
+    /// Passes to the observer what the node was answered about the time of its inputs, and to its readers the age that it declared.
+    #[cold]
+    fn take_times(&self, tick: &mut Tick, call: &mut CallContext<'_>, outputs: &mut [abi::Frame]) {
+        let run = call.context;
+        if let Some(ages) = run.observer.as_ref().and_then(|_| call.answered()) {
+            self.record_event(run, |node| Event::Ages { node, tick: *tick, ages });
+        }
+        let lag = call.end_times();
+        tick.flags = tick.flags.max(lag);
+        outputs.iter_mut().for_each(|frame| frame.tick.flags = frame.tick.flags.max(lag));
     }
 
     /// Checks the outputs of a call that reported success.

@@ -26,6 +26,7 @@ pub(crate) use self::progress::SizeChange;
 use self::recovery::Recovery;
 use self::runner::Runner;
 use self::ticks::SourceTicks;
+pub(crate) use self::ticks::{Sources, lag_flags, lag_ns};
 use crate::busy::Busy;
 use crate::claims::Claims;
 use crate::clock;
@@ -181,6 +182,8 @@ pub(crate) struct Ports<'w> {
     /// Whether the node has one input port with one connection.
     pub lone: bool,
     pub made: &'w mut CallOutputs,
+    /// The sources of the graph.
+    pub sources: &'w dyn Sources,
 }
 
 /// The fixed settings of a node.

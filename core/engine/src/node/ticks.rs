@@ -1,25 +1,47 @@
-//! The ticks of a source: how many it made, and when the newest entered the graph.
+//! The ticks of a source: how many it made, and when the light of the newest arrived.
 
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 
-/// Ingest times that are kept per source: as many ticks may be in the graph at once.
-const INGEST_RING: usize = 4096;
+use panoscope_abi::Tick;
+
+/// Arrival times that are kept per source: as many ticks may be in the graph at once.
+const ARRIVALS: usize = 4096;
+/// Times that are not read, because the source may overwrite them meanwhile.
+const MARGIN: u64 = 64;
+/// Unit of [`Tick::flags`], ns.
+const LAG_NS: i64 = 10_000;
+
+/// The sources of a running graph.
+pub(crate) trait Sources {
+    /// When the light of a packet arrived, in ns of the host's clock; negative for light from before its start. `None` where it is unknown.
+    fn light_ns(&self, tick: &Tick) -> Option<i64>;
+}
+
+/// How much older a packet's light is than that of its tick, ns.
+pub(crate) fn lag_ns(tick: &Tick) -> i64 {
+    i64::from(tick.flags) * LAG_NS
+}
+
+/// [`Tick::flags`] for a lag in ns: rounded up, so that nothing looks younger than it is.
+pub(crate) fn lag_flags(lag_ns: i64) -> u32 {
+    u32::try_from(lag_ns.max(0).unsigned_abs().div_ceil(LAG_NS.unsigned_abs())).unwrap_or(u32::MAX)
+}
 
 /// Counters of a source. The source's thread writes them; the watchdog does when it abandons a call of that thread.
 pub(crate) struct SourceTicks {
     /// Newest capture time, `i64::MIN` before the first tick.
     last_capture_ns: AtomicI64,
     made: AtomicU64,
-    /// Ingest times of the newest ticks; empty for a node that is no source.
-    ingest_ns: Box<[AtomicU64]>,
+    /// Arrival times of the newest ticks, `i64::MIN` for none; empty for a node that is no source.
+    arrived_ns: Box<[AtomicI64]>,
 }
 
 impl SourceTicks {
     /// No tick yet.
     pub fn new(is_source: bool) -> Self {
-        let len = if is_source { INGEST_RING } else { 0 };
-        let ingest_ns = (0..len).map(|_| AtomicU64::new(0)).collect();
-        Self { last_capture_ns: AtomicI64::new(i64::MIN), made: AtomicU64::new(0), ingest_ns }
+        let len = if is_source { ARRIVALS } else { 0 };
+        let arrived_ns = (0..len).map(|_| AtomicI64::new(i64::MIN)).collect();
+        Self { last_capture_ns: AtomicI64::new(i64::MIN), made: AtomicU64::new(0), arrived_ns }
     }
 
     /// Ticks made so far: the number of the next one.
@@ -42,16 +64,71 @@ impl SourceTicks {
         self.last_capture_ns.store(capture_ns, Ordering::Relaxed);
     }
 
-    /// Records when tick `seq` entered the graph, in ns of the host's clock, and counts it as made.
-    pub fn enter(&self, seq: u64, now_ns: u64) {
-        self.ingest_ns[seq as usize % INGEST_RING].store(now_ns.max(1), Ordering::Relaxed);
+    /// Continues to count where the source's predecessor ended; packets of its ticks keep their age.
+    pub fn continue_from(&self, old: &Self) {
+        for (to, from) in self.arrived_ns.iter().zip(&old.arrived_ns) {
+            to.store(from.load(Ordering::Relaxed), Ordering::Relaxed);
+        }
+        self.set_made(old.made());
+    }
+
+    /// Records when the light of tick `seq`, which is being made, arrived, in ns of the host's clock.
+    pub fn arrive(&self, seq: u64, arrived_ns: i64) {
+        self.arrived_ns[seq as usize % ARRIVALS].store(arrived_ns.max(i64::MIN + 1), Ordering::Relaxed);
+    }
+
+    /// Counts tick `seq`, whose arrival is recorded, as made.
+    pub fn enter(&self, seq: u64) {
         self.set_made(seq + 1);
     }
 
-    /// When tick `seq` entered the graph, in ns of the host's clock; `None` for a node that is no source.
+    /// See [`Sources::light_ns`]; the packet belongs to this source.
     #[inline]
-    pub fn ingest_ns(&self, seq: u64) -> Option<u64> {
-        let slot = self.ingest_ns.get(seq as usize % self.ingest_ns.len().max(1))?;
-        Some(slot.load(Ordering::Relaxed)).filter(|&ns| ns > 0)
+    pub fn light_ns(&self, tick: &Tick) -> Option<i64> {
+        Some(self.arrived_ns(tick.seq)?.saturating_sub(lag_ns(tick)))
+    }
+
+    /// When the light of tick `seq` arrived, in ns of the host's clock. Of a tick that is older than all that are kept, the oldest time that
+    /// is kept: its age counts as less than it is, but never as that of a new tick. `None` for a node that is no source and for a tick
+    /// that was not made.
+    pub fn arrived_ns(&self, seq: u64) -> Option<i64> {
+        let made = self.made();
+        if self.arrived_ns.is_empty() || seq > made {
+            return None;
+        }
+        let kept = seq.max((made + MARGIN).saturating_sub(ARRIVALS as u64));
+        Some(self.arrived_ns[kept as usize % ARRIVALS].load(Ordering::Relaxed)).filter(|&ns| ns != i64::MIN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrivals_of_old_ticks_never_look_new() {
+        let ticks = SourceTicks::new(true);
+        assert_eq!(ticks.arrived_ns(0), None, "no tick was made");
+        for seq in 0..3 * ARRIVALS as u64 {
+            ticks.arrive(seq, seq as i64 - 100);
+            assert_eq!(ticks.arrived_ns(seq), Some(seq as i64 - 100), "known while it is made");
+            ticks.enter(seq);
+        }
+        let made = ticks.made();
+        assert_eq!(ticks.arrived_ns(made - 1), Some(made as i64 - 101));
+        assert_eq!(ticks.arrived_ns(made + 1), None, "not made yet");
+        let oldest = made as i64 - 100 - (ARRIVALS as i64 - MARGIN as i64);
+        assert_eq!(ticks.arrived_ns(0), Some(oldest), "overwritten: as old as the oldest that is kept");
+        let next = SourceTicks::new(true);
+        next.continue_from(&ticks);
+        assert_eq!((next.made(), next.arrived_ns(made - 7)), (made, ticks.arrived_ns(made - 7)));
+        assert_eq!(SourceTicks::new(false).arrived_ns(0), None);
+    }
+
+    #[test]
+    fn a_lag_is_rounded_up() {
+        let lag = |ns| lag_ns(&Tick { flags: lag_flags(ns), ..Tick::default() });
+        assert_eq!((lag(0), lag(-5), lag(1), lag(10_000), lag(10_001)), (0, 0, 10_000, 10_000, 20_000));
+        assert_eq!(lag(i64::MAX), i64::from(u32::MAX) * LAG_NS);
     }
 }

@@ -19,7 +19,7 @@ use crate::exec::{Exec, prefetch};
 use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::memory::FrameRef;
-use crate::node::{CallOutcome, NodeRuntime, Ports, RunContext, SizeChange};
+use crate::node::{CallOutcome, NodeRuntime, Ports, RunContext, SizeChange, Sources};
 use crate::own_thread::OwnThread;
 use crate::plan::{Link, Plan, Reader};
 use crate::pool::{self, Pool, Urgency};
@@ -117,6 +117,12 @@ enum Next {
     Finish,
 }
 
+impl Sources for Shared {
+    fn light_ns(&self, tick: &Tick) -> Option<i64> {
+        self.plan.load().light_ns(tick)
+    }
+}
+
 impl Shared {
     /// Sends a node that took its tick to its own thread or to the pool.
     pub fn dispatch(&self, plan: &Plan, node: usize) {
@@ -172,7 +178,12 @@ impl Shared {
         if let Some((mut tick, complete)) = staged {
             prefetch_next(plan.following(node), 0);
             let start_ns = clock::now_ns();
-            let mut ports = Ports { inputs: &mut scratch.inputs, lone: false, made: &mut scratch.made[0] };
+            // Outputs are at least as old as the oldest input of the same tick.
+            let is_own = |input: &&FrameRef| (input.tick().seq, input.tick().source) == (tick.seq, tick.source);
+            let lag = scratch.inputs.iter().filter(is_own).map(|input| input.tick().flags).max();
+            tick.flags = lag.unwrap_or(0);
+            let (inputs, made) = (&mut scratch.inputs, &mut scratch.made[0]);
+            let mut ports = Ports { inputs, lone: false, made, sources: plan };
             let (outcome, now_ns) = runtime.run(&mut exec, &self.context, &mut tick, complete, start_ns, &mut ports);
             if outcome == CallOutcome::Abandoned {
                 Self::discard_abandoned(runtime, exec, scratch);
@@ -209,8 +220,8 @@ impl Shared {
     #[inline]
     pub fn after(&self, plan: &Plan, node: usize, sink: bool, outcome: CallOutcome, tick: &Tick, now_ns: u64) {
         if outcome == CallOutcome::Ok {
-            if sink && let Some(ingest) = self.ingest(plan, tick) {
-                plan.runtimes[node].stats.age.record(now_ns.saturating_sub(ingest));
+            if sink && let Some(light_ns) = plan.light_ns(tick) {
+                plan.runtimes[node].stats.age.record(now_ns.saturating_add_signed(light_ns.saturating_neg()));
             }
         } else if outcome != CallOutcome::Skipped {
             self.after_failure(plan, node, outcome, tick);
@@ -244,11 +255,6 @@ impl Shared {
             self.context.log.write(Level::Error, &producer.id, &words);
             producer.report_fault(&self.context, Cause::Size, Action::Note, Some(tick.seq), None, words);
         }
-    }
-
-    /// When a tick entered the graph, in ns of the host's clock.
-    pub fn ingest(&self, plan: &Plan, tick: &Tick) -> Option<u64> {
-        plan.runtimes.get(tick.source as usize)?.ticks.ingest_ns(tick.seq)
     }
 
     /// Runs the inline readers of the outputs in `scratch.made[0]`, delivers the outputs of the last one and notifies the region. Returns when
@@ -285,12 +291,13 @@ impl Shared {
             };
             let complete = link.optional || !frame.is_empty();
             // Outputs of a call carry the tick already; writing it again would delay the next reader.
-            if frame.tick != tick {
+            if frame.is_empty() {
                 frame.tick = tick;
             }
+            tick.flags = frame.tick.flags;
             // SAFETY: an output of a call that has ended is empty or holds its reference, and `made` keeps holding it.
             let inputs = std::slice::from_mut(unsafe { FrameRef::adopt_in_place(frame) });
-            let mut ports = Ports { inputs, lone: link.lone, made: next };
+            let mut ports = Ports { inputs, lone: link.lone, made: next, sources: plan };
             let (outcome, end_ns) = runtime.run(&mut exec, &self.context, &mut tick, complete, now_ns, &mut ports);
             if outcome == CallOutcome::Abandoned {
                 Self::discard_abandoned(runtime, exec, scratch);
@@ -308,6 +315,7 @@ impl Shared {
         self.show(last_cell, &made.outputs);
         for (port, output) in made.outputs.iter_mut().enumerate() {
             let raw = std::mem::replace(output, Frame::EMPTY);
+            let tick = if raw.is_empty() { tick } else { raw.tick };
             // SAFETY: an output of a call that has ended is empty or holds its reference, which `made` no longer has after the `replace`.
             let frame = unsafe { FrameRef::adopt(Frame { tick, ..raw }) };
             self.deliver_port(plan, last, port, frame, ready);

@@ -5,7 +5,7 @@ use std::ffi::c_void;
 use crate::abi::{self, Frame, PortRange, Str, Tick};
 
 use super::error::HarnessError;
-use super::host::{CallState, Reported, bare_call};
+use super::host::{CallState, Reported, Times, bare_call};
 use super::inputs::Pending;
 use super::outputs::Outputs;
 use super::{Harness, memory};
@@ -112,6 +112,8 @@ impl<N> Harness<N> {
     pub fn process(&mut self) -> Result<Outputs, HarnessError> {
         let result = self.process_given();
         self.drop_inputs();
+        (self.now_ns, self.ages_ns) = (None, Vec::new());
+        self.tick_age_ns = 0;
         let tick = self.next_tick;
         self.next_tick = Tick { seq: tick.seq + 1, capture_ns: tick.capture_ns + TICK_NS, ..tick };
         result
@@ -134,7 +136,9 @@ impl<N> Harness<N> {
         }
         let tick = self.next_tick;
         let (mut frames, mut ranges, mut skipped) = (Vec::new(), Vec::new(), false);
-        for (port, waiting) in self.node_type.inputs.iter().zip(&self.pending) {
+        let now_ns = self.now_ns.unwrap_or(tick.capture_ns);
+        let mut times = Times { now_ns, tick_ns: now_ns.saturating_sub(self.tick_age_ns), ..Times::default() };
+        for (index, (port, waiting)) in self.node_type.inputs.iter().zip(&self.pending).enumerate() {
             let given: &[Frame] = match waiting {
                 Pending::Unconnected if port.optional => &[],
                 Pending::Unconnected => {
@@ -145,6 +149,14 @@ impl<N> Harness<N> {
             };
             skipped |= !port.optional && !port.list && given.iter().any(Frame::is_empty);
             ranges.push(PortRange { first: frames.len() as u32, count: given.len() as u32 });
+            let age_ns = self
+                .ages_ns
+                .iter()
+                .rev()
+                .find(|(port, _)| *port == index)
+                .map_or(self.tick_age_ns, |(_, age_ns)| *age_ns);
+            let arrived_ns = times.now_ns.saturating_sub(age_ns);
+            times.arrived_ns.extend(given.iter().map(|f| if f.is_empty() { i64::MIN } else { arrived_ns }));
             frames.extend(given.iter().map(|frame| Frame { tick, ..*frame }));
         }
         let mut outputs = vec![Frame::EMPTY; self.node_type.outputs.len()];
@@ -155,6 +167,7 @@ impl<N> Harness<N> {
         let instance = self.instance.ok_or_else(|| HarnessError::port("the node is not open"))?;
         let formats = self.output_formats();
         let mut state = CallState::new(self.pool, &mut outputs, formats, self.seed()).in_run(&self.setup);
+        state.times = times;
         let mut call = abi::Call {
             flags: self.flags(),
             inputs: frames.as_ptr(),
@@ -169,13 +182,14 @@ impl<N> Harness<N> {
         };
         // SAFETY: the instance is open and used by this thread only; all that the call points to are locals that outlive it.
         let status = unsafe { process(instance, &mut call) };
-        let tick = call.tick;
+        let (tick, set_times) = (call.tick, state.set_times());
         let (failure, problem) = self.take_reported(state.into_reported());
         let mut result =
             self.collect(tick, if status == abi::STATUS_OK { &outputs } else { &[] }, false, status == abi::STATUS_END);
         outputs.iter().filter(|f| !f.is_empty()).for_each(|f| memory::release(f.buffer));
         if status == abi::STATUS_OK {
             result.set_fault(failure.clone());
+            result.set_times(set_times);
         }
         // An end with a message means that the source ended before its data was complete.
         let status = if status == abi::STATUS_END && failure.is_none() { abi::STATUS_OK } else { status };

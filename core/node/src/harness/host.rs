@@ -27,6 +27,33 @@ pub(super) struct CallState {
     pub(super) files: Option<(Files, String)>,
     /// The last text that `claim_file` returned; lent to the node until the next call of it.
     pub(super) claimed: Mutex<String>,
+    pub(super) times: Times,
+}
+
+/// Times of a call, in ns of the harness's clock.
+#[derive(Default)]
+pub(super) struct Times {
+    /// The call.
+    pub(super) now_ns: i64,
+    /// Arrival of the tick.
+    pub(super) tick_ns: i64,
+    /// Arrival of each input frame; `i64::MIN` for an empty one.
+    pub(super) arrived_ns: Vec<i64>,
+    pub(super) set: Mutex<SetTimes>,
+}
+
+impl Times {
+    fn of(&self, input: u32) -> Option<i64> {
+        let known = if input == abi::INPUT_TICK { Some(&self.tick_ns) } else { self.arrived_ns.get(input as usize) };
+        known.copied().filter(|&ns| ns != i64::MIN)
+    }
+}
+
+/// Times that the node set during a call.
+#[derive(Clone, Copy, Default)]
+pub(super) struct SetTimes {
+    pub(super) arrived_ns: Option<i64>,
+    pub(super) lag_ns: Option<i64>,
 }
 
 /// What a node reported to the host.
@@ -52,12 +79,17 @@ impl CallState {
             reported: Mutex::default(),
             files: None,
             claimed: Mutex::default(),
+            times: Times::default(),
         }
     }
 
     pub(super) fn in_run(mut self, setup: &Setup) -> Self {
         self.files = Some((setup.files.clone(), setup.node_id.clone()));
         self
+    }
+
+    pub(super) fn set_times(&self) -> SetTimes {
+        *self.times.set.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
     pub(super) fn into_reported(self) -> Reported {
@@ -140,6 +172,10 @@ pub(super) fn table(threads: usize) -> Box<abi::Host> {
         save: Some(save),
         claim_file: Some(claim_file),
         clock_ns: Some(clock_ns),
+        set_arrived_ns: Some(set_arrived_ns),
+        arrived_ns: Some(arrived_ns),
+        age_ns: Some(age_ns),
+        set_lag_ns: Some(set_lag_ns),
     })
 }
 
@@ -354,8 +390,38 @@ unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file:
     }
 }
 
-unsafe extern "C" fn clock_ns(_: *mut c_void) -> i64 {
+fn clock_now_ns() -> i64 {
     static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
     let start = START.get_or_init(std::time::Instant::now);
     i64::try_from(start.elapsed().as_nanos()).unwrap_or(i64::MAX)
+}
+
+unsafe extern "C" fn clock_ns(_: *mut c_void) -> i64 {
+    clock_now_ns()
+}
+
+unsafe extern "C" fn set_arrived_ns(call: *mut c_void, arrived_ns: i64) {
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
+    let Some(state) = (unsafe { CallState::of(call) }) else { return };
+    let mut set = state.times.set.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    set.arrived_ns = Some(arrived_ns.min(clock_now_ns()));
+}
+
+unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
+    let Some(state) = (unsafe { CallState::of(call) }) else { return };
+    state.times.set.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).lag_ns = Some(lag_ns.max(0));
+}
+
+unsafe extern "C" fn arrived_ns(call: *mut c_void, input: u32) -> i64 {
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
+    let Some(state) = (unsafe { CallState::of(call) }) else { return i64::MIN };
+    state.times.of(input).unwrap_or(i64::MIN)
+}
+
+unsafe extern "C" fn age_ns(call: *mut c_void, input: u32) -> i64 {
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
+    let Some(state) = (unsafe { CallState::of(call) }) else { return i64::MAX };
+    let arrived_ns = state.times.of(input);
+    arrived_ns.map_or(i64::MAX, |arrived_ns| state.times.now_ns.saturating_sub(arrived_ns).max(0))
 }

@@ -151,6 +151,10 @@ pub struct Harness<N = Foreign> {
     outputs_read: u64,
     next_tick: abi::Tick,
     pending: Vec<inputs::Pending>,
+    /// Age of the light of input ports in the next call, ns, and the host's clock.
+    ages_ns: Vec<(usize, i64)>,
+    now_ns: Option<i64>,
+    tick_age_ns: i64,
     problem: Option<HarnessError>,
     reported: host::Reported,
     node: PhantomData<fn() -> N>,
@@ -269,6 +273,9 @@ impl<N> Harness<N> {
             outputs_read,
             next_tick: abi::Tick::default(),
             pending: (0..node_type.inputs.len()).map(|_| inputs::Pending::Unconnected).collect(),
+            ages_ns: Vec::new(),
+            now_ns: None,
+            tick_age_ns: 0,
             problem: None,
             reported: host::Reported::default(),
             node_type,
@@ -302,6 +309,30 @@ impl<N> Harness<N> {
     /// Sets the tick of the next call; later calls count on from it. By default ticks begin at 0, with 30 per second of media time.
     pub fn at_tick(&mut self, seq: u64, capture_ns: i64) -> &mut Self {
         self.next_tick = abi::Tick { seq, capture_ns, ..self.next_tick };
+        self
+    }
+
+    /// Sets the host's clock for the ages of the next call, ns. By default it shows the tick's capture time.
+    pub fn at_clock(&mut self, now_ns: i64) -> &mut Self {
+        self.now_ns = Some(now_ns);
+        self
+    }
+
+    /// Sets the age of the light of the tick for the next call. By default it is 0.
+    pub fn tick_age(&mut self, age: std::time::Duration) -> &mut Self {
+        self.tick_age_ns = i64::try_from(age.as_nanos()).unwrap_or(i64::MAX);
+        self
+    }
+
+    /// Sets the age of the light of an input for the next call. By default it is that of the tick.
+    pub fn input_age(&mut self, name: &str, age: std::time::Duration) -> &mut Self {
+        let Some(index) = self.node_type.input(name) else {
+            let names = self.node_type.inputs.iter().map(|p| p.name.as_str());
+            let problem = format!("there is no input `{name}`{}", available(name, names));
+            self.problem.get_or_insert_with(|| HarnessError::port(problem));
+            return self;
+        };
+        self.ages_ns.push((index, i64::try_from(age.as_nanos()).unwrap_or(i64::MAX)));
         self
     }
 

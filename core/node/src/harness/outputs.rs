@@ -9,6 +9,7 @@ use crate::{View, ViewMut};
 
 use super::available;
 use super::error::HarnessError;
+use super::host::SetTimes;
 
 /// One output, copied out of the host's memory.
 struct Output {
@@ -28,15 +29,30 @@ pub struct Outputs {
     skipped: bool,
     ended: bool,
     fault: Option<String>,
+    times: SetTimes,
 }
 
 impl Outputs {
     pub(super) fn new(tick: Tick, skipped: bool, ended: bool) -> Self {
-        Self { list: Vec::new(), tick, skipped, ended, fault: None }
+        Self { list: Vec::new(), tick, skipped, ended, fault: None, times: SetTimes::default() }
     }
 
     pub(super) fn set_fault(&mut self, fault: Option<String>) {
         self.fault = fault;
+    }
+
+    pub(super) fn set_times(&mut self, times: SetTimes) {
+        self.times = times;
+    }
+
+    /// Arrival time that a source set for this tick, ns of the host's clock and not after the call.
+    pub fn arrived_ns(&self) -> Option<i64> {
+        self.times.arrived_ns
+    }
+
+    /// Lag behind the tick that the node declared for its outputs, ns.
+    pub fn lag_ns(&self) -> Option<i64> {
+        self.times.lag_ns
     }
 
     /// The fault that the node reported although it goes on.

@@ -217,7 +217,7 @@ fn time(chain: &Chain, figures: &mut Vec<Figure>) {
         let now_ns = tick * 33_333_333;
         let angle = tick as f64 * 0.04;
         let off = nalgebra::Vector3::new(4.0 * angle.sin(), 3.0 * angle.cos(), 2.0 * (0.7 * angle).sin());
-        let tip = SeenTip { xyz_mm: goal_mm(66.0, 15.0) + off, score: 0.9 };
+        let tip = SeenTip { xyz_mm: goal_mm(66.0, 15.0) + off, score: 0.9, age_s: 0.0 };
         let start = Instant::now();
         let at = lock.set_point().position;
         let step = controller.step(now_ns, Some(tip), &at, Some(&at), &eyes, &goals);
