@@ -1,123 +1,29 @@
-//! The serial driver against a simulated arm on a pseudo-terminal: it moves, and every way in which the line can fail stops it and is said.
+//! The serial driver with its guard against a simulated arm on a pseudo-terminal: it moves after a reset, reports every stop, and outlives its guard.
 
-use std::fs::File;
-use std::io::{Read, Write};
-use std::sync::atomic::{AtomicU8, Ordering};
-use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_arm::serial::ArmSerial;
-use panoscope_arm_core::line::{Line, Reader};
 use panoscope_arm_core::{Cause, JointVector};
+use panoscope_firmware::{Behaviour, Firmware};
 use panoscope_node::abi::{Joints, MAX_JOINTS, Tip};
 use panoscope_node::harness::{Harness, HarnessError, Level};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-const WELL: u8 = 0;
-const SILENT: u8 = 1;
-const GARBAGE: u8 = 2;
-const UNPLUGGED: u8 = 3;
-const STUCK: u8 = 4;
-
-/// What the arm saw.
-#[derive(Default)]
-struct Seen {
-    set_points: Vec<(Instant, JointVector)>,
-    watchdog: u32,
+/// A folder of latches for all tests here: each has an arm with a serial number of its own.
+fn with_latches() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| {
+        let folder = std::env::temp_dir().join(format!("panoscope-arm-serial-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&folder);
+        // SAFETY: `Once` runs this before any test of this process reads the environment or starts a guard.
+        unsafe { std::env::set_var(panoscope_arm_guard::latch::FOLDER_VARIABLE, &folder) };
+    });
 }
 
-/// An arm that goes at once where it is sent, with the watchdog that the protocol asks for.
-struct Device {
-    path: String,
-    mode: Arc<AtomicU8>,
-    seen: Arc<Mutex<Seen>>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Device {
-    fn plug_in() -> Self {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pseudo-terminal");
-        grantpt(&master).expect("granted");
-        unlockpt(&master).expect("unlocked");
-        let path = ptsname(&master, Vec::new()).expect("named").into_string().expect("text");
-        rustix::fs::fcntl_setfl(&master, rustix::fs::OFlags::NONBLOCK).expect("no waiting");
-        let (mode, seen) = (Arc::new(AtomicU8::new(WELL)), Arc::new(Mutex::new(Seen::default())));
-        let (its_mode, its_seen) = (Arc::clone(&mode), Arc::clone(&seen));
-        let thread = std::thread::spawn(move || serve(File::from(master), &its_mode, &its_seen));
-        Self { path, mode, seen, thread: Some(thread) }
-    }
-
-    fn turn(&self, mode: u8) {
-        self.mode.store(mode, Ordering::SeqCst);
-    }
-
-    fn last(&self) -> JointVector {
-        let seen = self.seen.lock().expect("whole");
-        seen.set_points.last().map_or(JointVector::zeros(), |(_, position)| *position)
-    }
-}
-
-impl Drop for Device {
-    fn drop(&mut self) {
-        self.turn(UNPLUGGED);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
-}
-
-fn serve(mut line: File, mode: &AtomicU8, seen: &Mutex<Seen>) {
-    let mut reader = Reader::default();
-    let (mut position, mut ready, mut moving) = (JointVector::zeros(), true, false);
-    let mut heard = Instant::now();
-    loop {
-        let now_mode = mode.load(Ordering::SeqCst);
-        if now_mode == UNPLUGGED {
-            return;
-        }
-        let mut buffer = [0; 1024];
-        // Nobody has opened the other end yet, or nothing was sent.
-        let count = line.read(&mut buffer).unwrap_or(0);
-        let mut answers = Vec::new();
-        reader.take(&buffer[..count], |line| {
-            let seq = match line {
-                Some(Line::Hello { seq }) => seq,
-                Some(Line::Clear { seq }) => {
-                    (ready, moving) = (true, false);
-                    seq
-                }
-                Some(Line::Set { seq, position: wanted, velocity }) => {
-                    heard = Instant::now();
-                    if ready {
-                        if now_mode != STUCK {
-                            position = wanted;
-                        }
-                        moving = velocity != JointVector::zeros();
-                        seen.lock().expect("whole").set_points.push((heard, wanted));
-                    }
-                    seq
-                }
-                _ => return,
-            };
-            Line::Answer { seq, ready, position }.write(&mut answers);
-        });
-        // A loaded machine may hold the driver up: only a long silence is taken for its death here.
-        if moving && heard.elapsed() > Duration::from_millis(400) {
-            (ready, moving) = (false, false);
-            seen.lock().expect("whole").watchdog += 1;
-        }
-        match now_mode {
-            SILENT => {}
-            GARBAGE if !answers.is_empty() => {
-                let _ = line.write_all(b"\x00\xffA 12 R 5*00\n~~~\n\nA\n*\n");
-            }
-            _ => {
-                let _ = line.write_all(&answers);
-            }
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    }
+fn plug_in(serial: &str) -> Firmware {
+    with_latches();
+    // A loaded machine may hold the guard up: only a long silence is taken for its death here.
+    let behaviour = Behaviour { watchdog_ms: 400, ..Behaviour::default() };
+    Firmware::plug_in(serial, behaviour).expect("a pseudo-terminal")
 }
 
 fn params(path: &str, more: &str) -> String {
@@ -134,7 +40,7 @@ fn demand() -> Joints {
     Joints { position_rad: [0.0; MAX_JOINTS], velocity_rad_s, count: 6, reserved: 0 }
 }
 
-/// Ticks every 10 ms until `done` says so of the node's words; false when that takes longer than some seconds.
+/// Ticks every 10 ms until `done` of the node's words; false when that takes longer.
 fn drive(
     node: &mut Harness<ArmSerial>,
     ask: bool,
@@ -154,21 +60,22 @@ fn drive(
     Ok(false)
 }
 
-/// Gets the arm moving. On a loaded machine a real answer may come late: that latches, as it should, and is let go here.
-fn moving(device: &Device, node: &mut Harness<ArmSerial>, reset: &mut u64) -> Result<(), HarnessError> {
+/// Releases the arm until it moves. On a loaded machine an answer may come late: that latches, and is released here.
+fn moving(arm: &Firmware, node: &mut Harness<ArmSerial>, reset: &mut u64) -> Result<(), HarnessError> {
     for _ in 0..8 {
-        let before = device.last()[5];
-        let mut follows = 0;
-        let fine = drive(node, true, 6.0, |words| {
-            follows += u32::from(words == "arm follows" && (device.last()[5] - before).abs() > 0.01);
-            follows > 3 || words.contains("STOPPED")
+        let before = arm.angles()[5];
+        drive(node, false, 0.1, |_| true)?;
+        *reset += 1;
+        node.set_params(&params(arm.path(), &format!(", reset = {reset}")))?;
+        let mut ticks = 0;
+        let moved = drive(node, true, 6.0, |words| {
+            ticks += 1;
+            let follows = words == "arm follows" && (arm.angles()[5] - before).abs() > 0.01;
+            follows || (ticks > 120 && words.contains("STOPPED"))
         })?;
-        if fine && follows > 3 {
+        if moved && (arm.angles()[5] - before).abs() > 0.01 {
             return Ok(());
         }
-        *reset += 1;
-        node.set_params(&params(&device.path, &format!(", reset = {reset}")))?;
-        drive(node, false, 2.0, |words| !words.contains("STOPPED"))?;
     }
     panic!("the arm never moved: {:?}", node.logs());
 }
@@ -178,75 +85,69 @@ fn is_logged(node: &Harness<ArmSerial>, words: &str) -> bool {
 }
 
 #[test]
-fn set_points_come_and_end_when_the_graph_stalls() -> Result<(), HarnessError> {
-    let device = Device::plug_in();
-    let mut node = Harness::<ArmSerial>::from_toml(&params(&device.path, ""))?;
-    moving(&device, &mut node, &mut 0)?;
-    // The graph does not call any more: the driver's thread alone has to see it.
+fn an_enabled_arm_waits_for_a_reset_and_stops_when_the_graph_stalls() -> Result<(), HarnessError> {
+    let arm = plug_in("NODE-1");
+    let mut node = Harness::<ArmSerial>::from_toml(&params(arm.path(), ", reset = 5"))?;
+    assert!(!drive(&mut node, true, 0.4, |words| words == "arm follows")?, "nobody has released it");
+    assert_eq!(arm.angles(), JointVector::zeros());
+    moving(&arm, &mut node, &mut 5)?;
+    // The graph does not call any more.
     std::thread::sleep(Duration::from_millis(700));
-    let count = device.seen.lock().expect("whole").set_points.len();
-    let at = device.last();
+    let count = arm.log().set_points.len();
     std::thread::sleep(Duration::from_millis(200));
-    assert_eq!(device.seen.lock().expect("whole").set_points.len(), count, "no set-point any more");
+    assert_eq!(arm.log().set_points.len(), count, "no set-point any more");
     drive(&mut node, false, 1.0, |_| true)?;
     let causes = [Cause::LoopStalled, Cause::OldTip, Cause::Stalled];
     assert!(causes.iter().any(|cause| is_logged(&node, cause.words())), "{:?}", node.logs());
-    assert!(at[5] > 0.01 && at.iter().enumerate().all(|(k, v)| k == 5 || v.abs() < 1e-9), "{at}");
-    // No step of the set-points was larger than the speed allows.
-    let seen = device.seen.lock().expect("whole");
-    for two in seen.set_points.windows(2) {
-        let seconds = (two[1].0 - two[0].0).as_secs_f64();
-        assert!((two[1].1 - two[0].1).amax() <= 0.4 * (seconds + 0.25), "{:?}", two);
-    }
     Ok(())
 }
 
 #[test]
-fn every_fault_of_the_line_stops_the_arm_and_is_said() -> Result<(), HarnessError> {
-    for (mode, cause) in [
-        (SILENT, Cause::Stalled),
-        (GARBAGE, Cause::Garbage),
-        (UNPLUGGED, Cause::Unplugged),
-        (STUCK, Cause::NotFollowing),
-    ] {
-        // A late answer of a loaded machine may come first: then once more.
-        let mut said = false;
-        for _ in 0..4 {
-            let device = Device::plug_in();
-            let mut node = Harness::<ArmSerial>::from_toml(&params(&device.path, ""))?;
-            moving(&device, &mut node, &mut 0)?;
-            device.turn(mode);
-            assert!(drive(&mut node, true, 6.0, |words| words.contains("STOPPED"))?, "{cause:?}: {:?}", node.logs());
-            let still = drive(&mut node, true, 0.5, |words| !words.contains("STOPPED"))?;
-            // Latched: asking on does not help.
-            assert!(!still, "{cause:?} does not latch");
-            said = is_logged(&node, cause.words());
-            if said {
-                break;
-            }
-        }
-        assert!(said, "{cause:?}");
-    }
-    Ok(())
-}
-
-#[test]
-fn an_emergency_stop_outlives_the_node_and_ends_with_reset() -> Result<(), HarnessError> {
-    let device = Device::plug_in();
-    let mut node = Harness::<ArmSerial>::from_toml(&params(&device.path, ""))?;
+fn stops_are_reported_latch_and_outlive_the_node() -> Result<(), HarnessError> {
+    let arm = plug_in("NODE-2");
+    let mut node = Harness::<ArmSerial>::from_toml(&params(arm.path(), ""))?;
     let mut reset = 0;
-    moving(&device, &mut node, &mut reset)?;
-    node.set_params(&params(&device.path, &format!(", reset = {reset}, emergency_stop = true")))?;
+    moving(&arm, &mut node, &mut reset)?;
+    node.set_params(&params(arm.path(), &format!(", reset = {reset}, emergency_stop = true")))?;
     assert!(drive(&mut node, true, 6.0, |words| words.contains("emergency stop"))?);
     drop(node);
     // As after a fault or an edit of the graph.
-    let mut node = Harness::<ArmSerial>::from_toml(&params(&device.path, ""))?;
-    assert!(drive(&mut node, true, 6.0, |words| words.contains("emergency stop"))?);
-    let before = device.last();
+    let mut node = Harness::<ArmSerial>::from_toml(&params(arm.path(), ""))?;
+    assert!(drive(&mut node, true, 6.0, |words| words.contains("ARM STOPPED: emergency stop"))?);
+    let before = arm.angles();
     drive(&mut node, true, 0.5, |_| false)?;
-    assert_eq!(device.last(), before);
-    node.set_params(&params(&device.path, ", reset = 1"))?;
-    moving(&device, &mut node, &mut 1)
+    assert!((arm.angles() - before).amax() < 1e-9);
+    moving(&arm, &mut node, &mut 0)?;
+    arm.set(|behaviour| behaviour.is_stuck = true);
+    assert!(drive(&mut node, true, 6.0, |words| words.contains("STOPPED"))?, "{:?}", node.logs());
+    let causes = [Cause::NotFollowing, Cause::Stalled];
+    assert!(causes.iter().any(|cause| is_logged(&node, cause.words())), "{:?}", node.logs());
+    Ok(())
+}
+
+#[test]
+fn a_dead_guard_is_reported_and_started_again_by_a_reset() -> Result<(), HarnessError> {
+    let arm = plug_in("NODE-3");
+    let mut node = Harness::<ArmSerial>::from_toml(&params(arm.path(), ""))?;
+    let mut reset = 0;
+    moving(&arm, &mut node, &mut reset)?;
+    // The guard of this arm, among those of other tests.
+    let is_ours = |id: &i32| {
+        let line = std::fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+        line.split(|byte| *byte == 0).any(|word| word == arm.path().as_bytes())
+    };
+    let processes = std::fs::read_dir("/proc").expect("a list of processes");
+    let ids = processes.flatten().filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
+    let own = i32::try_from(std::process::id()).unwrap_or_default();
+    let guard = ids.filter(|id| *id != own).find(is_ours).expect("the guard's process");
+    let id = rustix::process::Pid::from_raw(guard).expect("a process");
+    rustix::process::kill_process(id, rustix::process::Signal::KILL).expect("killed");
+    assert!(drive(&mut node, true, 6.0, |words| words.contains(Cause::GuardGone.words()))?, "{:?}", node.logs());
+    assert!(arm.wait(Duration::from_secs(6), |log| log.watchdog == 1), "the arm's own watchdog");
+    reset += 1;
+    node.set_params(&params(arm.path(), &format!(", reset = {reset}")))?;
+    assert!(drive(&mut node, true, 6.0, |words| words.contains(Cause::Interrupted.words()))?, "{:?}", node.logs());
+    moving(&arm, &mut node, &mut reset)
 }
 
 #[test]
@@ -255,9 +156,10 @@ fn a_line_without_an_arm_is_refused_with_its_name() {
         let made = Harness::<ArmSerial>::from_toml(&params(port, ""));
         made.err().map(|error| error.to_string()).unwrap_or_default()
     };
+    with_latches();
     assert!(refused("/dev/no_such_line").contains("/dev/no_such_line cannot be opened"));
     assert!(refused("/dev/null").contains("/dev/null is no serial line"), "{}", refused("/dev/null"));
-    let device = Device::plug_in();
-    device.turn(SILENT);
-    assert!(refused(&device.path).contains("no arm answered"), "{}", refused(&device.path));
+    let arm = plug_in("NODE-4");
+    arm.set(|behaviour| behaviour.is_silent = true);
+    assert!(refused(arm.path()).contains("no arm answered"), "{}", refused(arm.path()));
 }

@@ -35,13 +35,31 @@ pub enum Cause {
     BadDemand,
     /// Further movement would leave the limits of joints or workspace.
     Limit,
-    /// The driver's thread ended by itself; latches.
-    DriverFailed,
+    /// The arm has just come up and nobody has released it; latches.
+    AwaitsOperator,
+    /// The process that guards the arm ended while the arm was released; latches.
+    Interrupted,
+    /// The record of latched stops is damaged; latches.
+    RecordLost,
+    /// The record of latched stops cannot be written; latches.
+    CannotRecord,
+    /// The arm's hardware stop is pressed; latches.
+    HardwareStop,
+    /// The arm's hardware reports a fault; latches.
+    HardwareFault,
+    /// The program that steers the arm has ended; latches.
+    HostGone,
+    /// The process that guards the arm has ended; latches.
+    GuardGone,
+    /// The arm moves faster than the limits allow, by its encoders; latches.
+    MeasuredSpeed,
+    /// The arm is outside its joint limits or its workspace, by its encoders; latches.
+    MeasuredWorkspace,
 }
 
 impl Cause {
     /// All causes; a cause's index is its number in tables.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 25] = [
         Self::EmergencyStop,
         Self::NotFollowing,
         Self::Unplugged,
@@ -57,12 +75,26 @@ impl Cause {
         Self::LoopStalled,
         Self::BadDemand,
         Self::Limit,
-        Self::DriverFailed,
+        Self::AwaitsOperator,
+        Self::Interrupted,
+        Self::RecordLost,
+        Self::CannotRecord,
+        Self::HardwareStop,
+        Self::HardwareFault,
+        Self::HostGone,
+        Self::GuardGone,
+        Self::MeasuredSpeed,
+        Self::MeasuredWorkspace,
     ];
 
     /// Its number in tables, from 1; 0 stands for no stop.
     pub fn number(self) -> usize {
         Self::ALL.iter().position(|cause| *cause == self).map_or(0, |index| index + 1)
+    }
+
+    /// The cause with this number.
+    pub fn from_number(number: usize) -> Option<Self> {
+        Self::ALL.get(number.checked_sub(1)?).copied()
     }
 
     /// Whether the arm stays stopped until a person releases it.
@@ -75,7 +107,16 @@ impl Cause {
                 | Self::Garbage
                 | Self::Stalled
                 | Self::DeviceStopped
-                | Self::DriverFailed
+                | Self::AwaitsOperator
+                | Self::Interrupted
+                | Self::RecordLost
+                | Self::CannotRecord
+                | Self::HardwareStop
+                | Self::HardwareFault
+                | Self::HostGone
+                | Self::GuardGone
+                | Self::MeasuredSpeed
+                | Self::MeasuredWorkspace
         )
     }
 
@@ -97,7 +138,16 @@ impl Cause {
             Self::LoopStalled => "the control loop does not run",
             Self::BadDemand => "the demand makes no sense",
             Self::Limit => "at the limit of joints or workspace",
-            Self::DriverFailed => "the arm's driver failed",
+            Self::AwaitsOperator => "the arm has just come up and waits for `reset`",
+            Self::Interrupted => "the guard of the arm ended while the arm was released",
+            Self::RecordLost => "the record of latched stops is damaged",
+            Self::CannotRecord => "the record of latched stops cannot be written",
+            Self::HardwareStop => "the hardware stop is pressed",
+            Self::HardwareFault => "the arm's hardware reports a fault",
+            Self::HostGone => "the program that steers the arm has ended",
+            Self::GuardGone => "the process that guards the arm has ended",
+            Self::MeasuredSpeed => "the arm moves faster than its limits, by its encoders",
+            Self::MeasuredWorkspace => "the arm is outside its workspace, by its encoders",
         }
     }
 }

@@ -15,6 +15,7 @@
 mod brake;
 pub mod caps;
 mod cause;
+pub mod measured;
 
 use std::collections::VecDeque;
 
@@ -25,6 +26,7 @@ use crate::chain::{Chain, JOINTS, JointVector};
 pub use brake::{Brake, SetPoint};
 pub use caps::{Caps, TubePose};
 pub use cause::{Cause, Event};
+pub use measured::Measured;
 
 use caps::{STEP_NS, STEP_S, share};
 

@@ -5,7 +5,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::OFlags;
+use rustix::fs::{FlockOperation, OFlags};
 use rustix::termios::{self, OptionalActions};
 use thiserror::Error;
 
@@ -28,6 +28,22 @@ pub enum PortError {
         /// The system's error.
         cause: std::io::Error,
     },
+    /// Another process drives the arm.
+    #[error("{path}: another program drives this arm; end it first", path = path.display())]
+    InUse {
+        /// The device's file.
+        path: PathBuf,
+    },
+    /// The arm speaks another version of the protocol.
+    #[error("{path}: the arm speaks version {theirs} of the line protocol, this program needs version {ours}: update the arm's firmware", path = path.display())]
+    OtherProtocol {
+        /// The device's file.
+        path: PathBuf,
+        /// The arm's version.
+        theirs: u32,
+        /// This program's version.
+        ours: u32,
+    },
     /// The device does not answer in the arm's protocol.
     #[error("{path}: no arm answered within {wait_ms} ms ({garbage} lines made no sense)", path = path.display())]
     NoArm {
@@ -38,11 +54,6 @@ pub enum PortError {
         /// Lines received that are no answers.
         garbage: u32,
     },
-    /// The driver's thread ended by itself.
-    #[error(
-        "the arm's driver ended by itself, so no set-points are sent and the arm's own watchdog stops it; the stop is latched: check the arm, then change `reset`"
-    )]
-    DriverFailed,
     /// The connection was lost.
     #[error("the serial line was lost: {0}")]
     Gone(std::io::Error),
@@ -69,6 +80,10 @@ impl Port {
             .map_err(|cause| PortError::Open { path: path.to_owned(), cause })?;
         let no_line = |cause: rustix::io::Errno| PortError::NoLine { path: path.to_owned(), cause: cause.into() };
         let mut settings = termios::tcgetattr(&file).map_err(no_line)?;
+        // One program drives an arm, whatever path it opens: the lock belongs to the device's file, not to its name.
+        rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)
+            .and_then(|()| termios::ioctl_tiocexcl(&file))
+            .map_err(|_| PortError::InUse { path: path.to_owned() })?;
         settings.make_raw();
         settings.set_speed(baud).map_err(no_line)?;
         termios::tcsetattr(&file, OptionalActions::Flush, &settings).map_err(no_line)?;

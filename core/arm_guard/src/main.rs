@@ -1,0 +1,59 @@
+//! `panoscope-arm`: the arm's interlock, started by the node `arm_serial` with a socket as standard input.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use panoscope_arm_core::Chain;
+use panoscope_arm_guard::link::Connection;
+use panoscope_arm_guard::server::{self, Options};
+use panoscope_arm_guard::{client, latch};
+
+const USAGE: &str = "panoscope-arm guards an arm on a serial line. The node `arm_serial` of a graph starts it.
+
+usage: panoscope-arm --port DEVICE --baud BITS_PER_SECOND --answer-ms MS [--arm FILE.urdf] [--latches FOLDER]
+       standard input must be the socket to the program that steers the arm";
+
+fn main() -> ExitCode {
+    match run(std::env::args().skip(1).collect()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err((code, message)) => {
+            eprintln!("panoscope-arm: {message}");
+            ExitCode::from(code)
+        }
+    }
+}
+
+/// The second value of an option, or the first error: exit code and message.
+fn run(args: Vec<String>) -> Result<(), (u8, String)> {
+    let wrong = |message: String| (2, format!("{message}\n\n{USAGE}"));
+    let (mut port, mut baud, mut answer_ms, mut arm, mut latches) = (None, None, None, PathBuf::new(), None);
+    let mut args = args.into_iter();
+    while let Some(option) = args.next() {
+        let value = args.next().ok_or_else(|| wrong(format!("`{option}` needs a value")))?;
+        let number =
+            |text: &str| text.parse::<u32>().map_err(|_| wrong(format!("`{option} {text}`: a whole number is needed")));
+        match option.as_str() {
+            "--port" => port = Some(PathBuf::from(value)),
+            "--baud" => baud = Some(number(&value)?),
+            "--answer-ms" => answer_ms = Some(number(&value)?),
+            "--arm" => arm = PathBuf::from(value),
+            "--latches" => latches = Some(PathBuf::from(value)),
+            _ => return Err(wrong(format!("there is no option `{option}`"))),
+        }
+    }
+    let (Some(path), Some(baud), Some(answer_ms)) = (port, baud, answer_ms) else {
+        return Err(wrong("`--port`, `--baud` and `--answer-ms` are needed".to_owned()));
+    };
+    let failed = |message: String| (1, message);
+    let socket = client::inherited_socket().map_err(|error| wrong(error.to_string()))?;
+    let chain = if arm.as_os_str().is_empty() {
+        Chain::shipped().map_err(|e| failed(e.to_string()))?
+    } else {
+        let text = std::fs::read_to_string(&arm).map_err(|e| failed(format!("{}: {e}", arm.display())))?;
+        Chain::from_urdf(&text).map_err(|e| failed(format!("{}: {e}", arm.display())))?
+    };
+    let connection = Connection { path, baud, answer_within: Duration::from_millis(u64::from(answer_ms)) };
+    let latches = latches.map_or_else(latch::folder, Ok).map_err(|e| failed(e.to_string()))?;
+    server::serve(socket, Options { connection, chain, latches }).map_err(|e| failed(e.to_string()))
+}

@@ -1,0 +1,22 @@
+//! Locked memory and real-time priority, where the system allows them.
+
+/// Priority of the loop: above the threads of the program.
+const PRIORITY: i32 = 60;
+
+/// What the system granted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Granted {
+    /// Memory stays in RAM.
+    pub locked_memory: bool,
+    /// SCHED_FIFO.
+    pub real_time: bool,
+}
+
+/// Locks the memory of this process and raises its priority, as far as allowed.
+pub fn request() -> Granted {
+    let locked = rustix::mm::mlockall(rustix::mm::MlockAllFlags::CURRENT | rustix::mm::MlockAllFlags::FUTURE);
+    let priority = libc::sched_param { sched_priority: PRIORITY };
+    // SAFETY: the call reads one `sched_param`, which lives across it.
+    let real_time = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const priority) } == 0;
+    Granted { locked_memory: locked.is_ok(), real_time }
+}

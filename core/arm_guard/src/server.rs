@@ -1,0 +1,367 @@
+//! The loop of the guard. It owns the line, the interlock and the latches, and continues when the program does not.
+//!
+//! Every 10 ms it reads the arm's answers and the program's requests, advances the interlock to the present, and sends a set-point while anything
+//! moves. Nothing is allocated and no file is written while the arm moves.
+
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use panoscope_arm_core::interlock::Measured;
+use panoscope_arm_core::line::{DeviceState, Line};
+use panoscope_arm_core::{Cause, Chain, Interlock, JointVector};
+use rustix::io::Errno;
+use rustix::net::{RecvFlags, SendFlags, recv, send};
+use thiserror::Error;
+
+use crate::clock;
+use crate::latch::{LatchError, LatchStore, Record};
+use crate::link::{ArmLink, Connection, Identity, PERIOD};
+use crate::message::{LONGEST, Report, Request, Status};
+use crate::port::PortError;
+use crate::realtime;
+
+/// Damaged lines in a row that count as noise; more stop the arm.
+const NOISE_LINES: u32 = 2;
+/// Largest lag of the arm behind its set-points: s at its speed, plus rad.
+const LAG_S: f64 = 0.15;
+const LAG_RAD: f64 = 0.02;
+/// Requests that are read in one turn: a flood cannot hold the loop.
+const REQUESTS_PER_TURN: u32 = 256;
+/// How far in the future a stamp may lie, ns.
+const FUTURE_NS: i64 = 1_000_000;
+/// Time limit of the arm's answer to `C`.
+const CLEAR_WITHIN: Duration = Duration::from_millis(250);
+/// Longest time to brake after the program has ended.
+const LEAVE_WITHIN: Duration = Duration::from_secs(2);
+
+/// Errors at the start.
+#[derive(Debug, Error)]
+pub enum ServeError {
+    /// The line cannot be used.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// Latched stops cannot be kept.
+    #[error(transparent)]
+    Latch(#[from] LatchError),
+    /// The socket to the program cannot be used.
+    #[error("the connection to the program failed: {0}")]
+    Socket(#[from] Errno),
+}
+
+/// What the guard is started with.
+pub struct Options {
+    /// How to reach the arm.
+    pub connection: Connection,
+    /// The arm.
+    pub chain: Chain,
+    /// Folder of the latches.
+    pub latches: PathBuf,
+}
+
+/// Runs until the program closes its end of `socket` and the arm is at rest.
+///
+/// # Errors
+/// The arm is not found, or latched stops cannot be kept. The program receives the reason as [`Report::Failed`], too.
+pub fn serve(socket: OwnedFd, options: Options) -> Result<(), ServeError> {
+    match Server::start(socket.try_clone().map_err(|_| Errno::MFILE)?, options) {
+        Ok(mut server) => {
+            server.run();
+            Ok(())
+        }
+        Err(error) => {
+            let mut out = [0; LONGEST];
+            let _ = send(socket.as_fd(), Report::Failed(error.to_string()).encode(&mut out), SendFlags::empty());
+            Err(error)
+        }
+    }
+}
+
+struct Server {
+    socket: OwnedFd,
+    options: Options,
+    link: Option<ArmLink>,
+    identity: Identity,
+    latches: LatchStore,
+    lock: Interlock,
+    measured: Measured,
+    /// The newest `reset`; the first request sets it.
+    reset: Option<u64>,
+    last_sent_ns: i64,
+    refused: u64,
+    has_host: bool,
+    /// Whether the last line was a set-point of a moving arm.
+    was_moving: bool,
+}
+
+impl Server {
+    fn start(socket: OwnedFd, options: Options) -> Result<Self, ServeError> {
+        let (link, identity) = ArmLink::open(&options.connection)?;
+        let (latches, stop) = LatchStore::open(&options.latches, &identity.serial)?;
+        let mut lock = Interlock::new(options.chain.clone(), link.encoders, clock::now_ns());
+        lock.latch(stop.unwrap_or(Cause::AwaitsOperator));
+        let measured = Measured::new(&options.chain);
+        let granted = realtime::request();
+        let server = Self {
+            socket,
+            options,
+            link: Some(link),
+            identity,
+            latches,
+            lock,
+            measured,
+            reset: None,
+            last_sent_ns: i64::MIN,
+            refused: 0,
+            has_host: true,
+            was_moving: false,
+        };
+        let granted = (granted.locked_memory, granted.real_time);
+        server.report(&Report::Ready { serial: identity.serial, watchdog_ms: identity.watchdog_ms, granted });
+        Ok(server)
+    }
+
+    fn run(&mut self) {
+        let mut next = Instant::now();
+        let mut leaving: Option<Instant> = None;
+        loop {
+            self.turn();
+            if !self.has_host {
+                let since = *leaving.get_or_insert_with(Instant::now);
+                if self.lock.set_point().is_at_rest() || since.elapsed() > LEAVE_WITHIN {
+                    return;
+                }
+            }
+            next += PERIOD;
+            let now = Instant::now();
+            // Missed periods are skipped, not made up for.
+            next = next.max(now);
+            std::thread::sleep(next - now);
+        }
+    }
+
+    fn turn(&mut self) {
+        let now_ns = clock::now_ns();
+        if let Some(cause) = self.listen(now_ns) {
+            self.lock.latch(cause);
+        }
+        self.receive(now_ns);
+        // A release takes time.
+        let now_ns = clock::now_ns();
+        self.lock.advance(now_ns, &mut |_| {});
+        let point = *self.lock.set_point();
+        let is_moving = !point.is_at_rest() || self.lock.stop().is_none();
+        if let Some(link) = &mut self.link {
+            // The last set-point has speed 0: without it the arm's watchdog takes the end of a movement for a failure.
+            let sent = if is_moving || self.was_moving {
+                link.send(|seq| Line::Set { seq, position: point.position, velocity: point.velocity })
+            } else {
+                link.send(|seq| Line::Query { seq })
+            };
+            if sent.is_err() {
+                self.link = None;
+                self.lock.latch(Cause::Unplugged);
+            }
+        }
+        self.was_moving = is_moving;
+        if !is_moving {
+            self.record();
+        }
+        self.publish(now_ns);
+    }
+
+    /// Writes a latched stop. Until then the file says that the arm is released, which counts as a stop after a restart.
+    fn record(&mut self) {
+        let record = match self.lock.latched() {
+            // Nothing has changed since the start.
+            Some(Cause::AwaitsOperator | Cause::CannotRecord) => return,
+            Some(cause) => Record::Latched(cause),
+            None if !self.has_host => Record::Rest,
+            None => return,
+        };
+        // A disk that is full now may have room later: the next turn tries again.
+        let _ = self.latches.write(record);
+    }
+
+    /// Reads the arm's answers. Returns a cause to stop when they are missing, wrong, or beyond a limit.
+    fn listen(&mut self, now_ns: i64) -> Option<Cause> {
+        let link = self.link.as_mut()?;
+        if link.listen().is_err() {
+            self.link = None;
+            return Some(Cause::Unplugged);
+        }
+        if link.damaged > NOISE_LINES || link.identity().is_some_and(|identity| identity != self.identity) {
+            link.damaged = 0;
+            return Some(Cause::Garbage);
+        }
+        let limit_ns = (self.options.connection.answer_within + PERIOD).as_nanos() as i64;
+        if now_ns.saturating_sub(link.answered_ns) > limit_ns {
+            return Some(Cause::Stalled);
+        }
+        match link.state {
+            DeviceState::Ready => {}
+            DeviceState::Watchdog => return Some(Cause::DeviceStopped),
+            DeviceState::HardwareStop => return Some(Cause::HardwareStop),
+            DeviceState::Fault => return Some(Cause::HardwareFault),
+        }
+        if let Some(cause) = self.measured.check(&self.options.chain, link.answered_ns, &link.encoders) {
+            return Some(cause);
+        }
+        let point = self.lock.set_point();
+        let off = (link.encoders - point.position).amax();
+        (off > LAG_RAD + LAG_S * point.velocity.amax().max(0.1)).then_some(Cause::NotFollowing)
+    }
+
+    /// Reads the program's requests and applies the newest one; an emergency stop counts in any of them.
+    fn receive(&mut self, now_ns: i64) {
+        if !self.has_host {
+            return;
+        }
+        let mut newest: Option<Request> = None;
+        let mut is_reset = false;
+        let mut buffer = [0; LONGEST];
+        for _ in 0..REQUESTS_PER_TURN {
+            match recv(self.socket.as_fd(), &mut buffer, RecvFlags::DONTWAIT) {
+                Ok((_, 0)) => {
+                    self.host_has_ended();
+                    return;
+                }
+                Ok((_, length)) => match Request::decode(&buffer[..length.min(LONGEST)]) {
+                    Some(request) if self.is_in_order(&request, now_ns) => {
+                        self.last_sent_ns = request.sent_ns;
+                        is_reset |= self.reset.replace(request.reset).is_some_and(|old| old != request.reset);
+                        if request.emergency_stop {
+                            self.lock.latch(Cause::EmergencyStop);
+                        }
+                        newest = Some(request);
+                    }
+                    _ => self.refused += 1,
+                },
+                Err(Errno::AGAIN | Errno::INTR) => break,
+                Err(_) => {
+                    self.host_has_ended();
+                    return;
+                }
+            }
+        }
+        if let Some(request) = newest {
+            self.apply(&request, is_reset);
+        }
+    }
+
+    /// Requests go forward in time, and none is from the future.
+    fn is_in_order(&self, request: &Request, now_ns: i64) -> bool {
+        request.sent_ns > self.last_sent_ns && request.sent_ns <= now_ns.saturating_add(FUTURE_NS)
+    }
+
+    fn host_has_ended(&mut self) {
+        self.has_host = false;
+        if !self.lock.set_point().is_at_rest() {
+            self.lock.latch(Cause::HostGone);
+        }
+        self.lock.demand(clock::now_ns(), JointVector::zeros().as_slice());
+    }
+
+    fn apply(&mut self, request: &Request, is_reset: bool) {
+        self.lock.set(request.settings);
+        if is_reset && !request.emergency_stop {
+            self.release();
+        }
+        if let Some((light_ns, evidence)) = request.tip {
+            self.lock.tip(light_ns, evidence);
+        }
+        if let Some((light_ns, values, count)) = request.demand {
+            // Another number of values than the arm has joints is an invalid demand.
+            self.lock.demand_of_light(request.sent_ns, light_ns, values.get(..count as usize).unwrap_or(&[]));
+        }
+    }
+
+    /// Releases a latched stop after a person's reset. Opens a lost line again; set-points start at the arm's present angles.
+    ///
+    /// The arm is at rest, so this may take its time.
+    fn release(&mut self) {
+        if !self.lock.set_point().is_at_rest() {
+            return;
+        }
+        let refused = match self.try_release() {
+            Ok(()) => return,
+            Err(cause) => cause,
+        };
+        // The newest reason counts: it is what a person has to remove.
+        self.lock.release();
+        self.lock.latch(refused);
+    }
+
+    fn try_release(&mut self) -> Result<(), Cause> {
+        if self.link.is_none() {
+            let (link, identity) = ArmLink::open(&self.options.connection).map_err(|_| Cause::Unplugged)?;
+            if identity.serial != self.identity.serial {
+                // Another arm has other latches: it needs a guard of its own.
+                return Err(Cause::Garbage);
+            }
+            self.link = Some(link);
+        }
+        let Some(link) = &mut self.link else { return Err(Cause::Unplugged) };
+        link.damaged = 0;
+        let start_ns = clock::now_ns();
+        let start = Instant::now();
+        let lost = |_| Cause::Unplugged;
+        link.send(|seq| Line::Clear { seq }).map_err(lost)?;
+        while link.answered_ns < start_ns || link.state != DeviceState::Ready {
+            if start.elapsed() > CLEAR_WITHIN {
+                return Err(match link.state {
+                    DeviceState::HardwareStop => Cause::HardwareStop,
+                    DeviceState::Fault => Cause::HardwareFault,
+                    DeviceState::Watchdog => Cause::DeviceStopped,
+                    DeviceState::Ready => Cause::Stalled,
+                });
+            }
+            std::thread::sleep(PERIOD);
+            link.listen().map_err(lost)?;
+            link.send(|seq| Line::Query { seq }).map_err(lost)?;
+        }
+        self.measured.restart();
+        if let Some(cause) = self.measured.check(&self.options.chain, link.answered_ns, &link.encoders) {
+            return Err(cause);
+        }
+        self.latches.write(Record::Released).map_err(|_| Cause::CannotRecord)?;
+        let stops = self.lock.stops();
+        let mut lock = Interlock::new(self.options.chain.clone(), link.encoders, clock::now_ns());
+        lock.count_stops_from(stops);
+        self.lock = lock;
+        Ok(())
+    }
+
+    fn publish(&mut self, now_ns: i64) {
+        let tube = self.lock.tube();
+        let point = *self.lock.set_point();
+        let (encoders, answered_ns) =
+            self.link.as_ref().map_or((point.position, now_ns), |link| (link.encoders, link.answered_ns));
+        let status = Status {
+            at_ns: now_ns,
+            encoders,
+            set_point: (point.position, point.velocity),
+            stop: self.lock.latched().or(self.lock.stopped()),
+            latched: self.lock.latched().is_some(),
+            stops: self.lock.stops(),
+            answer_age_ms: now_ns.saturating_sub(answered_ns).max(0) as f64 / 1e6,
+            pivot_mm: tube.pivot_mm,
+            depth_mm: tube.depth_mm,
+            refused: self.refused,
+        };
+        let mut out = [0; LONGEST];
+        self.put(status.encode(&mut out));
+        while let Some(event) = self.lock.take_event() {
+            self.report(&Report::Event(event));
+        }
+    }
+
+    fn report(&self, report: &Report) {
+        self.put(report.encode(&mut [0; LONGEST]));
+    }
+
+    fn put(&self, record: &[u8]) {
+        // A program that does not read loses records; the arm does not wait for it.
+        let _ = send(self.socket.as_fd(), record, SendFlags::DONTWAIT | SendFlags::NOSIGNAL);
+    }
+}

@@ -1,0 +1,357 @@
+//! A simulated arm's controller on a pseudo-terminal. It speaks the line protocol of [`panoscope_arm_core::line`], with a watchdog of its own, motors
+//! with lag, encoders with noise, late answers, and a line that damages bytes.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use panoscope_arm_core::JointVector;
+use panoscope_arm_core::campaign::Dice;
+use panoscope_arm_core::line::{DeviceState, Line, Reader, Received, Serial, VERSION};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+/// Turns of the simulated controller.
+const PERIOD: Duration = Duration::from_millis(1);
+/// Braking of the controller's own watchdog, rad/s^2.
+const BRAKE_RAD_S2: f64 = 4.0;
+
+/// What the controller and its line do. Everything may change while it runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Behaviour {
+    /// Time limit of the watchdog, ms.
+    pub watchdog_ms: u32,
+    /// Time constant of the motors, s; 0 is at once.
+    pub lag_s: f64,
+    /// Encoder noise, rad, evenly spread.
+    pub noise_rad: f64,
+    /// Delay of answers.
+    pub delay: Duration,
+    /// Share of bytes, in both directions, that are lost, doubled or flipped.
+    pub damaged_bytes: f64,
+    /// Sends garbage instead of answers.
+    pub is_garbage: bool,
+    /// Answers nothing.
+    pub is_silent: bool,
+    /// The motors do not move.
+    pub is_stuck: bool,
+    /// Speed at which the arm drifts by itself in its last joint, rad/s.
+    pub runaway_rad_s: f64,
+    /// The hardware stop is pressed.
+    pub is_stopped: bool,
+    /// The hardware has a fault.
+    pub has_fault: bool,
+    /// Answers every line with the number before it.
+    pub has_wrong_numbers: bool,
+    /// Speaks version 1 of the protocol.
+    pub is_version_1: bool,
+    /// The cable is unplugged.
+    pub is_unplugged: bool,
+}
+
+impl Default for Behaviour {
+    fn default() -> Self {
+        Self {
+            watchdog_ms: 30,
+            lag_s: 0.015,
+            noise_rad: 1e-5,
+            delay: Duration::ZERO,
+            damaged_bytes: 0.0,
+            is_garbage: false,
+            is_silent: false,
+            is_stuck: false,
+            runaway_rad_s: 0.0,
+            is_stopped: false,
+            has_fault: false,
+            has_wrong_numbers: false,
+            is_version_1: false,
+            is_unplugged: false,
+        }
+    }
+}
+
+/// What happened to the arm.
+#[derive(Clone, Debug, Default)]
+pub struct Log {
+    /// Valid set-points: when they arrived, angles and speeds.
+    pub set_points: Vec<(Instant, JointVector, JointVector)>,
+    /// True angles, one entry per turn in which the arm moved.
+    pub angles: Vec<(Instant, JointVector)>,
+    /// How often the watchdog stopped the arm.
+    pub watchdog: u32,
+    /// When it did so last.
+    pub watchdog_at: Option<Instant>,
+    /// `C` lines.
+    pub clears: u32,
+    /// Lines that were refused.
+    pub damaged: u64,
+    /// Lines that were accepted.
+    pub lines: u64,
+}
+
+struct State {
+    behaviour: Behaviour,
+    log: Log,
+    angles: JointVector,
+}
+
+/// A running controller. Dropping it unplugs the cable.
+pub struct Firmware {
+    path: String,
+    state: Arc<(Mutex<State>, Condvar)>,
+    thread: Option<JoinHandle<()>>,
+}
+
+fn locked(state: &Mutex<State>) -> MutexGuard<'_, State> {
+    // Plain data: what a panicking thread left is whole.
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Firmware {
+    /// Starts an arm at joint angles of 0.
+    ///
+    /// # Errors
+    /// The system has no pseudo-terminal, or the serial number is invalid.
+    pub fn plug_in(serial: &str, behaviour: Behaviour) -> io::Result<Self> {
+        let serial = Serial::new(serial).ok_or_else(|| io::Error::other("invalid serial number"))?;
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        let path = ptsname(&master, Vec::new())?.into_string().map_err(io::Error::other)?;
+        rustix::fs::fcntl_setfl(&master, rustix::fs::OFlags::NONBLOCK)?;
+        let state = State { behaviour, log: Log::default(), angles: JointVector::zeros() };
+        let state = Arc::new((Mutex::new(state), Condvar::new()));
+        let its_state = Arc::clone(&state);
+        let thread = std::thread::Builder::new()
+            .name("firmware".to_owned())
+            .spawn(move || Controller::new(File::from(master), serial, its_state).run())?;
+        Ok(Self { path, state, thread: Some(thread) })
+    }
+
+    /// The device to open.
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+
+    /// Changes what the arm does.
+    pub fn set(&self, change: impl FnOnce(&mut Behaviour)) {
+        change(&mut locked(&self.state.0).behaviour);
+    }
+
+    /// What has happened so far.
+    pub fn log(&self) -> Log {
+        locked(&self.state.0).log.clone()
+    }
+
+    /// True joint angles, rad.
+    pub fn angles(&self) -> JointVector {
+        locked(&self.state.0).angles
+    }
+
+    /// Waits until `done` of the log; false when that takes longer than `limit`.
+    pub fn wait(&self, limit: Duration, mut done: impl FnMut(&Log) -> bool) -> bool {
+        let (state, changed) = &*self.state;
+        let result = changed.wait_timeout_while(locked(state), limit, |state| !done(&state.log));
+        result.map_or_else(|poisoned| poisoned.into_inner().1, |(_, timeout)| timeout).timed_out().eq(&false)
+    }
+}
+
+impl Drop for Firmware {
+    fn drop(&mut self) {
+        self.set(|behaviour| behaviour.is_unplugged = true);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Controller {
+    line: File,
+    serial: Serial,
+    shared: Arc<(Mutex<State>, Condvar)>,
+    reader: Reader,
+    dice: Dice,
+    /// Answers on their way: when they leave.
+    late: VecDeque<(Instant, Vec<u8>)>,
+    angles: JointVector,
+    speed: JointVector,
+    target: Option<(JointVector, JointVector)>,
+    is_held: bool,
+    fed: Instant,
+}
+
+impl Controller {
+    fn new(line: File, serial: Serial, shared: Arc<(Mutex<State>, Condvar)>) -> Self {
+        Self {
+            line,
+            serial,
+            shared,
+            reader: Reader::default(),
+            dice: Dice::new(17),
+            late: VecDeque::new(),
+            angles: JointVector::zeros(),
+            speed: JointVector::zeros(),
+            target: None,
+            is_held: false,
+            fed: Instant::now(),
+        }
+    }
+
+    fn run(mut self) {
+        let mut before = Instant::now();
+        loop {
+            let behaviour = locked(&self.shared.0).behaviour;
+            if behaviour.is_unplugged {
+                return;
+            }
+            let now = Instant::now();
+            self.read(&behaviour, now);
+            let was = self.angles;
+            self.turn(&behaviour, now, (now - before).as_secs_f64());
+            before = now;
+            {
+                let mut state = locked(&self.shared.0);
+                state.angles = self.angles;
+                if self.angles != was {
+                    state.log.angles.push((now, self.angles));
+                }
+            }
+            self.shared.1.notify_all();
+            self.write(&behaviour, now);
+            std::thread::sleep(PERIOD);
+        }
+    }
+
+    /// Damages some bytes.
+    fn damaged(&mut self, bytes: &[u8], share: f64) -> Vec<u8> {
+        let mut out = Vec::with_capacity(bytes.len() + 8);
+        for &byte in bytes {
+            if share > 0.0 && self.dice.unit() < share {
+                match self.dice.of(3) {
+                    0 => {}
+                    1 => out.extend([byte, byte]),
+                    _ => out.push(byte ^ (1 << self.dice.of(8))),
+                }
+            } else {
+                out.push(byte);
+            }
+        }
+        out
+    }
+
+    fn read(&mut self, behaviour: &Behaviour, now: Instant) {
+        let mut buffer = [0; 4096];
+        // Nobody has opened the other end yet, or nothing was sent.
+        let count = self.line.read(&mut buffer).unwrap_or(0);
+        let bytes = self.damaged(&buffer[..count], behaviour.damaged_bytes);
+        if behaviour.is_version_1 {
+            if bytes.windows(2).any(|two| two == b"H ") {
+                self.late.push_back((now, b"A 1 R 0 0 0 0 0 0*22\n".to_vec()));
+            }
+            return;
+        }
+        let mut lines = Vec::new();
+        self.reader.take(&bytes, |line| lines.push(line));
+        for line in lines {
+            let Received::Line(line) = line else {
+                locked(&self.shared.0).log.damaged += 1;
+                continue;
+            };
+            locked(&self.shared.0).log.lines += 1;
+            let answer = self.answer(&line, behaviour, now);
+            if let Some(answer) = answer.filter(|_| !behaviour.is_silent) {
+                let mut bytes = Vec::new();
+                if behaviour.is_garbage {
+                    bytes.extend(b"\x00\xffA 12 R 5*00\n~~~\n\nA\n*\n");
+                } else {
+                    answer.write(&mut bytes);
+                }
+                self.late.push_back((now + behaviour.delay, bytes));
+            }
+        }
+    }
+
+    fn answer(&mut self, line: &Line, behaviour: &Behaviour, now: Instant) -> Option<Line> {
+        let seq = match *line {
+            Line::Hello { seq, .. } => {
+                let (version, watchdog_ms) = (VERSION, behaviour.watchdog_ms);
+                return Some(Line::Identity { seq, version, serial: self.serial, watchdog_ms });
+            }
+            Line::Query { seq } => seq,
+            Line::Clear { seq } => {
+                locked(&self.shared.0).log.clears += 1;
+                (self.is_held, self.target) = (false, None);
+                seq
+            }
+            Line::Set { seq, position, velocity } => {
+                self.fed = now;
+                if self.state(behaviour) == DeviceState::Ready {
+                    self.target = Some((position, velocity));
+                }
+                locked(&self.shared.0).log.set_points.push((now, position, velocity));
+                seq
+            }
+            Line::Identity { .. } | Line::Answer { .. } => return None,
+        };
+        let seq = if behaviour.has_wrong_numbers { seq.saturating_sub(100) } else { seq };
+        let noise = JointVector::from_fn(|_, _| (self.dice.unit() - 0.5) * 2.0 * behaviour.noise_rad);
+        Some(Line::Answer { seq, state: self.state(behaviour), position: self.angles + noise })
+    }
+
+    fn state(&self, behaviour: &Behaviour) -> DeviceState {
+        if behaviour.is_stopped {
+            DeviceState::HardwareStop
+        } else if behaviour.has_fault {
+            DeviceState::Fault
+        } else if self.is_held {
+            DeviceState::Watchdog
+        } else {
+            DeviceState::Ready
+        }
+    }
+
+    /// Moves the motors for `dt_s`.
+    fn turn(&mut self, behaviour: &Behaviour, now: Instant, dt_s: f64) {
+        let is_moving = self.target.is_some_and(|(_, velocity)| velocity != JointVector::zeros());
+        if is_moving && now - self.fed > Duration::from_millis(u64::from(behaviour.watchdog_ms)) {
+            (self.is_held, self.target) = (true, None);
+            let log = &mut locked(&self.shared.0).log;
+            (log.watchdog, log.watchdog_at) = (log.watchdog + 1, Some(now));
+        }
+        if behaviour.is_stopped || behaviour.has_fault {
+            self.target = None;
+        }
+        let before = self.angles;
+        if !behaviour.is_stuck && dt_s > 0.0 {
+            match self.target {
+                // Motors that run away do not listen.
+                Some((position, _)) if behaviour.runaway_rad_s == 0.0 => {
+                    let share = if behaviour.lag_s > 0.0 { (dt_s / behaviour.lag_s).min(1.0) } else { 1.0 };
+                    self.angles += (position - self.angles) * share;
+                    self.speed = (self.angles - before) / dt_s;
+                }
+                _ => {
+                    // Brakes evenly.
+                    let largest = self.speed.amax();
+                    let slower = (largest - BRAKE_RAD_S2 * dt_s).max(0.0);
+                    self.speed *= if largest > 0.0 { slower / largest } else { 0.0 };
+                    self.angles += self.speed * dt_s;
+                }
+            }
+        }
+        self.angles[5] += behaviour.runaway_rad_s * dt_s;
+    }
+
+    fn write(&mut self, behaviour: &Behaviour, now: Instant) {
+        while let Some((due, bytes)) = self.late.pop_front() {
+            if due > now {
+                self.late.push_front((due, bytes));
+                return;
+            }
+            let bytes = self.damaged(&bytes, behaviour.damaged_bytes);
+            let _ = self.line.write_all(&bytes);
+        }
+    }
+}

@@ -1,0 +1,19 @@
+//! A simulated arm to try `arm_serial` with: prints the device to open, then runs until it is ended.
+
+use panoscope_firmware::{Behaviour, Firmware};
+
+fn main() {
+    let serial = std::env::args().nth(1).unwrap_or_else(|| "SIMULATED-1".to_owned());
+    match Firmware::plug_in(&serial, Behaviour::default()) {
+        Ok(firmware) => {
+            println!("{}", firmware.path());
+            loop {
+                std::thread::park();
+            }
+        }
+        Err(error) => {
+            eprintln!("no simulated arm: {error}");
+            std::process::exit(1);
+        }
+    }
+}
