@@ -6,8 +6,8 @@ mod container;
 mod elements;
 mod encode;
 mod error;
-mod planes;
 pub mod input;
+mod planes;
 
 pub use container::{Container, ContainerFile};
 pub use elements::{init, is_installed, make};

@@ -18,6 +18,9 @@ const PROGRAM: &str = "panoscope";
 /// The windows that `panoscope edit` and `panoscope theatre` start; packages and programs have one name.
 const EDITOR: &str = "panoscope-editor";
 const THEATRE: &str = "panoscope-theatre";
+/// The process that guards an arm, which `arm_serial` starts; it is built beside the program.
+const GUARD_PACKAGE: &str = "panoscope-arm-guard";
+const GUARD: &str = "panoscope-arm";
 /// Folder beside the program for plugins that only tests use.
 const TEST_PLUGIN_DIR: &str = "test_plugins";
 
@@ -110,7 +113,14 @@ pub fn build_for_tests(workspace: &Workspace, profile: Profile) -> Result<BuiltF
 /// Compiles the program and the given plugins.
 fn compile(workspace: &Workspace, profile: Profile, plugins: &[&Plugin]) -> Result<Artifacts> {
     let mut cargo = workspace.cargo();
-    cargo.args(["build", "--message-format=json-render-diagnostics", "--package", PROGRAM_PACKAGE]);
+    cargo.args([
+        "build",
+        "--message-format=json-render-diagnostics",
+        "--package",
+        PROGRAM_PACKAGE,
+        "--package",
+        GUARD_PACKAGE,
+    ]);
     for plugin in plugins {
         cargo.args(["--package", &plugin.package]);
     }
@@ -246,6 +256,11 @@ pub fn place(from: &Path, to: &Path, means: Means) -> Result<()> {
 /// Name of the program's file.
 pub fn program_name() -> String {
     format!("{PROGRAM}{EXE_SUFFIX}")
+}
+
+/// Name of the file of the arm's guard.
+pub fn guard_name() -> String {
+    format!("{GUARD}{EXE_SUFFIX}")
 }
 
 /// Names of the files of the editor and the theatre.

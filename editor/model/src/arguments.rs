@@ -240,7 +240,9 @@ mod tests {
     }
 
     const GRAPH: &str = "[args.left]\ntype = \"source\"\n\n[args.rate]\ntype = \"number\"\nrange = [1, 60]\ndefault = 30\n\n\
-                         [args.scope]\ntype = \"file\"\n";
+                         [args.scope]\ntype = \"file\"\n\n\
+                         [nodes.views]\ntype = \"capture\"\n\
+                         params = { left = { arg = \"left\" }, calibration = { arg = \"scope\" }, rate_hz = { arg = \"rate\" } }\n";
 
     #[test]
     fn a_form_asks_for_what_is_missing_and_says_what_is_wrong() {

@@ -13,7 +13,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 
-use crate::build::{Profile, library_name, program_name, window_names};
+use crate::build::{Profile, guard_name, library_name, program_name, window_names};
 use crate::install::{self, LIBRARY};
 use crate::licences;
 use crate::onnxruntime;
@@ -132,7 +132,7 @@ impl<'a> Release<'a> {
 /// Programs and libraries of an installed tree.
 fn binaries(workspace: &Workspace, prefix: &Path) -> Vec<PathBuf> {
     let library = prefix.join(LIBRARY);
-    let programs = std::iter::once(program_name()).chain(window_names()).map(|name| library.join(name));
+    let programs = [program_name(), guard_name()].into_iter().chain(window_names()).map(|name| library.join(name));
     let plugins = workspace.plugins.iter().map(|plugin| library.join("plugins").join(library_name(&plugin.name)));
     let runtime = library.join("onnxruntime").join(onnxruntime::LIBRARY);
     programs.chain(plugins).chain([runtime]).filter(|path| path.is_file()).collect()
