@@ -1459,6 +1459,31 @@ static inline const PanoscopeFrame *panoscope_input(const PanoscopeCall *call, u
     return frame && frame->buffer.pool != 0 ? frame : NULL;
 }
 
+/**
+ * For a source: the light of this tick arrived at `arrived_ns` by the clock of PanoscopeHost.clock_ns. Nothing happens in a host without arrival
+ * times.
+ */
+static inline void panoscope_set_arrived_ns(PanoscopeCall *call, int64_t arrived_ns) {
+    if (call->host->struct_size >= offsetof(PanoscopeHost, set_arrived_ns) + sizeof(void *)) {
+        call->host->set_arrived_ns(call->call, arrived_ns);
+    }
+}
+
+/**
+ * Age of the light of the first frame of input `port`, ns; INT64_MAX when it is empty or its age is unknown. In a host without arrival times the
+ * difference of capture times.
+ */
+static inline int64_t panoscope_age_ns(const PanoscopeCall *call, uint32_t port) {
+    const PanoscopeFrame *frame = panoscope_input(call, port);
+    if (frame == NULL) {
+        return INT64_MAX;
+    }
+    if (call->host->struct_size >= offsetof(PanoscopeHost, age_ns) + sizeof(void *)) {
+        return call->host->age_ns(call->call, call->input_ranges[port].first);
+    }
+    return call->tick.capture_ns - frame->tick.capture_ns;
+}
+
 /** Row `y` of an image of bytes. */
 static inline uint8_t *panoscope_row(const PanoscopeFrame *frame, uint32_t y) {
     return frame->data + (size_t)y * frame->stride_bytes;

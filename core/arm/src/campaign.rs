@@ -7,9 +7,9 @@ use crate::interlock::caps::{self, Caps, STEP_S, share};
 use crate::interlock::{Cause, Evidence, Interlock, SetPoint, Settings, TubePose};
 
 /// A small generator (xorshift64*): the same seed gives the same campaign everywhere.
-pub struct Dice(u64);
+pub struct Random(u64);
 
-impl Dice {
+impl Random {
     /// From any seed.
     pub fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
@@ -135,65 +135,65 @@ impl Checker {
 
 /// Plays `cases` inputs, in runs of a few hundred from fresh interlocks. Most are hostile; some are sound, or the arm would never move.
 pub fn run(chain: &Chain, seed: u64, cases: u64) -> Outcome {
-    let mut dice = Dice::new(seed);
+    let mut random = Random::new(seed);
     let mut out = Outcome::default();
     while out.cases < cases {
-        one_run(chain, &mut dice, (cases - out.cases).min(400), &mut out);
+        one_run(chain, &mut random, (cases - out.cases).min(400), &mut out);
     }
     out
 }
 
-fn one_run(chain: &Chain, dice: &mut Dice, cases: u64, out: &mut Outcome) {
+fn one_run(chain: &Chain, random: &mut Random, cases: u64, out: &mut Outcome) {
     // Starts inside the workspace, near home: elsewhere nothing may move at all.
     let start = JointVector::zeros();
-    let mut now_ns = dice.of(1_000_000_000_000) as i64;
+    let mut now_ns = random.of(1_000_000_000_000) as i64;
     let mut lock = Interlock::new(chain.clone(), start, now_ns);
     let mut checker = Checker::new(chain.clone(), lock.set_point());
-    let hostility = dice.unit();
+    let hostility = random.unit();
     let mut heading = JointVector::zeros();
     for _ in 0..cases {
-        let wild = dice.unit() < 0.3 * hostility;
+        let wild = random.unit() < 0.3 * hostility;
         // Time.
-        now_ns = match (wild, dice.of(12)) {
-            (true, 0) => now_ns.saturating_sub(dice.of(1_000_000_000) as i64),
-            (true, 1) => now_ns.saturating_add(dice.of(100_000_000_000) as i64),
-            (true, 2) => dice.bits() as i64,
+        now_ns = match (wild, random.of(12)) {
+            (true, 0) => now_ns.saturating_sub(random.of(1_000_000_000) as i64),
+            (true, 1) => now_ns.saturating_add(random.of(100_000_000_000) as i64),
+            (true, 2) => random.bits() as i64,
             (true, 3) => now_ns,
-            (true, 4) => [i64::MIN, i64::MAX, 0][dice.of(3) as usize],
-            _ => now_ns.saturating_add(dice.of(35_000_000) as i64),
+            (true, 4) => [i64::MIN, i64::MAX, 0][random.of(3) as usize],
+            _ => now_ns.saturating_add(random.of(35_000_000) as i64),
         };
         lock.advance(now_ns, &mut |point| checker.look(point, out));
         // Settings.
-        if dice.of(20) == 0 {
-            lock.set(Settings { max_age_ms: dice.hostile() * 100.0, min_score: dice.hostile() });
-        } else if dice.of(4) == 0 {
+        if random.of(20) == 0 {
+            lock.set(Settings { max_age_ms: random.hostile() * 100.0, min_score: random.hostile() });
+        } else if random.of(4) == 0 {
             lock.set(Settings::default());
         }
         // The tip.
-        if !(wild && dice.of(3) == 0) {
-            let score = if wild { dice.hostile() } else { 0.5 + dice.unit() / 2.0 };
-            lock.tip(now_ns, Evidence { score, in_space: !wild || dice.of(8) != 0 });
+        if !(wild && random.of(3) == 0) {
+            let score = if wild { random.hostile() } else { 0.5 + random.unit() / 2.0 };
+            lock.tip(now_ns, Evidence { score, in_space: !wild || random.of(8) != 0 });
         }
         // The demand: held on, turned around, or anything.
-        match dice.of(6) {
-            0 => heading = JointVector::from_fn(|_, _| (dice.unit() - 0.5) * 2.0),
+        match random.of(6) {
+            0 => heading = JointVector::from_fn(|_, _| (random.unit() - 0.5) * 2.0),
             1 => heading = -heading,
-            2 => heading = about_trocar(chain, lock.set_point(), dice),
-            3 if dice.of(4) == 0 => heading = JointVector::zeros(),
+            2 => heading = about_trocar(chain, lock.set_point(), random),
+            3 if random.of(4) == 0 => heading = JointVector::zeros(),
             _ => {}
         }
-        if wild && dice.of(2) == 0 {
-            let count = if dice.of(4) == 0 { dice.of(9) as usize } else { JOINTS };
-            let values: Vec<f64> = (0..count).map(|_| dice.hostile()).collect();
+        if wild && random.of(2) == 0 {
+            let count = if random.of(4) == 0 { random.of(9) as usize } else { JOINTS };
+            let values: Vec<f64> = (0..count).map(|_| random.hostile()).collect();
             lock.demand(now_ns, &values);
-        } else if dice.of(12) != 0 {
+        } else if random.of(12) != 0 {
             lock.demand(now_ns, heading.as_slice());
         }
-        if wild && dice.of(40) == 0 {
+        if wild && random.of(40) == 0 {
             let latching: Vec<Cause> = Cause::ALL.into_iter().filter(|cause| cause.latches()).collect();
-            lock.latch(latching[dice.of(latching.len() as u64) as usize]);
+            lock.latch(latching[random.of(latching.len() as u64) as usize]);
         }
-        if dice.of(30) == 0 {
+        if random.of(30) == 0 {
             lock.release();
         }
         while lock.take_event().is_some() {}
@@ -204,9 +204,9 @@ fn one_run(chain: &Chain, dice: &mut Dice, cases: u64, out: &mut Outcome) {
 }
 
 /// A demand that turns about the trocar as fast as it can: the only kind that moves the arm far.
-fn about_trocar(chain: &Chain, at: &SetPoint, dice: &mut Dice) -> JointVector {
+fn about_trocar(chain: &Chain, at: &SetPoint, random: &mut Random) -> JointVector {
     let stance = chain.stance(&at.position);
-    let mut any = || (dice.unit() - 0.5) * 400.0;
+    let mut any = || (random.unit() - 0.5) * 400.0;
     let wanted = crate::task::Wanted {
         point_mm: Vector3::new(7.5, 0.0, 65.0),
         velocity_mm_s: Vector3::new(any(), any(), any()),

@@ -36,7 +36,7 @@ pub struct Goals {
 
 /// The cameras' parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Eyes {
+pub struct CameraGeometry {
     /// Focal lengths of the rectified left view, px.
     pub focal_px: (f64, f64),
     /// Distance of the cameras, mm.
@@ -107,11 +107,11 @@ pub fn goal_mm(distance_mm: f64, baseline_mm: f64) -> Vector3<f64> {
 }
 
 /// Errors of a point: px, px, mm.
-pub fn errors(point_mm: &Vector3<f64>, eyes: &Eyes, distance_mm: f64) -> Errors {
+pub fn errors(point_mm: &Vector3<f64>, cameras: &CameraGeometry, distance_mm: f64) -> Errors {
     let z = point_mm.z.max(NEAREST_MM);
     Errors::new(
-        eyes.focal_px.0 * (point_mm.x - eyes.baseline_mm / 2.0) / z,
-        eyes.focal_px.1 * point_mm.y / z,
+        cameras.focal_px.0 * (point_mm.x - cameras.baseline_mm / 2.0) / z,
+        cameras.focal_px.1 * point_mm.y / z,
         point_mm.norm() - distance_mm,
     )
 }
@@ -164,7 +164,7 @@ impl Controller {
         tip: Option<SeenTip>,
         joints_rad: &JointVector,
         set_point_rad: Option<&JointVector>,
-        eyes: &Eyes,
+        cameras: &CameraGeometry,
         goals: &Goals,
     ) -> Option<Step> {
         let passed_s = self.last_ns.map(|last| taken_ns.saturating_sub(last) as f64 * 1e-9);
@@ -185,7 +185,7 @@ impl Controller {
         };
         let measured = self.chain.stance(joints_rad);
         let in_room = measured.base_from_camera * Point3::from(tip.xyz_mm);
-        let (place, movement) = self.follow(&tip, &in_room.coords, &measured, dt_s, eyes, goals);
+        let (place, movement) = self.follow(&tip, &in_room.coords, &measured, dt_s, cameras, goals);
 
         // The arm's angles when this demand takes effect.
         let coming = set_point_rad.map_or(*joints_rad, |set| set + self.asked * dt_s);
@@ -193,8 +193,8 @@ impl Controller {
         let age_s = if tip.age_s > 0.0 { tip.age_s.min(LONGEST_AGE_S) } else { 0.0 };
         let ahead = Point3::from(place + movement * (goals.latency_s + dt_s + age_s));
         let point = stance.base_from_camera.inverse_transform_point(&ahead).coords;
-        let plain = errors(&tip.xyz_mm, eyes, goals.distance_mm);
-        let coming_errors = errors(&point, eyes, goals.distance_mm);
+        let plain = errors(&tip.xyz_mm, cameras, goals.distance_mm);
+        let coming_errors = errors(&point, cameras, goals.distance_mm);
         let mut rates = Errors::zeros();
         let is_limited = self.is_limited(set_point_rad, dt_s);
         for k in 0..3 {
@@ -206,7 +206,7 @@ impl Controller {
         }
         let point = Vector3::new(point.x, point.y, point.z.max(NEAREST_MM));
         let own = stance.base_from_camera.inverse_transform_vector(&movement);
-        let wanted = task::interaction(&point, eyes.focal_px, eyes.baseline_mm / 2.0)
+        let wanted = task::interaction(&point, cameras.focal_px, cameras.baseline_mm / 2.0)
             .try_inverse()
             .map_or(Vector3::zeros(), |inverse| inverse * rates)
             - own * goals.feed_forward;
@@ -216,7 +216,7 @@ impl Controller {
         Some(Step {
             velocity: solved.velocity,
             errors: plain,
-            error_mm: (tip.xyz_mm - goal_mm(goals.distance_mm, eyes.baseline_mm)).norm(),
+            error_mm: (tip.xyz_mm - goal_mm(goals.distance_mm, cameras.baseline_mm)).norm(),
             tip_mm_s: movement,
             singular: solved.singular,
             share: solved.share,
@@ -230,12 +230,12 @@ impl Controller {
         in_room: &Vector3<f64>,
         measured: &crate::chain::Stance,
         dt_s: f64,
-        eyes: &Eyes,
+        cameras: &CameraGeometry,
         goals: &Goals,
     ) -> (Vector3<f64>, Vector3<f64>) {
         let model = Model { acceleration_mm_s2: goals.acceleration_mm_s2, ..Model::default() };
         let turn = measured.base_from_camera.rotation.to_rotation_matrix();
-        let seen = stereo_covariance(&tip.xyz_mm, eyes.focal_px.0, eyes.baseline_mm, LATERAL_PX, DISPARITY_PX);
+        let seen = stereo_covariance(&tip.xyz_mm, cameras.focal_px.0, cameras.baseline_mm, LATERAL_PX, DISPARITY_PX);
         let covariance = turn.matrix() * seen * turn.matrix().transpose();
         let kept = self.tip.as_mut().is_some_and(|filter| {
             filter.predict(&model, dt_s);

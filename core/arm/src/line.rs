@@ -288,23 +288,23 @@ impl Reader {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::Dice;
+    use crate::campaign::Random;
 
-    fn vector(dice: &mut Dice) -> JointVector {
-        JointVector::from_fn(|_, _| ((dice.unit() - 0.5) * 6e6).round() * 1e-6)
+    fn vector(random: &mut Random) -> JointVector {
+        JointVector::from_fn(|_, _| ((random.unit() - 0.5) * 6e6).round() * 1e-6)
     }
 
-    fn any(dice: &mut Dice, seq: u32) -> Line {
+    fn any(random: &mut Random, seq: u32) -> Line {
         let serial = Serial::new("CAM6-0042").expect("letters, digits and -");
-        match dice.of(6) {
+        match random.of(6) {
             0 => Line::Hello { seq, version: VERSION },
             1 => Line::Identity { seq, version: VERSION, serial, watchdog_ms: 30 },
             2 => Line::Query { seq },
             3 => Line::Clear { seq },
-            4 => Line::Set { seq, position: vector(dice), velocity: vector(dice) },
+            4 => Line::Set { seq, position: vector(random), velocity: vector(random) },
             _ => {
-                let (state, _) = DeviceState::LETTERS[dice.of(4) as usize];
-                Line::Answer { seq, state, position: vector(dice) }
+                let (state, _) = DeviceState::LETTERS[random.of(4) as usize];
+                Line::Answer { seq, state, position: vector(random) }
             }
         }
     }
@@ -317,14 +317,14 @@ mod tests {
 
     #[test]
     fn lines_come_back_as_they_were_sent() {
-        let mut dice = Dice::new(3);
+        let mut random = Random::new(3);
         for seq in 0..600 {
-            let line = any(&mut dice, seq);
+            let line = any(&mut random, seq);
             let bytes = text(&line);
             assert!(bytes.len() <= LONGEST && bytes.is_ascii());
             let (mut reader, mut received) = (Reader::default(), Vec::new());
             // In two pieces, as serial lines deliver them.
-            let (a, b) = bytes.split_at(dice.of(bytes.len() as u64) as usize);
+            let (a, b) = bytes.split_at(random.of(bytes.len() as u64) as usize);
             reader.take(a, |line| received.push(line));
             reader.take(b, |line| received.push(line));
             let [Received::Line(back)] = received.as_slice() else { panic!("{received:?}") };
@@ -336,20 +336,20 @@ mod tests {
     fn damaged_lines_are_not_accepted() {
         // Flipped, lost, doubled and inserted bytes, one to four of them, in all combinations. PANOSCOPE_LINE_CASES sets the number.
         let cases = std::env::var("PANOSCOPE_LINE_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(200_000_u64);
-        let mut dice = Dice::new(11);
+        let mut random = Random::new(11);
         let (mut undetected, mut unchanged) = (0, 0);
         for case in 0..cases {
-            let line = any(&mut dice, (case % u64::from(SEQ_END)) as u32);
+            let line = any(&mut random, (case % u64::from(SEQ_END)) as u32);
             let sent = text(&line);
             let mut bytes = sent[..sent.len() - 1].to_vec();
-            for _ in 0..=dice.of(4) {
-                let at = dice.of(bytes.len() as u64) as usize;
-                match dice.of(5) {
-                    0 => bytes[at] ^= 1 << dice.of(8),
-                    1 => bytes[at] = b"0123456789 -*ASHIQCRWEF"[dice.of(23) as usize],
+            for _ in 0..=random.of(4) {
+                let at = random.of(bytes.len() as u64) as usize;
+                match random.of(5) {
+                    0 => bytes[at] ^= 1 << random.of(8),
+                    1 => bytes[at] = b"0123456789 -*ASHIQCRWEF"[random.of(23) as usize],
                     2 if bytes.len() > 1 => drop(bytes.remove(at)),
                     3 => bytes.insert(at, bytes[at]),
-                    _ => bytes.insert(at, dice.bits() as u8),
+                    _ => bytes.insert(at, random.bits() as u8),
                 }
             }
             if bytes == sent[..sent.len() - 1]
@@ -398,11 +398,11 @@ mod tests {
 
     #[test]
     fn garbage_is_no_line() {
-        let mut dice = Dice::new(9);
+        let mut random = Random::new(9);
         let mut reader = Reader::default();
         let mut valid = 0;
         for _ in 0..2000 {
-            let noise: Vec<u8> = (0..dice.of(400)).map(|_| dice.bits() as u8).collect();
+            let noise: Vec<u8> = (0..random.of(400)).map(|_| random.bits() as u8).collect();
             reader.take(&noise, |line| valid += u32::from(line != Received::Damaged));
         }
         assert_eq!(valid, 0);

@@ -7,9 +7,9 @@ use nalgebra::{Point3, Vector3};
 use panoscope_tracking::kalman::Model;
 use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
 
-use crate::campaign::Dice;
+use crate::campaign::Random;
 use crate::chain::{Chain, JointVector};
-use crate::control::{Controller, Eyes, Goals, SeenTip, goal_mm};
+use crate::control::{CameraGeometry, Controller, Goals, SeenTip, goal_mm};
 use crate::dynamics::{Quality, SimArm};
 use crate::interlock::{Evidence, Interlock, TubePose};
 use crate::pid::Gains;
@@ -135,14 +135,14 @@ fn bell(t: f64) -> f64 {
     t * t * t * (10.0 - t * (15.0 - 6.0 * t))
 }
 
-fn strokes(dice: &mut Dice, until_s: f64) -> Vec<Stroke> {
+fn strokes(random: &mut Random, until_s: f64) -> Vec<Stroke> {
     let (mut out, mut at, mut clock) = (Vec::new(), Vector3::zeros(), 0.0);
     while clock < until_s {
-        let mut any = |reach: f64| (2.0 * dice.unit() - 1.0) * reach;
+        let mut any = |reach: f64| (2.0 * random.unit() - 1.0) * reach;
         let to = Vector3::new(any(20.0), any(13.0), any(8.0));
-        let length_s = (1.875 * (to - at).norm() / (12.0 + 13.0 * dice.unit())).max(0.1);
+        let length_s = (1.875 * (to - at).norm() / (12.0 + 13.0 * random.unit())).max(0.1);
         out.push(Stroke { from: at, to, start_s: clock, length_s });
-        clock += length_s + 0.1 + 0.5 * dice.unit();
+        clock += length_s + 0.1 + 0.5 * random.unit();
         at = to;
     }
     out
@@ -184,15 +184,15 @@ fn offset(scenario: Scenario, script: &[Stroke], seconds: f64) -> Vector3<f64> {
 
 /// Plays a scenario for `seconds` at `rate_hz`.
 pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz: f64, goals: &Goals) -> Vec<Row> {
-    let mut dice = Dice::new(seed);
-    let script = strokes(&mut dice, seconds);
+    let mut random = Random::new(seed);
+    let script = strokes(&mut random, seconds);
     let quality = Quality::default();
     let home = chain.stance(&JointVector::zeros());
     let (base_from_home, down) = (home.base_from_camera, home.base_from_tip * Vector3::z());
     let mut lock = Interlock::new(chain.clone(), JointVector::zeros(), 0);
     let mut arm = SimArm::new(quality, JointVector::zeros());
     let (mut tracker, mut controller) = (Tracker::default(), Controller::new(chain.clone()));
-    let eyes = Eyes { focal_px: (FOCAL_PX, FOCAL_PX), baseline_mm: BASELINE_MM };
+    let cameras = CameraGeometry { focal_px: (FOCAL_PX, FOCAL_PX), baseline_mm: BASELINE_MM };
     let rules = Rules {
         model: Model { acceleration_mm_s2: 200.0, ..Model::default() },
         lateral_px: 1.0,
@@ -224,8 +224,9 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
         let (p, in_view) = seen(&tip_room);
         let bad = if smoky { 3.0 } else { 1.0 };
         let mut reports = Vec::new();
-        let mut report = |p: Vector3<f64>, dice: &mut Dice| {
-            let mut bell = |deviation: f64| ((0..6).map(|_| dice.unit()).sum::<f64>() - 3.0) * 1.414 * deviation * bad;
+        let mut report = |p: Vector3<f64>, random: &mut Random| {
+            let mut bell =
+                |deviation: f64| ((0..6).map(|_| random.unit()).sum::<f64>() - 3.0) * 1.414 * deviation * bad;
             let inverse = p.z.recip() * (1.0 + bell(0.3) * p.z / (FOCAL_PX * BASELINE_MM));
             let (x, y, z) = (p.x / p.z + bell(0.5) / FOCAL_PX, p.y / p.z + bell(0.5) / FOCAL_PX, 1.0 / inverse);
             let score = if smoky { 0.55 } else { 0.9 };
@@ -241,14 +242,14 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             let aside = -18.0 * (at_s / 8.0 * std::f64::consts::TAU).cos();
             let (other, other_seen) = seen(&(tip_room + Vector3::new(aside, 2.0, -8.0)));
             if other_seen {
-                report(other, &mut dice);
+                report(other, &mut random);
             }
             // The other tool hides the leading tip while it is in front of it.
             if in_view && aside.abs() > 2.5 {
-                report(p, &mut dice);
+                report(p, &mut random);
             }
-        } else if in_view && !hidden && !(smoky && dice.of(5) == 0) {
-            report(p, &mut dice);
+        } else if in_view && !hidden && !(smoky && random.of(5) == 0) {
+            report(p, &mut random);
         }
         // The nodes, in their order.
         let known = tracker.step(now_ns, reports.iter().copied(), &camera, &rules);
@@ -262,7 +263,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             score: fade * if smoky { 0.55 } else { 0.9 },
             age_s: 0.0,
         });
-        let demand = controller.step(now_ns, tip, &encoders, Some(&set_point), &eyes, goals);
+        let demand = controller.step(now_ns, tip, &encoders, Some(&set_point), &cameras, goals);
         lock.advance(now_ns, &mut |point| arm.step(point));
         if let Some(tip) = tip {
             // A predicted tip is as old as the picture in which it was last seen.
@@ -297,7 +298,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
         });
         // State for the next tick.
         camera = base_from_home.inverse() * stance.base_from_camera;
-        encoders = arm.encoders(|| dice.bits());
+        encoders = arm.encoders(|| random.bits());
         set_point = lock.set_point().position;
     }
     rows

@@ -10,8 +10,8 @@ fn chain() -> Chain {
 }
 
 fn angles(seed: u64) -> JointVector {
-    let mut dice = panoscope_arm_core::campaign::Dice::new(seed);
-    JointVector::from_fn(|_, _| (dice.unit() - 0.5) * 0.8)
+    let mut random = panoscope_arm_core::campaign::Random::new(seed);
+    JointVector::from_fn(|_, _| (random.unit() - 0.5) * 0.8)
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use panoscope_arm_core::campaign::Dice;
+use panoscope_arm_core::campaign::Random;
 use panoscope_arm_core::interlock::caps::{self, TubePose};
 use panoscope_arm_core::interlock::{Evidence, Settings, measured};
 use panoscope_arm_core::{Cause, Chain, JointVector};
@@ -148,7 +148,7 @@ struct Outcome {
 }
 
 struct Case {
-    dice: Dice,
+    random: Random,
     harm: Harm,
     folder: PathBuf,
     firmware: Firmware,
@@ -159,20 +159,20 @@ struct Case {
 
 impl Case {
     fn new(seed: u64) -> Self {
-        let mut dice = Dice::new(seed);
+        let mut random = Random::new(seed);
         let harm = HARMS[(seed % HARMS.len() as u64) as usize];
         let folder = std::env::temp_dir().join(format!("panoscope-campaign-{}-{seed}", std::process::id()));
         let _ = std::fs::remove_dir_all(&folder);
         let behaviour = Behaviour {
             // A loaded machine must not look like a dead guard; where the guard dies, the true limit counts.
             watchdog_ms: if harm == Harm::GuardKilled { 30 } else { 500 },
-            lag_s: 0.005 + 0.02 * dice.unit(),
-            noise_rad: 2e-5 * dice.unit(),
+            lag_s: 0.005 + 0.02 * random.unit(),
+            noise_rad: 2e-5 * random.unit(),
             ..Behaviour::default()
         };
         let firmware = Firmware::plug_in(&format!("CASE-{seed}"), behaviour).expect("a pseudo-terminal");
-        let rad_s = (0.05 + 0.1 * dice.unit()) * if dice.of(2) == 0 { 1.0 } else { -1.0 };
-        Self { dice, harm, folder, firmware, guard: None, reset: 0, rad_s }
+        let rad_s = (0.05 + 0.1 * random.unit()) * if random.of(2) == 0 { 1.0 } else { -1.0 };
+        Self { random, harm, folder, firmware, guard: None, reset: 0, rad_s }
     }
 
     fn connection(&self) -> Connection {
@@ -267,10 +267,10 @@ impl Case {
             Harm::ClockJumps => {
                 let jumps = |case: &mut Self| {
                     let mut asked = case.request();
-                    asked.sent_ns = match case.dice.of(4) {
+                    asked.sent_ns = match case.random.of(4) {
                         0 => asked.sent_ns + 3600 * second,
                         1 => asked.sent_ns - 3600 * second,
-                        2 => [i64::MIN, i64::MAX, 0, -1][case.dice.of(4) as usize],
+                        2 => [i64::MIN, i64::MAX, 0, -1][case.random.of(4) as usize],
                         _ => asked.sent_ns,
                     };
                     asked
@@ -281,7 +281,7 @@ impl Case {
                 let mut held = Vec::new();
                 let shuffled = |case: &mut Self| {
                     held.push(case.request());
-                    let index = case.dice.of(held.len() as u64) as usize;
+                    let index = case.random.of(held.len() as u64) as usize;
                     if held.len() > 5 { held.swap_remove(index) } else { held[index] }
                 };
                 self.drive(shuffled, |_, _| at.elapsed() > until);
@@ -290,12 +290,12 @@ impl Case {
                 let hostile = |case: &mut Self| {
                     let mut asked = case.request();
                     if let Some((_, values, count)) = &mut asked.demand {
-                        let dice = &mut case.dice;
-                        values.iter_mut().for_each(|value| *value = dice.hostile());
-                        *count = if dice.of(2) == 0 { 6 } else { dice.bits() as u32 };
+                        let random = &mut case.random;
+                        values.iter_mut().for_each(|value| *value = random.hostile());
+                        *count = if random.of(2) == 0 { 6 } else { random.bits() as u32 };
                     }
-                    asked.settings.max_age_ms = case.dice.hostile();
-                    asked.settings.min_score = case.dice.hostile();
+                    asked.settings.max_age_ms = case.random.hostile();
+                    asked.settings.min_score = case.random.hostile();
                     asked
                 };
                 self.drive(hostile, |_, _| at.elapsed() > until);
@@ -419,7 +419,7 @@ fn run(seed: u64, chain: &Chain, outcome: &Mutex<Outcome>) {
         outcome.lock().expect("whole").not_moving += 1;
         return;
     }
-    std::thread::sleep(Duration::from_millis(case.dice.of(60)));
+    std::thread::sleep(Duration::from_millis(case.random.of(60)));
     let at = case.harm();
     let hold = case.hold_ms(at).filter(|_| harm.is_timed());
     let escape = case.escape(chain);

@@ -11,8 +11,8 @@ use sha2::{Digest, Sha256};
 
 use crate::search::Loader;
 
-/// Plugins that the theatre uses besides those of the graph, to write clips.
-pub const THEATRE_PLUGINS: [&str; 1] = ["sinks"];
+/// Plugins that a lock covers besides those of the graph: the theatre writes clips with them.
+pub const ALWAYS_LOCKED: [&str; 1] = ["sinks"];
 
 /// Version of the lock file's layout.
 const VERSION: u32 = 1;

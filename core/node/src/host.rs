@@ -35,7 +35,7 @@ pub(crate) fn release(buffer: abi::BufferId) {
     if let Some(host) = host()
         && let Some(release) = host.release
     {
-        // SAFETY: `Kept` calls this once per `retain`, so the buffer still has this reference.
+        // SAFETY: `Retained` calls this once per `retain`, so the buffer still has this reference.
         unsafe { release(host.ctx, buffer) }
     }
 }

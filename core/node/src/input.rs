@@ -203,9 +203,9 @@ impl<'f, P: Plane> Image<'f, P> {
     }
 
     /// Retains the buffer beyond this call; the result releases it when dropped.
-    pub fn keep(&self) -> Kept<P> {
+    pub fn retain(&self) -> Retained<P> {
         host::retain(self.frame.buffer);
-        Kept { frame: *self.frame, plane: PhantomData }
+        Retained { frame: *self.frame, plane: PhantomData }
     }
 }
 
@@ -265,12 +265,12 @@ impl<'f> AnyImage<'f> {
 }
 
 /// A retained frame: valid beyond the call that lent it, released when dropped.
-pub struct Kept<P> {
+pub struct Retained<P> {
     frame: abi::Frame,
     plane: PhantomData<P>,
 }
 
-impl<P: Plane> Kept<P> {
+impl<P: Plane> Retained<P> {
     /// The pixels.
     pub fn view(&self) -> View<'_, P::Element> {
         let image: Image<'_, P> = Image { frame: &self.frame, plane: PhantomData };
@@ -284,7 +284,7 @@ impl<P: Plane> Kept<P> {
     }
 }
 
-impl<P> Drop for Kept<P> {
+impl<P> Drop for Retained<P> {
     fn drop(&mut self) {
         host::release(self.frame.buffer);
     }

@@ -229,7 +229,7 @@ struct KeepParams {
 }
 
 struct Keep {
-    before: Option<Kept<Gray8>>,
+    before: Option<Retained<Gray8>>,
 }
 
 impl Node for Keep {
@@ -243,7 +243,7 @@ impl Node for Keep {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: KeepIn<'f>, mut out: KeepOut<'f>, p: &KeepParams) -> Result<()> {
-        if let Some(before) = self.before.replace(input.image.keep()) {
+        if let Some(before) = self.before.replace(input.image.retain()) {
             cx.metric("mean", f64::from(before.view().data[0]));
             out.before.forward(before.frame())?;
             if p.forget {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Diagnostics, GraphText, check};
-use panoscope_loader::lock::{Difference, Lock, LockError, THEATRE_PLUGINS};
+use panoscope_loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError};
 use panoscope_loader::{self as loader, Loader};
 
 use super::Plan;
@@ -124,7 +124,7 @@ impl Ready {
         let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
         let catalog = loader.catalog(&parsed.plugins());
         let (graph, _) = check(parsed, &catalog).into_result().map_err(OpenError::Graph)?;
-        let now = Lock::of(&graph, &catalog, &loader, parsed, &THEATRE_PLUGINS);
+        let now = Lock::of(&graph, &catalog, &loader, parsed, &ALWAYS_LOCKED);
         let verified = match compare(path, &now) {
             Ok(None) => Verified::Never,
             Ok(Some(differences)) => match differences.first() {

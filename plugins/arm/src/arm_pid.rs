@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use nalgebra::Vector3;
-use panoscope_arm_core::control::{Controller, Eyes, Goals, SeenTip};
+use panoscope_arm_core::control::{CameraGeometry, Controller, Goals, SeenTip};
 use panoscope_arm_core::pid::Gains;
 use panoscope_node::abi::{Calibration, Joints, Tip};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Validation, Value, error};
@@ -168,7 +168,8 @@ impl Node for ArmPid {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &PidParams) -> Result<()> {
-        let mut eyes = Eyes { focal_px: (params.focal_px, params.focal_px), baseline_mm: params.baseline_mm };
+        let mut cameras =
+            CameraGeometry { focal_px: (params.focal_px, params.focal_px), baseline_mm: params.baseline_mm };
         let mut width_px = None;
         if let Some(c) = &input.calibration {
             let (fx, fy) = (c.left_projection[0], c.left_projection[5]);
@@ -178,7 +179,7 @@ impl Node for ArmPid {
                     c.baseline_mm
                 ));
             }
-            eyes = Eyes { focal_px: (fx, fy), baseline_mm: c.baseline_mm };
+            cameras = CameraGeometry { focal_px: (fx, fy), baseline_mm: c.baseline_mm };
             width_px = Some(f64::from(c.left.width));
         }
         let joints = input.joints.map(|j| angles(&j)).transpose()?;
@@ -193,13 +194,13 @@ impl Node for ArmPid {
         let seen = tip.as_ref().map(place);
         let Some(joints) = joints else { return Ok(()) };
         let taken_ns = now_ns.saturating_sub(behind_ns);
-        let goals = params.goals(eyes.focal_px.0);
-        let Some(step) = self.controller.step(taken_ns, seen, &joints, set_point.as_ref(), &eyes, &goals) else {
+        let goals = params.goals(cameras.focal_px.0);
+        let Some(step) = self.controller.step(taken_ns, seen, &joints, set_point.as_ref(), &cameras, &goals) else {
             return Ok(());
         };
         out.joints.set(packet(&joints, &step.velocity))?;
         cx.metric("error_mm", step.error_mm);
-        let width_px = width_px.unwrap_or(eyes.focal_px.0 * 640.0 / THESIS_FOCAL_PX);
+        let width_px = width_px.unwrap_or(cameras.focal_px.0 * 640.0 / THESIS_FOCAL_PX);
         let share_pct = 100.0 * step.errors.x.hypot(step.errors.y) / width_px;
         let row: [f64; COLUMNS.len()] = [
             step.errors.x,

@@ -1,7 +1,7 @@
 //! `evaluate_arm`: errors of an arm that follows an exactly known tip, one row per tick since the start.
 
 use nalgebra::Vector3;
-use panoscope_arm_core::control::{Eyes, errors, goal_mm};
+use panoscope_arm_core::control::{CameraGeometry, errors, goal_mm};
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Value};
 
@@ -77,7 +77,8 @@ impl Node for EvaluateArm {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &JudgeParams) -> Result<()> {
         let c = &input.calibration;
-        let eyes = Eyes { focal_px: (c.left_projection[0], c.left_projection[5]), baseline_mm: c.baseline_mm };
+        let cameras =
+            CameraGeometry { focal_px: (c.left_projection[0], c.left_projection[5]), baseline_mm: c.baseline_mm };
         let tip = input.tip.filter(|tip| params.track_id < 0 || tip.track_id == params.track_id);
         let mut row = [f64::NAN; COLUMNS.len()];
         row[0] = cx.tick().capture_ns as f64 * 1e-9;
@@ -89,8 +90,8 @@ impl Node for EvaluateArm {
         row[10] = f64::from(u8::from(tip.as_ref().is_some_and(|tip| tip.score > 0.0)));
         if let Some(tip) = tip {
             let at = Vector3::from(tip.xyz_mm);
-            let off = errors(&at, &eyes, params.distance_mm);
-            row[1] = (at - goal_mm(params.distance_mm, eyes.baseline_mm)).norm();
+            let off = errors(&at, &cameras, params.distance_mm);
+            row[1] = (at - goal_mm(params.distance_mm, cameras.baseline_mm)).norm();
             row[2..5].copy_from_slice(off.as_slice());
         }
         if let Some(table) = &input.arm

@@ -1,7 +1,7 @@
 //! `preview`: holds the newest frame for a viewer.
 
 use panoscope_node::{
-    AnyImage, Bgr8, Context, Gray8, Gray16, GrayF32, Kept, NoPorts, Node, NodeInfo, Open, Ports, Result, Rgba8,
+    AnyImage, Bgr8, Context, Gray8, Gray16, GrayF32, NoPorts, Node, NodeInfo, Open, Ports, Result, Retained, Rgba8,
 };
 
 /// Inputs.
@@ -15,11 +15,11 @@ pub struct In<'f> {
 enum Held {
     #[default]
     Nothing,
-    Gray8(Kept<Gray8>),
-    Bgr8(Kept<Bgr8>),
-    Rgba8(Kept<Rgba8>),
-    Gray16(Kept<Gray16>),
-    F32(Kept<GrayF32>),
+    Gray8(Retained<Gray8>),
+    Bgr8(Retained<Bgr8>),
+    Rgba8(Retained<Rgba8>),
+    Gray16(Retained<Gray16>),
+    F32(Retained<GrayF32>),
 }
 
 /// Holds the newest frame, so that a viewer can show it at its own pace. Never more than two frames are held, and only
@@ -58,15 +58,15 @@ impl Node for Preview {
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, _: &()) -> Result<()> {
         let image = input.image;
         self.held = if let Some(plane) = image.as_plane::<Bgr8>() {
-            Held::Bgr8(plane.keep())
+            Held::Bgr8(plane.retain())
         } else if let Some(plane) = image.as_plane::<Gray8>() {
-            Held::Gray8(plane.keep())
+            Held::Gray8(plane.retain())
         } else if let Some(plane) = image.as_plane::<Rgba8>() {
-            Held::Rgba8(plane.keep())
+            Held::Rgba8(plane.retain())
         } else if let Some(plane) = image.as_plane::<Gray16>() {
-            Held::Gray16(plane.keep())
+            Held::Gray16(plane.retain())
         } else if let Some(plane) = image.as_plane::<GrayF32>() {
-            Held::F32(plane.keep())
+            Held::F32(plane.retain())
         } else {
             Held::Nothing
         };

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use panoscope_node::{
-    AnyImage, Bgr8, Context, Finish, Image, Kept, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports,
-    Result, Validation,
+    AnyImage, Bgr8, Context, Finish, Image, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
+    Retained, Validation,
 };
 
 use crate::formats::still;
@@ -48,7 +48,7 @@ pub struct WriteImages {
     work: Vec<u8>,
     written: Wholes,
     files: u64,
-    last: Option<(Kept<Bgr8>, u64, u8)>,
+    last: Option<(Retained<Bgr8>, u64, u8)>,
 }
 
 impl WriteImages {
@@ -118,7 +118,7 @@ impl Node for WriteImages {
             let Some(image) = image else {
                 return Err(NodeError::new("`at_end` needs a bgr8 picture at input `image`"));
             };
-            self.last = Some((image.keep(), seq, params.jpeg_quality));
+            self.last = Some((image.retain(), seq, params.jpeg_quality));
             return Ok(());
         }
         if params.limit > 0 && self.files >= params.limit {

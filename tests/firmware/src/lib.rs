@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_arm_core::JointVector;
-use panoscope_arm_core::campaign::Dice;
+use panoscope_arm_core::campaign::Random;
 use panoscope_arm_core::line::{DeviceState, Line, Reader, Received, Serial, VERSION};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
@@ -172,7 +172,7 @@ struct Controller {
     serial: Serial,
     shared: Arc<(Mutex<State>, Condvar)>,
     reader: Reader,
-    dice: Dice,
+    random: Random,
     /// Answers on their way: when they leave.
     late: VecDeque<(Instant, Vec<u8>)>,
     angles: JointVector,
@@ -189,7 +189,7 @@ impl Controller {
             serial,
             shared,
             reader: Reader::default(),
-            dice: Dice::new(17),
+            random: Random::new(17),
             late: VecDeque::new(),
             angles: JointVector::zeros(),
             speed: JointVector::zeros(),
@@ -228,11 +228,11 @@ impl Controller {
     fn damaged(&mut self, bytes: &[u8], share: f64) -> Vec<u8> {
         let mut out = Vec::with_capacity(bytes.len() + 8);
         for &byte in bytes {
-            if share > 0.0 && self.dice.unit() < share {
-                match self.dice.of(3) {
+            if share > 0.0 && self.random.unit() < share {
+                match self.random.of(3) {
                     0 => {}
                     1 => out.extend([byte, byte]),
-                    _ => out.push(byte ^ (1 << self.dice.of(8))),
+                    _ => out.push(byte ^ (1 << self.random.of(8))),
                 }
             } else {
                 out.push(byte);
@@ -296,7 +296,7 @@ impl Controller {
             Line::Identity { .. } | Line::Answer { .. } => return None,
         };
         let seq = if behaviour.has_wrong_numbers { seq.saturating_sub(100) } else { seq };
-        let noise = JointVector::from_fn(|_, _| (self.dice.unit() - 0.5) * 2.0 * behaviour.noise_rad);
+        let noise = JointVector::from_fn(|_, _| (self.random.unit() - 0.5) * 2.0 * behaviour.noise_rad);
         Some(Line::Answer { seq, state: self.state(behaviour), position: self.angles + noise })
     }
 

@@ -4,9 +4,9 @@ use nalgebra::{Point3, Vector3};
 
 use super::TuneError;
 use super::relay::{Relay, Ultimate};
-use crate::campaign::Dice;
+use crate::campaign::Random;
 use crate::chain::{Chain, JointVector};
-use crate::control::{Controller, Eyes, Goals, SeenTip, errors, goal_mm};
+use crate::control::{CameraGeometry, Controller, Goals, SeenTip, errors, goal_mm};
 use crate::dynamics::{Quality, SimArm};
 use crate::interlock::{Evidence, Interlock};
 use crate::task::{self, Errors, Wanted};
@@ -49,7 +49,7 @@ pub struct Course {
     /// Imperfections of the arm.
     pub quality: Quality,
     /// The cameras.
-    pub eyes: Eyes,
+    pub cameras: CameraGeometry,
     /// Pictures per second.
     pub rate_hz: f64,
     /// Standard deviation of a tip in the picture and of its disparity, px; 0 for none.
@@ -126,8 +126,8 @@ struct Tick<'a> {
 impl Course {
     /// The default arm with the scope of the thesis.
     pub fn shipped(chain: Chain) -> Self {
-        let eyes = Eyes { focal_px: (750.0, 750.0), baseline_mm: 15.0 };
-        Self { chain, quality: Quality::default(), eyes, rate_hz: 30.0, noise_px: 0.0 }
+        let cameras = CameraGeometry { focal_px: (750.0, 750.0), baseline_mm: 15.0 };
+        Self { chain, quality: Quality::default(), cameras, rate_hz: 30.0, noise_px: 0.0 }
     }
 
     /// Plays a motion against a controller.
@@ -138,7 +138,7 @@ impl Course {
         let mut controller = Controller::new(self.chain.clone());
         let mut control = |tick: &Tick<'_>| {
             let tip = SeenTip { xyz_mm: tick.tip_mm, score: 1.0, age_s: 0.0 };
-            let step = controller.step(tick.now_ns, Some(tip), tick.joints, Some(tick.set_point), &self.eyes, goals);
+            let step = controller.step(tick.now_ns, Some(tip), tick.joints, Some(tick.set_point), &self.cameras, goals);
             step.map(|step| step.velocity)
         };
         let ticks = ((START_S + WATCHED_S) * self.rate_hz) as i64;
@@ -156,7 +156,7 @@ impl Course {
         const SECONDS: f64 = 30.0;
         // In E/s: what moves the tip by about 15 mm/s, a speed that the arm reaches within its limits.
         let (row, amplitude) = match channel {
-            Channel::Picture => (0, 15.0 * self.eyes.focal_px.0 / goals.distance_mm),
+            Channel::Picture => (0, 15.0 * self.cameras.focal_px.0 / goals.distance_mm),
             Channel::Distance => (2, 15.0),
         };
         let relay = Relay { amplitude, hysteresis: 0.0, step_s: 1.0 / self.rate_hz, longest_s: SECONDS };
@@ -167,11 +167,11 @@ impl Course {
         let mut plant = |output: f64| {
             let velocity = {
                 let seen = loop_.look(&rest);
-                let now = errors(&seen, &self.eyes, goals.distance_mm);
+                let now = errors(&seen, &self.cameras, goals.distance_mm);
                 let mut rates = Errors::new(-HOLD * now.x, -HOLD * now.y, -HOLD * now.z);
                 rates[row] = -output;
                 let point = Vector3::new(seen.x, seen.y, seen.z.max(1.0));
-                let wanted = task::interaction(&point, self.eyes.focal_px, self.eyes.baseline_mm / 2.0)
+                let wanted = task::interaction(&point, self.cameras.focal_px, self.cameras.baseline_mm / 2.0)
                     .try_inverse()
                     .map_or(Vector3::zeros(), |inverse| inverse * rates);
                 let stance = self.chain.stance(&loop_.encoders);
@@ -188,7 +188,7 @@ impl Course {
                 stopped.get_or_insert(error);
                 return f64::NAN;
             }
-            errors(&loop_.look(&rest), &self.eyes, goals.distance_mm)[row]
+            errors(&loop_.look(&rest), &self.cameras, goals.distance_mm)[row]
         };
         let found = relay.swing(&mut plant);
         match stopped {
@@ -206,7 +206,7 @@ impl Course {
         control: &mut dyn FnMut(&Tick<'_>) -> Option<JointVector>,
     ) -> Result<Vec<Sample>, TuneError> {
         let mut state = Loop::new(self, distance_mm);
-        let goal = goal_mm(distance_mm, self.eyes.baseline_mm);
+        let goal = goal_mm(distance_mm, self.cameras.baseline_mm);
         let mut out = Vec::with_capacity(ticks.max(0) as usize);
         let (mut last, mut speed) = (state.camera.translation.vector, Vector3::zeros());
         for _ in 0..ticks {
@@ -241,7 +241,7 @@ struct Loop<'a> {
     course: &'a Course,
     lock: Interlock,
     arm: SimArm,
-    dice: Dice,
+    random: Random,
     /// Left camera, in the frame of the left camera at home.
     camera: nalgebra::Isometry3<f64>,
     base_from_home: nalgebra::Isometry3<f64>,
@@ -258,11 +258,11 @@ impl<'a> Loop<'a> {
         Self {
             lock: Interlock::new(course.chain.clone(), JointVector::zeros(), 0),
             arm: SimArm::new(course.quality, JointVector::zeros()),
-            dice: Dice::new(5),
+            random: Random::new(5),
             camera: nalgebra::Isometry3::identity(),
             base_from_home,
             encoders: JointVector::zeros(),
-            home_mm: goal_mm(distance_mm, course.eyes.baseline_mm),
+            home_mm: goal_mm(distance_mm, course.cameras.baseline_mm),
             now_ns: 0,
             tick: 0,
             course,
@@ -276,10 +276,11 @@ impl<'a> Loop<'a> {
 
     /// As two cameras see it.
     fn noisy(&mut self, p: Vector3<f64>) -> Vector3<f64> {
-        let Course { eyes, noise_px, .. } = self.course;
-        let mut bell = || ((0..6).map(|_| self.dice.unit()).sum::<f64>() - 3.0) * 1.414 * noise_px;
-        let inverse = p.z.recip() * (1.0 + bell() * p.z / (eyes.focal_px.0 * eyes.baseline_mm));
-        let (x, y, z) = (p.x / p.z + bell() / eyes.focal_px.0, p.y / p.z + bell() / eyes.focal_px.1, 1.0 / inverse);
+        let Course { cameras, noise_px, .. } = self.course;
+        let mut bell = || ((0..6).map(|_| self.random.unit()).sum::<f64>() - 3.0) * 1.414 * noise_px;
+        let inverse = p.z.recip() * (1.0 + bell() * p.z / (cameras.focal_px.0 * cameras.baseline_mm));
+        let (x, y, z) =
+            (p.x / p.z + bell() / cameras.focal_px.0, p.y / p.z + bell() / cameras.focal_px.1, 1.0 / inverse);
         Vector3::new(x * z, y * z, z)
     }
 
@@ -300,8 +301,8 @@ impl<'a> Loop<'a> {
         self.lock.advance(next_ns, &mut |point| arm.step(point));
         self.now_ns = next_ns;
         self.camera = self.base_from_home.inverse() * self.course.chain.stance(self.arm.links()).base_from_camera;
-        let dice = &mut self.dice;
-        self.encoders = self.arm.encoders(|| dice.bits());
+        let random = &mut self.random;
+        self.encoders = self.arm.encoders(|| random.bits());
         // The first ticks have no demand yet.
         match self.lock.latched() {
             Some(cause) => Err(TuneError::Stopped { at_s: self.now_ns as f64 * 1e-9, cause: cause.to_string() }),

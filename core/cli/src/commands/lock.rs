@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_loader::lock::{Lock, THEATRE_PLUGINS, lock_path};
+use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, lock_path};
 
 use crate::End;
 use crate::given::Given;
@@ -32,7 +32,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             return Ok(End::Wrong);
         }
     };
-    let now = Lock::of(&ready.graph, &ready.catalog, &ready.loader, &ready.text, &THEATRE_PLUGINS);
+    let now = Lock::of(&ready.graph, &ready.catalog, &ready.loader, &ready.text, &ALWAYS_LOCKED);
     if arguments.verify {
         return verify(path, &now);
     }

@@ -110,11 +110,11 @@ pub fn of_graph(path: &Path, node: Option<&str>, options: &GraphOptions) -> Resu
     goals.acceleration_mm_s2 = number("tip_acceleration")?;
     let mut course = Course::shipped(pid.arm()?);
     // The dead zone and the limit of the picture's errors are stated at 640 columns, 750 px.
-    let scale = focal_px / course.eyes.focal_px.0;
+    let scale = focal_px / course.cameras.focal_px.0;
     goals.picture.dead_zone *= scale;
     goals.picture.most *= scale;
-    course.eyes.focal_px = (focal_px, focal_px);
-    course.eyes.baseline_mm = number("baseline_mm")?;
+    course.cameras.focal_px = (focal_px, focal_px);
+    course.cameras.baseline_mm = number("baseline_mm")?;
     if let [arm] = arms[..] {
         let arm = Named { node: arm, catalog: &ready.catalog };
         course.quality = Quality {

@@ -15,7 +15,7 @@ use crate::workspace::Workspace;
 /// A step failed; its output is above.
 pub fn check(workspace: &Workspace, package: &Path, dir: &Path) -> Result<()> {
     if let Some(reason) = obstacle() {
-        println!("skipped: the package was not installed for a check: {reason}");
+        println!("not checked, the package was not installed: {reason}");
         return Ok(());
     }
     let script = workspace.root.join("core/xtask/package/check.sh");

@@ -23,10 +23,10 @@ fn process<'f>(cx: &Context<'f>, input: &In<'f>, out: &mut Out<'f>, plan: &Plan)
     plan.suffer(cx, harm)?;
     let frame = input.image.frame();
     if harm == Harm::Leak {
-        std::mem::forget(input.image.keep());
+        std::mem::forget(input.image.retain());
     }
     if matches!(harm, Harm::ReleaseTwice | Harm::ReleaseTwiceElsewhere) {
-        let kept = input.image.keep();
+        let kept = input.image.retain();
         // SAFETY: none: this is the misuse that the host has to survive.
         let twin = unsafe { std::ptr::read(&raw const kept) };
         if harm == Harm::ReleaseTwice {

@@ -37,7 +37,7 @@ impl Node for ChaosPose {
         let harm = plan.at(cx.tick().seq);
         plan.suffer(cx, harm)?;
         if harm == Harm::Leak {
-            std::mem::forget(input.image.keep());
+            std::mem::forget(input.image.retain());
         }
         if harm == Harm::Nothing {
             return Ok(());

@@ -8,7 +8,7 @@ mod preset;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use panoscope_arm_core::control::{Controller, Eyes, SeenTip, goal_mm};
+use panoscope_arm_core::control::{CameraGeometry, Controller, SeenTip, goal_mm};
 use panoscope_arm_core::interlock::Evidence;
 use panoscope_arm_core::rehearsal::{self, Measures, Scenario, measure};
 use panoscope_arm_core::{Chain, Interlock, JointVector, campaign};
@@ -208,7 +208,7 @@ fn limits(session: &dyn Session, chain: &Chain, options: &Options, figures: &mut
 
 /// Time of one tick of controller and interlock, 33 ms of set-points included.
 fn time(chain: &Chain, figures: &mut Vec<Figure>) {
-    let eyes = Eyes { focal_px: (750.0, 750.0), baseline_mm: 15.0 };
+    let cameras = CameraGeometry { focal_px: (750.0, 750.0), baseline_mm: 15.0 };
     let goals = rehearsal::shipped_goals();
     let mut controller = Controller::new(chain.clone());
     let mut lock = Interlock::new(chain.clone(), JointVector::zeros(), 0);
@@ -220,7 +220,7 @@ fn time(chain: &Chain, figures: &mut Vec<Figure>) {
         let tip = SeenTip { xyz_mm: goal_mm(66.0, 15.0) + off, score: 0.9, age_s: 0.0 };
         let start = Instant::now();
         let at = lock.set_point().position;
-        let step = controller.step(now_ns, Some(tip), &at, Some(&at), &eyes, &goals);
+        let step = controller.step(now_ns, Some(tip), &at, Some(&at), &cameras, &goals);
         lock.tip(now_ns, Evidence { score: tip.score, in_space: true });
         if let Some(step) = step {
             lock.demand(now_ns, step.velocity.as_slice());
