@@ -106,6 +106,26 @@ fn a_stream_that_buffers_is_as_old_as_its_light() {
 }
 
 #[test]
+fn the_report_of_a_run_gives_the_age_of_the_light() {
+    let Some(program) = std::env::var_os("PANOSCOPE_BIN") else {
+        return panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
+    };
+    let folder = scratch("ages_report");
+    let (graph, report) = (folder.join("g.toml"), folder.join("report.json"));
+    let text = "mode = \"live\"\nplugins = [\"fixtures\", \"flow\"]\n\
+                [nodes.scope]\ntype = \"aged\"\nparams = { age_ms = 2000.0 }\n\
+                [nodes.sink]\ntype = \"drain\"\ninputs = { image = \"scope.image\" }\n";
+    std::fs::write(&graph, text).expect("a graph");
+    let mut run = std::process::Command::new(program);
+    let done = run.arg("run").arg(&graph).args(["--frames", "20", "--report"]).arg(&report).output();
+    let done = done.expect("it starts");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(&report).expect("a report")).expect("JSON");
+    let age_ms = report["paths"]["sink"]["age_p50_ms"].as_f64().expect("a number");
+    assert!((2000.0..60_000.0).contains(&age_ms), "{report}");
+}
+
+#[test]
 fn ticks_kept_during_a_live_edit_look_as_old_as_they_are() {
     let folder = scratch("ages");
     let opened = folder.join("opened");

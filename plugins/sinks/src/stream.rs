@@ -1,5 +1,6 @@
 //! `stream`: the picture as a live video on the network.
 
+mod codec;
 mod fanout;
 mod push;
 mod server;
@@ -9,24 +10,14 @@ use std::net::IpAddr;
 
 use panoscope_media::{RateControl, VideoCodec};
 use panoscope_node::{
-    AnyImage, Choice, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
+    AnyImage, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
 };
 
 use crate::picture::Pixels;
+use codec::StreamCodec;
 use push::{Push, Target};
 use server::Mount;
 use worker::Worker;
-
-/// How a stream is compressed.
-#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StreamCodec {
-    /// H.264 without delay: plays everywhere.
-    H264,
-    /// HEVC (H.265) without delay: better at the same rate, slower.
-    Hevc,
-    /// One JPEG per picture: a lost packet costs one picture; many bits; pictures up to 2040x2040 px.
-    Mjpg,
-}
 
 /// Inputs.
 #[derive(Ports)]

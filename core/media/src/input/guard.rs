@@ -13,7 +13,7 @@ use gstreamer::prelude::*;
 
 use super::access_unit::{self, Codec};
 use super::jpeg;
-use super::libav_log;
+use super::libav_log::{self, DamageReport};
 
 /// Times of marked pictures that are kept.
 const KEPT: usize = 1024;
@@ -72,20 +72,6 @@ impl Guard {
 
     fn span(&self) -> MutexGuard<'_, Span> {
         self.span.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The decoder complains about the data that it decodes now.
-    pub fn report(&self, words: &str) {
-        self.complaints.fetch_add(1, Ordering::Relaxed);
-        let words: String = words.trim().chars().take(LONGEST_REASON).collect();
-        let mut span = self.span();
-        let is_jpeg = span.format == Format::Jpeg;
-        if let Some(now_ns) = span.decoding_ns {
-            self.mark(&mut span, now_ns, &words);
-        }
-        if !is_jpeg {
-            span.damage.get_or_insert(words);
-        }
     }
 
     fn mark(&self, span: &mut Span, pts_ns: u64, words: &str) {
@@ -187,6 +173,22 @@ impl Guard {
         span.clean_from_ns = 0;
         if span.format != Format::Jpeg {
             span.damage = Some("the stream has not had a key picture yet".to_owned());
+        }
+    }
+}
+
+impl DamageReport for Guard {
+    /// Marks the data that the decoder decodes now as damaged.
+    fn report(&self, words: &str) {
+        self.complaints.fetch_add(1, Ordering::Relaxed);
+        let words: String = words.trim().chars().take(LONGEST_REASON).collect();
+        let mut span = self.span();
+        let is_jpeg = span.format == Format::Jpeg;
+        if let Some(now_ns) = span.decoding_ns {
+            self.mark(&mut span, now_ns, &words);
+        }
+        if !is_jpeg {
+            span.damage.get_or_insert(words);
         }
     }
 }

@@ -3,7 +3,7 @@
 //! A flipped bit mostly makes codes that the tables do not have, blocks with too many coefficients, or a scan with too few or too many blocks.
 //! Decoders tolerate all of these. A flipped bit in a coefficient's value is not found here; nothing in a JPEG can show it.
 
-use super::jpeg::JpegError;
+use super::jpeg_error::JpegError;
 
 const MOST_COMPONENTS: usize = 4;
 

@@ -12,11 +12,15 @@ use std::sync::{Arc, OnceLock};
 use gstreamer as gst;
 use gstreamer::ffi;
 
-use super::guard::Guard;
+/// Receives what a decoder logs about damage.
+pub trait DamageReport: Send + Sync {
+    /// Takes one message of the decoder.
+    fn report(&self, message: &str);
+}
 
 thread_local! {
     /// The guard of the decoder that this thread runs.
-    static DECODING: RefCell<Option<Arc<Guard>>> = const { RefCell::new(None) };
+    static DECODING: RefCell<Option<Arc<dyn DamageReport>>> = const { RefCell::new(None) };
 }
 
 /// The category `libav`, and the threshold that the user set for it.
@@ -24,9 +28,9 @@ static CATEGORY: AtomicPtr<ffi::GstDebugCategory> = AtomicPtr::new(std::ptr::nul
 static THRESHOLD: AtomicI32 = AtomicI32::new(0);
 
 /// Gives what this thread's decoder logs from now on to `guard`.
-pub fn attend(guard: &Arc<Guard>) {
+pub fn attend<R: DamageReport + 'static>(guard: &Arc<R>) {
     DECODING.with_borrow_mut(|current| {
-        if !current.as_ref().is_some_and(|other| Arc::ptr_eq(other, guard)) {
+        if !current.as_ref().is_some_and(|other| std::ptr::addr_eq(Arc::as_ptr(other), Arc::as_ptr(guard))) {
             *current = Some(guard.clone());
         }
     });

@@ -8,6 +8,7 @@ mod arrival;
 mod build;
 mod guard;
 pub mod jpeg;
+mod jpeg_error;
 mod jpeg_scan;
 mod libav_log;
 mod modes;

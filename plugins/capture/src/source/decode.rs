@@ -5,11 +5,11 @@ use std::io::Cursor;
 use std::path::Path;
 use std::time::Duration;
 
-use image::DynamicImage;
-use panoscope_media::input::{CameraMode, Input, InputName, InputOptions, Signal, jpeg};
+use panoscope_media::input::{CameraMode, Input, InputName, InputOptions, Signal};
 use tiff::ColorType;
 use tiff::decoder::DecodingResult;
 
+use super::compressed::{decode, decode_jpeg};
 use super::error::PictureError;
 use super::frames::Frames;
 use super::picture::{Picture, Samples};
@@ -37,39 +37,6 @@ pub fn read(path: &Path) -> Result<Picture, PictureError> {
     }
 }
 
-/// Decodes a PNG or an EXR, or a JPEG that is known to be whole.
-fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, PictureError> {
-    let picture =
-        image::load_from_memory_with_format(bytes, format).map_err(|cause| PictureError::Damaged { cause })?;
-    let (width, height) = (picture.width() as usize, picture.height() as usize);
-    let samples = match picture {
-        DynamicImage::ImageLuma16(_)
-        | DynamicImage::ImageLumaA16(_)
-        | DynamicImage::ImageRgb16(_)
-        | DynamicImage::ImageRgba16(_) => Samples::Sixteen(bgr_of_rgb(picture.into_rgb16().into_raw())),
-        DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_) => {
-            Samples::Float(bgr_of_rgb(picture.into_rgb32f().into_raw()))
-        }
-        _ => Samples::Eight(bgr_of_rgb(picture.into_rgb8().into_raw())),
-    };
-    Ok(Picture { width, height, samples })
-}
-
-/// Decodes a JPEG, or a frame of a Motion JPEG, which may lack the standard Huffman tables.
-///
-/// # Errors
-/// A JPEG that is damaged or not whole.
-pub fn decode_jpeg(bytes: &[u8]) -> Result<Picture, PictureError> {
-    decode(&jpeg::whole(bytes)?, image::ImageFormat::Jpeg)
-}
-
-fn bgr_of_rgb<T>(mut values: Vec<T>) -> Vec<T> {
-    for pixel in values.as_chunks_mut::<3>().0 {
-        pixel.swap(0, 2);
-    }
-    values
-}
-
 /// Decodes a TIFF of 8 or 16 bits without sign, or of floats.
 fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
     let damaged = |cause: tiff::TiffError| PictureError::Tiff { cause };
@@ -85,12 +52,12 @@ fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
     };
     let (width, height) = (width as usize, height as usize);
     let samples = match decoder.read_image().map_err(damaged)? {
-        DecodingResult::U8(values) => Samples::Eight(bgr(&values, channels)),
-        DecodingResult::U16(values) => Samples::Sixteen(bgr(&values, channels)),
-        DecodingResult::F32(values) => Samples::Float(bgr(&values, channels)),
+        DecodingResult::U8(values) => Samples::Eight(plain::bgr(&values, channels)),
+        DecodingResult::U16(values) => Samples::Sixteen(plain::bgr(&values, channels)),
+        DecodingResult::F32(values) => Samples::Float(plain::bgr(&values, channels)),
         DecodingResult::F64(values) => {
             let values: Vec<f32> = values.into_iter().map(|value| value as f32).collect();
-            Samples::Float(bgr(&values, channels))
+            Samples::Float(plain::bgr(&values, channels))
         }
         DecodingResult::I8(_) => return Err(PictureError::Unsupported { format: "signed 8-bit".to_owned() }),
         DecodingResult::I16(_) => return Err(PictureError::Unsupported { format: "signed 16-bit".to_owned() }),
@@ -105,14 +72,6 @@ fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
         Samples::Decoded(_) => true,
     };
     if is_whole { Ok(picture) } else { Err(PictureError::Incomplete) }
-}
-
-/// BGR of interleaved gray or RGB values, with or without alpha.
-pub(super) fn bgr<T: Copy>(values: &[T], channels: usize) -> Vec<T> {
-    match channels {
-        1 | 2 => values.chunks_exact(channels).flat_map(|pixel| [pixel[0]; 3]).collect(),
-        _ => values.chunks_exact(channels).flat_map(|pixel| [pixel[2], pixel[1], pixel[0]]).collect(),
-    }
 }
 
 /// Decodes formats that only GStreamer knows.

@@ -8,7 +8,7 @@ use gstreamer_video::video_frame::Readable;
 use gstreamer_video::{VideoConverter, VideoFormat, VideoFrame, VideoInfo};
 use panoscope_media::input::{Received, jpeg};
 
-use super::decode::decode_jpeg;
+use super::compressed::decode_jpeg;
 use super::error::FrameError;
 use super::picture::{Picture, Samples};
 

@@ -1,6 +1,7 @@
 //! Where pictures come from: one [`Source`] per camera, file, image sequence or pipeline.
 
 mod avi;
+mod compressed;
 mod controls;
 mod decode;
 mod demands;

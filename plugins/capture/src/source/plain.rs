@@ -95,12 +95,20 @@ pub fn pnm(bytes: &[u8]) -> Result<Picture, PictureError> {
     let wide = usize::from(most > 255) + 1;
     let data = bytes.get(at..).and_then(|rest| rest.get(..values * wide)).ok_or(PictureError::Incomplete)?;
     let samples = if wide == 1 {
-        Samples::Eight(super::decode::bgr(data, channels))
+        Samples::Eight(bgr(data, channels))
     } else {
         let values: Vec<u16> = data.as_chunks::<2>().0.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
-        Samples::Sixteen(super::decode::bgr(&values, channels))
+        Samples::Sixteen(bgr(&values, channels))
     };
     Ok(Picture { width, height, samples })
+}
+
+/// BGR of interleaved gray or RGB values, with or without alpha.
+pub fn bgr<T: Copy>(values: &[T], channels: usize) -> Vec<T> {
+    match channels {
+        1 | 2 => values.chunks_exact(channels).flat_map(|pixel| [pixel[0]; 3]).collect(),
+        _ => values.chunks_exact(channels).flat_map(|pixel| [pixel[2], pixel[1], pixel[0]]).collect(),
+    }
 }
 
 #[cfg(test)]

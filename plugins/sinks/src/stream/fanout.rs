@@ -7,7 +7,7 @@ use gstreamer::Caps;
 use gstreamer_app::AppSrc;
 use panoscope_media::{MediaError, Packet, make};
 
-use super::StreamCodec;
+use super::codec::StreamCodec;
 
 /// Packets that may wait for a receiver. One that is farther behind gets no more until it has caught up, and then starts at a key frame.
 const MOST_WAITING: u64 = 8;

@@ -1,0 +1,24 @@
+//! Why a JPEG is refused.
+
+/// What is wrong with a JPEG.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum JpegError {
+    /// The first bytes are not those of a JPEG.
+    #[error("it does not begin as a JPEG")]
+    NotJpeg,
+    /// The end marker is missing.
+    #[error("the JPEG is cut off after {bytes} bytes: its end is missing")]
+    CutOff {
+        /// Bytes that there are.
+        bytes: usize,
+    },
+    /// No scan stands before the end marker.
+    #[error("the JPEG holds no picture")]
+    NoPicture,
+    /// Its coded data do not make the blocks that its header announces.
+    #[error("the data of the JPEG are damaged near block {block}")]
+    Broken {
+        /// Number of the block, or group of blocks, at which this was noticed.
+        block: usize,
+    },
+}
