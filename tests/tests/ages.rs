@@ -220,3 +220,62 @@ inputs = { image = { from = "pass.image", delay = 1 }, tip = "scope.tip" }
         assert!(row[1] > row[2] + 0.5 * media_ms(*seq), "the delayed picture of tick {seq}: {row:?}");
     }
 }
+
+/// How far the camera is behind an instrument that moves to and fro at 12 mm/s, mm on average while it does not turn, and the longest time
+/// between two pictures in which its tip is found, ms. `rate` limits the node that finds it.
+fn behind_mm(rate: &str) -> (f64, f64) {
+    const TICKS: u64 = 480;
+    let text = format!(
+        r#"
+mode = "batch"
+plugins = ["phantom", "tools", "arm"]
+[nodes.scope]
+type = "phantom"
+inputs = {{ camera_pose = {{ from = "arm.camera_pose", delay = 1 }} }}
+params = {{ seed = 7, distance_mm = 85.0, width = 160, height = 120, tools = 1, tool_kinds = "grasper", tool_motion = "ramp" }}
+[nodes.find]
+type = "tool_tip"
+inputs = {{ instances = "scope.instances", depth = "scope.depth", calibration = "scope.calibration" }}
+{rate}
+[nodes.follow]
+type = "tip_track"
+inputs = {{ tip = [{{ from = "find.tip", align = "latest" }}], camera_pose = {{ from = "arm.camera_pose", delay = 1 }}, calibration = "scope.calibration" }}
+[nodes.pid]
+type = "arm_pid"
+inputs = {{ tip = "follow.tip", joints = {{ from = "arm.joints", delay = 1 }}, setpoint = {{ from = "arm.setpoint", delay = 1 }}, calibration = "scope.calibration" }}
+[nodes.arm]
+type = "arm_sim"
+inputs = {{ joints = "pid.joints", tip = "follow.tip" }}
+params = {{ max_age_ms = 300.0 }}
+[nodes.judge]
+type = "evaluate_arm"
+inputs = {{ tip = "scope.lead", arm = "arm.table", track = "follow.table", calibration = "scope.calibration" }}
+"#
+    );
+    let run = start(&text, &[("judge", "table")]);
+    run.until("the instrument went to and fro", 0, |seq, _| seq >= TICKS);
+    run.engine().close(PATIENCE);
+    let table = rows_of(&run.rows[0]).remove(&TICKS).expect("the judge's rows so far");
+    let (mut sum_mm, mut count, mut gap_ms) = (0.0, 0.0, 0.0_f64);
+    for row in table.chunks_exact(table.len() / (TICKS as usize + 1)).skip(120) {
+        // The phantom turns round every 3 s; the arm needs a while to follow.
+        let phase = ((row[0] - 2.0) / 6.0 + 0.25).fract();
+        let to_right = if phase < 0.5 { 1.0 } else { -1.0 };
+        gap_ms = gap_ms.max(row[11]);
+        if phase % 0.5 > 0.2 && row[2].is_finite() {
+            sum_mm += to_right * row[2] * 66.0 / 187.5;
+            count += 1.0;
+        }
+    }
+    assert!(count > 100.0, "{count} rows");
+    (sum_mm / count, gap_ms)
+}
+
+#[test]
+fn the_time_since_a_tip_was_seen_is_predicted_once() {
+    let (always, gap_ms) = behind_mm("");
+    assert!(gap_ms < 1.0 && always.abs() < 0.8, "{always} mm, {gap_ms} ms");
+    let (seldom, gap_ms) = behind_mm("max_rate_hz = 5");
+    // Twice would lead by the way of 80 ms, the mean time since the tip was seen: 1 mm.
+    assert!(gap_ms > 150.0 && (seldom - always).abs() < 0.5, "{seldom} mm at 5 Hz, {always} mm in every picture");
+}

@@ -269,3 +269,24 @@ fn a_late_tip_is_predicted_by_its_age() -> Result<(), HarnessError> {
     assert!((oldest - beyond).abs() < 1e-9, "{oldest} {beyond}");
     Ok(())
 }
+
+#[test]
+fn a_tip_that_was_carried_to_its_tick_is_predicted_by_the_age_of_the_tick_alone() -> Result<(), HarnessError> {
+    // The tracker moves an old tip to the tick and says how old its light is, for the interlock. Only what has passed since the tick is left to predict.
+    let demand = |tip_age_ms: u64, tick_age_ms: u64| -> Result<Joints, HarnessError> {
+        let mut control = Harness::<ArmPid>::from_toml("params = { dead_zone_px = 0.0 }")?;
+        let mut last = None;
+        for n in 0..60 {
+            control.at_tick(n as u64, n * CLAIMED_NS).tick_age(std::time::Duration::from_millis(tick_age_ms));
+            control.input_value("tip", tip(7.5 + 10.0 * (n - 60) as f64 * CLAIMED_NS as f64 * 1e-9, 1.0));
+            control.input_age("tip", std::time::Duration::from_millis(tick_age_ms + tip_age_ms));
+            last = Some(control.input_value("joints", still()).process()?.value("joints")?);
+        }
+        Ok(last.expect("60 ticks"))
+    };
+    let speeds = |joints: Joints| joints.velocity_rad_s;
+    let (fresh, carried) = (speeds(demand(0, 20)?), speeds(demand(150, 20)?));
+    assert_eq!(fresh, carried, "150 ms were predicted twice");
+    assert_ne!(fresh, speeds(demand(0, 170)?), "the age of the tick is predicted");
+    Ok(())
+}

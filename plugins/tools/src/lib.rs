@@ -8,6 +8,7 @@ pub mod candidates;
 pub mod evaluate_proximity;
 pub mod export_kind;
 pub mod finite;
+pub mod hidden_jaw;
 pub mod labels;
 pub mod letterbox;
 pub mod mask_rcnn;

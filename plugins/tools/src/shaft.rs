@@ -1,5 +1,9 @@
 //! Where an instrument ends: from its mask along the shaft's axis, or from its box alone.
 
+mod axis;
+
+pub use axis::ShaftAxis;
+
 /// A mask as bits: most significant first, rows padded to whole bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct Mask<'a> {
@@ -128,6 +132,15 @@ struct Branch {
     size: f64,
 }
 
+/// What is known of the last mask.
+#[derive(Clone, Copy, Debug)]
+struct LastMask {
+    lines: Lines,
+    /// Line of its end, and the one where its jaws part.
+    end_line: u32,
+    fork_line: Option<u32>,
+}
+
 /// Finds tips; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct TipFinder {
@@ -135,6 +148,10 @@ pub struct TipFinder {
     /// First run of each line.
     starts: Vec<u32>,
     branches: Vec<Branch>,
+    last: Option<LastMask>,
+    /// Middles of the shaft, and whether its axis goes by them; their distances from it, px.
+    middles: Vec<([f64; 2], bool)>,
+    off_px: Vec<f64>,
 }
 
 /// The lines across a mask: point `(line, step)` lies at `from + line * pitch * axis + step * pitch * across`.
@@ -168,6 +185,7 @@ impl TipFinder {
     /// on the other side, in the middle of its end; where it forks there into two jaws, the middle of both ends. `None` for an empty mask.
     pub fn of_mask(&mut self, mask: Mask<'_>) -> Option<TipPixel> {
         let (width, height) = (mask.width as f64, mask.height as f64);
+        self.last = None;
         let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         mask.each(&mut |x, y| {
             n += 1.0;
@@ -222,15 +240,20 @@ impl TipFinder {
         self.cut(&mask, &lines);
         self.grow();
         let (longest, fork) = self.fork(&lines)?;
+        let end_line = self.branches[longest as usize].end_line;
+        let mut last = LastMask { lines, end_line, fork_line: None };
+        self.last = Some(last);|(_, fork_line)| fork_line)));
         if let Some((other, fork_line)) = fork {
             let ends = [longest, other].map(|branch| self.end(&lines, branch, fork_line));
             if let [Some(one), Some(two)] = ends {
+                last.fork_line = Some(fork_line);
+                self.last = Some(last);
                 let (u_px, v_px) = ((one.u_px + two.u_px) / 2.0, (one.v_px + two.v_px) / 2.0);
                 return Some(TipPixel { tip: End { u_px, v_px, direction: axis }, jaws: Some([one, two]) });
             }
         }
         // Without a fork: the middle of its last part.
-        let end = low + f64::from(self.branches[longest as usize].end_line) * pitch;
+        let end = low + f64::from(end_line) * pitch;
         let part = (END_SHARE * (end - low)).max(END_PX);
         let (mut ends, mut reach, mut beside, mut offset) = (0.0, 0.0, 0.0, 0.0);
         mask.each(&mut |x, y| {
@@ -398,7 +421,7 @@ pub fn tip_of_box(corners: [f32; 4], width: usize, height: usize) -> TipPixel {
 mod tests {
     use super::*;
 
-    fn tip(width: usize, height: usize, inside: impl Fn(f64, f64) -> bool) -> Option<TipPixel> {
+    pub(super) fn bits_of(width: usize, height: usize, inside: impl Fn(f64, f64) -> bool) -> Vec<u8> {
         let row = width.div_ceil(8);
         let mut bits = vec![0; row * height];
         for y in 0..height {
@@ -406,11 +429,20 @@ mod tests {
                 bits[y * row + x / 8] |= 0x80 >> (x % 8);
             }
         }
+        bits
+    }
+
+    fn tip(width: usize, height: usize, inside: impl Fn(f64, f64) -> bool) -> Option<TipPixel> {
+        TipFinder::default().of_mask(Mask::new(&bits_of(width, height, inside), width, height))
+    }|&x| inside(x as f64, y as f64)) {
+                bits[y * row + x / 8] |= 0x80 >> (x % 8);
+            }
+        }
         TipFinder::default().of_mask(Mask::new(&bits, width, height))
     }
 
     /// Whether a point lies on a bar of a width from one point to another.
-    fn on_bar([x, y]: [f64; 2], [ax, ay]: [f64; 2], [bx, by]: [f64; 2], width: f64) -> bool {
+    pub(super) fn on_bar([x, y]: [f64; 2], [ax, ay]: [f64; 2], [bx, by]: [f64; 2], width: f64) -> bool {
         let length = (bx - ax).hypot(by - ay);
         let (t, s) = (
             ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / length,

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use nalgebra::Vector3;
 use panoscope_node::abi::{Calibration, Detection, Tip};
 use panoscope_node::{
     AnyImage, Bgr8, Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports,
@@ -11,6 +12,7 @@ use panoscope_node::{
 use panoscope_tracking::real_time::RealTime;
 
 use crate::candidates::iou;
+use crate::hidden_jaw::{HiddenJaw, KnownEnd, Lens, Pixels};
 use crate::second_view::SecondView;
 use crate::shaft::{End, Mask, TipFinder, TipPixel, tip_of_box};
 use crate::silhouette::{Cues, Silhouette};
@@ -41,7 +43,8 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Tip of the leading tool. Empty when no tool is found, or when masks and depth show that another tool hides its end.
+    /// Tip of the leading tool; between open jaws the middle of both ends. Where masks and depth show that another tool hides one of two jaws, the tip is
+    /// found from the other jaw and the shaft's axis, for 10 s after both were seen. Empty when no tool is found, or when another tool hides its whole end.
     tip: Slot<'f, Tip>,
 }
 
@@ -76,6 +79,8 @@ pub struct ToolTip {
     kept: Option<LastBox>,
     /// Distance of both ends of open jaws from the middle between them, mm, and when it was seen, ns.
     half: Option<(f64, i64)>,
+    /// Jaws of which another instrument hides one.
+    hidden: HiddenJaw,
     /// Depth of the last tip, mm, and its capture time, ns.
     last: Option<([f64; 3], i64)>,
     /// Capture times, ns, and positions, px, of the last tips.
@@ -183,33 +188,6 @@ const HALF_NS: i64 = 2_000_000_000;
 const HALF_FADES_NS: f64 = 0.7e9;
 /// Largest age of the last tip that decides which jaw is in view, ns.
 const LAST_NS: i64 = 200_000_000;
-/// Smallest distance in front of a tip of what hides it, mm.
-const BEFORE_MM: f32 = 1.0;
-/// Smallest share of the pixels around a tip that belong to another instrument which hides it.
-const HIDING_SHARE: f32 = 0.12;
-
-/// Whether another instrument, with the pixels of `other`, is around a tip and in front of it.
-fn is_behind(
-    at: (f64, f64),
-    z_mm: f32,
-    radius: usize,
-    size: (usize, usize),
-    depth_of: impl Fn(usize, usize) -> f32,
-    other: &dyn Fn(usize, usize) -> bool,
-) -> bool {
-    let (u, v, r) = (at.0.round() as isize, at.1.round() as isize, radius as isize);
-    let (mut all, mut before) = (0.0, 0.0);
-    for y in (v - r).max(0)..=(v + r).min(size.1 as isize - 1) {
-        for x in (u - r).max(0)..=(u + r).min(size.0 as isize - 1) {
-            if (x - u).pow(2) + (y - v).pow(2) <= r * r {
-                let (x, y) = (x as usize, y as usize);
-                all += 1.0;
-                before += f32::from(u8::from(depth_of(x, y) < z_mm - BEFORE_MM && other(x, y)));
-            }
-        }
-    }
-    before > HIDING_SHARE * all
-}
 
 /// Depth or disparity of the left view.
 struct Space<'a> {
@@ -328,6 +306,7 @@ impl Node for ToolTip {
             second: SecondView::default(),
             kept: None,
             half: None,
+            hidden: HiddenJaw::default(),
             last: None,
             observations: VecDeque::with_capacity(MOST_OBSERVATIONS),
             time: RealTime::default(),
@@ -521,32 +500,43 @@ impl Node for ToolTip {
                 });
                 self.half = Some(((apart / 2.0).max(faded), now_ns)).filter(|(half, _)| *half <= MOST_HALF_MM);
             }
-            let (mut sum, mut count, mut hidden) = ([0.0; 3], 0.0, 0.0);
-            for (End { u_px, v_px, .. }, depth) in ends.iter().zip(depths) {
-                let Some(z) = depth else { continue };
-                hidden += f64::from(u8::from(is_behind(
-                    (*u_px, *v_px),
-                    z as f32,
-                    params.radius_px,
-                    depth_size,
-                    depth_of,
-                    &others,
-                )));
-                let place = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
-                sum.iter_mut().zip(place).for_each(|(sum, v)| *sum += v);
-                count += 1.0;
+            let lens = Lens { focal_px: [p[0], p[5]], centre_px: [p[2], p[6]] };
+            let is_own = |x: usize, y: usize| of(index, x, y);
+            let has_others = items.len() > 1;
+            let pixels =
+                Pixels { size: depth_size, depth_mm: &depth_of, is_own: &is_own, is_other: &others, has_others };
+            let known = ends.iter().zip(depths).map(|(end, depth)| {
+                let z = depth?;
+                let at_mm = Vector3::new((end.u_px - p[2]) / p[0] * z, (end.v_px - p[6]) / p[5] * z, z);
+                let is_hidden = pixels.is_hidden((end.u_px, end.v_px), z as f32, params.radius_px);
+                Some(KnownEnd { at_mm, is_hidden })
+            });
+            let mut known_ends = [KnownEnd::default(); 2];
+            let mut count = 0;
+            for end in known.flatten() {
+                known_ends[count] = end;
+                count += 1;
             }
-            // The apparent end is where another instrument hides the tool: no tip is better than a wrong one. Of two jaws one still gives an
-            // estimate.
-            if count > 0.0 && hidden == count {
+            let known_ends = &known_ends[..count];
+            // The apparent end is where another instrument hides the tool: no tip is better than a wrong one.
+            if count > 0 && known_ends.iter().all(|end| end.is_hidden) {
                 return Ok(());
             }
-            if count > 1.0 {
+            let middle = if count == ends.len() && is_masked && !is_cut {
+                self.hidden.middle(now_ns, called, known_ends, &mut self.finder, &lens, params.radius_px, &pixels)
+            } else {
+                None
+            };
+            if let Some(middle) = middle {
+                xyz_mm = middle.into();
+                (u_px, v_px) = lens.pixel(&middle);
+            } else if count > 1 {
                 // Between jaws the middle in space, which is not exactly the middle in the picture.
-                xyz_mm = sum.map(|v| v / count);
-                (u_px, v_px) = (p[0] * xyz_mm[0] / xyz_mm[2] + p[2], p[5] * xyz_mm[1] / xyz_mm[2] + p[6]);
-            } else if count > 0.0 {
-                let z = if views.is_some() { self.middle_mm(sum[2], now_ns) } else { sum[2] };
+                let middle = (known_ends[0].at_mm + known_ends[1].at_mm) / 2.0;
+                xyz_mm = middle.into();
+                (u_px, v_px) = lens.pixel(&middle);
+            } else if let [end] = known_ends {
+                let z = if views.is_some() { self.middle_mm(end.at_mm.z, now_ns) } else { end.at_mm.z };
                 xyz_mm = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
             }
             valid = xyz_mm.iter().all(|v| v.is_finite()) && u_px.is_finite() && v_px.is_finite();

@@ -1,0 +1,151 @@
+//! The tip of jaws of which another instrument hides one end.
+
+use nalgebra::{Vector2, Vector3};
+use panoscope_tracking::jaws::{Axis, Jaws};
+
+use crate::shaft::TipFinder;
+
+/// Smallest distance in front of a tip of what hides it, mm.
+const BEFORE_MM: f32 = 1.0;
+/// Smallest share of the pixels around a tip that belong to another instrument which hides it.
+const HIDING_SHARE: f32 = 0.12;
+/// Smallest share of the pixels around the end of a jaw that belong to the jaw or to what hides it.
+const JAW_SHARE: f32 = 0.3;
+
+/// What a picture shows, by pixel.
+pub struct Pixels<'a> {
+    /// Columns and rows.
+    pub size: (usize, usize),
+    /// Depth, mm; NaN where unknown.
+    pub depth_mm: &'a dyn Fn(usize, usize) -> f32,
+    /// Whether it belongs to the instrument.
+    pub is_own: &'a dyn Fn(usize, usize) -> bool,
+    /// Whether it belongs to another instrument.
+    pub is_other: &'a dyn Fn(usize, usize) -> bool,
+    /// Whether there are other instruments in the picture.
+    pub has_others: bool,
+}
+
+impl Pixels<'_> {
+    /// Share of the pixels within a radius around a position, px, that another instrument covers in front of a depth, mm; and that share plus the
+    /// instrument's own pixels. 0 outside the picture.
+    fn shares(&self, (u, v): (f64, f64), z_mm: f32, radius_px: usize) -> (f32, f32) {
+        let (u, v, r) = (u.round() as isize, v.round() as isize, radius_px as isize);
+        let (mut all, mut covered, mut own) = (0.0_f32, 0.0, 0.0);
+        for y in v.saturating_sub(r).max(0)..=v.saturating_add(r).min(self.size.1 as isize - 1) {
+            for x in u.saturating_sub(r).max(0)..=u.saturating_add(r).min(self.size.0 as isize - 1) {
+                if (x - u).pow(2) + (y - v).pow(2) <= r * r {
+                    let (x, y) = (x as usize, y as usize);
+                    all += 1.0;
+                    if (self.depth_mm)(x, y) < z_mm - BEFORE_MM && (self.is_other)(x, y) {
+                        covered += 1.0;
+                    } else if (self.is_own)(x, y) {
+                        own += 1.0;
+                    }
+                }
+            }
+        }
+        if all > 0.0 { (covered / all, (covered + own) / all) } else { (0.0, 0.0) }
+    }
+
+    /// Whether another instrument is around a tip and in front of it.
+    pub fn is_hidden(&self, at_px: (f64, f64), z_mm: f32, radius_px: usize) -> bool {
+        self.shares(at_px, z_mm, radius_px).0 > HIDING_SHARE
+    }
+}
+
+/// An end of an instrument, whose depth is known.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct KnownEnd {
+    /// Position, mm, in the left camera's frame.
+    pub at_mm: Vector3<f64>,
+    /// Whether it is where another instrument hides the rest.
+    pub is_hidden: bool,
+}
+
+/// Finds tips of instruments of which one jaw is hidden.
+#[derive(Debug, Default)]
+pub struct HiddenJaw {
+    jaws: Jaws,
+    /// Number of the instrument.
+    tool: i64,
+}
+
+/// A rectified camera: focal lengths and centre, px.
+#[derive(Clone, Copy, Debug)]
+pub struct Lens {
+    /// Focal lengths.
+    pub focal_px: [f64; 2],
+    /// Principal point.
+    pub centre_px: [f64; 2],
+}
+
+impl Lens {
+    fn direction(&self, [u, v]: [f64; 2]) -> Vector2<f64> {
+        Vector2::new((u - self.centre_px[0]) / self.focal_px[0], (v - self.centre_px[1]) / self.focal_px[1])
+    }
+
+    /// Where a point of its frame (mm) is in the picture, px.
+    pub fn pixel(&self, at_mm: &Vector3<f64>) -> (f64, f64) {
+        let [fx, fy] = self.focal_px;
+        (fx * at_mm.x / at_mm.z + self.centre_px[0], fy * at_mm.y / at_mm.z + self.centre_px[1])
+    }
+}
+
+impl HiddenJaw {
+    /// The middle between the jaws of an instrument, mm, where one of its ends is hidden. `ends` are the ends of the mask that `finder` was given last,
+    /// one or two. None where nothing is hidden, and where the jaws of this instrument are not known from earlier pictures.
+    pub fn middle(
+        &mut self,
+        now_ns: i64,
+        tool: i64,
+        ends: &[KnownEnd],
+        finder: &mut TipFinder,
+        lens: &Lens,
+        radius_px: usize,
+        pixels: &Pixels<'_>,
+    ) -> Option<Vector3<f64>> {
+        if self.tool != tool {
+            (self.tool, self.jaws) = (tool, Jaws::default());
+        }
+        let mut clear = ends.iter().filter(|end| !end.is_hidden).map(|end| end.at_mm);
+        let (end_mm, second_mm) = (clear.next()?, clear.next());
+        let px_per_mm = lens.focal_px[0] / end_mm.z;
+        let is_other = pixels.is_other;
+        if let Some(second_mm) = second_mm {
+            let length_px = finder.jaws_px()?;
+            let axis = finder.axis(pixels.size, length_px, is_other)?;
+            let along = axis_of(lens, &axis).along;
+            self.jaws.see_both(now_ns, [end_mm, second_mm], along, length_px / px_per_mm);
+            return None;
+        }
+        if !pixels.has_others {
+            self.jaws.see_tip(now_ns, end_mm);
+            return None;
+        }
+        let length_mm = self.jaws.length_mm(now_ns)?;
+        let axis = finder.axis(pixels.size, length_mm * px_per_mm, is_other).map(|axis| axis_of(lens, &axis));
+        let found = self.jaws.of_one(now_ns, end_mm, axis).filter(|found| {
+            let (_, known) = pixels.shares(lens.pixel(&found.other_mm), found.other_mm.z as f32, radius_px);
+            // Where tissue is in view, there is no other jaw: they have closed.
+            ends.len() > 1 || known >= JAW_SHARE
+        });
+        match found {
+            Some(found) => {
+                self.jaws.see_one(now_ns, end_mm, &found, axis);
+                Some(found.middle_mm)
+            }
+            None => {
+                self.jaws.see_tip(now_ns, end_mm);
+                None
+            }
+        }
+    }
+}
+
+/// A shaft's axis in units of the focal length.
+fn axis_of(lens: &Lens, axis: &crate::shaft::ShaftAxis) -> Axis {
+    let [fx, fy] = lens.focal_px;
+    let along = Vector2::new(axis.along[0] / fx, axis.along[1] / fy);
+    Axis { from: lens.direction(axis.from_px), along: along / along.norm() }
+}
