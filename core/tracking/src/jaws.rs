@@ -244,7 +244,7 @@ mod tests {
         jaws.see_both(0, [ends[0], Vector3::new(f64::NAN, 0.0, 60.0)], axis.along, 14.0);
         assert!(jaws.of_one(0, ends[0], Some(axis)).is_none(), "these are two instruments");
         jaws.see_both(0, ends, axis.along, 14.0);
-        assert!(jaws.of_one(1, ends[0] + Vector3::new(0.0, 14.0, 0.0), Some(axis)).is_none(), "too far from the axis");
+        assert!(jaws.of_one(1, ends[0] + Vector3::new(0.0, 24.0, 0.0), Some(axis)).is_none(), "too far from the axis");
         assert!(jaws.of_one(1, Vector3::new(0.0, f64::INFINITY, 60.0), Some(axis)).is_none());
         assert!(jaws.of_one(1, -ends[0], Some(axis)).is_none());
         assert!(jaws.of_one(-1, ends[0], Some(axis)).is_none(), "time went back");

@@ -242,7 +242,7 @@ impl TipFinder {
         let (longest, fork) = self.fork(&lines)?;
         let end_line = self.branches[longest as usize].end_line;
         let mut last = LastMask { lines, end_line, fork_line: None };
-        self.last = Some(last);|(_, fork_line)| fork_line)));
+        self.last = Some(last);
         if let Some((other, fork_line)) = fork {
             let ends = [longest, other].map(|branch| self.end(&lines, branch, fork_line));
             if let [Some(one), Some(two)] = ends {
@@ -309,7 +309,7 @@ impl TipFinder {
 
     /// Lets branches grow from the far end: where two meet, the one that reaches farther takes the other over.
     fn grow(&mut self) {
-        let Self { runs, starts, branches } = self;
+        let Self { runs, starts, branches, .. } = self;
         branches.clear();
         for line in (0..starts.len().saturating_sub(1)).rev() {
             let here = starts[line] as usize..starts[line + 1] as usize;
@@ -434,11 +434,6 @@ mod tests {
 
     fn tip(width: usize, height: usize, inside: impl Fn(f64, f64) -> bool) -> Option<TipPixel> {
         TipFinder::default().of_mask(Mask::new(&bits_of(width, height, inside), width, height))
-    }|&x| inside(x as f64, y as f64)) {
-                bits[y * row + x / 8] |= 0x80 >> (x % 8);
-            }
-        }
-        TipFinder::default().of_mask(Mask::new(&bits, width, height))
     }
 
     /// Whether a point lies on a bar of a width from one point to another.

@@ -16,6 +16,8 @@ pub struct In<'f> {
     /// Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their pictures. Wire a detector that is slower than the
     /// camera with `align = "latest"`: each of its tips is used once, with the age of its picture.
     tip: List<'f, Value<'f, Tip>>,
+    /// Tips that another tool covers: the output `hidden` of `tool_tip`. A leading tool whose tip is covered keeps the lead for up to 5 s.
+    hidden: Option<List<'f, Value<'f, Tip>>>,
     /// Pose of the left camera in the scene. Without it the camera's own movement counts as the tip's movement.
     camera_pose: Option<Value<'f, Pose>>,
     /// Calibration of the rectified views, for the uncertainty of depth and for the pixels of predicted tips.
@@ -201,6 +203,12 @@ impl Node for TipTrack {
             count += 1;
             report
         });
+        for tip in input.hidden.iter().flat_map(|tips| tips.iter()).flatten() {
+            let age_s = age_ns(&tip) as f64 * 1e-9;
+            if (0.0..=rules.max_gap_s).contains(&age_s) {
+                self.tracker.cover(tip.track_id, tip.class_index);
+            }
+        }
         let known = self.tracker.step(real_ns, reports, &room_from_camera, &rules);
         if known == Known::Lost {
             self.last = None;

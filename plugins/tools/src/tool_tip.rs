@@ -46,6 +46,9 @@ pub struct Out<'f> {
     /// Tip of the leading tool; between open jaws the middle of both ends. Where masks and depth show that another tool hides one of two jaws, the tip is
     /// found from the other jaw and the shaft's axis, for 10 s after both were seen. Empty when no tool is found, or when another tool hides its whole end.
     tip: Slot<'f, Tip>,
+    /// Where the leading tool seems to end while another tool hides its whole end: px, without a position in space. Empty otherwise. `tip_track` keeps
+    /// following a tool that is reported here.
+    hidden: Slot<'f, Tip>,
 }
 
 /// Parameters.
@@ -520,7 +523,15 @@ impl Node for ToolTip {
             let known_ends = &known_ends[..count];
             // The apparent end is where another instrument hides the tool: no tip is better than a wrong one.
             if count > 0 && known_ends.iter().all(|end| end.is_hidden) {
-                return Ok(());
+                return out.hidden.set(Tip {
+                    u_px,
+                    v_px,
+                    xyz_mm,
+                    score: f64::from(sure),
+                    class_index: item.class_index,
+                    xyz_valid: 0,
+                    track_id: called,
+                });
             }
             let middle = if count == ends.len() && is_masked && !is_cut {
                 self.hidden.middle(now_ns, called, known_ends, &mut self.finder, &lens, params.radius_px, &pixels)

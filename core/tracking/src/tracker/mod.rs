@@ -36,9 +36,20 @@ pub struct Tracker {
     last_ns: Option<i64>,
     /// Start of the time in which only other tips are seen.
     others_ns: Option<i64>,
+    /// Whether the leading tip is covered by another tool in the next tick.
+    is_covered: bool,
 }
 
+/// Longest time for which a covered tip keeps the lead, s.
+const COVERED_S: f64 = 5.0;
+
 impl Tracker {
+    /// Says that the tool with a number (or below 0 with a class) is in view in the next tick, with its tip covered by another tool. If it leads, no
+    /// other tool takes the lead meanwhile, for 5 s at most.
+    pub fn cover(&mut self, track_id: i64, class_index: u32) {
+        self.is_covered |= self.leading().is_some_and(|track| track.is_tool(track_id, class_index));
+    }
+
     /// Processes one tick: the reports of all detectors at `capture_ns`, and the camera's pose then (the identity where it is not known). Time that
     /// goes back starts anew.
     pub fn step(
@@ -48,6 +59,7 @@ impl Tracker {
         room_from_camera: &Isometry3<f64>,
         rules: &Rules,
     ) -> Known {
+        let is_covered = std::mem::take(&mut self.is_covered);
         let dt_s = self.last_ns.map_or(0.0, |last| passed_s(last, capture_ns));
         if dt_s < 0.0 {
             *self = Self::default();
@@ -67,7 +79,7 @@ impl Tracker {
         }
         self.assign(before_ns, capture_ns, rules);
         self.drop_old(capture_ns, rules);
-        self.select_leader(capture_ns, rules)
+        self.select_leader(capture_ns, is_covered, rules)
     }
 
     /// Assigns observations to tracks, and starts tracks for those left over.
@@ -122,7 +134,7 @@ impl Tracker {
     }
 
     /// Selects the leading track and returns its state.
-    fn select_leader(&mut self, now_ns: i64, rules: &Rules) -> Known {
+    fn select_leader(&mut self, now_ns: i64, is_covered: bool, rules: &Rules) -> Known {
         let is_seen = |track: &&Track| track.seen_ns == now_ns;
         let leading = self.leading();
         if let Some(track) = leading.filter(is_seen) {
@@ -132,6 +144,10 @@ impl Tracker {
         }
         let none_led = leading.is_none();
         let gap_s = leading.map_or(f64::INFINITY, |track| passed_s(track.seen_ns, now_ns));
+        if is_covered && gap_s <= COVERED_S {
+            self.others_ns = None;
+            return if gap_s <= rules.max_gap_s { Known::Predicted(gap_s) } else { Known::Lost };
+        }
         // Next is the one nearest to the centre of the picture that both cameras share.
         let next = self.tracks.iter().filter(is_seen).min_by(|a, b| a.off_axis.total_cmp(&b.off_axis));
         if let Some((key, report)) = next.map(|track| (track.key, track.report)) {

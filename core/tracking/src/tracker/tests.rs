@@ -65,6 +65,44 @@ fn another_tool_leads_only_when_the_first_is_long_gone() {
 }
 
 #[test]
+fn a_tip_that_another_tool_covers_keeps_the_lead() {
+    let (lead, other) = (report(0.0, 1), Report { class_index: 4, ..report(-12.0, 2) });
+    for (number, class_index, keeps) in [(1, 0, true), (-1, 0, true), (2, 0, false), (-1, 4, false)] {
+        let mut tracker = Tracker::default();
+        for tick in 0..20 {
+            assert_eq!(step(&mut tracker, tick, &[lead, other]), Known::Seen(0));
+        }
+        // Two seconds behind the other tool: after a while nothing is known of it, but the arm follows no other.
+        for tick in 20..80 {
+            tracker.cover(number, class_index);
+            let known = step(&mut tracker, tick, &[other]);
+            assert!(!keeps || !matches!(known, Known::Seen(_)), "tick {tick}: {known:?}");
+        }
+        assert_eq!(tracker.track_id(), if keeps { -1 } else { 2 }, "{number}, class {class_index}");
+        let back = step(&mut tracker, 80, &[other, lead]);
+        assert_eq!(back, Known::Seen(usize::from(keeps)), "{number}, class {class_index}");
+    }
+    // It is in view no longer, or covered for too long.
+    for covered in [20, 600] {
+        let mut tracker = Tracker::default();
+        for tick in 0..20 {
+            step(&mut tracker, tick, &[lead, other]);
+        }
+        let mut led = None;
+        for tick in 20..600 {
+            if tick < covered {
+                tracker.cover(1, 0);
+            }
+            if step(&mut tracker, tick, &[other]) == Known::Seen(0) && led.is_none() {
+                led = Some(tick);
+            }
+        }
+        let expected = if covered == 20 { 36..=40 } else { 168..=190 };
+        assert!(led.is_some_and(|tick| expected.contains(&tick)), "covered until {covered}: {led:?}");
+    }
+}
+
+#[test]
 fn invalid_reports_are_ignored() {
     let mut tracker = Tracker::default();
     step(&mut tracker, 0, &[report(0.0, 1)]);

@@ -122,6 +122,11 @@ impl Track {
         self.number >= 0 && observation.report.track_id == self.number
     }
 
+    /// Whether this is the tip of a tool, by its number, or by its class where it has none.
+    pub fn is_tool(&self, track_id: i64, class_index: u32) -> bool {
+        if self.number >= 0 && track_id >= 0 { self.number == track_id } else { self.class_index == class_index }
+    }
+
     /// Cost of assigning an observation to this track; infinite where it cannot be this tip.
     pub fn cost(&self, observation: &Observation, now_ns: i64, rules: &Rules) -> f64 {
         // Another number is another tool, however near it is.

@@ -3,12 +3,12 @@
 use super::{LastMask, TipFinder};
 
 /// Fewest lines across the shaft, and smallest length of the shaft as a share of the jaws' length: the axis is extended to their ends.
-const FEWEST_LINES: usize = 8;
-const LEAST_SHARE: f64 = 0.3;
+const FEWEST_LINES: usize = 6;
+const LEAST_SHARE: f64 = 0.08;
 /// Thinnest part of a mask that is a shaft, px.
 const THIN_PX: f64 = 3.0;
 /// Share of the jaws' length that is left out beyond their joint.
-const JOINT_SHARE: f64 = 0.1;
+const JOINT_SHARE: f64 = 0.03;
 /// Pixels beside the shaft that are no other instrument.
 const BESIDE_PX: [f64; 2] = [1.0, 2.5];
 /// Middles farther from the line than this multiple of their median distance, and than this, px, are left out.
@@ -31,9 +31,7 @@ impl ShaftAxis {
 
     /// Fits a line to points with weights of 0 or 1; it points as `towards` does.
     fn fit(points: &[([f64; 2], bool)], towards: [f64; 2]) -> Option<Self> {
-        let used = || points.iter().filter(|(_, is_used)| *is_used).map(|            off.clear();
-            off.extend(points.iter().map(|(point, _)| fitted.distance_px(*point)));
-| *point);
+        let used = || points.iter().filter(|(_, is_used)| *is_used).map(|(point, _)| *point);
         let n = used().count() as f64;
         let (sx, sy) = used().fold((0.0, 0.0), |(x, y), p| (x + p[0], y + p[1]));
         let from_px = [sx / n, sy / n];

@@ -37,8 +37,9 @@ struct Scene {
     phantom: &'static str,
     /// Nodes between phantom and tracker.
     nodes: String,
-    /// Outputs with tips.
+    /// Outputs with tips, and with tips that another tool hides.
     tips: &'static str,
+    hidden: &'static str,
 }
 
 const STEREO: &str = r#"
@@ -57,14 +58,15 @@ fn scene(name: &str) -> Scene {
     let model = crate::inputs::shipped_model("instruments.onnx").unwrap_or_default();
     let (masks, true_depth) = ("instances = \"scope.instances\"", "depth = \"scope.depth\"");
     let stereo_depth = "disparity = \"match.disparity\"";
-    let exact = |phantom| Scene { phantom, nodes: String::new(), tips: "\"scope.tip\"" };
-    let found = |phantom, nodes| Scene { phantom, nodes, tips: "\"found.tip\"" };
+    let exact = |phantom| Scene { phantom, nodes: String::new(), tips: "\"scope.tip\"", hidden: "" };
+    let found = |phantom, nodes| Scene { phantom, nodes, tips: "\"found.tip\"", hidden: "\"found.hidden\"" };
     let alone = "tools = 1, tool_kinds = \"grasper\"";
     match name {
         "cross" => Scene {
             phantom: "tools = 2, tool_kinds = \"grasper, clipper\"",
             nodes: finder("one", masks, true_depth, "grasper") + &finder("two", masks, true_depth, "clipper"),
             tips: "\"one.tip\", \"two.tip\"",
+            hidden: "\"one.hidden\", \"two.hidden\"",
         },
         "occlusion" => {
             found("tools = 3, tool_kinds = \"grasper, hook, bipolar\"", finder("found", masks, true_depth, "grasper"))
@@ -92,7 +94,8 @@ fn text(name: &str, seed: u64, size: (u32, u32), mode: &str, end: &str) -> Strin
         "masks" | "occlusion" | "smoke" | DETECTOR => "strokes",
         name => name,
     };
-    let Scene { phantom, nodes, tips } = scene(name);
+    let Scene { phantom, nodes, tips, hidden } = scene(name);
+    let hidden = if hidden.is_empty() { String::new() } else { format!("hidden = [{hidden}], ") };
     let (width, height) = size;
     format!(
         r#"# The closed loop that `panoscope eval arm` judges.
@@ -107,7 +110,7 @@ params = {{ seed = {seed}, distance_mm = 85.0, width = {width}, height = {height
 {nodes}
 [nodes.track]
 type = "tip_track"
-inputs = {{ tip = [{tips}], camera_pose = {{ from = "arm.camera_pose", delay = 1 }}, calibration = "scope.calibration" }}
+inputs = {{ tip = [{tips}], {hidden}camera_pose = {{ from = "arm.camera_pose", delay = 1 }}, calibration = "scope.calibration" }}
 
 [nodes.control]
 type = "arm_pid"
