@@ -11,11 +11,13 @@ use nalgebra::{Vector2, Vector3};
 /// Longest time for which jaws are known after both ends were seen, ns.
 const KNOWN_NS: i64 = 10_000_000_000;
 /// Longest time for which an opening is used without an axis, and for which the last middle says which jaw is in view, ns.
-const OPENING_NS: i64 = 1_000_000_000;
+const OPENING_NS: i64 = 2_000_000_000;
 const LAST_NS: i64 = 200_000_000;
 /// Half openings from which their direction is known, and up to which ends belong to one instrument, mm.
 const OPEN_MM: f64 = 1.5;
 const MOST_HALF_MM: f64 = 12.0;
+/// Largest distance of a tip from the shaft's axis at which the jaws are closed, mm.
+const CLOSED_MM: f64 = 1.0;
 /// Largest lean of the opening's direction: tangent against the direction across the shaft.
 const MOST_LEAN: f64 = 1.0;
 
@@ -41,6 +43,8 @@ pub struct Middle {
     pub middle_mm: Vector3<f64>,
     /// Where the other end is, mm: hidden, if the jaws are as they are known.
     pub other_mm: Vector3<f64>,
+    /// Whether the opening was measured by the axis; else it is the last one.
+    pub is_measured: bool,
 }
 
 /// Both ends as they were seen last.
@@ -91,6 +95,18 @@ impl Jaws {
         self.both = Some(Both { half_mm, along, length_mm, seen_ns: now_ns, opening_ns: now_ns });
     }
 
+    /// Takes the tip of an instrument that no other one is near, whose end is not open: if it lies on the axis of the shaft, its jaws are closed, or it
+    /// has none. Bent instruments are not taken.
+    pub fn see_closed(&mut self, now_ns: i64, tip_mm: Vector3<f64>, axis: Axis, length_mm: f64) {
+        let aside_mm = (tip_mm.xy() / tip_mm.z - axis.from).dot(&axis.across()) * tip_mm.z;
+        if aside_mm.abs() <= CLOSED_MM && tip_mm.z > 0.0 && length_mm.is_finite() {
+            let (half_mm, along) = (Vector3::zeros(), axis.along);
+            let length_mm = self.length_mm(now_ns).map_or(length_mm, |known| known.max(length_mm));
+            self.both = Some(Both { half_mm, along, length_mm, seen_ns: now_ns, opening_ns: now_ns });
+        }
+        self.see_tip(now_ns, tip_mm);
+    }
+
     /// Takes the tip of a picture that does not show two jaws.
     pub fn see_tip(&mut self, now_ns: i64, tip_mm: Vector3<f64>) {
         self.last = Some((tip_mm, now_ns)).filter(|_| tip_mm.iter().all(|v| v.is_finite()));
@@ -101,6 +117,11 @@ impl Jaws {
         self.both.filter(|both| is_recent(both.seen_ns, now_ns, KNOWN_NS)).map(|both| both.length_mm)
     }
 
+    /// Direction of the shaft in the last picture that showed both ends.
+    pub fn along(&self, now_ns: i64) -> Option<Vector2<f64>> {
+        self.both.filter(|both| is_recent(both.seen_ns, now_ns, KNOWN_NS)).map(|both| both.along)
+    }
+
     /// The middle between both ends, from one end and the shaft's axis. None where both ends were not seen lately, and where the end is too far from
     /// the axis to be a jaw's.
     pub fn of_one(&self, now_ns: i64, end_mm: Vector3<f64>, axis: Option<Axis>) -> Option<Middle> {
@@ -108,32 +129,32 @@ impl Jaws {
         if !end_mm.iter().all(|v| v.is_finite()) || end_mm.z <= 0.0 {
             return None;
         }
-        let offset = match axis {
-            Some(axis) => {
-                let aside_mm = (end_mm.xy() / end_mm.z - axis.from).dot(&axis.across()) * end_mm.z;
-                let half = both.half_mm;
-                let lean = if half.x >= OPEN_MM { half.yz() / half.x } else { Vector2::zeros() };
-                let lean = lean.map(|v| v.clamp(-MOST_LEAN, MOST_LEAN));
-                in_camera(Vector3::new(1.0, lean.x, lean.y) * aside_mm, axis.along)
-            }
-            None => {
-                let half = in_camera(both.half_mm, both.along);
-                let (last, _) = self.last.filter(|(_, at_ns)| is_recent(*at_ns, now_ns, LAST_NS))?;
-                if !is_recent(both.opening_ns, now_ns, OPENING_NS) {
-                    return None;
-                }
-                let off = |half: Vector3<f64>| (end_mm - half - last).norm();
-                if off(half) <= off(-half) { half } else { -half }
-            }
+        let half = both.half_mm;
+        let lean = if half.x >= OPEN_MM { half.yz() / half.x } else { Vector2::zeros() };
+        let lean = lean.map(|v| v.clamp(-MOST_LEAN, MOST_LEAN));
+        let measured = axis.map(|axis| {
+            let aside_mm = (end_mm.xy() / end_mm.z - axis.from).dot(&axis.across()) * end_mm.z;
+            in_camera(Vector3::new(1.0, lean.x, lean.y) * aside_mm, axis.along)
+        });
+        let is_new = is_recent(both.opening_ns, now_ns, OPENING_NS);
+        let last = self.last.filter(|(_, at_ns)| is_new && is_recent(*at_ns, now_ns, LAST_NS));
+        let kept = last.map(|(last, _)| {
+            let half = in_camera(half, both.along);
+            let off = |half: Vector3<f64>| (end_mm - half - last).norm();
+            if off(half) <= off(-half) { half } else { -half }
+        });
+        let (offset, is_measured) = match (measured, kept) {
+            (Some(measured), _) => (measured, true),
+            (None, kept) => (kept?, false),
         };
-        let middle = Middle { middle_mm: end_mm - offset, other_mm: end_mm - offset * 2.0 };
+        let middle = Middle { middle_mm: end_mm - offset, other_mm: end_mm - offset * 2.0, is_measured };
         (offset.norm() <= MOST_HALF_MM && middle.other_mm.z > 0.0).then_some(middle)
     }
 
     /// Takes the middle that [`Jaws::of_one`] returned for an end as the tip of this picture.
     pub fn see_one(&mut self, now_ns: i64, end_mm: Vector3<f64>, middle: &Middle, axis: Option<Axis>) {
         self.last = Some((middle.middle_mm, now_ns));
-        if let (Some(both), Some(axis)) = (&mut self.both, axis) {
+        if let (Some(both), Some(axis)) = (&mut self.both, axis.filter(|_| middle.is_measured)) {
             let offset = end_mm - middle.middle_mm;
             let aside = Vector3::new(offset.xy().dot(&axis.across()), offset.xy().dot(&axis.along), offset.z);
             let aside = if aside.x < 0.0 { -aside } else { aside };
@@ -215,7 +236,7 @@ mod tests {
         let ends = grasper.ends(0.3);
         // The order in which ends are given says nothing.
         jaws.see_both(0, [ends[1], ends[0]], grasper.axis().along, 14.0);
-        for tick in 1..60 {
+        for tick in 1..90 {
             let now_ns = tick * TICK_NS;
             for end in ends {
                 match jaws.of_one(now_ns, end, None) {
@@ -227,9 +248,26 @@ mod tests {
                 jaws.see_one(now_ns, ends[0], &found, None);
             }
         }
-        assert!(jaws.of_one(59 * TICK_NS, ends[0], None).is_none(), "the opening is two seconds old");
+        assert!(jaws.of_one(89 * TICK_NS, ends[0], None).is_none(), "the opening is old");
         // The axis still tells it.
-        assert!(jaws.of_one(59 * TICK_NS, ends[0], Some(grasper.axis())).is_some());
+        assert!(jaws.of_one(89 * TICK_NS, ends[0], Some(grasper.axis())).is_some());
+    }
+
+    #[test]
+    fn jaws_that_open_while_one_is_hidden_were_closed_before() {
+        let grasper = Grasper::new(0.0);
+        let mut jaws = Jaws::default();
+        jaws.see_closed(0, grasper.middle, grasper.axis(), 14.0);
+        for tick in 1..60 {
+            let end = grasper.ends(0.006 * tick as f64)[0];
+            let found = jaws.of_one(tick * TICK_NS, end, Some(grasper.axis())).expect("closed jaws were seen");
+            jaws.see_one(tick * TICK_NS, end, &found, Some(grasper.axis()));
+            assert!((found.middle_mm - grasper.middle).norm() < 0.4, "tick {tick}: {found:?}");
+        }
+        // The end of a hook is not on the axis.
+        let mut jaws = Jaws::default();
+        jaws.see_closed(0, grasper.ends(0.2)[0], grasper.axis(), 14.0);
+        assert!(jaws.of_one(1, grasper.ends(0.2)[0], Some(grasper.axis())).is_none());
     }
 
     #[test]

@@ -12,6 +12,13 @@ const HIDING_SHARE: f32 = 0.12;
 /// Smallest share of the pixels around the end of a jaw that belong to the jaw or to what hides it.
 const JAW_SHARE: f32 = 0.3;
 
+/// Length of jaws that were not seen open yet, mm.
+const USUAL_MM: f64 = 15.0;
+/// Radius around an end in which a second jaw of the instrument may be, mm.
+const AROUND_MM: f64 = 24.0;
+/// Length of a shaft, as a share of the jaws' length, from which its own direction is used.
+const LONG_SHARE: f64 = 0.6;
+
 /// What a picture shows, by pixel.
 pub struct Pixels<'a> {
     /// Columns and rows.
@@ -46,6 +53,15 @@ impl Pixels<'_> {
             }
         }
         if all > 0.0 { (covered / all, (covered + own) / all) } else { (0.0, 0.0) }
+    }
+
+    /// Whether another instrument is within a distance of a position, px, in any depth.
+    fn is_near(&self, (u, v): (f64, f64), around_px: usize) -> bool {
+        let (u, v, r) = (u.round() as isize, v.round() as isize, around_px as isize);
+        let rows = v.saturating_sub(r).max(0)..=v.saturating_add(r).min(self.size.1 as isize - 1);
+        let columns = u.saturating_sub(r).max(0)..=u.saturating_add(r).min(self.size.0 as isize - 1);
+        self.has_others
+            && rows.step_by(2).any(|y| columns.clone().step_by(2).any(|x| (self.is_other)(x as usize, y as usize)))
     }
 
     /// Whether another instrument is around a tip and in front of it.
@@ -115,16 +131,31 @@ impl HiddenJaw {
         if let Some(second_mm) = second_mm {
             let length_px = finder.jaws_px()?;
             let axis = finder.axis(pixels.size, length_px, is_other)?;
-            let along = axis_of(lens, &axis).along;
+            // From the shaft to the tip: longer than the part of the shaft that is in view.
+            let middle_mm = (end_mm + second_mm) / 2.0;
+            let along = middle_mm.xy() / middle_mm.z - lens.direction(axis.from_px);
+            let along = along.try_normalize(1e-9)?;
             self.jaws.see_both(now_ns, [end_mm, second_mm], along, length_px / px_per_mm);
             return None;
         }
-        if !pixels.has_others {
-            self.jaws.see_tip(now_ns, end_mm);
+        let length_px = self.jaws.length_mm(now_ns).unwrap_or(USUAL_MM) * px_per_mm;
+        let axis = finder.axis(pixels.size, length_px, is_other);
+        let around_px = (AROUND_MM * px_per_mm) as usize;
+        if ends.len() == 1 && !pixels.is_near(lens.pixel(&end_mm), around_px) {
+            match axis {
+                Some(axis) => self.jaws.see_closed(now_ns, end_mm, axis_of(lens, &axis), length_px / px_per_mm),
+                None => self.jaws.see_tip(now_ns, end_mm),
+            }
             return None;
         }
-        let length_mm = self.jaws.length_mm(now_ns)?;
-        let axis = finder.axis(pixels.size, length_mm * px_per_mm, is_other).map(|axis| axis_of(lens, &axis));
+        // The direction of a short part of the shaft is less exact than the one that was seen from there to the tip.
+        let axis = axis.map(|axis| {
+            let (share, fitted) = ((axis.length_px / (LONG_SHARE * length_px)).min(1.0), axis_of(lens, &axis));
+            let along = self.jaws.along(now_ns).and_then(|known| {
+                (fitted.along * share + known * (1.0 - share)).try_normalize(1e-9)
+            });
+            Axis { along: along.unwrap_or(fitted.along), ..fitted }
+        });
         let found = self.jaws.of_one(now_ns, end_mm, axis).filter(|found| {
             let (_, known) = pixels.shares(lens.pixel(&found.other_mm), found.other_mm.z as f32, radius_px);
             // Where tissue is in view, there is no other jaw: they have closed.

@@ -2,9 +2,8 @@
 
 use super::{LastMask, TipFinder};
 
-/// Fewest lines across the shaft, and smallest length of the shaft as a share of the jaws' length: the axis is extended to their ends.
-const FEWEST_LINES: usize = 6;
-const LEAST_SHARE: f64 = 0.08;
+/// Fewest lines across the shaft.
+const FEWEST_LINES: usize = 4;
 /// Thinnest part of a mask that is a shaft, px.
 const THIN_PX: f64 = 3.0;
 /// Share of the jaws' length that is left out beyond their joint.
@@ -22,6 +21,8 @@ pub struct ShaftAxis {
     pub from_px: [f64; 2],
     /// Unit vector towards the tip.
     pub along: [f64; 2],
+    /// Length of the shaft that it goes by: the direction of a short one is not exact.
+    pub length_px: f64,
 }
 
 impl ShaftAxis {
@@ -42,7 +43,7 @@ impl ShaftAxis {
         let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
         let (x, y) = (angle.cos(), angle.sin());
         let sign = if x * towards[0] + y * towards[1] < 0.0 { -1.0 } else { 1.0 };
-        from_px.iter().all(|v| v.is_finite()).then_some(Self { from_px, along: [sign * x, sign * y] })
+        from_px.iter().all(|v| v.is_finite()).then_some(Self { from_px, along: [sign * x, sign * y], length_px: 0.0 })
     }
 }
 
@@ -54,8 +55,8 @@ impl TipFinder {
     }
 
     /// Axis of the shaft of the mask that [`TipFinder::of_mask`] was given last, in a picture of `size`. `jaws_px` is the length of the jaws: what is nearer
-    /// to the end is no shaft. Parts whose sides are the picture's border or another instrument are left out. None where too little of the
-    /// shaft is in view.
+    /// to the end is no shaft. Parts whose sides are the picture's border or another instrument are left out. None where hardly
+    /// anything of the shaft is in view.
     pub fn axis(
         &mut self,
         size: (usize, usize),
@@ -99,7 +100,7 @@ impl TipFinder {
         let axis = axis?;
         let along = points.iter().filter(|(_, is_used)| *is_used).map(|([x, y], _)| x * axis.along[0] + y * axis.along[1]);
         let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
-        (high - low >= LEAST_SHARE * jaws_px).then_some(axis)
+        Some(ShaftAxis { length_px: high - low, ..axis })
     }
 }
 
@@ -151,7 +152,7 @@ mod tests {
     fn a_shaft_that_is_hidden_or_too_short_has_no_axis() {
         let mut finder = TipFinder::default();
         assert_eq!(finder.axis(SIZE, 90.0, &|_, _| false), None, "no mask was given");
-        let covers = |x: f64, _: f64| x > 215.0;
+        let covers = |x: f64, _: f64| x > 196.0;
         let short = jaws(covers);
         finder.of_mask(Mask::new(&short, SIZE.0, SIZE.1)).expect("the mask is not empty");
         assert_eq!(finder.axis(SIZE, 95.0, &|x, y| covers(x as f64, y as f64)), None);
