@@ -151,9 +151,10 @@ impl HiddenJaw {
         // The direction of a short part of the shaft is less exact than the one that was seen from there to the tip.
         let axis = axis.map(|axis| {
             let (share, fitted) = ((axis.length_px / (LONG_SHARE * length_px)).min(1.0), axis_of(lens, &axis));
-            let along = self.jaws.along(now_ns).and_then(|known| {
-                (fitted.along * share + known * (1.0 - share)).try_normalize(1e-9)
-            });
+            let along = self
+                .jaws
+                .along(now_ns)
+                .and_then(|known| (fitted.along * share + known * (1.0 - share)).try_normalize(1e-9));
             Axis { along: along.unwrap_or(fitted.along), ..fitted }
         });
         let found = self.jaws.of_one(now_ns, end_mm, axis).filter(|found| {

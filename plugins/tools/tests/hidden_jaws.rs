@@ -49,9 +49,7 @@ fn on_bar([x, y]: [f64; 2], [ax, ay]: [f64; 2], [bx, by]: [f64; 2], width: f64) 
 fn ends(half_px: f64) -> [[f64; 2]; 2] {
     let axis = [TIP[0] - JOINT[0], TIP[1] - JOINT[1]];
     let long = axis[0].hypot(axis[1]);
-    [-1.0, 1.0].map(|side| {
-        [TIP[0] - side * half_px * axis[1] / long, TIP[1] + side * half_px * axis[0] / long]
-    })
+    [-1.0, 1.0].map(|side| [TIP[0] - side * half_px * axis[1] / long, TIP[1] + side * half_px * axis[0] / long])
 }
 
 /// A picture of a grasper, with a clipper 8 mm before it that covers `covered` (left, right, top, bottom, px).
@@ -62,8 +60,7 @@ fn show(node: &mut Harness<ToolTip>, tick: u64, half_px: f64, covered: [f64; 4])
     for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
         let at = [x as f64, y as f64];
         let back = [2.0 * JOINT[0] - TIP[0], 2.0 * JOINT[1] - TIP[1]];
-        let is_clipper =
-            (covered[0]..covered[1]).contains(&at[0]) && (covered[2]..covered[3]).contains(&at[1]);
+        let is_clipper = (covered[0]..covered[1]).contains(&at[0]) && (covered[2]..covered[3]).contains(&at[1]);
         // The shaft comes from nearer to the camera.
         let shaft = on_bar(at, JOINT, back, 26.0).map(|t| DEPTH_MM - 12.0 * t);
         let jaw = [one, two].into_iter().any(|end| on_bar(at, JOINT, end, 11.0).is_some());
@@ -109,8 +106,12 @@ fn grasper() -> Result<Harness<ToolTip>, HarnessError> {
 #[test]
 fn the_tip_stays_between_the_jaws_while_one_of_them_is_hidden() -> Result<(), HarnessError> {
     // The whole lower jaw, its end, the upper jaw's end, and the lower jaw with the lower side of its joint.
-    let covers =
-        [[60.0, 205.0, 122.0, 240.0], [60.0, 150.0, 125.0, 240.0], [60.0, 150.0, 0.0, 105.0], [60.0, 215.0, 124.0, 240.0]];
+    let covers = [
+        [60.0, 205.0, 122.0, 240.0],
+        [60.0, 150.0, 125.0, 240.0],
+        [60.0, 150.0, 0.0, 105.0],
+        [60.0, 215.0, 124.0, 240.0],
+    ];
     for covered in covers {
         let mut node = grasper()?;
         for tick in 0..5 {

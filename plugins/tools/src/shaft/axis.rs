@@ -98,7 +98,8 @@ impl TipFinder {
             axis = Some(fitted);
         }
         let axis = axis?;
-        let along = points.iter().filter(|(_, is_used)| *is_used).map(|([x, y], _)| x * axis.along[0] + y * axis.along[1]);
+        let along =
+            points.iter().filter(|(_, is_used)| *is_used).map(|([x, y], _)| x * axis.along[0] + y * axis.along[1]);
         let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
         Some(ShaftAxis { length_px: high - low, ..axis })
     }
