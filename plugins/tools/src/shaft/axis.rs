@@ -2,8 +2,9 @@
 
 use super::{LastMask, TipFinder};
 
-/// Fewest lines across the shaft.
+/// Fewest lines across the shaft, and its smallest length as a share of the jaws' length.
 const FEWEST_LINES: usize = 4;
+const LEAST_SHARE: f64 = 0.1;
 /// Thinnest part of a mask that is a shaft, px.
 const THIN_PX: f64 = 3.0;
 /// Share of the jaws' length that is left out beyond their joint.
@@ -101,7 +102,8 @@ impl TipFinder {
         let along =
             points.iter().filter(|(_, is_used)| *is_used).map(|([x, y], _)| x * axis.along[0] + y * axis.along[1]);
         let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
-        Some(ShaftAxis { length_px: high - low, ..axis })
+        let length_px = high - low;
+        (length_px >= LEAST_SHARE * jaws_px).then_some(ShaftAxis { length_px, ..axis })
     }
 }
 
