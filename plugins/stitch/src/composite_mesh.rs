@@ -20,16 +20,16 @@ pub const VERTEX_COLUMNS: [&str; 4] = ["x_px", "y_px", "right_x_px", "right_y_px
 #[derive(Params, Clone, PartialEq)]
 pub struct CompositeMeshParams {
     /// Side of a cell of the mesh.
-    #[param(default = 24, range = 12..=96, unit = "px")]
+    #[param(default = 20, range = 12..=96, unit = "px")]
     cell: u32,
     /// Smoothness of the mesh: weight of its bends beside what is observed in a cell.
-    #[param(default = 0.6, range = 0.01..=100.0, step = 0.01, unit = "ratio")]
+    #[param(default = 0.05, range = 0.01..=100.0, step = 0.01, unit = "ratio")]
     bend: f64,
     /// How soon the mesh fades into the homography where only one camera sees: weight of its slopes.
-    #[param(default = 0.06, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
+    #[param(default = 0.02, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
     fade: f64,
     /// Distance from the mesh at which an observation counts half: those of an instrument in front of the tissue count little.
-    #[param(default = 2.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
+    #[param(default = 6.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
     outlier_px: f64,
     /// Weight of the mesh of the frame before while nothing moves; 0 fits each frame anew.
     #[param(default = 10.0, range = 0.0..=1000.0, step = 1.0, unit = "ratio")]

@@ -8,8 +8,8 @@ use panoscope_imaging::stitch::placement::{Placement, ghost_pct};
 use panoscope_imaging::stitch::{Lattice, Mesh};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Value,
-    View, error,
+    Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData,
+    Value, View, error,
 };
 
 use crate::composite_mesh::VERTEX_COLUMNS;
@@ -148,7 +148,6 @@ fn mesh_of(table: &Table<'_>) -> Result<Option<Mesh>> {
     Mesh::of_vertices(lattice, source).map(Some).ok_or_else(bad)
 }
 
-
 /// Root mean square distance of two maps over the points of the right view that the true one brings into the left view, and how
 /// many points that are.
 fn between(map: &Map, truth: &Map, left: (usize, usize), right: (usize, usize), step: u32) -> Option<(f64, usize)> {
@@ -181,7 +180,8 @@ fn correlated(placed: &Placement, input: &In<'_>, pool: &dyn panoscope_node::Par
         let kept = (0..from.len()).filter(|index| inliers[*index]);
         (kept.map(|index| map.squared_error(from[index], to[index])).sum::<f64>() / fit.inliers.max(1) as f64).sqrt()
     };
-    let errors = (0..from.len()).filter(|index| inliers[*index]).filter_map(|index| placed.error_px(from[index], to[index]));
+    let errors =
+        (0..from.len()).filter(|index| inliers[*index]).filter_map(|index| placed.error_px(from[index], to[index]));
     let (squares, count) = errors.fold((0.0, 0usize), |(sum, count), error| (sum + error * error, count + 1));
     [(squares / count.max(1) as f64).sqrt(), rms(&best), fit.inliers as f64]
 }

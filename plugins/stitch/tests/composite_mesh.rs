@@ -13,7 +13,10 @@ fn disparity(x: f64) -> f64 {
 }
 
 fn map() -> Vec<f32> {
-    (0..SIZE.0 * SIZE.1).map(|i| (i % SIZE.0) as f64).map(|x| if x > disparity(x) { disparity(x) as f32 } else { f32::NAN }).collect()
+    (0..SIZE.0 * SIZE.1)
+        .map(|i| (i % SIZE.0) as f64)
+        .map(|x| if x > disparity(x) { disparity(x) as f32 } else { f32::NAN })
+        .collect()
 }
 
 /// Stripes of the tissue at a position of the left view.

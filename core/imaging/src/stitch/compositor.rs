@@ -2,8 +2,8 @@
 
 use super::canvas::{Bounds, CanvasHolder};
 use super::mark;
-use super::paint::{Layers, Step, Warp, levels_of};
 use super::mesh::{Mapping, Mesh, MeshGrid};
+use super::paint::{Layers, Step, Warp, levels_of};
 use super::params::*;
 use super::projective::{self, IDENTITY};
 use super::segments;

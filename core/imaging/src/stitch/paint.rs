@@ -96,7 +96,8 @@ impl Layers {
         let scale = params.cell_px();
         for ((warp, mesh), view) in self.warps.iter_mut().zip(&self.meshes).zip(views) {
             let Warp { source_from_tap, origins, tap_step, taps, .. } = warp;
-            let by_mesh = mesh.given().map(|mesh| Mapping::Mesh(MeshGrid { mesh, origin: origins[1], step: *tap_step }));
+            let by_mesh =
+                mesh.given().map(|mesh| Mapping::Mesh(MeshGrid { mesh, origin: origins[1], step: *tap_step }));
             taps.fill(view, by_mesh.unwrap_or(Mapping::Plane(source_from_tap)), pool, avx2);
         }
         let (mut found_any, mut worst_cost) = (false, 0.0f32);

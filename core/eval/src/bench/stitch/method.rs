@@ -72,7 +72,9 @@ impl Method {
             Self::Roi | Self::Grid => ("composite", format!("seam_scale = {scale_of_seam}")),
             Self::Mesh => (
                 "composite_mesh",
-                format!("seam_scale = {scale_of_seam}, seam = \"dynamic_programming\", blend = \"feather\", blend_px = 24"),
+                format!(
+                    "seam_scale = {scale_of_seam}, seam = \"dynamic_programming\", blend = \"feather\", blend_px = 24"
+                ),
             ),
             // What is left without the seam does not sample the overlap at full size either.
             Self::Conventional if seam == Seam::Once => ("composite", "seam_scale = 10".to_owned()),

@@ -60,14 +60,14 @@ pub struct MeshParams {
 impl Default for MeshParams {
     fn default() -> Self {
         Self {
-            cell_px: 24.0,
+            cell_px: 20.0,
             observations: 2,
             step_px: 3,
             agree_px: 2.0,
-            bend: 0.6,
-            slope: 0.06,
-            outlier_px: 2.0,
-            hold_moving: 0.05,
+            bend: 0.05,
+            slope: 0.02,
+            outlier_px: 6.0,
+            hold_moving: 0.005,
             hold_still: 10.0,
             still_px: 0.15,
             margin_px: 24.0,
@@ -167,13 +167,8 @@ impl MeshFollower {
     ) -> MeshReport {
         let p = self.params;
         let scale = right.size.0 as f64 / REFERENCE_COLUMNS;
-        let mut report = MeshReport {
-            observations: 0,
-            residual_px: f64::NAN,
-            motion_px: f64::NAN,
-            is_held: true,
-            is_new: true,
-        };
+        let mut report =
+            MeshReport { observations: 0, residual_px: f64::NAN, motion_px: f64::NAN, is_held: true, is_new: true };
         let Some(lattice) = self.cover(left_from_right, right.size, scale) else {
             self.reset();
             return report;
@@ -195,8 +190,9 @@ impl MeshFollower {
             }
             return report;
         }
+        let mut shared = [0.0; 2];
         if !report.is_new {
-            report.motion_px = self.motion_px();
+            (report.motion_px, shared) = self.motion();
             report.is_new = report.motion_px > p.jump_px * scale;
         }
         let stiffness = Stiffness { bend: p.bend, slope: p.slope, place: 1e-4 };
@@ -209,11 +205,15 @@ impl MeshFollower {
         } else {
             let still = 1.0 / (1.0 + (report.motion_px / (p.still_px * scale)).powi(4));
             let hold = p.hold_moving + p.hold_still * still;
+            // What only the other view sees moves along with the rest.
+            for before in &mut self.before {
+                *before = [before[0] + (1.0 - still) * shared[0], before[1] + (1.0 - still) * shared[1]];
+            }
             for (shift, (before, base)) in self.shift.iter_mut().zip(self.before.iter().zip(&self.base)) {
                 *shift = [before[0] - base[0], before[1] - base[1]];
             }
-            // Seen from the frame before, all observations are off by the motion.
-            self.pass(limit_px + report.motion_px, hold) && self.pass(limit_px, hold)
+            // The mesh of the frame before tells which observations are mistakes; seen from it, all are off by the motion.
+            self.pass(limit_px + report.motion_px, hold)
         };
         if !solved {
             self.reset();
@@ -269,7 +269,8 @@ impl MeshFollower {
                     let (y, same_y) = along(lattice.first[1], row, old.first[1], old.rows);
                     let from = y * old.columns + x;
                     let [dx, dy] = self.shift[from];
-                    let [u, v] = if same_x && same_y { self.base[from] } else { back.map(lattice.position(column, row)) };
+                    let [u, v] =
+                        if same_x && same_y { self.base[from] } else { back.map(lattice.position(column, row)) };
                     self.shift_before.push([dx, dy]);
                     self.before.push([u + dx, v + dy]);
                 }
@@ -305,9 +306,9 @@ impl MeshFollower {
         }
     }
 
-    /// Median over blocks of observations of their mean distance from the mesh of the frame before, px. Noise of matching averages out in a block,
-    /// motion does not.
-    fn motion_px(&mut self) -> f64 {
+    /// Motion of the observations against the mesh of the frame before: the median over blocks of observations of their mean distance from it, px, and
+    /// the displacement that most of them share. Noise of matching averages out in a block, motion does not.
+    fn motion(&mut self) -> (f64, Point) {
         let columns = self.observations.columns.div_ceil(BLOCK_CELLS);
         let rows = self.observations.rows.div_ceil(BLOCK_CELLS);
         self.blocks.clear();
@@ -322,10 +323,13 @@ impl MeshFollower {
                 *sum += value;
             }
         }
-        self.sorted.clear();
-        let full = self.blocks.iter().filter(|block| block[2] >= LEAST_BLOCK);
-        self.sorted.extend(full.map(|[x, y, count]| (x / count).hypot(y / count)));
-        median(&mut self.sorted)
+        let mut of_full = |value: fn([f64; 2]) -> f64| {
+            self.sorted.clear();
+            let full = self.blocks.iter().filter(|block| block[2] >= LEAST_BLOCK);
+            self.sorted.extend(full.map(|[x, y, count]| value([x / count, y / count])));
+            median(&mut self.sorted)
+        };
+        (of_full(|[x, y]| x.hypot(y)), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
     }
 
     /// One solution with weights from the distances to the mesh so far. `hold` is the weight of the frame before.
@@ -372,9 +376,8 @@ impl MeshFollower {
         let mesh = &mut self.mesh;
         let positions = self.base.iter().zip(&self.shift).map(|(base, shift)| [base[0] + shift[0], base[1] + shift[1]]);
         if steady && mesh.lattice == self.lattice && mesh.source.len() == self.lattice.len() {
-            let near = |(new, old): (Point, &[f32; 2])| {
-                (0..2).all(|k| (new[k] - f64::from(old[k])).abs() < DEAD_BAND_PX)
-            };
+            let near =
+                |(new, old): (Point, &[f32; 2])| (0..2).all(|k| (new[k] - f64::from(old[k])).abs() < DEAD_BAND_PX);
             if positions.clone().zip(&mesh.source).all(near) {
                 return;
             }

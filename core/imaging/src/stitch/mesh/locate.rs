@@ -77,13 +77,15 @@ impl MeshGrid<'_> {
         let mut positions = [[0.0f32; BLOCK]; 2];
         let along = self.row(y);
         let per_pixel = self.step / mesh.lattice.cell_px as f32;
-        let start = (self.origin[0] + self.step * x as f32) / mesh.lattice.cell_px as f32 - mesh.lattice.first[0] as f32;
+        let start =
+            (self.origin[0] + self.step * x as f32) / mesh.lattice.cell_px as f32 - mesh.lattice.first[0] as f32;
         let mut i = 0;
         while i < count {
             let g = start + per_pixel * i as f32;
             let column = (g.max(0.0) as usize).min(mesh.lattice.columns - 2);
             let left = ((column + 1) as f32 - g) / per_pixel;
-            let end = if column + 2 == mesh.lattice.columns { count } else { count.min(i + (left.ceil() as usize).max(1)) };
+            let end =
+                if column + 2 == mesh.lattice.columns { count } else { count.min(i + (left.ceil() as usize).max(1)) };
             let (a, b) = (self.node(column, along), self.node(column + 1, along));
             for (k, positions) in positions.iter_mut().enumerate() {
                 let slope = (b[k] - a[k]) * per_pixel;
@@ -126,7 +128,7 @@ impl MeshGrid<'_> {
 }
 
 /// The part of a line from `a` to `b`, as shares of its length, whose points have coordinates within `0..=limit`.
-fn inside(a: [f32; 2], b: [f32; 2], limit: [f32; 2]) -> Option<(f32, f32)> {
+pub(super) fn inside(a: [f32; 2], b: [f32; 2], limit: [f32; 2]) -> Option<(f32, f32)> {
     let (mut from, mut to) = (0.0f32, 1.0f32);
     for k in 0..2 {
         let slope = b[k] - a[k];

@@ -149,16 +149,23 @@ impl Mesh {
         was_given
     }
 
-    /// Bounds on the reference plane of the vertices that lie in a view of this size, give or take half a cell.
+    /// Bounds on the reference plane of what a view of this size covers, by the edges of the cells.
     pub(super) fn footprint(&self, (width, height): (usize, usize)) -> Option<[Point; 2]> {
-        let slack = self.lattice.cell_px as f32 / 2.0;
-        let is_inside = |v: f32, size: usize| v >= -slack && v <= size as f32 - 1.0 + slack;
+        let Lattice { columns, rows, .. } = self.lattice;
+        let limit = [width as f32 - 1.0, height as f32 - 1.0];
         let mut bounds: Option<[Point; 2]> = None;
-        for row in 0..self.lattice.rows {
-            for column in 0..self.lattice.columns {
-                let [u, v] = self.source[row * self.lattice.columns + column];
-                if is_inside(u, width) && is_inside(v, height) {
-                    let [x, y] = self.lattice.position(column, row);
+        for (column, row) in (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row))) {
+            let here = self.source[row * columns + column];
+            for (dx, dy) in [(1, 0), (0, 1)] {
+                if column + dx >= columns || row + dy >= rows {
+                    continue;
+                }
+                let next = self.source[(row + dy) * columns + column + dx];
+                let Some((from, to)) = locate::inside(here, next, limit) else { continue };
+                let ([x0, y0], [x1, y1]) =
+                    (self.lattice.position(column, row), self.lattice.position(column + dx, row + dy));
+                for t in [f64::from(from), f64::from(to)] {
+                    let (x, y) = (x0 + t * (x1 - x0), y0 + t * (y1 - y0));
                     let [a, b] = bounds.unwrap_or([[x, y]; 2]);
                     bounds = Some([[a[0].min(x), a[1].min(y)], [b[0].max(x), b[1].max(y)]]);
                 }
