@@ -138,9 +138,9 @@ fn the_judge_reads_the_mesh() {
     let mesh = made.mesh.expect("a mesh");
     let [left, right] = views();
     let canvas_size = made.size;
-    // The seam runs down the middle of the overlap.
+    // The seam runs down where the plane is 6 px off.
     let shown: Vec<u8> = (0..canvas_size.0 * canvas_size.1)
-        .map(|i| if ((i % canvas_size.0) as i32) < made.canvas.x + 230 { 1 } else { 2 })
+        .map(|i| if ((i % canvas_size.0) as i32) < made.canvas.x + 280 { 1 } else { 2 })
         .collect();
     let judged = |with_mesh: bool| {
         let mut judge = Harness::<EvaluateStitch>::open(Setup::new("params = { every = 1 }")).unwrap();
@@ -162,7 +162,7 @@ fn the_judge_reads_the_mesh() {
     };
     let ([align, broken, stretch], [plane_align, plane_broken, plane_stretch]) = (judged(true), judged(false));
     assert!(align < 0.5 && broken < 0.5, "{align} {broken}");
-    assert!(plane_align > 3.0 && plane_broken > 0.5, "{plane_align} {plane_broken}");
+    assert!(plane_align > 3.0 && plane_broken > 5.0, "{plane_align} {plane_broken}");
     assert!(stretch < 5.0 && plane_stretch == 0.0, "{stretch}");
     let mut judge = Harness::<EvaluateStitch>::open(Setup::new("")).unwrap();
     judge

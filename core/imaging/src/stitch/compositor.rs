@@ -342,7 +342,7 @@ impl Compositor {
             warp.tap_step = step as f32;
             let mesh = self.layers.meshes[view].given();
             let (spans, size) = (&mut self.layers.spans[view], p.canvas);
-            warp.from_canvas(mesh).coverage((w, h), size.width, size.height, spans);
+            warp.mapping(mesh).coverage((w, h), size.width, size.height, spans);
             let from_tap = match mesh {
                 Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: warp.origins[1], step: warp.tap_step }),
                 None => Mapping::Plane(&warp.source_from_tap),

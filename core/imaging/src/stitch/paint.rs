@@ -48,7 +48,7 @@ pub(super) struct Warp {
 
 impl Warp {
     /// From canvas pixels to those of the view: by the mesh where there is one.
-    pub(super) fn from_canvas<'a>(&'a self, mesh: Option<&'a Mesh>) -> Mapping<'a> {
+    pub(super) fn mapping<'a>(&'a self, mesh: Option<&'a Mesh>) -> Mapping<'a> {
         match mesh {
             Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: self.origins[0], step: 1.0 }),
             None => Mapping::Plane(&self.source_from_canvas),
@@ -299,7 +299,7 @@ struct Work {
 impl<'a> Source<'a> {
     fn new(view: &View<'a, u8>, warp: &'a Warp, mesh: Option<&'a Mesh>, gain: &[f32; 3], avx2: bool) -> Self {
         let shift = warp.shift.filter(|_| mesh.is_none() && gain.iter().all(|g| *g == 1.0));
-        Self { view: *view, source_from_canvas: warp.from_canvas(mesh), shift, gain: taps::fixed_gain(gain), avx2 }
+        Self { view: *view, source_from_canvas: warp.mapping(mesh), shift, gain: taps::fixed_gain(gain), avx2 }
     }
 
     /// Samples up to a block of canvas pixels from `(x, y)` on into `work.pixels`.

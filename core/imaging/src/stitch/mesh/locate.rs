@@ -84,8 +84,7 @@ impl MeshGrid<'_> {
             let g = start + per_pixel * i as f32;
             let column = (g.max(0.0) as usize).min(mesh.lattice.columns - 2);
             let left = ((column + 1) as f32 - g) / per_pixel;
-            let end =
-                if column + 2 == mesh.lattice.columns { count } else { count.min(i + (left.ceil() as usize).max(1)) };
+            let end = if column + 2 == mesh.lattice.columns { count } else { count.min(i + round_up(left).max(1)) };
             let (a, b) = (self.node(column, along), self.node(column + 1, along));
             for (k, positions) in positions.iter_mut().enumerate() {
                 let slope = (b[k] - a[k]) * per_pixel;
@@ -125,6 +124,12 @@ impl MeshGrid<'_> {
             spans.push(if start < end { Span { start: start as u32, end: end as u32 } } else { Span::default() });
         }
     }
+}
+
+/// The smallest whole number that is not below a positive one: without a call where the target has no such instruction.
+fn round_up(value: f32) -> usize {
+    let whole = value as usize;
+    whole + usize::from((whole as f32) < value)
 }
 
 /// The part of a line from `a` to `b`, as shares of its length, whose points have coordinates within `0..=limit`.
