@@ -62,7 +62,7 @@ fn errors(mesh: &Mesh, disparity: impl Fn(f64, f64) -> f64, rim: usize) -> (f64,
             (worst, squares, count) = (worst.max(error), squares + error * error, count + 1.0);
         }
     }
-    (worst, (squares / count as f64).sqrt())
+    (worst, f64::sqrt(squares / count))
 }
 
 #[test]
@@ -244,7 +244,7 @@ fn difference(panorama: &Panorama) -> f64 {
             }
         }
     }
-    (squares / count as f64).sqrt()
+    f64::sqrt(squares / count)
 }
 
 #[test]
