@@ -31,6 +31,12 @@ pub struct Registration {
     pub psnr_seam_db: f64,
     /// Structural similarity along the seam, 0 to 1.
     pub ssim_seam: f64,
+    /// How far a line is broken across the seam: mean over the frames of their medians and of what 95 % of the seam stays within.
+    pub seam_break_px: (f64, f64),
+    /// Share of the band along the seam that shows what the truth has nowhere near, percent.
+    pub ghost_pct: f64,
+    /// Change of lengths against the homography where only the right view is shown, percent, of the worst frame.
+    pub stretch_pct: f64,
     /// Area that the panorama shows, in percent of one view.
     pub fov_pct: f64,
     /// Largest share of the views that the panorama cut off.
@@ -54,6 +60,9 @@ pub fn registration(rows: &Table) -> Result<Registration> {
         ssim_overlap: mean(&column("ssim_overlap")?),
         psnr_seam_db: mean(&column("psnr_seam_db")?),
         ssim_seam: mean(&column("ssim_seam")?),
+        seam_break_px: (mean(&column("seam_break_px")?), mean(&column("seam_break_p95_px")?)),
+        ghost_pct: mean(&column("ghost_pct")?),
+        stretch_pct: finite(&column("stretch_pct")?).fold(f64::NAN, f64::max),
         fov_pct: mean(&column("fov_pct")?),
         cropped_pct: finite(&column("cropped_pct")?).fold(f64::NAN, f64::max),
     })

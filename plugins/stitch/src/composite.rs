@@ -110,11 +110,11 @@ pub struct CompositeNodeParams {
     mark_lost: bool,
     /// Output while a frame's registration is lost or implausible.
     #[param(default = "last")]
-    on_lost: OnLost,
+    pub(crate) on_lost: OnLost,
 }
 
 impl CompositeNodeParams {
-    fn kernel(&self) -> CompositeParams {
+    pub(crate) fn kernel(&self) -> CompositeParams {
         let fixed = self.canvas_width > 0 && self.canvas_height > 0;
         CompositeParams {
             seam: match self.seam {
@@ -251,6 +251,38 @@ impl<'f> Scene<'f> {
     }
 }
 
+/// Outputs that a panorama is drawn on.
+pub(crate) struct Slots<'s, 'f> {
+    pub panorama: &'s mut Slot<'f, Bgr8>,
+    pub mask: &'s mut Slot<'f, Mask>,
+    pub canvas: &'s mut Slot<'f, Roi>,
+    pub shown: &'s mut Slot<'f, Gray8>,
+}
+
+/// Draws the panorama of a tick and fills the outputs beside it; `seams` counts the seams found.
+pub(crate) fn draw(
+    kernel: &mut Compositor,
+    seams: &mut u64,
+    cx: &Context<'_>,
+    (views, maps, state): (&[View<'_, u8>], &[[f64; 9]], GeometryState),
+    slots: Slots<'_, '_>,
+) -> Result<()> {
+    let canvas = kernel.canvas(views, maps, state)?;
+    let mask_is_read = slots.mask.is_read();
+    let mut panorama = slots.panorama.alloc(canvas.width, canvas.height)?;
+    let mut mask = if mask_is_read { Some(slots.mask.alloc(canvas.width, canvas.height)?) } else { None };
+    let report = kernel.compose(views, maps, state, cx.pool(), &mut panorama, mask.as_mut())?;
+    cx.metric("seam_cost_levels", f64::from(report.seam_cost));
+    cx.metric("seam_ms", report.seam_time.as_secs_f64() * 1e3);
+    *seams += u64::from(report.seam_found);
+    cx.metric("seams_found", *seams as f64);
+    if slots.shown.is_read() {
+        kernel.shown(&mut slots.shown.alloc(canvas.width, canvas.height)?)?;
+    }
+    let (width, height) = (views[0].width as i32, views[0].height as i32);
+    slots.canvas.set(Roi { x: canvas.left, y: canvas.top, width, height })
+}
+
 impl Node for Composite {
     const INFO: NodeInfo = NodeInfo::compute(
         "composite",
@@ -300,19 +332,8 @@ impl Node for Composite {
         if params.on_lost == OnLost::Skip && !self.kernel.accepts(views, maps, scene.state)? {
             return Ok(());
         }
-        let canvas = self.kernel.canvas(views, maps, scene.state)?;
-        let mask_is_read = out.mask.is_read();
-        let mut panorama = out.panorama.alloc(canvas.width, canvas.height)?;
-        let mut mask = if mask_is_read { Some(out.mask.alloc(canvas.width, canvas.height)?) } else { None };
-        let report = self.kernel.compose(views, maps, scene.state, cx.pool(), &mut panorama, mask.as_mut())?;
-        cx.metric("seam_cost_levels", f64::from(report.seam_cost));
-        cx.metric("seam_ms", report.seam_time.as_secs_f64() * 1e3);
-        self.seams += u64::from(report.seam_found);
-        cx.metric("seams_found", self.seams as f64);
-        if out.shown.is_read() {
-            self.kernel.shown(&mut out.shown.alloc(canvas.width, canvas.height)?)?;
-        }
-        let (width, height) = (views[0].width as i32, views[0].height as i32);
-        out.canvas.set(Roi { x: canvas.left, y: canvas.top, width, height })
+        let Out { panorama, mask, canvas, shown } = &mut out;
+        let slots = Slots { panorama, mask, canvas, shown };
+        draw(&mut self.kernel, &mut self.seams, cx, (views, maps, scene.state), slots)
     }
 }

@@ -1,16 +1,21 @@
 //! `evaluate_stitch`: registration and panorama beside the truth, one row per tick.
 
+use panoscope_imaging::Rect;
 use panoscope_imaging::geometry::{Homography as Map, Point, Ransac, RansacParams};
 use panoscope_imaging::stitch::correspond::{CorrespondParams, correspondences};
 use panoscope_imaging::stitch::evaluate::{Gray, RegionSimilarity, TruePairs, likeness, overlap, seam_band};
+use panoscope_imaging::stitch::placement::{Placement, ghost_pct};
+use panoscope_imaging::stitch::{Lattice, Mesh};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value,
-    View,
+    Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData,
+    Value, View, error,
 };
 
+use crate::composite_mesh::VERTEX_COLUMNS;
+
 /// Columns of the table.
-const COLUMNS: [&str; 17] = [
+const COLUMNS: [&str; 21] = [
     "tick",
     "state",
     "inliers",
@@ -28,11 +33,19 @@ const COLUMNS: [&str; 17] = [
     "canvas_height_px",
     "fov_truth_pct",
     "fov_right_pct",
+    "seam_break_px",
+    "seam_break_p95_px",
+    "ghost_pct",
+    "stretch_pct",
 ];
 /// Correspondences by correlation that lie further from every plane are mistakes, px.
 const CORRELATED_REACH_PX: f64 = 12.0;
 /// State of a tick without a homography.
 const STATE_NONE: f64 = 3.0;
+/// What the truth shows within this many pixels may be shown along the seam.
+const GHOST_REACH_PX: usize = 2;
+/// Differences below this are noise and shading.
+const GHOST_LEVELS: f32 = 16.0;
 
 /// Parameters of the evaluation.
 #[derive(Params, Clone, PartialEq)]
@@ -61,6 +74,9 @@ pub struct EvaluateParams {
     /// Rows by which it is displaced: 1 for a camera one baseline below the left one.
     #[param(default = 0.0, range = -8.0..=8.0, unit = "ratio")]
     along_y: f64,
+    /// Number of the right view in `shown`.
+    #[param(default = 2, range = 2..=8)]
+    view: u32,
 }
 
 /// Inputs of the evaluation.
@@ -72,6 +88,8 @@ pub struct In<'f> {
     right: Image<'f, Bgr8>,
     /// The registration to evaluate.
     homography: Option<Value<'f, Homography>>,
+    /// Mesh that places the right view instead of the homography, as `composite_mesh` writes it.
+    mesh: Option<Table<'f>>,
     /// The panorama to evaluate.
     panorama: Option<Image<'f, Bgr8>>,
     /// Rectangle of the left view in the panorama, px.
@@ -103,18 +121,31 @@ pub struct Out<'f> {
 /// See the module.
 pub struct EvaluateStitch {
     rows: Vec<f64>,
-    previous: Option<Map>,
+    previous: Option<Placement>,
     ticks: u64,
 }
 
-/// Root mean square distance between two maps over a 3 x 3 grid of right-view points.
-fn way_px(a: &Map, b: &Map, size: (usize, usize)) -> f64 {
-    let mut squares = 0.0;
-    for i in 0..9 {
-        let point = [(i % 3) as f64 / 2.0 * (size.0 as f64 - 1.0), (i / 3) as f64 / 2.0 * (size.1 as f64 - 1.0)];
-        squares += a.squared_error(point, b.map(point));
+/// The mesh that `composite_mesh` wrote: vertices row after row, at the multiples of the side of a cell.
+fn mesh_of(table: &Table<'_>) -> Result<Option<Mesh>> {
+    let bad = || error!("the table at `mesh` holds no mesh: connect the output `mesh` of a `composite_mesh`");
+    if !table.names().eq(VERTEX_COLUMNS) {
+        return Err(bad());
     }
-    (squares / 9.0).sqrt()
+    let rows: Vec<&[f64]> = table.rows().collect();
+    let (Some(first), Some(second)) = (rows.first(), rows.get(1)) else { return Ok(None) };
+    let columns = rows.iter().take_while(|row| row[1] == first[1]).count();
+    let cell_px = second[0] - first[0];
+    if !rows.len().is_multiple_of(columns) || cell_px.is_nan() || cell_px < 1.0 {
+        return Err(bad());
+    }
+    let lattice = Lattice {
+        cell_px: cell_px as usize,
+        first: [first[0], first[1]].map(|at| (at / cell_px).round() as i32),
+        columns,
+        rows: rows.len() / columns,
+    };
+    let source = rows.iter().map(|row| [row[2] as f32, row[3] as f32]).collect();
+    Mesh::of_vertices(lattice, source).map(Some).ok_or_else(bad)
 }
 
 /// Root mean square distance of two maps over the points of the right view that the true one brings into the left view, and how
@@ -134,9 +165,9 @@ fn between(map: &Map, truth: &Map, left: (usize, usize), right: (usize, usize), 
     (count > 0).then(|| ((squares / count as f64).sqrt(), count))
 }
 
-/// Root mean square distance of a map and of the best plane from correspondences found by correlation, and how many there are.
+/// Root mean square distance of a placement and of the best plane from correspondences found by correlation, and how many there are.
 /// Tissue is no plane: the second number is what parallax leaves to any homography.
-fn correlated(map: &Map, input: &In<'_>, pool: &dyn panoscope_node::Parallel) -> [f64; 3] {
+fn correlated(placed: &Placement, input: &In<'_>, pool: &dyn panoscope_node::Parallel) -> [f64; 3] {
     let (left, right) = (Gray::of_bgr(input.left.view()), Gray::of_bgr(input.right.view()));
     let found = correspondences(&left, &right, &CorrespondParams::default(), pool);
     let (from, to): (Vec<Point>, Vec<Point>) = found.iter().map(|pair| (pair.right, pair.left)).unzip();
@@ -149,7 +180,10 @@ fn correlated(map: &Map, input: &In<'_>, pool: &dyn panoscope_node::Parallel) ->
         let kept = (0..from.len()).filter(|index| inliers[*index]);
         (kept.map(|index| map.squared_error(from[index], to[index])).sum::<f64>() / fit.inliers.max(1) as f64).sqrt()
     };
-    [rms(map), rms(&best), fit.inliers as f64]
+    let errors =
+        (0..from.len()).filter(|index| inliers[*index]).filter_map(|index| placed.error_px(from[index], to[index]));
+    let (squares, count) = errors.fold((0.0, 0usize), |(sum, count), error| (sum + error * error, count + 1));
+    [(squares / count.max(1) as f64).sqrt(), rms(&best), fit.inliers as f64]
 }
 
 /// Share of the right view that is mapped outside the panorama, percent.
@@ -217,10 +251,20 @@ fn areas(shown: View<'_, u8>, footprint: Option<View<'_, u8>>, canvas: Roi, offs
     [covered, truth, both]
 }
 
+/// Comparison of a panorama with the wide truth; `None` where there is nothing to compare.
+#[derive(Default)]
+struct Pictures {
+    whole: Option<RegionSimilarity>,
+    /// Along the seam.
+    seam: Option<RegionSimilarity>,
+    /// Share of the band along the seam that shows what is nowhere near in the truth, percent.
+    ghost_pct: Option<f64>,
+}
+
 impl EvaluateStitch {
-    fn pictures(&self, input: &In<'_>, map: &Map, params: &EvaluateParams) -> [Option<RegionSimilarity>; 2] {
+    fn pictures(&self, input: &In<'_>, map: &Map, params: &EvaluateParams) -> Pictures {
         let (Some(panorama), Some(canvas), Some(wide)) = (&input.panorama, &input.canvas, &input.wide) else {
-            return [None; 2];
+            return Pictures::default();
         };
         let (panorama, wide) = (panorama.view(), wide.view());
         let size = (panorama.width, panorama.height);
@@ -235,9 +279,10 @@ impl EvaluateStitch {
         let seam = input.shown.as_ref().filter(|s| (s.width(), s.height()) == size).and_then(|shown| {
             let mut band = seam_band(shown.view(), params.seam_band as usize);
             band.iter_mut().zip(&region).for_each(|(b, r)| *b &= r);
-            likeness(&picture, &truth, &band)
+            let ghosts = ghost_pct(&picture, &truth, &band, GHOST_REACH_PX, GHOST_LEVELS);
+            Some((likeness(&picture, &truth, &band)?, ghosts?))
         });
-        [whole, seam]
+        Pictures { whole, seam: seam.map(|(likeness, _)| likeness), ghost_pct: seam.map(|(_, ghosts)| ghosts) }
     }
 }
 
@@ -268,13 +313,16 @@ impl Node for EvaluateStitch {
         row[1] = input.homography.as_ref().map_or(STATE_NONE, |h| f64::from(h.state));
         let right = (input.right.width(), input.right.height());
         let map = input.homography.as_ref().filter(|h| h.state != abi::STATE_LOST).map(|h| Map(h.left_from_right));
-        if let (Some(map), Some(given)) = (&map, &input.homography) {
+        let mesh = input.mesh.as_ref().map(mesh_of).transpose()?.flatten();
+        let placed = map.and_then(|map| Placement::new(map, mesh));
+        let left = (input.left.width(), input.left.height());
+        if let (Some(map), Some(placed), Some(given)) = (&map, &placed, &input.homography) {
             row[2] = f64::from(given.inliers);
             let visible = input.visible.as_ref().map(Image::view);
             if let Some(disparity) = &input.disparity {
                 let (along, step) = ([params.along_x, params.along_y], params.step as usize);
                 let pairs = TruePairs { disparity: disparity.view(), visible, along, step };
-                if let Some((align, count)) = pairs.alignment(map) {
+                if let Some((align, count)) = placed.alignment(&pairs) {
                     (row[3], row[5]) = (align, count as f64);
                 }
                 let floor = match &input.truth {
@@ -283,18 +331,29 @@ impl Node for EvaluateStitch {
                 };
                 row[4] = floor.unwrap_or(NONE);
             } else if let Some(truth) = &input.truth {
-                let left = (input.left.width(), input.left.height());
                 if let Some((align, count)) = between(map, &Map(truth.left_from_right), left, right, params.step) {
                     (row[3], row[4], row[5]) = (align, 0.0, count as f64);
                 }
             } else if params.correlate && self.ticks.is_multiple_of(u64::from(params.every)) {
-                [row[3], row[4], row[5]] = correlated(map, &input, cx.pool());
+                [row[3], row[4], row[5]] = correlated(placed, &input, cx.pool());
             }
-            row[6] = self.previous.map_or(NONE, |previous| way_px(map, &previous, right));
+            row[6] = self.previous.as_ref().and_then(|previous| placed.motion_px(previous, right)).unwrap_or(NONE);
+            if let (Some(shown), Some(canvas)) = (&input.shown, &input.canvas) {
+                let (view, left_at) = (params.view as u8, (canvas.x, canvas.y));
+                if let Some(disparity) = &input.disparity {
+                    let along = [params.along_x, params.along_y];
+                    let pairs = TruePairs { disparity: disparity.view(), visible, along, step: 1 };
+                    let broken = placed.seam_break(&pairs, shown.view(), view, left_at);
+                    (row[17], row[18]) = broken.unwrap_or((NONE, NONE));
+                }
+                let whole = Rect::whole(left.0, left.1);
+                row[20] = placed.stretch_pct(shown.view(), view, whole, left_at).unwrap_or(NONE);
+            }
             if self.ticks.is_multiple_of(u64::from(params.every)) {
-                let [whole, seam] = self.pictures(&input, map, params);
+                let Pictures { whole, seam, ghost_pct } = self.pictures(&input, map, params);
                 (row[7], row[8]) = whole.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
                 (row[9], row[10]) = seam.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
+                row[19] = ghost_pct.unwrap_or(NONE);
             }
             if let (Some(panorama), Some(canvas)) = (&input.panorama, &input.canvas) {
                 row[12] = cropped_pct(map, right, canvas, (panorama.width(), panorama.height()));
@@ -315,7 +374,7 @@ impl Node for EvaluateStitch {
         if let Some(panorama) = &input.panorama {
             (row[13], row[14]) = (panorama.width() as f64, panorama.height() as f64);
         }
-        self.previous = map;
+        self.previous = placed;
         self.ticks += 1;
         self.rows.extend(row);
         out.table.set_table(&COLUMNS, &self.rows)

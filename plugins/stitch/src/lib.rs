@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod composite;
+mod composite_mesh;
 mod cut_views;
 mod evaluate_mosaic;
 mod evaluate_stitch;
@@ -13,6 +14,7 @@ mod register_surf;
 mod registration;
 
 pub use composite::Composite;
+pub use composite_mesh::CompositeMesh;
 pub use cut_views::CutViews;
 pub use evaluate_mosaic::EvaluateMosaic;
 pub use evaluate_stitch::EvaluateStitch;
@@ -25,6 +27,7 @@ panoscope_node::export_plugin![
     RegisterSurf,
     RegisterGridNode,
     Composite,
+    CompositeMesh,
     FeaturesSurf,
     EvaluateStitch,
     CutViews,

@@ -84,7 +84,7 @@ pub struct RegisterGridNode {
 }
 
 /// One side of a calibration.
-fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified: bool) -> RectifiedView {
+pub(crate) fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified: bool) -> RectifiedView {
     let focal_px = [projection[0], projection[5]];
     let centre_px = [projection[2], projection[6]];
     let size = (camera.width as usize, camera.height as usize);

@@ -58,6 +58,11 @@ pub struct Wiring {
     pub composites: Vec<Composite>,
 }
 
+/// Node that places a view by a mesh.
+const MESH: &str = "composite_mesh";
+/// Nodes whose panoramas are judged.
+const COMPOSITES: [&str; 3] = ["composite", MESH, "composite_opencv"];
+
 fn from(value: &Value) -> Option<&str> {
     match value {
         Value::String(text) => Some(text),
@@ -125,7 +130,7 @@ impl Wiring {
         nodes.retain(|_, node| !is_sink(node));
         let mut composites = Vec::new();
         for (id, node) in nodes.iter() {
-            if !is_type(node, "composite") && !is_type(node, "composite_opencv") {
+            if !COMPOSITES.iter().any(|kind| is_type(node, kind)) {
                 continue;
             }
             let input = |name: &str| node.get("inputs")?.get(name);
@@ -314,9 +319,14 @@ impl Wiring {
                     ("homography", composite.homographies[pair].clone()),
                 ];
                 let mut params = Table::new();
+                params.insert("view".to_owned(), (pair as i64 + 2).into());
                 let mut wire = |names: &[(&'static str, &str)], node: &str| {
                     inputs.extend(names.iter().map(|(port, output)| (*port, format!("{node}.{output}"))));
                 };
+                // A mesh is part of the registration.
+                if self.node(&composite.id).is_some_and(|node| is_type(node, MESH)) {
+                    wire(&[("mesh", "mesh")], &composite.id);
+                }
                 if judged != JudgeInputs::Registration {
                     wire(&[("panorama", "panorama"), ("canvas", "canvas"), ("shown", "shown")], &composite.id);
                 }
@@ -408,6 +418,16 @@ inputs = { image = "wide.panorama" }
     }
 
     #[test]
+    fn a_mesh_is_judged_with_the_registration() {
+        let graph = GRAPH.replace("\"composite\"", "\"composite_mesh\"");
+        let wiring = wiring(&graph).unwrap();
+        for judged in [JudgeInputs::Registration, JudgeInputs::Pictures] {
+            let table: Table = wiring.judged(judged).text().parse().unwrap();
+            assert_eq!(table["nodes"]["judge_wide"]["inputs"]["mesh"].as_str(), Some("wide.mesh"), "{judged:?}");
+        }
+    }
+
+    #[test]
     fn four_views_have_three_judges_and_no_peer() {
         let graph = r#"
 [nodes.scope]
@@ -423,6 +443,7 @@ inputs = { views = ["scope.view0", "scope.view1", "scope.view2", "scope.view3"],
         let third = &table["nodes"]["judge_wide_3"];
         assert_eq!(third["inputs"]["right"].as_str(), Some("scope.view3"));
         assert_eq!(third["inputs"]["disparity"].as_str(), Some("scope.disparity"));
+        assert_eq!(third["params"]["view"].as_integer(), Some(4));
         let along = ["along_x", "along_y"].map(|name| third["params"][name].as_float());
         assert_eq!((along, third["inputs"].get("truth")), ([Some(1.0), Some(1.0)], None));
         let table: toml::Table = wiring.judged(JudgeInputs::Area).text().parse().unwrap();

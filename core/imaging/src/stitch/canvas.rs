@@ -36,7 +36,8 @@ impl Bounds {
         b
     }
 
-    fn union(self, o: Self) -> Self {
+    /// Bounds of both.
+    pub fn union(self, o: Self) -> Self {
         Self { x0: self.x0.min(o.x0), y0: self.y0.min(o.y0), x1: self.x1.max(o.x1), y1: self.y1.max(o.y1) }
     }
 }

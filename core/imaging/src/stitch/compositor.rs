@@ -2,12 +2,12 @@
 
 use super::canvas::{Bounds, CanvasHolder};
 use super::mark;
+use super::mesh::{Mapping, Mesh, MeshGrid};
 use super::paint::{Layers, Step, Warp, levels_of};
 use super::params::*;
 use super::projective::{self, IDENTITY};
 use super::segments;
 use super::taps::{TAPS, Taps};
-use super::warp;
 use crate::geometry::Homography;
 use crate::{Parallel, Simd, View, ViewMut};
 
@@ -21,6 +21,8 @@ pub struct Compositor {
     good: Option<[[f64; 9]; MAX_VIEWS]>,
     prepared: Option<Prepared>,
     placed: Option<(Canvas, usize, [[f64; 9]; MAX_VIEWS])>,
+    /// A mesh has changed since the geometry was placed.
+    has_new_mesh: bool,
     pub(super) layers: Layers,
 }
 
@@ -71,6 +73,25 @@ impl Compositor {
         self.prepared = None;
         self.placed = None;
         self.layers.forget();
+    }
+
+    /// Draws view `view` by a mesh instead of its homography, or by its homography again with `None`, from the next frame on.
+    ///
+    /// The mesh maps the reference view to this one. The homography still says whether the frame is used, and the canvas covers both.
+    /// A view beyond [`MAX_VIEWS`] and the reference view have none.
+    pub fn set_mesh(&mut self, view: usize, mesh: Option<&Mesh>) {
+        if view == 0 || view >= MAX_VIEWS {
+            return;
+        }
+        let held = &mut self.layers.meshes[view];
+        self.has_new_mesh |= match mesh {
+            Some(mesh) => held.copy_from(mesh),
+            None => held.clear(),
+        };
+        // The canvas may have to cover more.
+        if self.has_new_mesh {
+            self.prepared = None;
+        }
     }
 
     /// The canvas that [`compose`](Self::compose) will draw on when called next with the same arguments.
@@ -182,7 +203,13 @@ impl Compositor {
         for (view, (w, h)) in self.sizes.iter().enumerate() {
             quads[view] = projective::warped_corners(&given[view], *w, *h, view)?;
         }
-        self.holder.update(Bounds::of(quads[..self.sizes.len()].iter()), &self.params)
+        let mut bounds = Bounds::of(quads[..self.sizes.len()].iter());
+        for (mesh, size) in self.layers.meshes.iter().zip(&self.sizes) {
+            if let Some([[x0, y0], [x1, y1]]) = mesh.given().and_then(|mesh| mesh.footprint(*size)) {
+                bounds = bounds.union(Bounds { x0, y0, x1, y1 });
+            }
+        }
+        self.holder.update(bounds, &self.params)
     }
 
     /// Draws the panorama of `views` on `out`.
@@ -215,7 +242,7 @@ impl Compositor {
         self.prepared = None;
         let avx2 = Simd::detect().avx2();
         let key = (p.canvas, p.active, p.used);
-        let moved = self.placed != Some(key);
+        let moved = std::mem::take(&mut self.has_new_mesh) | (self.placed != Some(key));
         if moved {
             self.place(&p);
             self.placed = Some(key);
@@ -284,6 +311,8 @@ impl Compositor {
                 source_from_canvas: IDENTITY,
                 source_from_tap: IDENTITY,
                 shift: None,
+                origins: [[0.0; 2]; 2],
+                tap_step: 1.0,
                 taps: Taps::default(),
             });
             self.layers.spans.push(Vec::new());
@@ -308,8 +337,17 @@ impl Compositor {
                 && (n[2] - n[2].round()).abs() < 1e-6
                 && (n[5] - n[5].round()).abs() < 1e-6;
             warp.shift = whole.then(|| (n[2].round() as i64, n[5].round() as i64));
-            warp::coverage(&m, (w, h), p.canvas.width, p.canvas.height, &mut self.layers.spans[view]);
-            warp.taps.place(columns * TAPS, rows * TAPS, &warp.source_from_tap, (w, h));
+            let canvas = [-p.canvas.left, -p.canvas.top].map(|at| at as f32);
+            warp.origins = [canvas, canvas.map(|at| at + (step / 2.0 - 0.5) as f32)];
+            warp.tap_step = step as f32;
+            let mesh = self.layers.meshes[view].given();
+            let (spans, size) = (&mut self.layers.spans[view], p.canvas);
+            warp.mapping(mesh).coverage((w, h), size.width, size.height, spans);
+            let from_tap = match mesh {
+                Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: warp.origins[1], step: warp.tap_step }),
+                None => Mapping::Plane(&warp.source_from_tap),
+            };
+            warp.taps.place(columns * TAPS, rows * TAPS, from_tap, (w, h));
         }
         self.layers.active = p.active;
         if p.active > 1 {

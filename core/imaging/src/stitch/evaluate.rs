@@ -163,21 +163,28 @@ pub struct TruePairs<'a> {
 }
 
 impl TruePairs<'_> {
+    /// Position in the other view and in the left one of the point at a pixel of the left view, if both see it.
+    pub(super) fn at(&self, x: usize, y: usize) -> Option<(Point, Point)> {
+        let (width, height) = (self.disparity.width, self.disparity.height);
+        if x >= width || y >= height {
+            return None;
+        }
+        let d = f64::from(self.disparity.row(y)[x]);
+        let left = [x as f64, y as f64];
+        let other = [left[0] - d * self.along[0], left[1] - d * self.along[1]];
+        let inside =
+            other[0] >= 0.0 && other[1] >= 0.0 && other[0] <= width as f64 - 1.0 && other[1] <= height as f64 - 1.0;
+        // NaN is not inside.
+        let seen = self.visible.is_none_or(|v| v.row(y)[x] != 0) && inside;
+        seen.then_some((other, left))
+    }
+
     /// Position in the other view and in the left one of each point that both see.
-    fn iter(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
+    pub(super) fn iter(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
         let step = self.step.max(1);
         let (width, height) = (self.disparity.width, self.disparity.height);
         let rows = (step / 2..height).step_by(step);
-        rows.flat_map(move |y| (step / 2..width).step_by(step).map(move |x| (x, y))).filter_map(move |(x, y)| {
-            let d = f64::from(self.disparity.row(y)[x]);
-            let left = [x as f64, y as f64];
-            let other = [left[0] - d * self.along[0], left[1] - d * self.along[1]];
-            let inside =
-                other[0] >= 0.0 && other[1] >= 0.0 && other[0] <= width as f64 - 1.0 && other[1] <= height as f64 - 1.0;
-            // NaN is not inside.
-            let seen = self.visible.is_none_or(|v| v.row(y)[x] != 0) && inside;
-            seen.then_some((other, left))
-        })
+        rows.flat_map(move |y| (step / 2..width).step_by(step).map(move |x| (x, y))).filter_map(|(x, y)| self.at(x, y))
     }
 
     /// Root mean square distance between mapped and true positions of the points that both views see, px of the left view, and how

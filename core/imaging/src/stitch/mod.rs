@@ -14,8 +14,10 @@ pub mod evaluate;
 mod graph_cut;
 pub mod grid;
 mod mark;
+pub mod mesh;
 mod paint;
 mod params;
+pub mod placement;
 mod projective;
 mod pyramid;
 mod seam;
@@ -28,6 +30,7 @@ pub mod warp;
 pub use compositor::Compositor;
 pub use graph_cut::GridCut;
 pub use grid::{CellPoint, GridParams, GridRegistration, RectifiedView, RegisterGrid};
+pub use mesh::{Lattice, Mesh, MeshFollower, MeshParams, MeshReport};
 pub use params::{
     BlendMethod, Canvas, CompositeError, CompositeParams, CompositeReport, ExposureMethod, GeometryFault,
     GeometryState, MAX_VIEWS, SeamCost, SeamMethod,

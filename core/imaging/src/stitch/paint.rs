@@ -2,6 +2,7 @@
 
 use super::blend::{self, Blender, Ranges};
 use super::graph_cut::GridCut;
+use super::mesh::{Mapping, Mesh, MeshGrid};
 use super::params::*;
 use super::pyramid::{LANES, ONE};
 use super::seam::Seam;
@@ -17,6 +18,8 @@ const ROWS: usize = 16;
 #[derive(Debug, Default)]
 pub(super) struct Layers {
     pub(super) warps: Vec<Warp>,
+    /// Meshes that views are drawn by; empty ones stand for none.
+    pub(super) meshes: [Mesh; MAX_VIEWS],
     /// Columns that a view covers, by view and canvas row.
     pub(super) spans: Vec<Vec<Span>>,
     /// Views in use; the vectors keep the memory of more.
@@ -36,7 +39,21 @@ pub(super) struct Warp {
     pub(super) source_from_tap: [f64; 9],
     /// Columns and rows to add to a canvas position, when the view is only shifted by whole pixels.
     pub(super) shift: Option<(i64, i64)>,
+    /// Positions of the first canvas pixel and of the first tap on the reference plane, px.
+    pub(super) origins: [[f32; 2]; 2],
+    /// Distance of neighbouring taps there, px.
+    pub(super) tap_step: f32,
     pub(super) taps: Taps,
+}
+
+impl Warp {
+    /// From canvas pixels to those of the view: by the mesh where there is one.
+    pub(super) fn mapping<'a>(&'a self, mesh: Option<&'a Mesh>) -> Mapping<'a> {
+        match mesh {
+            Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: self.origins[0], step: 1.0 }),
+            None => Mapping::Plane(&self.source_from_canvas),
+        }
+    }
 }
 
 /// Work of joining one view to those before it.
@@ -77,9 +94,11 @@ impl Layers {
         avx2: bool,
     ) -> (bool, f32) {
         let scale = params.cell_px();
-        for (warp, view) in self.warps.iter_mut().zip(views) {
-            let m = warp.source_from_tap;
-            warp.taps.fill(view, &m, pool, avx2);
+        for ((warp, mesh), view) in self.warps.iter_mut().zip(&self.meshes).zip(views) {
+            let Warp { source_from_tap, origins, tap_step, taps, .. } = warp;
+            let by_mesh =
+                mesh.given().map(|mesh| Mapping::Mesh(MeshGrid { mesh, origin: origins[1], step: *tap_step }));
+            taps.fill(view, by_mesh.unwrap_or(Mapping::Plane(source_from_tap)), pool, avx2);
         }
         let (mut found_any, mut worst_cost) = (false, 0.0f32);
         let first = taps::fixed_gain(&self.gains[0]);
@@ -96,6 +115,7 @@ impl Layers {
             let gain = taps::fixed_gain(&self.gains[k]);
             let step = &mut self.steps[k];
             step.seam.resize(canvas.width.div_ceil(scale), canvas.height.div_ceil(scale));
+            step.seam.doubt(self.meshes[k].given(), canvas, scale);
             self.joined.measure(taps, &gain, &mut step.seam, pool);
             let found = step.seam.update(params, k == 1, may_learn, &mut self.cut);
             found_any |= found;
@@ -128,7 +148,7 @@ impl Layers {
         avx2: bool,
     ) {
         let stride = out.stride;
-        let first = Source::new(&views[0], &self.warps[0], &self.gains[0], avx2);
+        let first = Source::new(&views[0], &self.warps[0], None, &self.gains[0], avx2);
         let spans = &self.spans[0];
         let chunks = canvas.height.div_ceil(ROWS);
         let rows = |chunk: usize| chunk * ROWS..(chunk * ROWS + ROWS).min(canvas.height);
@@ -147,7 +167,7 @@ impl Layers {
         let levels = levels_of(params);
         for k in 1..views.len() {
             let step = &self.steps[k];
-            let source = Source::new(&views[k], &self.warps[k], &self.gains[k], avx2);
+            let source = Source::new(&views[k], &self.warps[k], self.meshes[k].given(), &self.gains[k], avx2);
             let zone = step.zone;
             if let Some(z) = zone {
                 self.blender.reset(z.width, z.height, levels);
@@ -264,7 +284,7 @@ fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> 
 /// One view, ready to be sampled on the canvas.
 struct Source<'a> {
     view: View<'a, u8>,
-    source_from_canvas: [f64; 9],
+    source_from_canvas: Mapping<'a>,
     shift: Option<(i64, i64)>,
     gain: [i16; 4],
     avx2: bool,
@@ -277,15 +297,15 @@ struct Work {
 }
 
 impl<'a> Source<'a> {
-    fn new(view: &View<'a, u8>, warp: &Warp, gain: &[f32; 3], avx2: bool) -> Self {
-        let shift = warp.shift.filter(|_| gain.iter().all(|g| *g == 1.0));
-        Self { view: *view, source_from_canvas: warp.source_from_canvas, shift, gain: taps::fixed_gain(gain), avx2 }
+    fn new(view: &View<'a, u8>, warp: &'a Warp, mesh: Option<&'a Mesh>, gain: &[f32; 3], avx2: bool) -> Self {
+        let shift = warp.shift.filter(|_| mesh.is_none() && gain.iter().all(|g| *g == 1.0));
+        Self { view: *view, source_from_canvas: warp.mapping(mesh), shift, gain: taps::fixed_gain(gain), avx2 }
     }
 
     /// Samples up to a block of canvas pixels from `(x, y)` on into `work.pixels`.
     fn sample(&self, x: usize, y: usize, count: usize, work: &mut Work) {
         let v = &self.view;
-        warp::locate(&self.source_from_canvas, x, y, v.width, v.height, v.stride, count, &mut work.block, self.avx2);
+        self.source_from_canvas.locate((x, y), (v.width, v.height, v.stride), count, &mut work.block, self.avx2);
         warp::sample(v, &work.block, count, &self.gain, &mut work.pixels, self.avx2);
     }
 

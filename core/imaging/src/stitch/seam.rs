@@ -1,7 +1,8 @@
 //! The seam between the pictures joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
 
 use super::graph_cut::GridCut;
-use super::params::{CompositeParams, SeamCost, SeamMethod};
+use super::mesh::Mesh;
+use super::params::{Canvas, CompositeParams, SeamCost, SeamMethod};
 
 /// What covers a cell: bit 0 the pictures so far, bit 1 the new view.
 pub const BASE: u8 = 1;
@@ -14,6 +15,8 @@ pub const BOTH: u8 = 3;
 const UNIT: f32 = 64.0;
 /// Every cell boundary costs this many levels more, which keeps seams short where all is alike.
 const LENGTH_LEVELS: f32 = 1.0;
+/// Levels that a pixel of doubt about where the views match adds to the cost of a cell.
+const DOUBT_LEVELS: f32 = 4.0;
 /// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
 const RIM: f32 = 3.0;
 
@@ -30,6 +33,8 @@ pub struct Seam {
     pub cost: Vec<f32>,
     /// Gradient per cell, levels.
     pub gradient: Vec<f32>,
+    /// Cost per cell beside the colours, levels: how uncertain it is that the views match there.
+    doubt: Vec<f32>,
     /// 1 where the new view is shown.
     pub take: Vec<u8>,
     known: bool,
@@ -68,10 +73,22 @@ impl Seam {
         }
         (self.columns, self.rows) = (columns, rows);
         self.take.resize(n, 0);
-        for f in [&mut self.cost, &mut self.gradient, &mut self.weight, &mut self.path_cost] {
+        for f in [&mut self.cost, &mut self.gradient, &mut self.weight, &mut self.doubt, &mut self.path_cost] {
             f.resize(n.max(columns + 1), 0.0);
         }
         self.class.resize(n, 0);
+    }
+
+    /// Takes over how uncertain a mesh is; `None` for a view that a homography places. To be called after [`Seam::resize`].
+    pub fn doubt(&mut self, mesh: Option<&Mesh>, canvas: Canvas, scale: usize) {
+        let Some(mesh) = mesh else { return self.doubt.fill(0.0) };
+        for y in 0..self.rows {
+            for x in 0..self.columns {
+                let middle = |cell: usize, origin: i32| (cell as f32 + 0.5) * scale as f32 - origin as f32;
+                let at = [middle(x, canvas.left), middle(y, canvas.top)];
+                self.doubt[y * self.columns + x] = DOUBT_LEVELS * mesh.doubt_px(at);
+            }
+        }
     }
 
     /// Mean colour difference at the cells on both sides of the seam inside the overlap, levels.
@@ -127,7 +144,7 @@ impl Seam {
             self.weight[i] = match params.seam_cost {
                 SeamCost::Color => self.cost[i],
                 SeamCost::ColorGradient => self.cost[i] / (1.0 + self.gradient[i] / 32.0),
-            };
+            } + self.doubt[i];
         }
         let hold = if self.known { params.seam_hold_levels.clamp(0.0, 255.0) } else { 0.0 };
         if params.seam == SeamMethod::DynamicProgramming && strip {

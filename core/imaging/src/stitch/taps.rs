@@ -1,5 +1,6 @@
 //! Coarse samples of the views on the canvas: what the seam and the exposure are found on.
 
+use super::mesh::Mapping;
 use super::params::{CompositeParams, ExposureMethod};
 use super::seam::{BASE, BOTH, NEW, Seam};
 use super::warp::{self, BLOCK, Block, Pixels, Span, UNIT_GAIN};
@@ -25,14 +26,14 @@ pub struct Taps {
 
 impl Taps {
     /// Sets the grid and the geometry: `source_from_tap` maps sample indices to pixels of the view.
-    pub fn place(&mut self, columns: usize, rows: usize, source_from_tap: &[f64; 9], view: (usize, usize)) {
+    pub fn place(&mut self, columns: usize, rows: usize, source_from_tap: Mapping, view: (usize, usize)) {
         (self.columns, self.rows) = (columns, rows);
         self.values.resize(columns * rows, [0; 4]);
-        warp::coverage(source_from_tap, view, columns, rows, &mut self.spans);
+        source_from_tap.coverage(view, columns, rows, &mut self.spans);
     }
 
     /// Samples the view.
-    pub fn fill(&mut self, view: &View<u8>, source_from_tap: &[f64; 9], pool: &dyn Parallel, avx2: bool) {
+    pub fn fill(&mut self, view: &View<u8>, source_from_tap: Mapping, pool: &dyn Parallel, avx2: bool) {
         let (columns, rows) = (self.columns, self.rows);
         let values = SharedMut::new(&mut self.values);
         let spans = &self.spans;
@@ -43,7 +44,8 @@ impl Taps {
                 let mut x = span.start as usize;
                 while x < span.end as usize {
                     let n = (span.end as usize - x).min(BLOCK);
-                    warp::locate(source_from_tap, x, y, view.width, view.height, view.stride, n, &mut block, avx2);
+                    let size = (view.width, view.height, view.stride);
+                    source_from_tap.locate((x, y), size, n, &mut block, avx2);
                     warp::sample(view, &block, n, &UNIT_GAIN, &mut pixels, avx2);
                     // SAFETY: rows are split between chunks.
                     let out = unsafe { values.part(y * columns + x, n) };

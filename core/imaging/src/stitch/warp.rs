@@ -21,11 +21,13 @@ pub struct Block {
     pub horizontal: [u16; BLOCK],
     /// Vertical weight of the lower row, Q14.
     pub vertical: [u16; BLOCK],
+    /// Whether the positions lie on a line, so that both ends bound the rows between them.
+    pub is_line: bool,
 }
 
 impl Default for Block {
     fn default() -> Self {
-        Self { offset: [0; BLOCK], horizontal: [64; BLOCK], vertical: [0; BLOCK] }
+        Self { offset: [0; BLOCK], horizontal: [64; BLOCK], vertical: [0; BLOCK], is_line: true }
     }
 }
 
@@ -60,6 +62,7 @@ pub fn locate(
     let step = [m[0] as f32, m[3] as f32, m[6] as f32];
     let limit = [(width - 1) as f32, (height - 1) as f32];
     let last = [width as i32 - 2, height as i32 - 2];
+    block.is_line = true;
     let count = count.min(BLOCK).div_ceil(8) * 8;
     #[cfg(target_arch = "x86_64")]
     if avx2 {
@@ -132,21 +135,76 @@ fn locate_body(
         let scale = 1.0 / (s[2] + d[2] * t);
         let u = (s[0] + d[0] * t) * scale;
         let v = (s[1] + d[1] * t) * scale;
-        // NaN falls to zero here, so that the conversions below always see a number in range.
-        let u = if u > 0.0 { u } else { 0.0 };
-        let v = if v > 0.0 { v } else { 0.0 };
-        let u = if u < limit[0] { u } else { limit[0] };
-        let v = if v < limit[1] { v } else { limit[1] };
-        // SAFETY: 0 <= u, v <= limit, and limit * 64 is far below 2^31 for any image that fits in memory as BGR rows
-        // of less than 2^25 pixels, which `compose` checks.
-        let (u, v): (i32, i32) = unsafe { ((u * 64.0 + 0.5).to_int_unchecked(), (v * 64.0 + 0.5).to_int_unchecked()) };
-        let column = (u >> 6).min(last[0]);
-        let row = (v >> 6).min(last[1]);
-        let fx = u - (column << 6);
-        let fy = v - (row << 6);
-        block.offset[i] = (row * stride + column * 3) as u32;
-        block.horizontal[i] = ((64 - fx) | (fx << 8)) as u16;
-        block.vertical[i] = (fy << 8) as u16;
+        put(block, i, [u, v], limit, last, stride);
+    }
+}
+
+/// Notes where output pixel `i` reads its source: position `at`, clamped to the view.
+#[inline(always)]
+fn put(block: &mut Block, i: usize, [u, v]: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) {
+    // NaN falls to zero here, so that the conversions below always see a number in range.
+    let u = if u > 0.0 { u } else { 0.0 };
+    let v = if v > 0.0 { v } else { 0.0 };
+    let u = if u < limit[0] { u } else { limit[0] };
+    let v = if v < limit[1] { v } else { limit[1] };
+    // SAFETY: 0 <= u, v <= limit, and limit * 64 is far below 2^31 for any image that fits in memory as BGR rows
+    // of less than 2^25 pixels, which `compose` checks.
+    let (u, v): (i32, i32) = unsafe { ((u * 64.0 + 0.5).to_int_unchecked(), (v * 64.0 + 0.5).to_int_unchecked()) };
+    let column = (u >> 6).min(last[0]);
+    let row = (v >> 6).min(last[1]);
+    let fx = u - (column << 6);
+    let fy = v - (row << 6);
+    block.offset[i] = (row * stride + column * 3) as u32;
+    block.horizontal[i] = ((64 - fx) | (fx << 8)) as u16;
+    block.vertical[i] = (fy << 8) as u16;
+}
+
+/// As [`locate`], from positions that are given: columns and rows of the first `count` output pixels.
+pub fn locate_each(
+    positions: &[[f32; BLOCK]; 2],
+    (width, height, stride): (usize, usize, usize),
+    count: usize,
+    block: &mut Block,
+    avx2: bool,
+) {
+    let limit = [(width - 1) as f32, (height - 1) as f32];
+    let last = [width as i32 - 2, height as i32 - 2];
+    block.is_line = false;
+    let count = count.min(BLOCK).div_ceil(8) * 8;
+    #[cfg(target_arch = "x86_64")]
+    if avx2 {
+        // SAFETY: the caller found AVX2 on this CPU.
+        unsafe { locate_each_avx2(positions, limit, last, stride as i32, count, block) };
+        return;
+    }
+    let _ = avx2;
+    locate_each_body(positions, limit, last, stride as i32, count, block);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn locate_each_avx2(
+    positions: &[[f32; BLOCK]; 2],
+    limit: [f32; 2],
+    last: [i32; 2],
+    stride: i32,
+    count: usize,
+    block: &mut Block,
+) {
+    locate_each_body(positions, limit, last, stride, count, block);
+}
+
+#[inline(always)]
+fn locate_each_body(
+    positions: &[[f32; BLOCK]; 2],
+    limit: [f32; 2],
+    last: [i32; 2],
+    stride: i32,
+    count: usize,
+    block: &mut Block,
+) {
+    for i in 0..count {
+        put(block, i, [positions[0][i], positions[1][i]], limit, last, stride);
     }
 }
 
@@ -164,11 +222,11 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
     if avx2 && view.data.len() >= view.stride + 8 {
         let padded = count.div_ceil(8) * 8;
         // Along a line the source row rises or falls all the way, but for rounding by one, and a column is less than a stride: both ends
-        // bound the block. Only blocks at the very bottom are checked pixel by pixel.
+        // bound the block. Other blocks, and those at the very bottom, are checked pixel by pixel.
         let ends = block.offset[0].max(block.offset[padded.max(1) - 1]) as usize + 2 * view.stride;
         let fits = |far: usize| far + view.stride + 8 <= view.data.len();
         // Each neighbour pair is loaded as 8 bytes: the last two pixels of a view without padding go the slow way.
-        if fits(ends) || fits(block.offset[..padded].iter().fold(0, |m, o| m.max(*o)) as usize) {
+        if (block.is_line && fits(ends)) || fits(block.offset[..padded].iter().fold(0, |m, o| m.max(*o)) as usize) {
             // SAFETY: the caller found AVX2 on this CPU; every load is inside the view, as just checked.
             unsafe { sample_avx2(view.data.as_ptr(), view.stride, block, padded, gain, out) };
             return;

@@ -23,6 +23,7 @@ pub enum Method {
     Roi,
     Conventional,
     Grid,
+    Mesh,
     OpencvFull,
     OpencvTenth,
     OpencvPath,
@@ -43,6 +44,7 @@ impl Method {
             Self::Roi => "roi",
             Self::Conventional => "conventional",
             Self::Grid => "grid",
+            Self::Mesh => "mesh",
             Self::OpencvFull => "OpenCV full",
             Self::OpencvTenth => "OpenCV 0.1 MP",
             Self::OpencvPath => "OpenCV shortest path",
@@ -58,7 +60,7 @@ impl Method {
             Self::Conventional => format!(
                 "type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = false, spread = false, second_look = true, max_points = 2000, upright = false, stability_px = 0.0 }}"
             ),
-            Self::Grid => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = \"files.calibration\" }\nparams = { ransac_px = 12.0 }".to_owned(),
+            Self::Grid | Self::Mesh => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = \"files.calibration\" }\nparams = { ransac_px = 12.0 }".to_owned(),
             Self::OpencvFull | Self::OpencvTenth | Self::OpencvPath => {
                 let work = if self == Self::OpencvFull { 0.0 } else { 0.6 };
                 format!(
@@ -68,6 +70,12 @@ impl Method {
         };
         let (kind, mut params) = match self {
             Self::Roi | Self::Grid => ("composite", format!("seam_scale = {scale_of_seam}")),
+            Self::Mesh => (
+                "composite_mesh",
+                format!(
+                    "seam_scale = {scale_of_seam}, seam = \"dynamic_programming\", blend = \"feather\", blend_px = 24"
+                ),
+            ),
             // What is left without the seam does not sample the overlap at full size either.
             Self::Conventional if seam == Seam::Once => ("composite", "seam_scale = 10".to_owned()),
             Self::Conventional => ("composite", "seam_scale = 1".to_owned()),
@@ -82,12 +90,17 @@ impl Method {
             (Self::OpencvPath, _) => ", seam = \"dynamic_programming\"",
             (_, Seam::Once) => ", seam_interval = 10000",
             (Self::Conventional, _) | (_, Seam::EveryFrame) => ", seam_interval = 1",
-            (Self::Roi | Self::Grid, Seam::Default) => "",
+            (Self::Roi | Self::Grid | Self::Mesh, Seam::Default) => "",
         });
+        let depth = if self == Self::Mesh {
+            ", disparity = \"match.disparity\", calibration = \"files.calibration\""
+        } else {
+            ""
+        };
         let mut text = format!(
-            "[nodes.register]\n{register}\nbudget_ms = 60000\n[nodes.wide]\nbudget_ms = 60000\ntype = \"{kind}\"\ninputs = {{ {views}, homography = \"register.homography\" }}\nparams = {{ {params} }}\n"
+            "[nodes.register]\n{register}\nbudget_ms = 60000\n[nodes.wide]\nbudget_ms = 60000\ntype = \"{kind}\"\ninputs = {{ {views}, homography = \"register.homography\"{depth} }}\nparams = {{ {params} }}\n"
         );
-        if self == Self::Grid {
+        if matches!(self, Self::Grid | Self::Mesh) {
             let _ = write!(
                 text,
                 "[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ {views}, roi = {{ from = \"register.roi_left\", delay = 1 }} }}\nparams = {{ scale = {scale} }}\n"
@@ -100,7 +113,7 @@ impl Method {
         let many = if quick { 24 } else { 72 };
         match self {
             Self::Roi => many,
-            Self::Grid => many / 2,
+            Self::Grid | Self::Mesh => many / 2,
             Self::Conventional => many / 6,
             // Each pair once: how long a cut takes depends on the pair more than on anything else.
             Self::OpencvFull if width > 640 => 2,

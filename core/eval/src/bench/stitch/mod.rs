@@ -152,7 +152,8 @@ fn measured(
     threads: usize,
     quick: bool,
 ) -> Result<Vec<(Method, Times)>> {
-    let mut methods = vec![Method::Roi, Method::Grid, Method::Conventional, Method::OpencvTenth, Method::OpencvPath];
+    let mut methods =
+        vec![Method::Roi, Method::Grid, Method::Mesh, Method::Conventional, Method::OpencvTenth, Method::OpencvPath];
     // The cut at full resolution takes minutes on larger pictures.
     if size.0 == 640 || !quick {
         methods.push(Method::OpencvFull);
@@ -222,7 +223,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
         return Ok(figures);
     }
     figures.extend(quality(session, quick)?);
-    for (name, method) in [("stitch_roi", Method::Roi), ("stitch_grid", Method::Grid)] {
+    for (name, method) in [("stitch_roi", Method::Roi), ("stitch_grid", Method::Grid), ("stitch_mesh", Method::Mesh)] {
         if let Some(count) = allocations(session, method, quick)? {
             figures.push(Figure::new(
                 &format!("allocations_per_frame/{name}"),
@@ -262,9 +263,12 @@ fn figures_of(all: &[(Method, Times)], size: (u32, u32), threads: usize) -> Vec<
     let sub = |part: &str| if case.contains('/') { format!("{case}_{part}") } else { format!("{case}/{part}") };
     let input = format!("{}x{} phantom, {threads} threads", size.0, size.1);
     let mut out = Vec::new();
-    for (name, method) in
-        [("stitch_roi", Method::Roi), ("stitch_grid", Method::Grid), ("stitch_conventional", Method::Conventional)]
-    {
+    for (name, method) in [
+        ("stitch_roi", Method::Roi),
+        ("stitch_grid", Method::Grid),
+        ("stitch_mesh", Method::Mesh),
+        ("stitch_conventional", Method::Conventional),
+    ] {
         let Some(times) = of(method) else { continue };
         let mut figure = |name: &str, value: f64, peer: &str, peer_value: Option<f64>| {
             out.push(Figure::new(name, value, "ms", &input).beside(peer, peer_value));

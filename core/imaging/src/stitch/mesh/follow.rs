@@ -1,0 +1,395 @@
+//! The mesh over time: fitted to each disparity map, steady while nothing moves, held while nothing is seen.
+
+use super::super::grid::RectifiedView;
+use super::energy::{Energy, Stiffness};
+use super::observe::Observations;
+use super::{Lattice, Mesh};
+use crate::geometry::{Homography, Point};
+use crate::{Parallel, Simd, View};
+
+/// Columns of a view that lengths of [`MeshParams`] refer to.
+const REFERENCE_COLUMNS: f64 = 640.0;
+/// Cells that the mesh reaches beyond the other view's corners.
+const MARGIN_CELLS: f64 = 2.5;
+/// Cells beyond those before the mesh is cut down.
+const SPARE_CELLS: i32 = 6;
+/// Vertices at most: a homography that needs more is no plausible one.
+const MOST_VERTICES: usize = 8192;
+/// Cells of observations per block, each way, in which motion is told from noise.
+const BLOCK_CELLS: usize = 4;
+/// Observations of a block that tells of motion.
+const LEAST_BLOCK: f64 = 4.0;
+/// Multiples of the outlier limit in the passes of a first fit; the first pass weighs all observations alike.
+const FIRST_PASSES: [f64; 6] = [f64::INFINITY, 8.0, 4.0, 2.0, 1.0, 1.0];
+/// A mesh that moves by less than this stays as it is, px: what follows from it need not be computed again.
+const DEAD_BAND_PX: f64 = 0.02;
+
+/// Parameters of [`MeshFollower`]. Lengths are in pixels of a view with 640 columns and grow with the view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeshParams {
+    /// Side of a cell.
+    pub cell_px: f64,
+    /// Observations per cell, each way.
+    pub observations: usize,
+    /// Spacing of the disparities that are read.
+    pub step_px: usize,
+    /// Disparities of one observation differ from their median by at most this.
+    pub agree_px: f64,
+    /// Weight of second differences beside an observation's: how smooth the mesh is.
+    pub bend: f64,
+    /// Weight of first differences: how soon it fades into the shifted homography where nothing is observed.
+    pub slope: f64,
+    /// Distance from the mesh at which an observation counts half.
+    pub outlier_px: f64,
+    /// Weight of the frame before while the views move.
+    pub hold_moving: f64,
+    /// Weight that is added while they are still.
+    pub hold_still: f64,
+    /// Motion at which the added weight counts half.
+    pub still_px: f64,
+    /// The seam keeps this far from what the mesh does not follow.
+    pub margin_px: f64,
+    /// Motion from which on the mesh starts afresh.
+    pub jump_px: f64,
+    /// Observations further from the homography are mistakes.
+    pub reach_px: f64,
+    /// Observations below which the mesh is held.
+    pub least_observations: usize,
+}
+
+impl Default for MeshParams {
+    fn default() -> Self {
+        Self {
+            cell_px: 20.0,
+            observations: 2,
+            step_px: 3,
+            agree_px: 2.0,
+            bend: 0.05,
+            slope: 0.02,
+            outlier_px: 6.0,
+            hold_moving: 0.005,
+            hold_still: 10.0,
+            still_px: 0.15,
+            margin_px: 24.0,
+            jump_px: 12.0,
+            reach_px: 96.0,
+            least_observations: 24,
+        }
+    }
+}
+
+/// What one frame did to the mesh.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeshReport {
+    /// Observations used.
+    pub observations: usize,
+    /// Median distance of the observations from the mesh, px; NaN while it is held.
+    pub residual_px: f64,
+    /// Motion of the observations against the mesh of the frame before, px; NaN without one.
+    pub motion_px: f64,
+    /// Too little was observed: the mesh keeps its displacement against the homography.
+    pub is_held: bool,
+    /// The mesh started afresh.
+    pub is_new: bool,
+}
+
+/// An observation inside the mesh.
+#[derive(Clone, Copy, Debug)]
+struct Located {
+    /// Index in the grid of observations.
+    index: usize,
+    cell: (usize, usize),
+    t: [f64; 2],
+    /// Displacement against the homography, px.
+    shift: Point,
+    weight: f64,
+}
+
+/// Fits a mesh to disparity maps one after the other. Allocates only for a larger mesh than before.
+#[derive(Clone, Debug, Default)]
+pub struct MeshFollower {
+    params: MeshParams,
+    /// Without vertices before the first good frame.
+    mesh: Mesh,
+    lattice: Lattice,
+    /// Where the homography puts the vertices, px of the other view.
+    base: Vec<Point>,
+    /// Displacement of the vertices against it.
+    shift: Vec<Point>,
+    /// The same, and the positions, of the frame before on this frame's lattice.
+    shift_before: Vec<Point>,
+    before: Vec<Point>,
+    observations: Observations,
+    located: Vec<Located>,
+    blocks: Vec<[f64; 3]>,
+    sorted: Vec<f64>,
+    energy: Energy,
+}
+
+impl MeshFollower {
+    /// A follower without a mesh.
+    pub fn new(params: MeshParams) -> Self {
+        Self { params, ..Self::default() }
+    }
+
+    /// The parameters in force.
+    pub fn params(&self) -> &MeshParams {
+        &self.params
+    }
+
+    /// Changes the parameters; the mesh stays.
+    pub fn set_params(&mut self, params: MeshParams) {
+        self.params = params;
+    }
+
+    /// Forgets the mesh.
+    pub fn reset(&mut self) {
+        self.lattice = Lattice::default();
+        self.mesh.lattice = self.lattice;
+        self.mesh.source.clear();
+    }
+
+    /// The mesh of the last frame; `None` before the first good one.
+    pub fn mesh(&self) -> Option<&Mesh> {
+        (!self.mesh.source.is_empty()).then_some(&self.mesh)
+    }
+
+    /// Brings the mesh up to a frame with a good homography; without one the mesh of the last frame stands.
+    ///
+    /// `disparity`: px of the left rectified view at full size, NaN where unmatched. The mesh maps the left picture to the right one.
+    pub fn update(
+        &mut self,
+        disparity: View<'_, f32>,
+        left: &RectifiedView,
+        right: &RectifiedView,
+        left_from_right: &Homography,
+        pool: &dyn Parallel,
+    ) -> MeshReport {
+        let p = self.params;
+        let scale = right.size.0 as f64 / REFERENCE_COLUMNS;
+        let mut report =
+            MeshReport { observations: 0, residual_px: f64::NAN, motion_px: f64::NAN, is_held: true, is_new: true };
+        let Some(lattice) = self.cover(left_from_right, right.size, scale) else {
+            self.reset();
+            return report;
+        };
+        if !self.carry_over(lattice, left_from_right, right.size) {
+            self.reset();
+            return report;
+        }
+        report.is_new = self.mesh.source.is_empty();
+        let cell = (lattice.cell_px / p.observations.max(1)).max(4);
+        let step = ((p.step_px as f64 * scale).round() as usize).max(1);
+        self.observations.gather(disparity, [left, right], cell, step, (p.agree_px * scale) as f32, pool);
+        self.locate(p.reach_px * scale);
+        report.observations = self.located.len();
+        if self.located.len() < p.least_observations {
+            if !report.is_new {
+                self.shift.clone_from(&self.shift_before);
+                self.publish(false);
+            }
+            return report;
+        }
+        let mut shared = [0.0; 2];
+        if !report.is_new {
+            (report.motion_px, shared) = self.motion();
+            report.is_new = report.motion_px > p.jump_px * scale;
+        }
+        let stiffness = Stiffness { bend: p.bend, slope: p.slope, place: 1e-4 };
+        self.energy.reset(lattice.columns, lattice.rows, stiffness);
+        let limit_px = p.outlier_px * scale;
+        let solved = if report.is_new {
+            self.shift.clear();
+            self.shift.resize(lattice.len(), [0.0; 2]);
+            FIRST_PASSES.iter().all(|times| self.pass(times * limit_px, 0.0))
+        } else {
+            let still = 1.0 / (1.0 + (report.motion_px / (p.still_px * scale)).powi(4));
+            let hold = p.hold_moving + p.hold_still * still;
+            // What only the other view sees moves along with the rest.
+            for before in &mut self.before {
+                *before = [before[0] + (1.0 - still) * shared[0], before[1] + (1.0 - still) * shared[1]];
+            }
+            for (shift, (before, base)) in self.shift.iter_mut().zip(self.before.iter().zip(&self.base)) {
+                *shift = [before[0] - base[0], before[1] - base[1]];
+            }
+            // The mesh of the frame before tells which observations are mistakes; seen from it, all are off by the motion.
+            self.pass(limit_px + report.motion_px, hold)
+        };
+        if !solved {
+            self.reset();
+            return report;
+        }
+        report.residual_px = self.judge();
+        report.is_held = false;
+        self.publish(!report.is_new);
+        report
+    }
+
+    /// The lattice for this homography: the one in force while it fits.
+    fn cover(&self, left_from_right: &Homography, size: (usize, usize), scale: f64) -> Option<Lattice> {
+        let corners = left_from_right.map_corners(size.0, size.1)?;
+        let cell_px = ((self.params.cell_px * scale).round() as usize).max(8);
+        let bounds = [0, 1].map(|k| {
+            let along = corners.map(|corner| corner[k] / cell_px as f64);
+            (along.iter().copied().fold(f64::MAX, f64::min), along.iter().copied().fold(f64::MIN, f64::max))
+        });
+        let held = self.lattice;
+        let fits = held.cell_px == cell_px
+            && !held.is_empty()
+            && [held.columns, held.rows].iter().zip(held.first).zip(bounds).all(|((count, first), (low, high))| {
+                let (first, last) = (f64::from(first), f64::from(first) + *count as f64 - 1.0);
+                let spare = MARGIN_CELLS + f64::from(SPARE_CELLS);
+                first <= low - 1.0 && last >= high + 1.0 && low - first <= spare && last - high <= spare
+            });
+        if fits {
+            return Some(held);
+        }
+        let ends = bounds.map(|(low, high)| ((low - MARGIN_CELLS).floor() as i32, (high + MARGIN_CELLS).ceil() as i32));
+        let [columns, rows] = ends.map(|(low, high)| (high - low + 1).max(2) as usize);
+        let lattice = Lattice { cell_px, first: ends.map(|(low, _)| low), columns, rows };
+        (columns.saturating_mul(rows) <= MOST_VERTICES).then_some(lattice)
+    }
+
+    /// Puts the homography, and what the frame before knew, on the lattice of this frame.
+    fn carry_over(&mut self, lattice: Lattice, left_from_right: &Homography, size: (usize, usize)) -> bool {
+        let Some(back) = left_from_right.inverse_bounded() else { return false };
+        let old = self.lattice;
+        let known = !old.is_empty() && !self.mesh.source.is_empty() && old.cell_px == lattice.cell_px;
+        self.shift_before.clear();
+        self.before.clear();
+        if known {
+            for row in 0..lattice.rows {
+                for column in 0..lattice.columns {
+                    let along = |first: i32, index: usize, old_first: i32, count: usize| {
+                        let wanted = first + index as i32 - old_first;
+                        let nearest = wanted.clamp(0, count as i32 - 1);
+                        (nearest as usize, nearest == wanted)
+                    };
+                    let (x, same_x) = along(lattice.first[0], column, old.first[0], old.columns);
+                    let (y, same_y) = along(lattice.first[1], row, old.first[1], old.rows);
+                    let from = y * old.columns + x;
+                    let [dx, dy] = self.shift[from];
+                    let [u, v] =
+                        if same_x && same_y { self.base[from] } else { back.map(lattice.position(column, row)) };
+                    self.shift_before.push([dx, dy]);
+                    self.before.push([u + dx, v + dy]);
+                }
+            }
+        }
+        self.base.clear();
+        for row in 0..lattice.rows {
+            for column in 0..lattice.columns {
+                self.base.push(back.map(lattice.position(column, row)));
+            }
+        }
+        self.shift.resize(lattice.len(), [0.0; 2]);
+        self.lattice = lattice;
+        if !known {
+            self.mesh.source.clear();
+        }
+        // Near its horizon a homography brings points anywhere.
+        let far = 8.0 * (size.0 + size.1) as f64;
+        self.base.iter().flatten().all(|v| v.abs() < far)
+    }
+
+    /// Finds the observations that lie inside the mesh and near the homography.
+    fn locate(&mut self, reach_px: f64) {
+        self.located.clear();
+        let (lattice, base) = (self.lattice, &self.base);
+        for (index, seen) in self.observations.cells.iter().enumerate().filter(|(_, seen)| seen.weight > 0.0) {
+            let Some((cell, t)) = lattice.cell_of(seen.at) else { continue };
+            let at = lattice.interpolate(|vertex| base[vertex], cell, t);
+            let shift = [seen.source[0] - at[0], seen.source[1] - at[1]];
+            if shift[0].hypot(shift[1]) <= reach_px {
+                self.located.push(Located { index, cell, t, shift, weight: f64::from(seen.weight) });
+            }
+        }
+    }
+
+    /// Motion of the observations against the mesh of the frame before: the median over blocks of observations of their mean distance from it, px, and
+    /// the displacement that most of them share. Noise of matching averages out in a block, motion does not.
+    fn motion(&mut self) -> (f64, Point) {
+        let columns = self.observations.columns.div_ceil(BLOCK_CELLS);
+        let rows = self.observations.rows.div_ceil(BLOCK_CELLS);
+        self.blocks.clear();
+        self.blocks.resize(columns * rows, [0.0; 3]);
+        let (before, base) = (&self.before, &self.base);
+        for seen in &self.located {
+            let difference = |vertex: usize| [before[vertex][0] - base[vertex][0], before[vertex][1] - base[vertex][1]];
+            let old = self.lattice.interpolate(difference, seen.cell, seen.t);
+            let (x, y) = (seen.index % self.observations.columns, seen.index / self.observations.columns);
+            let block = &mut self.blocks[y / BLOCK_CELLS * columns + x / BLOCK_CELLS];
+            for (sum, value) in block.iter_mut().zip([seen.shift[0] - old[0], seen.shift[1] - old[1], 1.0]) {
+                *sum += value;
+            }
+        }
+        let mut of_full = |value: fn([f64; 2]) -> f64| {
+            self.sorted.clear();
+            let full = self.blocks.iter().filter(|block| block[2] >= LEAST_BLOCK);
+            self.sorted.extend(full.map(|[x, y, count]| value([x / count, y / count])));
+            median(&mut self.sorted)
+        };
+        (of_full(|[x, y]| x.hypot(y)), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
+    }
+
+    /// One solution with weights from the distances to the mesh so far. `hold` is the weight of the frame before.
+    fn pass(&mut self, limit_px: f64, hold: f64) -> bool {
+        self.energy.begin();
+        let (lattice, shift) = (self.lattice, &self.shift);
+        for seen in &self.located {
+            let at = lattice.interpolate(|vertex| shift[vertex], seen.cell, seen.t);
+            let square = ((seen.shift[0] - at[0]).powi(2) + (seen.shift[1] - at[1]).powi(2)) / (limit_px * limit_px);
+            self.energy.observe(seen.cell, seen.t, seen.shift, seen.weight / (1.0 + square));
+        }
+        if hold > 0.0 {
+            for row in 0..lattice.rows {
+                for column in 0..lattice.columns {
+                    let vertex = row * lattice.columns + column;
+                    let (before, base) = (self.before[vertex], self.base[vertex]);
+                    self.energy.pull(column, row, [before[0] - base[0], before[1] - base[1]], hold);
+                }
+            }
+        }
+        self.energy.solve(&mut self.shift, Simd::detect())
+    }
+
+    /// Notes where the mesh and the observations differ. Returns the median distance, px.
+    fn judge(&mut self) -> f64 {
+        let Observations { cell_px, columns, rows, .. } = self.observations;
+        let doubt = &mut self.mesh.doubt;
+        doubt.reset(cell_px, columns, rows);
+        self.sorted.clear();
+        for seen in &self.located {
+            let shift = &self.shift;
+            let at = self.lattice.interpolate(|vertex| shift[vertex], seen.cell, seen.t);
+            let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
+            doubt.mark(seen.index, off);
+            self.sorted.push(off[0].hypot(off[1]));
+        }
+        let scale = self.lattice.cell_px as f64 / self.params.cell_px;
+        doubt.spread(self.params.margin_px * scale);
+        median(&mut self.sorted)
+    }
+
+    /// Makes the solution the mesh of this frame. A `steady` one that hardly differs from the mesh in force leaves it alone.
+    fn publish(&mut self, steady: bool) {
+        let mesh = &mut self.mesh;
+        let positions = self.base.iter().zip(&self.shift).map(|(base, shift)| [base[0] + shift[0], base[1] + shift[1]]);
+        if steady && mesh.lattice == self.lattice && mesh.source.len() == self.lattice.len() {
+            let near =
+                |(new, old): (Point, &[f32; 2])| (0..2).all(|k| (new[k] - f64::from(old[k])).abs() < DEAD_BAND_PX);
+            if positions.clone().zip(&mesh.source).all(near) {
+                return;
+            }
+        }
+        mesh.lattice = self.lattice;
+        mesh.source.clear();
+        mesh.source.extend(positions.map(|at| at.map(|v| v as f32)));
+    }
+}
+
+/// Of the values, which are reordered; 0 without any.
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}

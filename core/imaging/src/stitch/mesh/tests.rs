@@ -1,0 +1,308 @@
+//! Tests of meshes on disparities and pictures whose truth is known.
+
+use super::super::placement::Placement;
+use super::super::{CompositeParams, Compositor, GeometryState, IDENTITY, SeamMethod};
+use super::*;
+use crate::geometry::Homography;
+use crate::stitch::RectifiedView;
+use crate::{Serial, Simd, View, ViewMut};
+use panoscope_base::random::lattice as random;
+
+const SIZE: (usize, usize) = (640, 480);
+
+fn camera() -> RectifiedView {
+    RectifiedView {
+        size: SIZE,
+        focal_px: [750.0; 2],
+        centre_px: [319.5, 239.5],
+        distortion: [0.0; 12],
+        rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        rectified_focal_px: [750.0; 2],
+        rectified_centre_px: [319.5, 239.5],
+    }
+}
+
+/// Disparity of curved tissue: hills of 12 px on a slope.
+fn hills(x: f64, y: f64) -> f64 {
+    220.0 + x / 40.0 + 12.0 * (x / 80.0).sin() * (y / 60.0).cos()
+}
+
+/// Disparity map of what both views see; every seventh pixel is unmatched, `noise_px` is different in each frame.
+fn map(disparity: impl Fn(f64, f64) -> f64, noise_px: f64, frame: i64) -> Vec<f32> {
+    let mut map = vec![f32::NAN; SIZE.0 * SIZE.1];
+    for y in 0..SIZE.1 {
+        for x in 0..SIZE.0 {
+            let d = disparity(x as f64, y as f64);
+            if d <= x as f64 && (x * 31 + y * 17) % 7 != 0 {
+                // Matching errs alike over its window.
+                let noise = random((x / 4) as i64, (y / 4) as i64, (21 + frame) as u64) - 0.5;
+                map[y * SIZE.0 + x] = (d + 3.4 * noise_px * noise) as f32;
+            }
+        }
+    }
+    map
+}
+
+fn plane() -> Homography {
+    Homography::translation(232.0, 0.0)
+}
+
+fn update(follower: &mut MeshFollower, map: &[f32], plane: &Homography) -> MeshReport {
+    follower.update(View::new(map, SIZE.0, SIZE.1, 1), &camera(), &camera(), plane, &Serial)
+}
+
+/// Largest and root mean square error of the mesh at points that both views see, `rim` px inside.
+fn errors(mesh: &Mesh, disparity: impl Fn(f64, f64) -> f64, rim: usize) -> (f64, f64) {
+    let (mut worst, mut squares, mut count) = (0.0f64, 0.0, 0.0);
+    for y in (rim..SIZE.1 - rim).step_by(7) {
+        for x in (260 + rim..SIZE.0 - rim).step_by(7) {
+            let (x, y) = (x as f64, y as f64);
+            let [u, v] = mesh.map([x, y]).expect("inside the mesh");
+            let error = (u - (x - disparity(x, y))).hypot(v - y);
+            (worst, squares, count) = (worst.max(error), squares + error * error, count + 1.0);
+        }
+    }
+    (worst, f64::sqrt(squares / count))
+}
+
+#[test]
+fn the_mesh_follows_curved_tissue() {
+    let mut follower = MeshFollower::new(MeshParams::default());
+    assert!(follower.mesh().is_none());
+    let report = update(&mut follower, &map(hills, 0.3, 0), &plane());
+    assert!(report.is_new && !report.is_held && report.observations > 500, "{report:?}");
+    assert!(report.residual_px < 0.6, "{report:?}");
+    let mesh = follower.mesh().expect("a mesh");
+    let (worst, rms) = errors(mesh, hills, 12);
+    assert!(rms < 0.4 && worst < 3.0, "rms {rms}, worst {worst}");
+    // The plane alone is far off.
+    let flat = Mesh::new(*mesh.lattice(), |[x, y]| [x - 232.0, y]).expect("a mesh");
+    assert!(errors(&flat, hills, 12).1 > 5.0);
+}
+
+#[test]
+fn the_mesh_fades_into_the_homography_without_stretching_it() {
+    let mut follower = MeshFollower::new(MeshParams::default());
+    update(&mut follower, &map(hills, 0.3, 0), &plane());
+    let mesh = follower.mesh().expect("a mesh").clone();
+    let placed = Placement::new(plane(), Some(mesh.clone())).expect("an inverse");
+    // Far from what both see, lengths are the homography's.
+    let shown = vec![2u8; 900 * 480];
+    let shown = View::new(&shown, 900, 480, 1);
+    let far = crate::Rect::whole(780, 480);
+    let stretch = placed.stretch_pct(shown, 2, far, (0, 0)).expect("a place");
+    assert!(stretch < 5.0, "{stretch}");
+    // Nor does the mesh bend sharply at the border of the overlap.
+    for y in (24..456).step_by(24) {
+        let at = |x: f64| mesh.map([x, f64::from(y)]).expect("inside")[0];
+        for x in [600.0, 640.0, 680.0, 720.0] {
+            let bend = at(x - 24.0) - 2.0 * at(x) + at(x + 24.0);
+            assert!(bend.abs() < 4.0, "{bend} px at {x}, {y}");
+        }
+    }
+}
+
+#[test]
+fn a_tool_in_front_does_not_bend_the_tissue() {
+    let is_tool = |x: f64, y: f64| (420.0..560.0).contains(&x) && (200.0..240.0).contains(&y);
+    let with_tool = |x: f64, y: f64| if is_tool(x, y) { 300.0 } else { hills(x, y) };
+    let mut follower = MeshFollower::new(MeshParams::default());
+    update(&mut follower, &map(with_tool, 0.3, 0), &plane());
+    let mesh = follower.mesh().expect("a mesh");
+    for (x, y) in [(300.0, 220.0), (490.0, 150.0), (490.0, 290.0), (600.0, 220.0)] {
+        let [u, _] = mesh.map([x, y]).expect("inside");
+        let error = u - (x - hills(x, y));
+        assert!(error.abs() < 1.5, "{error} px at {x}, {y}");
+    }
+    assert!(mesh.doubt_px([490.0, 220.0]) > 8.0, "the seam must not cross the tool");
+    assert!(mesh.doubt_px([490.0, 130.0]) < 2.0);
+}
+
+#[test]
+fn wrong_matches_do_not_count() {
+    // A tenth of the map is wrong, in speckles and all along the lower rim.
+    let mut wrong = map(hills, 0.3, 0);
+    for y in 0..SIZE.1 {
+        for x in 300..SIZE.0 {
+            let is_speckle = random((x / 16) as i64, (y / 16) as i64, 5) < 0.08;
+            if is_speckle || y >= 472 {
+                wrong[y * SIZE.0 + x] = 180.0 + 110.0 * random((x / 8) as i64, (y / 8) as i64, 6) as f32;
+            }
+        }
+    }
+    let mut follower = MeshFollower::new(MeshParams::default());
+    update(&mut follower, &wrong, &plane());
+    let (worst, rms) = errors(follower.mesh().expect("a mesh"), hills, 12);
+    assert!(rms < 0.8 && worst < 8.0, "rms {rms}, worst {worst}");
+}
+
+#[test]
+fn a_still_scene_has_a_still_mesh() {
+    let mut follower = MeshFollower::new(MeshParams::default());
+    let (mut previous, mut worst) = (None::<Placement>, 0.0f64);
+    for frame in 0..30 {
+        update(&mut follower, &map(hills, 0.5, frame), &plane());
+        let placed = Placement::new(plane(), follower.mesh().cloned()).expect("an inverse");
+        if let Some(previous) = previous.filter(|_| frame > 5) {
+            worst = worst.max(placed.motion_px(&previous, SIZE).expect("inside"));
+        }
+        previous = Some(placed);
+    }
+    assert!(worst < 0.1, "{worst} px from frame to frame");
+}
+
+#[test]
+fn a_moving_scene_is_followed_at_once() {
+    let mut follower = MeshFollower::new(MeshParams::default());
+    for frame in 0..12 {
+        let moved = |x: f64, y: f64| hills(x, y) + 1.5 * frame as f64;
+        let report = update(&mut follower, &map(moved, 0.3, frame), &plane());
+        assert_eq!(report.is_new, frame == 0);
+        let (_, rms) = errors(follower.mesh().expect("a mesh"), moved, 12);
+        assert!(rms < 0.6, "rms {rms} in frame {frame}");
+    }
+}
+
+#[test]
+fn the_mesh_holds_when_depth_is_lost_and_starts_afresh_after_a_jump() {
+    let mut follower = MeshFollower::new(MeshParams::default());
+    let nothing = vec![f32::NAN; SIZE.0 * SIZE.1];
+    assert!(update(&mut follower, &nothing, &plane()).is_held);
+    assert!(follower.mesh().is_none());
+    update(&mut follower, &map(hills, 0.3, 0), &plane());
+    let before = follower.mesh().expect("a mesh").clone();
+    assert!(update(&mut follower, &nothing, &plane()).is_held);
+    assert_eq!(follower.mesh().map(Mesh::source), Some(before.source()));
+    // The homography moves by two pixels: so does the mesh.
+    update(&mut follower, &nothing, &Homography::translation(234.0, 0.0));
+    let moved = follower.mesh().expect("a mesh").map([500.0, 200.0]).expect("inside");
+    let old = before.map([500.0, 200.0]).expect("inside");
+    assert!((moved[0] - old[0] + 2.0).abs() < 1e-3, "{moved:?} after {old:?}");
+    let jumped = |x: f64, y: f64| hills(x, y) - 40.0;
+    let report = update(&mut follower, &map(jumped, 0.3, 1), &Homography::translation(192.0, 0.0));
+    assert!(report.is_new, "{report:?}");
+    let (_, rms) = errors(follower.mesh().expect("a mesh"), jumped, 12);
+    assert!(rms < 0.5, "rms {rms}");
+}
+
+#[test]
+fn a_homography_without_an_inverse_leaves_no_mesh() {
+    let mut follower = MeshFollower::new(MeshParams::default());
+    update(&mut follower, &map(hills, 0.3, 0), &plane());
+    update(&mut follower, &map(hills, 0.3, 1), &Homography([0.0; 9]));
+    assert!(follower.mesh().is_none());
+}
+
+/// Texture of the tissue at a position of the left view.
+fn tissue(x: f64, y: f64) -> [f64; 3] {
+    let wave = 45.0 * (0.21 * x + 0.9 * (0.05 * y).sin()).sin() + 35.0 * (0.17 * y + 0.08 * x).sin();
+    [110.0 + wave, 90.0 + 0.8 * wave, 140.0 + 0.5 * wave]
+}
+
+fn shoot(position: impl Fn(f64, f64) -> Point) -> Vec<u8> {
+    let pixels = (0..SIZE.0 * SIZE.1).map(|i| position((i % SIZE.0) as f64, (i / SIZE.0) as f64));
+    pixels.flat_map(|[x, y]| tissue(x, y).map(|v| (v + 0.5).clamp(0.0, 255.0) as u8)).collect()
+}
+
+/// The point of the left view that a pixel of the right one shows.
+fn seen_by_right(u: f64, v: f64) -> Point {
+    let mut x = u + 230.0;
+    for _ in 0..60 {
+        x = u + hills(x, v);
+    }
+    [x, v]
+}
+
+struct Panorama {
+    data: Vec<u8>,
+    canvas: super::super::Canvas,
+}
+
+fn compose(mesh: Option<&Mesh>, seam: SeamMethod) -> Panorama {
+    let (left, right) = (shoot(|x, y| [x, y]), shoot(seen_by_right));
+    let views = [View::new(&left, SIZE.0, SIZE.1, 3), View::new(&right, SIZE.0, SIZE.1, 3)];
+    let mut compositor = Compositor::new(CompositeParams { seam, ..CompositeParams::default() });
+    compositor.set_mesh(1, mesh);
+    let maps = [IDENTITY, plane().0];
+    let canvas = compositor.canvas(&views, &maps, GeometryState::Fresh).expect("views that fit");
+    let mut data = vec![0; canvas.width * canvas.height * 3];
+    let mut out = ViewMut::new(&mut data, canvas.width, canvas.height, 3);
+    compositor.compose(&views, &maps, GeometryState::Fresh, &Serial, &mut out, None).expect("a panorama");
+    Panorama { data, canvas }
+}
+
+/// Root mean square difference from the tissue in the overlap, levels.
+fn difference(panorama: &Panorama) -> f64 {
+    let (mut squares, mut count) = (0.0, 0.0);
+    for y in 20..SIZE.1 - 20 {
+        for x in 280..SIZE.0 - 20 {
+            let (u, v) = (x as i32 + panorama.canvas.left, y as i32 + panorama.canvas.top);
+            let at = (v as usize * panorama.canvas.width + u as usize) * 3;
+            for (shown, truth) in panorama.data[at..at + 3].iter().zip(tissue(x as f64, y as f64)) {
+                squares += (f64::from(*shown) - truth).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    f64::sqrt(squares / count)
+}
+
+#[test]
+fn a_panorama_by_a_mesh_is_whole_where_one_by_a_plane_breaks() {
+    let mut follower = MeshFollower::new(MeshParams::default());
+    update(&mut follower, &map(hills, 0.1, 0), &plane());
+    let mesh = follower.mesh();
+    for seam in [SeamMethod::None, SeamMethod::DynamicProgramming, SeamMethod::GraphCut] {
+        let (whole, broken) = (difference(&compose(mesh, seam)), difference(&compose(None, seam)));
+        assert!(whole < 6.0 && broken > 2.0 * whole, "{seam:?}: {whole} levels with the mesh, {broken} without");
+    }
+}
+
+#[test]
+fn a_mesh_of_a_homography_draws_what_the_homography_draws() {
+    let lattice = Lattice { cell_px: 24, first: [6, -3], columns: 36, rows: 26 };
+    let mesh = Mesh::new(lattice, |at| plane().inverse().expect("an inverse").map(at)).expect("a mesh");
+    let (by_mesh, by_plane) = (compose(Some(&mesh), SeamMethod::GraphCut), compose(None, SeamMethod::GraphCut));
+    assert_eq!(by_mesh.canvas, by_plane.canvas);
+    let worst = by_mesh.data.iter().zip(&by_plane.data).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(worst <= Some(2), "{worst:?} levels");
+}
+
+#[test]
+fn positions_and_coverage_agree_on_all_paths() {
+    let lattice = Lattice { cell_px: 24, first: [-2, -1], columns: 12, rows: 9 };
+    let mesh =
+        Mesh::new(lattice, |[x, y]| [0.9 * x + 6.0 * (y / 30.0).sin() - 8.0, 1.1 * y - 4.0 + 3.0 * (x / 25.0).cos()])
+            .expect("a mesh");
+    let grid = Mapping::Mesh(MeshGrid { mesh: &mesh, origin: [-40.0, -20.0], step: 1.0 });
+    let (width, height) = (120, 90);
+    let mut spans = Vec::new();
+    grid.coverage((width, height), 280, 160, &mut spans);
+    for (y, span) in spans.iter().enumerate() {
+        let inside = |x: usize| {
+            let at = mesh.map([x as f64 - 40.0, y as f64 - 20.0]);
+            at.is_some_and(|[u, v]| u >= 0.0 && v >= 0.0 && u <= width as f64 - 1.0 && v <= height as f64 - 1.0)
+        };
+        for x in span.start as usize..span.end as usize {
+            let mut block = [super::super::warp::Block::default(), super::super::warp::Block::default()];
+            for (block, avx2) in block.iter_mut().zip([Simd::detect().avx2(), false]) {
+                grid.locate((x, y), (width, height, width * 3), 1, block, avx2);
+            }
+            assert_eq!(block[0].offset, block[1].offset);
+            assert_eq!(block[0].horizontal, block[1].horizontal);
+            assert_eq!(block[0].vertical, block[1].vertical);
+            let Some([u, v]) = mesh.map([x as f64 - 40.0, y as f64 - 20.0]) else { continue };
+            let [column, row] = [block[0].offset[0] as usize / 3 % width, block[0].offset[0] as usize / 3 / width];
+            let across = f64::from(block[0].horizontal[0] >> 8) / 64.0 + column as f64;
+            let down = f64::from(block[0].vertical[0]) / 16384.0 + row as f64;
+            let (u, v) = (u.clamp(0.0, width as f64 - 1.0), v.clamp(0.0, height as f64 - 1.0));
+            assert!((across - u).abs() < 0.02 && (down - v).abs() < 0.02, "{across}, {down} for {u}, {v}");
+        }
+        let covered: Vec<usize> = (0..280).filter(|x| inside(*x)).collect();
+        if let (Some(first), Some(last)) = (covered.first(), covered.last()) {
+            assert!(span.start as usize <= *first && span.end as usize > *last, "{span:?} in row {y}");
+            assert!(*first - span.start as usize <= 1 && span.end as usize - *last <= 2, "{span:?} in row {y}");
+        }
+    }
+    assert!(spans.iter().filter(|span| !span.is_empty()).count() > 60);
+}
