@@ -16,7 +16,7 @@ use rustix::net::{
 };
 use thiserror::Error;
 
-use crate::link::Connection;
+use crate::arm_port::Target;
 use crate::message::{LONGEST, Report, Request, Status};
 
 /// Name of the guard's program.
@@ -97,14 +97,13 @@ impl Guard {
     ///
     /// # Errors
     /// The guard is not installed, or does not find the arm: the error gives its reason.
-    pub fn start(connection: &Connection, urdf: &Path, latches: Option<&Path>) -> Result<Self, GuardError> {
+    pub fn start(target: impl Into<Target>, urdf: &Path, latches: Option<&Path>) -> Result<Self, GuardError> {
         let path = program()?;
         let failed = |cause: io::Error| GuardError::Start { path: path.clone(), cause };
         let (ours, theirs) = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)
             .map_err(|error| failed(error.into()))?;
         let mut command = Command::new(&path);
-        command.arg("--port").arg(&connection.path).arg("--baud").arg(connection.baud.to_string());
-        command.arg("--answer-ms").arg(connection.answer_within.as_millis().to_string());
+        command.args(target.into().arguments());
         if !urdf.as_os_str().is_empty() {
             command.arg("--arm").arg(urdf);
         }

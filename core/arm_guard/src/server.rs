@@ -1,6 +1,6 @@
-//! The loop of the guard. It owns the line, the interlock and the latches, and continues when the program does not.
+//! The loop of the guard. It owns the connection to the arm, the interlock and the latches, and continues when the program does not.
 //!
-//! Every 10 ms it reads the arm's answers and the program's requests, advances the interlock to the present, and sends a set-point while anything
+//! Every few milliseconds ([`ArmPort::period`]) it reads the arm's answers and the program's requests, advances the interlock to the present, and sends a set-point while anything
 //! moves. Nothing is allocated and no file is written while the arm moves.
 
 use std::os::fd::{AsFd, OwnedFd};
@@ -8,15 +8,14 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use panoscope_arm_core::interlock::Measured;
-use panoscope_arm_core::line::{DeviceState, Line};
 use panoscope_arm_core::{Cause, Chain, Interlock, JointVector};
 use rustix::io::Errno;
 use rustix::net::{RecvFlags, SendFlags, recv, send};
 use thiserror::Error;
 
+use crate::arm_port::{ArmPort, Identity, Target};
 use crate::clock;
 use crate::latch::{LatchError, LatchStore, Record};
-use crate::link::{ArmLink, Connection, Identity, PERIOD};
 use crate::message::{LONGEST, Report, Request, Status};
 use crate::port::PortError;
 use crate::realtime;
@@ -28,9 +27,11 @@ const LAG_S: f64 = 0.15;
 const LAG_RAD: f64 = 0.02;
 /// Requests that are read in one turn: a flood cannot hold the loop.
 const REQUESTS_PER_TURN: u32 = 256;
+/// Shortest time between two encoder angles that are judged, ns.
+const MEASURED_STEP_NS: i64 = 5_000_000;
 /// How far in the future a stamp may lie, ns.
 const FUTURE_NS: i64 = 1_000_000;
-/// Time limit of the arm's answer to `C`.
+/// Time limit in which the arm clears its own stop.
 const CLEAR_WITHIN: Duration = Duration::from_millis(250);
 /// Longest time to brake after the program has ended.
 const LEAVE_WITHIN: Duration = Duration::from_secs(2);
@@ -38,7 +39,7 @@ const LEAVE_WITHIN: Duration = Duration::from_secs(2);
 /// Errors at the start.
 #[derive(Debug, Error)]
 pub enum ServeError {
-    /// The line cannot be used.
+    /// The arm cannot be reached.
     #[error(transparent)]
     Port(#[from] PortError),
     /// Latched stops cannot be kept.
@@ -52,7 +53,7 @@ pub enum ServeError {
 /// What the guard is started with.
 pub struct Options {
     /// How to reach the arm.
-    pub connection: Connection,
+    pub target: Target,
     /// The arm.
     pub chain: Chain,
     /// Folder of the latches.
@@ -80,11 +81,15 @@ pub fn serve(socket: OwnedFd, options: Options) -> Result<(), ServeError> {
 struct Server {
     socket: OwnedFd,
     options: Options,
-    link: Option<ArmLink>,
+    link: Option<Box<dyn ArmPort>>,
+    /// Time between two turns.
+    period: Duration,
     identity: Identity,
     latches: LatchStore,
     lock: Interlock,
     measured: Measured,
+    /// Time of the newest encoder angles that were judged, ns.
+    judged_ns: i64,
     /// The newest `reset`; the first request sets it.
     reset: Option<u64>,
     last_sent_ns: i64,
@@ -96,20 +101,22 @@ struct Server {
 
 impl Server {
     fn start(socket: OwnedFd, options: Options) -> Result<Self, ServeError> {
-        let (link, identity) = ArmLink::open(&options.connection)?;
+        let (link, identity) = options.target.open()?;
         let (latches, stop) = LatchStore::open(&options.latches, &identity.serial)?;
-        let mut lock = Interlock::new(options.chain.clone(), link.encoders, clock::now_ns());
+        let mut lock = Interlock::new(options.chain.clone(), link.answer().encoders, clock::now_ns());
         lock.latch(stop.unwrap_or(Cause::AwaitsOperator));
         let measured = Measured::new(&options.chain);
         let granted = realtime::request();
         let server = Self {
             socket,
             options,
+            period: link.period(),
             link: Some(link),
             identity,
             latches,
             lock,
             measured,
+            judged_ns: i64::MIN,
             reset: None,
             last_sent_ns: i64::MIN,
             refused: 0,
@@ -132,7 +139,7 @@ impl Server {
                     return;
                 }
             }
-            next += PERIOD;
+            next += self.period;
             let now = Instant::now();
             // Missed periods are skipped, not made up for.
             next = next.max(now);
@@ -154,9 +161,9 @@ impl Server {
         if let Some(link) = &mut self.link {
             // The last set-point has speed 0: without it the arm's watchdog takes the end of a movement for a failure.
             let sent = if is_moving || self.was_moving {
-                link.send(|seq| Line::Set { seq, position: point.position, velocity: point.velocity })
+                link.set(&point.position, &point.velocity)
             } else {
-                link.send(|seq| Line::Query { seq })
+                link.query()
             };
             if sent.is_err() {
                 self.link = None;
@@ -186,29 +193,31 @@ impl Server {
     /// Reads the arm's answers. Returns a cause to stop when they are missing, wrong, or beyond a limit.
     fn listen(&mut self, now_ns: i64) -> Option<Cause> {
         let link = self.link.as_mut()?;
-        if link.listen().is_err() {
+        if let Err(error) = link.listen() {
             self.link = None;
-            return Some(Cause::Unplugged);
+            return Some(error.cause());
         }
-        if link.damaged > NOISE_LINES || link.identity().is_some_and(|identity| identity != self.identity) {
-            link.damaged = 0;
+        if link.answer().damaged > NOISE_LINES || link.identity().is_some_and(|identity| identity != self.identity) {
+            link.forgive();
             return Some(Cause::Garbage);
         }
-        let limit_ns = (self.options.connection.answer_within + PERIOD).as_nanos() as i64;
-        if now_ns.saturating_sub(link.answered_ns) > limit_ns {
-            return Some(Cause::Stalled);
+        let answer = *link.answer();
+        let limit_ns = (self.options.target.answer_within() + self.period).as_nanos() as i64;
+        if now_ns.saturating_sub(answer.answered_ns) > limit_ns {
+            // The arm's own reason says more.
+            return Some(answer.stop.unwrap_or(Cause::Stalled));
         }
-        match link.state {
-            DeviceState::Ready => {}
-            DeviceState::Watchdog => return Some(Cause::DeviceStopped),
-            DeviceState::HardwareStop => return Some(Cause::HardwareStop),
-            DeviceState::Fault => return Some(Cause::HardwareFault),
+        if answer.stop.is_some() {
+            return answer.stop;
         }
-        if let Some(cause) = self.measured.check(&self.options.chain, link.answered_ns, &link.encoders) {
-            return Some(cause);
+        if answer.measured_ns.saturating_sub(self.judged_ns) >= MEASURED_STEP_NS {
+            self.judged_ns = answer.measured_ns;
+            if let Some(cause) = self.measured.check(&self.options.chain, answer.measured_ns, &answer.encoders) {
+                return Some(cause);
+            }
         }
         let point = self.lock.set_point();
-        let off = (link.encoders - point.position).amax();
+        let off = (answer.encoders - point.position).amax();
         (off > LAG_RAD + LAG_S * point.velocity.amax().max(0.1)).then_some(Cause::NotFollowing)
     }
 
@@ -294,7 +303,7 @@ impl Server {
 
     fn try_release(&mut self) -> Result<(), Cause> {
         if self.link.is_none() {
-            let (link, identity) = ArmLink::open(&self.options.connection).map_err(|_| Cause::Unplugged)?;
+            let (link, identity) = self.options.target.open().map_err(|error| error.cause())?;
             if identity.serial != self.identity.serial {
                 // Another arm has other latches: it needs a guard of its own.
                 return Err(Cause::Garbage);
@@ -302,31 +311,28 @@ impl Server {
             self.link = Some(link);
         }
         let Some(link) = &mut self.link else { return Err(Cause::Unplugged) };
-        link.damaged = 0;
+        link.forgive();
         let start_ns = clock::now_ns();
         let start = Instant::now();
-        let lost = |_| Cause::Unplugged;
-        link.send(|seq| Line::Clear { seq }).map_err(lost)?;
-        while link.answered_ns < start_ns || link.state != DeviceState::Ready {
+        let lost = |error: PortError| error.cause();
+        link.clear().map_err(lost)?;
+        while link.answer().answered_ns < start_ns || link.answer().stop.is_some() {
             if start.elapsed() > CLEAR_WITHIN {
-                return Err(match link.state {
-                    DeviceState::HardwareStop => Cause::HardwareStop,
-                    DeviceState::Fault => Cause::HardwareFault,
-                    DeviceState::Watchdog => Cause::DeviceStopped,
-                    DeviceState::Ready => Cause::Stalled,
-                });
+                return Err(link.answer().stop.unwrap_or(Cause::Stalled));
             }
-            std::thread::sleep(PERIOD);
+            std::thread::sleep(self.period);
             link.listen().map_err(lost)?;
-            link.send(|seq| Line::Query { seq }).map_err(lost)?;
+            link.query().map_err(lost)?;
         }
+        let answer = *link.answer();
         self.measured.restart();
-        if let Some(cause) = self.measured.check(&self.options.chain, link.answered_ns, &link.encoders) {
+        self.judged_ns = answer.measured_ns;
+        if let Some(cause) = self.measured.check(&self.options.chain, answer.measured_ns, &answer.encoders) {
             return Err(cause);
         }
         self.latches.write(Record::Released).map_err(|_| Cause::CannotRecord)?;
         let stops = self.lock.stops();
-        let mut lock = Interlock::new(self.options.chain.clone(), link.encoders, clock::now_ns());
+        let mut lock = Interlock::new(self.options.chain.clone(), answer.encoders, clock::now_ns());
         lock.count_stops_from(stops);
         self.lock = lock;
         Ok(())
@@ -336,7 +342,7 @@ impl Server {
         let tube = self.lock.tube();
         let point = *self.lock.set_point();
         let (encoders, answered_ns) =
-            self.link.as_ref().map_or((point.position, now_ns), |link| (link.encoders, link.answered_ns));
+            self.link.as_ref().map_or((point.position, now_ns), |link| (link.answer().encoders, link.answer().answered_ns));
         let status = Status {
             at_ns: now_ns,
             encoders,

@@ -1,5 +1,9 @@
 //! A simulated arm's controller on a pseudo-terminal. It speaks the line protocol of [`panoscope_arm_core::line`], with a watchdog of its own, motors
-//! with lag, encoders with noise, late answers, and a line that damages bytes.
+//! with lag, encoders with noise, late answers, and a line that damages bytes. [`ur`] is the same for a Universal Robots arm over RTDE.
+
+mod rtde_server;
+pub mod ur;
+pub mod urscript;
 
 use std::collections::VecDeque;
 use std::fs::File;
