@@ -1,5 +1,6 @@
 //! What the guard's loop needs of a connection to an arm, whatever its protocol.
 
+use std::ffi::OsString;
 use std::time::Duration;
 
 use panoscope_arm_core::line::Serial;
@@ -114,23 +115,24 @@ impl Target {
     }
 
     /// The arguments of `panoscope-arm` that name this arm.
-    pub fn arguments(&self) -> Vec<String> {
-        let option = |name: &str, value: String| [name.to_owned(), value];
+    pub fn arguments(&self) -> Vec<OsString> {
+        let option = |name: &str, value: OsString| [name.into(), value];
+        let number = |name: &str, value: u128| option(name, value.to_string().into());
         let mut out = match self {
             Self::Serial(connection) => [
-                option("--port", connection.path.display().to_string()),
-                option("--baud", connection.baud.to_string()),
+                option("--port", connection.path.clone().into()),
+                number("--baud", connection.baud.into()),
             ]
             .concat(),
             Self::Ur(connection) => [
-                option("--ur", connection.host.clone()),
-                option("--rtde-port", connection.rtde_port.to_string()),
-                option("--dashboard-port", connection.dashboard_port.to_string()),
-                option("--home", connection.home_text()),
+                option("--ur", connection.host.clone().into()),
+                number("--rtde-port", connection.rtde_port.into()),
+                number("--dashboard-port", connection.dashboard_port.into()),
+                option("--home", connection.home_text().into()),
             ]
             .concat(),
         };
-        out.extend(option("--answer-ms", self.answer_within().as_millis().to_string()));
+        out.extend(number("--answer-ms", self.answer_within().as_millis()));
         out
     }
 }

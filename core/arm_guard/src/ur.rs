@@ -242,7 +242,7 @@ impl UrLink {
             Package::ControllerVersion(version) => Some(version),
             _ => None,
         })?;
-        let is_known = matches!(version, [3, 12.., ..] | [5, 6.., ..]);
+        let is_known = matches!(version, [3, 12..=u32::MAX, ..] | [5, 6..=u32::MAX, ..]);
         if !is_known {
             let [major, minor, fix, _] = version;
             return Err(self.unsuitable(format!("the controller has software {major}.{minor}.{fix}"), UPDATE));
@@ -337,6 +337,10 @@ impl UrLink {
             if clock::now_ns() - start_ns > FIRST_ECHO.as_nanos() as i64 {
                 return Err(self.no_echo());
             }
+        }
+        // Another version may echo heartbeats and do something else with the rest.
+        if self.state.is_none_or(|state| state.program_version != PROGRAM_VERSION) {
+            return Err(self.no_echo());
         }
         self.answer.damaged = 0;
         self.identity.watchdog_ms = self.state.map_or(0, |state| u32::try_from(state.watchdog_ms).unwrap_or(0));
@@ -486,5 +490,128 @@ impl ArmPort for UrLink {
 
     fn period(&self) -> Duration {
         PERIOD
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn state() -> State {
+        State {
+            timestamp_s: 5.0,
+            angles: JointVector::zeros(),
+            speeds: JointVector::zeros(),
+            robot_mode: ROBOT_RUNNING,
+            safety_bits: 1,
+            runtime_state: PROGRAM_PLAYING,
+            beat: 0,
+            program_state: 2,
+            reason: 0,
+            program_version: PROGRAM_VERSION,
+            watchdog_ms: 30,
+        }
+    }
+
+    /// Value of a constant of the program.
+    fn constant(name: &str) -> f64 {
+        let start = format!("{name} = ");
+        let value = PROGRAM.lines().find_map(|line| line.trim().strip_prefix(start.as_str()));
+        value.and_then(|value| value.parse().ok()).unwrap_or(f64::NAN)
+    }
+
+    #[test]
+    fn both_sides_agree_on_numbers() {
+        assert_eq!(constant("VERSION"), f64::from(PROGRAM_VERSION));
+        for (command, name) in [(Command::Hold, "HOLD"), (Command::Follow, "FOLLOW"), (Command::Release, "RELEASE")] {
+            assert_eq!(constant(name), f64::from(command as i32), "{name}");
+        }
+        assert_eq!([constant("READY"), constant("FOLLOWS")], PROGRAM_READY.map(f64::from));
+        assert_eq!(constant("SILENT_S"), 0.03);
+    }
+
+    #[test]
+    fn every_stop_of_the_robot_has_its_name() {
+        assert_eq!(stop_of(&state()), None);
+        assert_eq!(stop_of(&State { safety_bits: 2, ..state() }), None, "reduced mode");
+        let bits = [
+            (0, Cause::SafeguardStop),
+            (1 << 2, Cause::ProtectiveStop),
+            (1 << 3, Cause::SafeguardStop),
+            (1 << 4, Cause::SafeguardStop),
+            (1 << 5, Cause::HardwareStop),
+            (1 << 6, Cause::HardwareStop),
+            (1 << 7, Cause::HardwareStop),
+            (1 << 8, Cause::HardwareFault),
+            (1 << 9, Cause::HardwareFault),
+            (1 << 10, Cause::SafeguardStop),
+            // The worst counts.
+            (0b111_1111_1100, Cause::HardwareFault),
+            (0b100_1100_0100, Cause::HardwareStop),
+            (0b100_0000_0100, Cause::ProtectiveStop),
+        ];
+        for (safety_bits, cause) in bits {
+            for normal in [0, 1] {
+                let off = State { safety_bits: safety_bits | normal, robot_mode: 3, runtime_state: 1, ..state() };
+                if safety_bits != 0 || normal == 0 {
+                    assert_eq!(stop_of(&off), Some(cause), "{safety_bits:b}");
+                }
+            }
+        }
+        for robot_mode in [-1, 0, 1, 2, 3, 4, 5, 6, 8, i32::MAX] {
+            assert_eq!(stop_of(&State { robot_mode, ..state() }), Some(Cause::RobotOff));
+        }
+        for runtime_state in [0, 1, 3, 4, 5, 6] {
+            assert_eq!(stop_of(&State { runtime_state, ..state() }), Some(Cause::ProgramNotRunning));
+        }
+        assert_eq!(stop_of(&State { program_version: 2, ..state() }), Some(Cause::ProgramNotRunning));
+        for (program_state, stop) in [(0, true), (1, true), (2, false), (3, false), (4, true), (-1, true)] {
+            assert_eq!(stop_of(&State { program_state, ..state() }), stop.then_some(Cause::DeviceStopped));
+        }
+    }
+
+    #[test]
+    fn a_joint_does_not_jump() {
+        let after = |timestamp_s: f64, angle: f64| {
+            let mut next = State { timestamp_s, ..state() };
+            next.angles[3] = angle;
+            next
+        };
+        assert!(can_follow(&state(), &after(5.002, 0.006)));
+        assert!(can_follow(&state(), &after(5.1, -0.3)));
+        for (at, angle) in [(5.002, 0.02), (5.002, -0.02), (5.0, 0.0), (4.9, 0.0), (f64::NAN, 0.0), (5.002, f64::NAN)] {
+            assert!(!can_follow(&state(), &after(at, angle)), "{at} {angle}");
+        }
+    }
+
+    #[test]
+    fn a_wrong_clock_is_noticed_and_a_late_package_is_not() {
+        let run = |device_ns: &dyn Fn(i64) -> i64| {
+            let mut clock = ClockCheck::default();
+            (0..3000).all(|k| clock.is_right(k * 4_000_000, device_ns(k * 4_000_000)))
+        };
+        assert!(run(&|ns| ns + 77), "another zero");
+        assert!(run(&|ns| ns + ns / 100), "1 % fast");
+        assert!(!run(&|ns| ns - ns / 10), "10 % slow");
+        assert!(!run(&|ns| ns + ns / 10), "10 % fast");
+        assert!(run(&|ns| if ns % 1_000_000_000 < 200_000_000 { ns - ns % 1_000_000_000 } else { ns }), "held up");
+        assert!(!run(&|ns| if ns == 400_000_000 { 0 } else { ns }), "backwards");
+        assert!(!run(&|_| 0), "it stands");
+    }
+
+    #[test]
+    fn a_home_is_six_angles() {
+        let home = JointVector::from([0.1, -1.5707963267948966, 1e-9, -3.0, 0.0, 6.2]);
+        let connection = UrConnection {
+            host: "robot".to_owned(),
+            rtde_port: RTDE_PORT,
+            dashboard_port: DASHBOARD_PORT,
+            home,
+            answer_within: Duration::from_millis(30),
+        };
+        assert_eq!(home_of(&connection.home_text()), Some(home));
+        for text in ["", "0,0,0,0,0", "0,0,0,0,0,0,0", "0,0,0,0,0,x", "0,0,0,0,0,nan", "0,0,0,0,0,inf"] {
+            assert_eq!(home_of(text), None, "{text}");
+        }
     }
 }

@@ -388,7 +388,7 @@ impl Client {
     }
 
     /// Writes the values of a data package into the registers, all of them or none.
-    fn write_registers(&mut self, payload: &[u8], registers: &mut Registers) -> bool {
+    fn write_registers(&self, payload: &[u8], registers: &mut Registers) -> bool {
         let Some((recipe, mut values)) = payload.split_first() else { return false };
         let fields = usize::from(*recipe).checked_sub(1).and_then(|index| self.inputs.get(index));
         let Some(fields) = fields else { return false };
