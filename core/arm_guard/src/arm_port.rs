@@ -119,11 +119,9 @@ impl Target {
         let option = |name: &str, value: OsString| [name.into(), value];
         let number = |name: &str, value: u128| option(name, value.to_string().into());
         let mut out = match self {
-            Self::Serial(connection) => [
-                option("--port", connection.path.clone().into()),
-                number("--baud", connection.baud.into()),
-            ]
-            .concat(),
+            Self::Serial(connection) => {
+                [option("--port", connection.path.clone().into()), number("--baud", connection.baud.into())].concat()
+            }
             Self::Ur(connection) => [
                 option("--ur", connection.host.clone().into()),
                 number("--rtde-port", connection.rtde_port.into()),

@@ -16,6 +16,7 @@
 pub mod arm_port;
 pub mod client;
 pub mod clock;
+mod dashboard;
 pub mod latch;
 pub mod link;
 pub mod message;

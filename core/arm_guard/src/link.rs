@@ -109,7 +109,9 @@ impl ArmLink {
     fn receive(&mut self, received: Received) {
         match received {
             Received::Line(Line::Answer { seq, state, position }) => {
-                let Some(at_ns) = self.close(seq) else { return self.answer.damaged = self.answer.damaged.saturating_add(1) };
+                let Some(at_ns) = self.close(seq) else {
+                    return self.answer.damaged = self.answer.damaged.saturating_add(1);
+                };
                 // An answer that was overtaken says nothing new.
                 if at_ns >= self.answer.answered_ns {
                     self.answer = Answer {

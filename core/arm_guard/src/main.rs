@@ -38,8 +38,9 @@ fn run(args: Vec<String>) -> Result<(), (u8, String)> {
         let value = args.next().ok_or_else(|| wrong(format!("`{option}` needs a value")))?;
         let number =
             |text: &str| text.parse::<u32>().map_err(|_| wrong(format!("`{option} {text}`: a whole number is needed")));
-        let tcp_port =
-            |text: &str| text.parse::<u16>().map_err(|_| wrong(format!("`{option} {text}`: a port from 1 to 65535 is needed")));
+        let tcp_port = |text: &str| {
+            text.parse::<u16>().map_err(|_| wrong(format!("`{option} {text}`: a port from 1 to 65535 is needed")))
+        };
         match option.as_str() {
             "--port" => port = Some(PathBuf::from(value)),
             "--baud" => baud = Some(number(&value)?),

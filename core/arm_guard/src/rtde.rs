@@ -416,7 +416,18 @@ mod tests {
         assert_eq!((state.program_version, state.watchdog_ms), (1, 30));
         assert_eq!(State::read(&bytes[1..]), None);
         assert_eq!(State::read(&[&bytes[..], &[0]].concat()), None);
-        let size: usize = OUTPUTS.iter().map(|(_, kind)| if *kind == "VECTOR6D" { 48 } else if *kind == "DOUBLE" { 8 } else { 4 }).sum();
+        let size: usize = OUTPUTS
+            .iter()
+            .map(|(_, kind)| {
+                if *kind == "VECTOR6D" {
+                    48
+                } else if *kind == "DOUBLE" {
+                    8
+                } else {
+                    4
+                }
+            })
+            .sum();
         assert_eq!(bytes.len(), size, "the names ask for what is read");
     }
 

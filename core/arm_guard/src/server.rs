@@ -160,11 +160,8 @@ impl Server {
         let is_moving = !point.is_at_rest() || self.lock.stop().is_none();
         if let Some(link) = &mut self.link {
             // The last set-point has speed 0: without it the arm's watchdog takes the end of a movement for a failure.
-            let sent = if is_moving || self.was_moving {
-                link.set(&point.position, &point.velocity)
-            } else {
-                link.query()
-            };
+            let sent =
+                if is_moving || self.was_moving { link.set(&point.position, &point.velocity) } else { link.query() };
             if sent.is_err() {
                 self.link = None;
                 self.lock.latch(Cause::Unplugged);
@@ -341,8 +338,10 @@ impl Server {
     fn publish(&mut self, now_ns: i64) {
         let tube = self.lock.tube();
         let point = *self.lock.set_point();
-        let (encoders, answered_ns) =
-            self.link.as_ref().map_or((point.position, now_ns), |link| (link.answer().encoders, link.answer().answered_ns));
+        let (encoders, answered_ns) = self
+            .link
+            .as_ref()
+            .map_or((point.position, now_ns), |link| (link.answer().encoders, link.answer().answered_ns));
         let status = Status {
             at_ns: now_ns,
             encoders,

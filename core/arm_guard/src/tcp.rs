@@ -43,7 +43,9 @@ impl TcpPort {
     /// The host does not answer.
     pub fn open(host: &str, port: u16, longest: usize) -> Result<Self, PortError> {
         let stream = connect(host, port)?;
-        stream.set_nonblocking(true).map_err(|cause| PortError::NotReached { place: format!("{host}:{port}"), cause })?;
+        stream
+            .set_nonblocking(true)
+            .map_err(|cause| PortError::NotReached { place: format!("{host}:{port}"), cause })?;
         Ok(Self { stream, held: Vec::with_capacity(longest) })
     }
 

@@ -5,17 +5,16 @@
 //!
 //! The robot's safety system stays above all this: its stops are reported as they are and never acknowledged from here.
 
-use std::io::{BufRead, BufReader, Read, Write};
 use std::time::Duration;
 
-use panoscope_arm_core::line::Serial;
 use panoscope_arm_core::{Cause, JOINTS, JointVector};
 
 use crate::arm_port::{Answer, ArmPort, Identity};
 use crate::clock;
+use crate::dashboard;
 use crate::port::PortError;
 use crate::rtde::{self, Command, INPUTS, Kind, LONGEST, OUTPUTS, Package, Reader, Received, State};
-use crate::tcp::{self, TcpPort};
+use crate::tcp::TcpPort;
 
 /// The program that runs on the robot's controller.
 pub const PROGRAM: &str = include_str!("../ur/panoscope_arm.script");
@@ -29,7 +28,7 @@ pub const DASHBOARD_PORT: u16 = 29999;
 /// Time between two packages. Two control cycles of an e-Series arm, half of one of a CB3 arm.
 const PERIOD: Duration = Duration::from_millis(4);
 /// Time limit of each answer to the set-up.
-const ANSWER_WITHIN: Duration = Duration::from_millis(800);
+pub(crate) const ANSWER_WITHIN: Duration = Duration::from_millis(800);
 /// Time limit of the first echoed heartbeat.
 const FIRST_ECHO: Duration = Duration::from_millis(600);
 /// How long the robot's program is asked to clear its stop.
@@ -54,7 +53,8 @@ const ROBOT_RUNNING: i32 = 7;
 const PROGRAM_PLAYING: u32 = 2;
 /// States of the robot's program that follow or can follow.
 const PROGRAM_READY: [i32; 2] = [2, 3];
-const UPDATE: &str = "update its software to PolyScope 5.6 or later (e-Series), 3.12 or later (CB3); PolyScope X is not supported";
+pub(crate) const UPDATE: &str =
+    "update its software to PolyScope 5.6 or later (e-Series), 3.12 or later (CB3); PolyScope X is not supported";
 const MAKE_READY: &str = "make the robot ready at its pendant and start panoscope_arm.script there";
 const COPY_PROGRAM: &str = "copy the panoscope_arm.script of this version to the robot and start it";
 
@@ -88,31 +88,6 @@ impl UrConnection {
 pub fn home_of(text: &str) -> Option<JointVector> {
     let angles: Vec<f64> = text.split(',').map(|word| word.trim().parse().ok()).collect::<Option<_>>()?;
     (angles.len() == JOINTS && angles.iter().all(|v| v.is_finite())).then(|| JointVector::from_column_slice(&angles))
-}
-
-/// Asks the dashboard server for the serial number of the arm: RTDE does not give it.
-fn serial_number(connection: &UrConnection) -> Result<Serial, PortError> {
-    let (host, port) = (&connection.host, connection.dashboard_port);
-    let place = format!("{host}:{port}");
-    let failed = |cause| PortError::NotReached { place: place.clone(), cause };
-    let mut stream = tcp::connect(host, port)?;
-    stream.set_read_timeout(Some(ANSWER_WITHIN)).map_err(failed)?;
-    stream.set_write_timeout(Some(ANSWER_WITHIN)).map_err(failed)?;
-    // Bounded: whatever answers here may send without end.
-    let mut lines = BufReader::new(stream.try_clone().map_err(failed)?.take(1024));
-    let mut line = String::new();
-    lines.read_line(&mut line).map_err(failed)?;
-    let unsuitable = |what: String, advice| PortError::Unsuitable { place: place.clone(), what, advice };
-    if !line.starts_with("Connected") {
-        return Err(unsuitable("this is no dashboard server".to_owned(), "check the address and `dashboard_port`"));
-    }
-    stream.write_all(b"get serial number\n").map_err(failed)?;
-    line.clear();
-    lines.read_line(&mut line).map_err(failed)?;
-    let answer = line.trim();
-    Serial::new(&format!("UR-{answer}"))
-        .filter(|_| answer.starts_with(|c: char| c.is_ascii_digit()))
-        .ok_or_else(|| unsuitable(format!("the dashboard server gives no serial number but `{answer}`"), UPDATE))
 }
 
 /// Why an arm in this state does not follow. The robot's safety system comes first.
@@ -201,7 +176,7 @@ impl UrLink {
     /// # Errors
     /// The controller cannot be reached, another program has its inputs, its software is too old, or the robot's program does not run.
     pub fn open(connection: &UrConnection) -> Result<(Self, Identity), PortError> {
-        let serial = serial_number(connection)?;
+        let serial = dashboard::serial_number(&connection.host, connection.dashboard_port)?;
         let mut link = Self {
             place: connection.place(),
             port: TcpPort::open(&connection.host, connection.rtde_port, LONGEST)?,
@@ -236,7 +211,9 @@ impl UrLink {
             _ => None,
         })?;
         if !speaks {
-            return Err(self.unsuitable(format!("the controller does not speak version {} of RTDE", rtde::VERSION), UPDATE));
+            return Err(
+                self.unsuitable(format!("the controller does not speak version {} of RTDE", rtde::VERSION), UPDATE)
+            );
         }
         let version = self.ask(Kind::ControllerVersion, &[], |it| match it {
             Package::ControllerVersion(version) => Some(version),
@@ -312,7 +289,7 @@ impl UrLink {
             }
             std::thread::sleep(Duration::from_millis(1));
             self.poll(|received| match received {
-                Received::Package(Package::Text(bytes)) => text = String::from_utf8_lossy(bytes).into_owned(),
+                Received::Package(Package::Text(bytes)) => text = bytes.escape_ascii().to_string(),
                 Received::Package(package) if found.is_none() => found = answer(package),
                 _ => {}
             })?;
@@ -456,7 +433,7 @@ impl ArmPort for UrLink {
             None if now_ns < self.last.1 => {
                 let target = self.last.0;
                 self.send(Command::Follow, &target)
-            },
+            }
             Some(Cause::DeviceStopped) if now_ns < self.release_until_ns => self.send(Command::Release, &at),
             _ => self.send(Command::Hold, &at),
         }

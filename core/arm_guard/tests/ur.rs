@@ -158,7 +158,8 @@ fn a_robot_waits_for_a_person_and_follows_within_its_limits() {
         assert_eq!((guard.serial(), guard.watchdog_ms()), ("UR-20195500001", 400));
         // However long requests arrive, and whatever number `reset` has.
         let since = Instant::now();
-        let status = drive(&mut guard, || request(41), |_| since.elapsed() > Duration::from_millis(300)).expect("it runs");
+        let status =
+            drive(&mut guard, || request(41), |_| since.elapsed() > Duration::from_millis(300)).expect("it runs");
         assert_eq!((status.stop, status.latched), (Some(Cause::AwaitsOperator), true));
         assert!(status.encoders.amax() < 1e-3, "the arm's angles are the robot's from its home");
         assert_eq!((robot.angles(), robot.log().releases), (home(), 0));
@@ -258,7 +259,8 @@ fn the_robot_stops_by_itself_when_the_guard_is_stopped() {
     drive(&mut guard, || request(reset), |status| status.latched).expect("it stops");
     let at = robot.angles();
     let since = Instant::now();
-    let status = drive(&mut guard, || request(reset), |_| since.elapsed() > Duration::from_millis(600)).expect("it runs");
+    let status =
+        drive(&mut guard, || request(reset), |_| since.elapsed() > Duration::from_millis(600)).expect("it runs");
     assert!(status.latched, "{status:?}");
     assert_eq!(robot.angles(), at);
 }
@@ -359,14 +361,16 @@ fn a_reset_clears_no_stop_of_the_robots_safety_system() {
     for _ in 0..3 {
         reset += 1;
         let since = Instant::now();
-        let status = drive(&mut guard, || request(reset), |_| since.elapsed() > Duration::from_millis(500)).expect("it runs");
+        let status =
+            drive(&mut guard, || request(reset), |_| since.elapsed() > Duration::from_millis(500)).expect("it runs");
         assert!(status.latched, "a reset does not help while the robot is stopped");
         assert_eq!(status.stop, Some(Cause::ProtectiveStop), "the newest reason counts");
     }
     // A person acknowledges it at the pendant and lets the program go on.
     robot.set(|b| b.is_protective = false);
     let since = Instant::now();
-    let status = drive(&mut guard, || request(reset), |_| since.elapsed() > Duration::from_millis(500)).expect("it runs");
+    let status =
+        drive(&mut guard, || request(reset), |_| since.elapsed() > Duration::from_millis(500)).expect("it runs");
     assert!(status.latched, "the guard waits for its own reset");
     assert!(robot.log().targets.len() <= targets + 1, "no new target");
     moving(&mut guard, &robot, &mut reset);
@@ -384,7 +388,8 @@ fn a_lost_connection_is_opened_again_by_a_reset_only() {
     assert!(status.latched);
     robot.set(|b| b.is_unplugged = false);
     let since = Instant::now();
-    let status = drive(&mut guard, || request(reset), |_| since.elapsed() > Duration::from_millis(400)).expect("it runs");
+    let status =
+        drive(&mut guard, || request(reset), |_| since.elapsed() > Duration::from_millis(400)).expect("it runs");
     assert!(status.latched);
     moving(&mut guard, &robot, &mut reset);
     assert_within_limits(&robot.log());
@@ -431,7 +436,10 @@ fn a_controller_that_is_not_suitable_is_refused_with_the_reason() {
         (|b| b.has_no_serial = true, "gives no serial number but `could not understand"),
         (|b| b.is_silent = true, "sends no data"),
         (|b| b.is_garbage = true, "cannot be read"),
-        (|b| b.is_program_stopped = true, "the arm's program does not run on the robot; make the robot ready at its pendant"),
+        (
+            |b| b.is_program_stopped = true,
+            "the arm's program does not run on the robot; make the robot ready at its pendant",
+        ),
         (|b| b.is_emergency = true, "the hardware stop is pressed; make the robot ready"),
         (|b| b.is_off = true, "the robot is switched off or its brakes are on"),
     ];
@@ -442,7 +450,10 @@ fn a_controller_that_is_not_suitable_is_refused_with_the_reason() {
         let error = refusal(&robot, &folder);
         assert!(error.contains(words), "{words}: {error}");
         let (rtde, dashboard) = robot.ports();
-        assert!(error.contains(&format!("127.0.0.1:{rtde}")) || error.contains(&format!("127.0.0.1:{dashboard}")), "{error}");
+        assert!(
+            error.contains(&format!("127.0.0.1:{rtde}")) || error.contains(&format!("127.0.0.1:{dashboard}")),
+            "{error}"
+        );
     }
     for (program, words) in [
         (PROGRAM.replace("VERSION = 1", "VERSION = 2"), "has version 2, this program needs 1"),

@@ -69,7 +69,11 @@ impl Node for ArmUr {
     fn validate(params: &UrParams, check: &mut Validation<'_>) {
         if params.arm.as_os_str().is_empty() {
             let message = "the robot has no description".to_owned();
-            check.error("arm", message, "name a URDF file of this robot with its scope and trocar; core/arm/README.md says how");
+            check.error(
+                "arm",
+                message,
+                "name a URDF file of this robot with its scope and trocar; core/arm/README.md says how",
+            );
         } else {
             check_arm(check, &params.arm);
         }
@@ -78,7 +82,11 @@ impl Node for ArmUr {
             check.error("home_deg", bad_home(&params.home_deg), help);
         }
         if params.host.trim().is_empty() {
-            check.error("host", "the robot has no address".to_owned(), "name the address that the pendant shows under About");
+            check.error(
+                "host",
+                "the robot has no address".to_owned(),
+                "name the address that the pendant shows under About",
+            );
         }
     }
 

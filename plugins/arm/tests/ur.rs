@@ -49,8 +49,15 @@ fn drive(
     seconds: f64,
     mut done: impl FnMut(&str) -> bool,
 ) -> Result<bool, HarnessError> {
-    let tip =
-        Tip { u_px: 400.0, v_px: 240.0, xyz_mm: [7.5, 0.0, 65.0], score: 0.9, class_index: 0, xyz_valid: 1, track_id: 1 };
+    let tip = Tip {
+        u_px: 400.0,
+        v_px: 240.0,
+        xyz_mm: [7.5, 0.0, 65.0],
+        score: 0.9,
+        class_index: 0,
+        xyz_valid: 1,
+        track_id: 1,
+    };
     let mut velocity_rad_s = [0.0; MAX_JOINTS];
     velocity_rad_s[5] = 0.1;
     let demand = Joints { position_rad: [0.0; MAX_JOINTS], velocity_rad_s, count: 6, reserved: 0 };
@@ -111,7 +118,11 @@ fn a_robot_without_a_description_is_refused() {
     let robot = plug_in("20201000002");
     let refused = |text: String| Harness::<ArmUr>::from_toml(&text).err().map(|e| e.to_string()).unwrap_or_default();
     let none = params(&robot, "").replace(URDF, "");
-    assert!(refused(none.clone()).contains("no description") || refused(none.clone()).contains("no URDF"), "{}", refused(none));
+    assert!(
+        refused(none.clone()).contains("no description") || refused(none.clone()).contains("no URDF"),
+        "{}",
+        refused(none)
+    );
     let short = params(&robot, "").replace("0, -90, 90", "0, -90");
     assert!(refused(short.clone()).contains("is not 6 angles"), "{}", refused(short));
     let far = params(&robot, "").replace("-90, 90", "-90, 900");

@@ -158,8 +158,7 @@ impl Parser {
 
     /// Left-associative operators, by binding: weakest first.
     fn binary(&mut self, level: usize) -> Result<Expr, String> {
-        const LEVELS: [&[&str]; 5] =
-            [&["or"], &["and"], &["==", "!=", "<=", ">=", "<", ">"], &["+", "-"], &["*", "/"]];
+        const LEVELS: [&[&str]; 5] = [&["or"], &["and"], &["==", "!=", "<=", ">=", "<", ">"], &["+", "-"], &["*", "/"]];
         let Some(operators) = LEVELS.get(level) else { return self.unary() };
         if level == 2 && self.take("not") {
             return Ok(Expr::Not(Box::new(self.binary(2)?)));
@@ -362,8 +361,13 @@ impl Program {
     /// # Errors
     /// The line, and what is wrong in it.
     pub fn read(text: &str) -> Result<Self, String> {
-        let mut compiler =
-            Compiler { code: Vec::new(), codes: Vec::new(), threads: HashMap::new(), blocks: Vec::new(), has_ended: false };
+        let mut compiler = Compiler {
+            code: Vec::new(),
+            codes: Vec::new(),
+            threads: HashMap::new(),
+            blocks: Vec::new(),
+            has_ended: false,
+        };
         for (index, line) in text.lines().enumerate() {
             compiler.line(index + 1, line).map_err(|error| format!("line {}: {error}", index + 1))?;
         }
@@ -426,7 +430,8 @@ impl Program {
                     self.assign(scope, name, value, task);
                 }
                 Op::Do(Expr::Call(name, arguments)) => {
-                    let arguments = arguments.iter().map(|it| self.value(it, task, robot)).collect::<Result<Vec<_>, _>>();
+                    let arguments =
+                        arguments.iter().map(|it| self.value(it, task, robot)).collect::<Result<Vec<_>, _>>();
                     let arguments = arguments.map_err(placed)?;
                     match (name.as_str(), arguments.as_slice()) {
                         ("sync", []) => return Ok(Motion::None),
@@ -434,7 +439,8 @@ impl Program {
                             if (*seconds - robot.step_s()).abs() > 1e-9 {
                                 return Err(placed("servoj for another time than a control cycle".to_owned()));
                             }
-                            let target = target.as_slice().try_into().map_err(|_| placed("no six joints".to_owned()))?;
+                            let target =
+                                target.as_slice().try_into().map_err(|_| placed("no six joints".to_owned()))?;
                             return Ok(Motion::Servo(target));
                         }
                         ("stopj", [Value::Float(rad_s2)]) => {

@@ -93,9 +93,13 @@ fn mistakes_end_a_program_with_their_line() {
         let error = result(lines).expect_err(lines);
         assert!(error.contains(words), "{lines}: {error}");
     }
-    for text in
-        ["def p():\nx = 1\n", "x = 1\n", "def p():\nx = (1\nend\n", "def p():\nx = 1 2\nend\n", "def p():\nelse:\nend\nend\n"]
-    {
+    for text in [
+        "def p():\nx = 1\n",
+        "x = 1\n",
+        "def p():\nx = (1\nend\n",
+        "def p():\nx = 1 2\nend\n",
+        "def p():\nelse:\nend\nend\n",
+    ] {
         assert!(Program::read(text).is_err(), "{text}");
     }
 }
