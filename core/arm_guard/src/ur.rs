@@ -578,7 +578,7 @@ mod tests {
 
     #[test]
     fn a_home_is_six_angles() {
-        let home = JointVector::from([0.1, -1.5707963267948966, 1e-9, -3.0, 0.0, 6.2]);
+        let home = JointVector::from([0.1, -1.234567890123456, 1e-9, -3.0, 0.0, 6.2]);
         let connection = UrConnection {
             host: "robot".to_owned(),
             rtde_port: RTDE_PORT,

@@ -68,7 +68,7 @@ impl Node for ArmUr {
 
     fn validate(params: &UrParams, check: &mut Validation<'_>) {
         if params.arm.as_os_str().is_empty() {
-            let message = "the robot has no description".to_owned();
+            let message = "the robot has no description";
             check.error(
                 "arm",
                 message,
@@ -82,11 +82,7 @@ impl Node for ArmUr {
             check.error("home_deg", bad_home(&params.home_deg), help);
         }
         if params.host.trim().is_empty() {
-            check.error(
-                "host",
-                "the robot has no address".to_owned(),
-                "name the address that the pendant shows under About",
-            );
+            check.error("host", "the robot has no address", "name the address that the pendant shows under About");
         }
     }
 

@@ -538,7 +538,8 @@ impl Program {
             ("textmsg", [_]) => Value::Bool(true),
             ("floor", [Value::Float(value)]) => {
                 let whole = value.floor();
-                if !(whole.abs() < f64::from(i32::MAX)) {
+                let fits = whole.abs() < f64::from(i32::MAX);
+                if !fits {
                     return Err(format!("the floor of {value} does not fit"));
                 }
                 Value::Int(whole as i32)
