@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use panoscope_arm_core::Cause;
 use panoscope_arm_core::interlock::Event;
 use panoscope_arm_core::line::Serial;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -16,6 +17,7 @@ use rustix::net::{
 };
 use thiserror::Error;
 
+use crate::clock;
 use crate::link::Connection;
 use crate::message::{LONGEST, Report, Request, Status};
 
@@ -25,6 +27,8 @@ pub const PROGRAM: &str = "panoscope-arm";
 pub const PROGRAM_VARIABLE: &str = "PANOSCOPE_ARM";
 /// Time limit of the guard's start.
 const START_WITHIN: Duration = Duration::from_secs(5);
+/// Time without a report of a guard that last followed, after which it counts as gone, ns. It reports every 10 ms.
+const SILENT_NS: i64 = 250_000_000;
 /// Time limit of its end: it brakes the arm first.
 const END_WITHIN: Duration = Duration::from_secs(3);
 
@@ -194,7 +198,8 @@ impl Guard {
         }
     }
 
-    /// The newest state. Calls `event` once for each new event. `None` when the guard has ended.
+    /// The newest state. Calls `event` once for each new event. `None` when the guard has ended. A guard that hangs or was stopped while it
+    /// followed does not report: the arm's own watchdog holds the arm then, and the state is [`Cause::GuardGone`].
     pub fn status(&mut self, mut event: impl FnMut(Event)) -> Option<Status> {
         while let Some(report) = self.receive() {
             match report {
@@ -203,7 +208,15 @@ impl Guard {
                 Report::Ready { .. } | Report::Failed(_) => {}
             }
         }
-        (!self.has_ended).then_some(self.status)
+        if self.has_ended {
+            return None;
+        }
+        // A release takes time, but the guard is stopped then.
+        let is_silent = clock::now_ns().saturating_sub(self.status.at_ns) > SILENT_NS;
+        if is_silent && self.status.stop.is_none() {
+            return Some(Status { stop: Some(Cause::GuardGone), latched: true, ..self.status });
+        }
+        Some(self.status)
     }
 
     /// The newest state that was received, also after the guard's end.

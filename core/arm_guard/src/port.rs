@@ -77,7 +77,11 @@ impl Port {
             .write(true)
             .custom_flags(flags)
             .open(path)
-            .map_err(|cause| PortError::Open { path: path.to_owned(), cause })?;
+            .map_err(|cause| match cause.kind() {
+                // Held by another program with `TIOCEXCL`.
+                ErrorKind::ResourceBusy => PortError::InUse { path: path.to_owned() },
+                _ => PortError::Open { path: path.to_owned(), cause },
+            })?;
         let no_line = |cause: rustix::io::Errno| PortError::NoLine { path: path.to_owned(), cause: cause.into() };
         let mut settings = termios::tcgetattr(&file).map_err(no_line)?;
         // One program drives an arm, whatever path it opens: the lock belongs to the device's file, not to its name.

@@ -203,6 +203,12 @@ impl Interlock {
         self.latched
     }
 
+    /// When the demand expires that the arm follows, ns; none while it brakes or stands.
+    pub fn expires_ns(&self) -> Option<i64> {
+        let demand = self.demand.filter(|_| self.stop.is_none())?;
+        Some(demand.made_ns.saturating_add(caps::DEMAND_AGE.as_nanos() as i64))
+    }
+
     /// Cause of a stop that has lasted longer than a late tick; none while the arm follows.
     pub fn stopped(&self) -> Option<Cause> {
         self.noted
