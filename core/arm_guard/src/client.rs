@@ -73,7 +73,10 @@ pub fn inherited_socket() -> Result<OwnedFd, GuardError> {
 }
 
 /// The program: [`PROGRAM_VARIABLE`], else beside the running program or one folder above it.
-fn program() -> Result<PathBuf, GuardError> {
+///
+/// # Errors
+/// It is not there.
+pub fn program() -> Result<PathBuf, GuardError> {
     if let Some(path) = std::env::var_os(PROGRAM_VARIABLE).filter(|value| !value.is_empty()) {
         return Ok(path.into());
     }

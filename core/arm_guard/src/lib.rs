@@ -9,8 +9,9 @@
 //! - [`server`]: the loop of the process.
 //! - [`link`], [`port`]: the serial line.
 //! - [`latch`]: stops that survive restarts, on disk.
-//! - [`realtime`]: locked memory and priority.
+//! - [`realtime`]: locked memory and priority; [`check`]: whether they are allowed here.
 
+pub mod check;
 pub mod client;
 pub mod clock;
 pub mod latch;
