@@ -16,6 +16,8 @@ mod brake;
 pub mod caps;
 mod cause;
 pub mod measured;
+#[cfg(test)]
+mod tests;
 
 use std::collections::VecDeque;
 
