@@ -92,7 +92,6 @@ pub struct Interlock {
     demand: Option<Demand>,
     latched: Option<Cause>,
     clock_jumped: bool,
-    at_limit: bool,
     stop: Option<Cause>,
     stopping_steps: u32,
     noted: Option<Cause>,
@@ -124,7 +123,6 @@ impl Interlock {
             demand: None,
             latched: None,
             clock_jumped: false,
-            at_limit: false,
             stop: Some(Cause::NoTip),
             stopping_steps: NOTED_AFTER_STEPS,
             noted: Some(Cause::NoTip),
@@ -340,7 +338,6 @@ impl Interlock {
             steps = steps.min((left_ns / STEP_NS).clamp(1, i64::from(CHUNK_STEPS)) as u32);
             let wanted = self.tamed(&wanted);
             let followed = SHARES.iter().any(|part| self.try_follow(&(wanted * *part), steps, each));
-            self.at_limit = !followed;
             if followed {
                 self.braking = None;
                 self.clock_jumped = false;

@@ -61,7 +61,7 @@ fn a_demand_is_reached_about_as_fast_as_the_limits_allow() {
 #[test]
 fn a_demand_beyond_the_speeds_keeps_its_direction() {
     let mut lock = Interlock::new(about_trocar(), JointVector::zeros(), 0);
-    let mut push = |lock: &mut Interlock, pitch: f64, roll: f64, from_ms: i64| {
+    let push = |lock: &mut Interlock, pitch: f64, roll: f64, from_ms: i64| {
         for ms in (from_ms..from_ms + 800).step_by(10) {
             lock.advance(ms * MS, &mut |point| {
                 let (pitch_now, roll_now) = (point.velocity[4], point.velocity[5]);
@@ -159,5 +159,5 @@ fn the_same_requests_make_the_same_set_points() {
     lock.advance(600 * MS, &mut |point| points.push(*point));
     // Positions of the last joint in nanoradians, every 50 ms: a change of the way in which the arm follows changes them.
     let positions: Vec<i64> = points.iter().step_by(50).map(|point| (point.position[5] * 1e9).round() as i64).collect();
-    assert_eq!(positions, []);
+    assert_eq!(positions, [0_i64]);
 }
