@@ -204,7 +204,9 @@ impl Guard {
     /// The newest state. Calls `event` once for each new event. `None` when the guard has ended. A guard that hangs or was stopped while it
     /// followed does not report: the arm's own watchdog holds the arm then, and the state is [`Cause::GuardGone`].
     pub fn status(&mut self, mut event: impl FnMut(Event)) -> Option<Status> {
+        let mut has_reported = false;
         while let Some(report) = self.receive() {
+            has_reported = true;
             match report {
                 Report::Status(status) => self.status = *status,
                 Report::Event(next) => event(next),
@@ -214,9 +216,9 @@ impl Guard {
         if self.has_ended {
             return None;
         }
-        // A release takes time, but the guard is stopped then.
-        let is_silent = clock::now_ns().saturating_sub(self.status.at_ns) > SILENT_NS;
-        if is_silent && self.status.stop.is_none() {
+        // A release takes time, but the guard is stopped then. Old records that waited here are followed by new ones.
+        let is_old = clock::now_ns().saturating_sub(self.status.at_ns) > SILENT_NS;
+        if is_old && !has_reported && self.status.stop.is_none() {
             return Some(Status { stop: Some(Cause::GuardGone), latched: true, ..self.status });
         }
         Some(self.status)

@@ -77,7 +77,10 @@ fn send_requests(socket: &rustix::fd::OwnedFd, random: &mut Random, reset: u64, 
         emergency_stop: false,
         reset,
     };
-    let mut put = |bytes: &[u8]| drop(send(socket, bytes, SendFlags::DONTWAIT | SendFlags::NOSIGNAL));
+    // A full socket loses records; the arm stops then.
+    let put = |bytes: &[u8]| {
+        let _ = send(socket, bytes, SendFlags::DONTWAIT | SendFlags::NOSIGNAL);
+    };
     match random.of(20) {
         0 => put(&[0xff; 100]),
         1 => put(Request { sent_ns: now_ns + 1_000_000_000, ..sound }.encode(buffer)),
@@ -91,7 +94,7 @@ fn send_requests(socket: &rustix::fd::OwnedFd, random: &mut Random, reset: u64, 
 fn nothing_is_allocated_while_the_arm_moves() {
     let folder = std::env::temp_dir().join(format!("panoscope-allocation-{}", std::process::id()));
     let _ = std::fs::remove_dir_all(&folder);
-    // A byte in a thousand is damaged: lines that are no answers, too.
+    // One byte of 2000 is damaged.
     let behaviour = Behaviour { watchdog_ms: 400, damaged_bytes: 0.0005, ..Behaviour::default() };
     let firmware = Firmware::plug_in("ALLOC-1", behaviour).expect("an arm");
     let connection =
