@@ -134,7 +134,7 @@ fn mutants(workspace: &Workspace) -> Result<()> {
     cargo.args(["mutants", "--package", PACKAGE, "--file", &format!("{FILES}**"), "--no-shuffle", "--output"]).arg(&output);
     // Only the tests of this crate, built with little optimisation: most of the time is compiling.
     cargo.args(["--cargo-arg=--lib", "--cargo-arg=--config=profile.dev.package.panoscope-arm-core.opt-level=1"]);
-    cargo.args(["--minimum-test-timeout=60", "--", "interlock"]);
+    cargo.args(["--minimum-test-timeout=20", "--", "interlock"]);
     with_path(&mut cargo, &tools)?;
     println!("{}", process::shown(&cargo));
     // Its exit code says that some survived; the score decides here.

@@ -161,3 +161,80 @@ fn the_same_requests_make_the_same_set_points() {
     let positions: Vec<i64> = points.iter().step_by(50).map(|point| (point.position[5] * 1e9).round() as i64).collect();
     assert_eq!(positions, [0_i64]);
 }
+
+/// A stop from a state of the last joint.
+fn stop_from(lock: &Interlock, position: f64, velocity: f64, acceleration: f64) -> Brake {
+    let from = SetPoint {
+        position: joint(5, position),
+        velocity: joint(5, velocity),
+        acceleration: joint(5, acceleration),
+    };
+    Brake::plan(from, &lock.caps)
+}
+
+#[test]
+fn a_stop_that_turns_back_is_judged_where_it_turns() {
+    let lock = lock();
+    let edge = 3.0 - 0.012;
+    // The acceleration falls over 67 steps. The joint moves on, turns in the first or second third of them, and comes to rest further back.
+    for (velocity, turns_at) in [(0.03, 22), (0.0586, 44)] {
+        let shape = stop_from(&lock, 0.0, velocity, -2.0);
+        assert_eq!(shape.release_steps(), 67);
+        let there = shape.at(turns_at).position[5];
+        let elsewhere = [0, 67, shape.steps()].map(|step| shape.at(step).position[5]);
+        assert!(elsewhere.iter().all(|position| *position < there - 2e-5), "{there} {elsewhere:?}");
+        assert!(lock.is_safe(&stop_from(&lock, edge - there - 1e-6, velocity, -2.0)), "up to the margin");
+        assert!(!lock.is_safe(&stop_from(&lock, edge - there + 1e-5, velocity, -2.0)), "beyond it at step {turns_at}");
+    }
+}
+
+#[test]
+fn a_stop_is_judged_at_its_start_and_its_end() {
+    let lock = lock();
+    let edge = 3.0 - 0.012;
+    let went = stop_from(&lock, 0.0, 0.3, 0.0);
+    let went = went.at(went.steps()).position[5];
+    assert!(lock.is_safe(&stop_from(&lock, edge - went - 1e-9, 0.3, 0.0)));
+    assert!(!lock.is_safe(&stop_from(&lock, edge - went + 1e-9, 0.3, 0.0)), "its end");
+    assert!(lock.is_safe(&stop_from(&lock, edge, -0.3, 0.0)) && !lock.is_safe(&stop_from(&lock, edge + 1e-9, -0.3, 0.0)));
+    // Where the acceleration has fallen to 0 the speed is largest.
+    assert!(lock.is_safe(&stop_from(&lock, 0.0, 0.4, 0.0)), "at the limit");
+    assert!(!lock.is_safe(&stop_from(&lock, 0.0, 0.4 + 1e-9, 0.0)));
+    assert!(lock.is_safe(&stop_from(&lock, 0.0, 0.33, 2.0)) && !lock.is_safe(&stop_from(&lock, 0.0, 0.34, 2.0)));
+    assert!(!lock.is_safe(&stop_from(&lock, 0.0, f64::NAN, 0.0)));
+}
+
+#[test]
+fn a_stop_is_judged_by_pose_and_camera_each_alone() {
+    let at = |position: JointVector, velocity: JointVector| SetPoint {
+        position,
+        velocity,
+        acceleration: JointVector::zeros(),
+    };
+    let lock = lock();
+    let rest = |angle: f64| Brake::plan(at(joint(4, angle), JointVector::zeros()), &lock.caps);
+    assert!(lock.is_safe(&rest((0.849_f64 / 270.0).asin())) && !lock.is_safe(&rest((0.851_f64 / 270.0).asin())));
+    // The camera turns about the trocar at 180 mm: 55.8 mm/s are allowed, the pose is.
+    let chain = changed(&[("0.42 0 0.21", "0.42 0 0.48"), ("0 0 -0.3\"", "0 0 -0.1\"")]);
+    let lock = Interlock::new(chain, JointVector::zeros(), 0);
+    let turning = |mm_s: f64| {
+        let rad_s = mm_s / 180.0_f64.hypot(7.5);
+        Brake::plan(at(JointVector::zeros(), joint(4, rad_s)), &lock.caps)
+    };
+    assert!(lock.is_safe(&turning(55.79)) && !lock.is_safe(&turning(55.81)));
+}
+
+#[test]
+fn a_state_beyond_a_limit_is_not_followed_on() {
+    // No input leads there; should a state ever be wrong, it is not continued.
+    for state in [
+        SetPoint { velocity: joint(5, 0.45), ..SetPoint::at_rest(JointVector::zeros()) },
+        SetPoint { acceleration: joint(5, 2.5), ..SetPoint::at_rest(JointVector::zeros()) },
+    ] {
+        let mut lock = lock();
+        lock.state = state;
+        let mut steps = 0;
+        assert!(!lock.try_follow(&JointVector::zeros(), 1, &mut |_| steps += 1));
+        assert_eq!((steps, *lock.set_point()), (0, state), "nothing has changed");
+    }
+}

@@ -72,6 +72,18 @@ fn a_demand_expires_after_30_ms() {
 }
 
 #[test]
+fn a_demand_that_expires_within_a_call_is_followed_up_to_then() {
+    for left in [1, 4, 9] {
+        let mut lock = asked();
+        lock.demand(NOW - (30 - left) * MS, joint(5, 0.1).as_slice());
+        let mut points = Vec::new();
+        lock.advance(NOW + 40 * MS, &mut |point| points.push(*point));
+        let turn = points.windows(2).position(|two| two[1].acceleration[5] < two[0].acceleration[5]);
+        assert_eq!(turn, Some(left as usize - 1), "it accelerates for {left} ms");
+    }
+}
+
+#[test]
 fn a_demand_has_six_finite_numbers() {
     let sound = joint(5, 0.1);
     assert_eq!(next(asked()), None);
