@@ -376,8 +376,8 @@ impl Case {
     fn second_master(&mut self) -> Result<(), String> {
         let link = self.folder.join("arm");
         std::os::unix::fs::symlink(self.firmware.path(), &link).map_err(|error| error.to_string())?;
-        for path in [Path::new(self.firmware.path()), &link] {
-            if Guard::start(&self.connection(path), Path::new(""), Some(&self.folder)).is_ok() {
+        for path in [PathBuf::from(self.firmware.path()), link] {
+            if Guard::start(&self.connection(&path), Path::new(""), Some(&self.folder)).is_ok() {
                 return Err(format!("two guards drive one arm, the second by {}", path.display()));
             }
             self.drive(|case| case.request(), |_, _| true);
