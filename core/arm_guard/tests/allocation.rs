@@ -84,7 +84,10 @@ fn send_requests(socket: &rustix::fd::OwnedFd, random: &mut Random, reset: u64, 
     match random.of(20) {
         0 => put(&[0xff; 100]),
         1 => put(Request { sent_ns: now_ns + 1_000_000_000, ..sound }.encode(buffer)),
-        2 => put(Request { demand: Some((now_ns, [f64::NAN; 8], u32::MAX)), sent_ns: now_ns - 1, ..sound }.encode(buffer)),
+        2 => {
+            put(Request { demand: Some((now_ns, [f64::NAN; 8], u32::MAX)), sent_ns: now_ns - 1, ..sound }
+                .encode(buffer))
+        }
         _ => {}
     }
     put(sound.encode(buffer));

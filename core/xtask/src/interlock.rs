@@ -76,9 +76,20 @@ fn coverage(workspace: &Workspace) -> Result<()> {
     let tools = tool(workspace, "cargo-llvm-cov")?;
     // `cargo` may be one compiler's own; the one in PATH chooses by toolchain.
     let mut cargo = Command::new("cargo");
-    cargo.current_dir(&workspace.root).args([TOOLCHAIN, "llvm-cov", "--branch", "--json", "--package", PACKAGE, "--lib"]);
+    cargo.current_dir(&workspace.root).args([
+        TOOLCHAIN,
+        "llvm-cov",
+        "--branch",
+        "--json",
+        "--package",
+        PACKAGE,
+        "--lib",
+    ]);
     cargo.args(["--", "interlock"]);
-    cargo.env("CARGO_TARGET_DIR", workspace.target.join("interlock")).env_remove("RUSTUP_TOOLCHAIN").env_remove("CARGO");
+    cargo
+        .env("CARGO_TARGET_DIR", workspace.target.join("interlock"))
+        .env_remove("RUSTUP_TOOLCHAIN")
+        .env_remove("CARGO");
     with_path(&mut cargo, &tools)?;
     println!("{}", process::shown(&cargo));
     let text = process::capture(&mut cargo).context(
@@ -87,7 +98,10 @@ fn coverage(workspace: &Workspace) -> Result<()> {
     let files = covered(&text)?;
     let mut missed = Vec::new();
     for file in &files {
-        println!("{}: {} of {} branches, {} of {} lines", file.name, file.branches.0, file.branches.1, file.lines.0, file.lines.1);
+        println!(
+            "{}: {} of {} branches, {} of {} lines",
+            file.name, file.branches.0, file.branches.1, file.lines.0, file.lines.1
+        );
         if file.branches.0 < file.branches.1 || file.lines.0 < file.lines.1 {
             missed.push(file.name.as_str());
         }
@@ -131,7 +145,9 @@ fn mutants(workspace: &Workspace) -> Result<()> {
     let output = workspace.target.join("interlock");
     std::fs::create_dir_all(&output)?;
     let mut cargo = workspace.cargo();
-    cargo.args(["mutants", "--package", PACKAGE, "--file", &format!("{FILES}**"), "--no-shuffle", "--output"]).arg(&output);
+    cargo
+        .args(["mutants", "--package", PACKAGE, "--file", &format!("{FILES}**"), "--no-shuffle", "--output"])
+        .arg(&output);
     // Only the tests of this crate, built with little optimisation: most of the time is compiling.
     cargo.args(["--cargo-arg=--lib", "--cargo-arg=--config=profile.dev.package.panoscope-arm-core.opt-level=1"]);
     cargo.args(["--minimum-test-timeout=20", "--", "interlock"]);
@@ -146,7 +162,12 @@ fn mutants(workspace: &Workspace) -> Result<()> {
     for name in &score.survivors {
         println!("survived: {name}");
     }
-    println!("{} of {} mutants found: {:.1} %", score.found, score.found + score.survivors.len() as u64, score.percent());
+    println!(
+        "{} of {} mutants found: {:.1} %",
+        score.found,
+        score.found + score.survivors.len() as u64,
+        score.percent()
+    );
     if score.percent() < LEAST_SCORE {
         bail!("the tests find {:.1} % of the mutants, {LEAST_SCORE} % are needed", score.percent());
     }

@@ -19,7 +19,11 @@ impl Host {
     /// The program cannot be started, or does not get the arm: its reason.
     pub fn start(device: &str, latches: &Path, rad_s: f64) -> Result<Self, String> {
         let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope-arm-host"));
-        command.arg(device).arg(latches).arg(rad_s.to_string()).env("PANOSCOPE_ARM", env!("CARGO_BIN_EXE_panoscope-arm"));
+        command
+            .arg(device)
+            .arg(latches)
+            .arg(rad_s.to_string())
+            .env("PANOSCOPE_ARM", env!("CARGO_BIN_EXE_panoscope-arm"));
         command.stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().map_err(|error| error.to_string())?;
         let lines = BufReader::new(child.stdout.take().ok_or("no output")?);

@@ -75,9 +75,10 @@ mod tests {
 
     fn log(speeds: &[f64]) -> (Instant, Log) {
         let start = Instant::now();
-        let set_points = speeds.iter().enumerate().map(|(k, speed)| {
-            (start + Duration::from_millis(10 * k as u64), JointVector::zeros(), joint(*speed))
-        });
+        let set_points = speeds
+            .iter()
+            .enumerate()
+            .map(|(k, speed)| (start + Duration::from_millis(10 * k as u64), JointVector::zeros(), joint(*speed)));
         (start, Log { set_points: set_points.collect(), ..Log::default() })
     }
 

@@ -63,11 +63,8 @@ fn a_stop_from_steady_speed_takes_the_shortest_time_and_keeps_its_direction() {
 #[test]
 fn the_acceleration_falls_first_as_fast_as_jerk_allows() {
     for (acceleration, release) in [(0.0, 0), (0.03, 1), (0.031, 2), (2.0, 67), (-2.0, 67)] {
-        let from = SetPoint {
-            position: JointVector::zeros(),
-            velocity: joint(1, 0.2),
-            acceleration: joint(1, acceleration),
-        };
+        let from =
+            SetPoint { position: JointVector::zeros(), velocity: joint(1, 0.2), acceleration: joint(1, acceleration) };
         assert_eq!(check(from).release_steps(), release, "{acceleration}");
     }
 }

@@ -160,19 +160,16 @@ fn the_same_requests_make_the_same_set_points() {
     // Positions of the last joint in nanoradians, every 50 ms: a change of the way in which the arm follows changes them.
     let positions: Vec<i64> = points.iter().step_by(50).map(|point| (point.position[5] * 1e9).round() as i64).collect();
     let expected = [
-        30, 702_077, 5_055_356, 14_295_749, 27_718_735, 42_667_129, 57_667_098, 71_965_051, 82_611_772, 88_370_489, 89_391_234,
-        87_916_192,
+        30, 702_077, 5_055_356, 14_295_749, 27_718_735, 42_667_129, 57_667_098, 71_965_051, 82_611_772, 88_370_489,
+        89_391_234, 87_916_192,
     ];
     assert_eq!(positions, expected);
 }
 
 /// A stop from a state of the last joint.
 fn stop_from(lock: &Interlock, position: f64, velocity: f64, acceleration: f64) -> Brake {
-    let from = SetPoint {
-        position: joint(5, position),
-        velocity: joint(5, velocity),
-        acceleration: joint(5, acceleration),
-    };
+    let from =
+        SetPoint { position: joint(5, position), velocity: joint(5, velocity), acceleration: joint(5, acceleration) };
     Brake::plan(from, &lock.caps)
 }
 
@@ -200,7 +197,9 @@ fn a_stop_is_judged_at_its_start_and_its_end() {
     let went = went.at(went.steps()).position[5];
     assert!(lock.is_safe(&stop_from(&lock, edge - went - 1e-9, 0.3, 0.0)));
     assert!(!lock.is_safe(&stop_from(&lock, edge - went + 1e-9, 0.3, 0.0)), "its end");
-    assert!(lock.is_safe(&stop_from(&lock, edge, -0.3, 0.0)) && !lock.is_safe(&stop_from(&lock, edge + 1e-9, -0.3, 0.0)));
+    assert!(
+        lock.is_safe(&stop_from(&lock, edge, -0.3, 0.0)) && !lock.is_safe(&stop_from(&lock, edge + 1e-9, -0.3, 0.0))
+    );
     // Where the acceleration has fallen to 0 the speed is largest.
     assert!(lock.is_safe(&stop_from(&lock, 0.0, 0.4, 0.0)), "at the limit");
     assert!(!lock.is_safe(&stop_from(&lock, 0.0, 0.4 + 1e-9, 0.0)));
