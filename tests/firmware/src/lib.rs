@@ -91,6 +91,8 @@ pub struct Log {
     pub watchdog_at: Option<Instant>,
     /// `C` lines.
     pub clears: u32,
+    /// When the last one arrived.
+    pub cleared_at: Option<Instant>,
     /// Lines that were refused.
     pub damaged: u64,
     /// Lines that were accepted.
@@ -295,7 +297,8 @@ impl Controller {
             }
             Line::Query { seq } => seq,
             Line::Clear { seq } => {
-                locked(&self.shared.0).log.clears += 1;
+                let log = &mut locked(&self.shared.0).log;
+                (log.clears, log.cleared_at) = (log.clears + 1, Some(now));
                 (self.is_held, self.target) = (false, None);
                 seq
             }

@@ -103,11 +103,10 @@ impl Case {
         }
         let (at, wrong) = self.do_harm();
         let harm = self.harm;
-        let hold_ms = self.firmware.inspect(judge::braked_at).filter(|_| harm.is_timed()).map(|when| {
-            // A loaded machine may have stopped the arm before.
-            if when > at { (when - at).as_secs_f64() * 1e3 } else { 0.0 }
-        });
-        let is_unbraked = harm.is_timed() && hold_ms.is_none();
+        let braked_at = self.firmware.inspect(judge::braked_at).filter(|_| harm.is_timed());
+        let is_unbraked = harm.is_timed() && braked_at.is_none();
+        // A loaded machine may have stopped the arm before: that measures nothing.
+        let hold_ms = braked_at.filter(|when| *when > at).map(|when| (when - at).as_secs_f64() * 1e3);
         let wrong = wrong.err().or(is_unbraked.then(|| "the arm does not brake".to_owned()));
         // A runaway or a stuck motor is the arm's own doing.
         let is_judged = !matches!(harm, Harm::Runaway | Harm::Stuck);

@@ -46,9 +46,8 @@ pub fn escape(log: &Log, chain: &Chain) -> Option<String> {
 /// When the last braking to rest began: its first set-point, or the moment at which the arm's own watchdog stopped it. `None` while it moves.
 pub fn braked_at(log: &Log) -> Option<Instant> {
     let speed = |index: usize| log.set_points.get(index).map_or(0.0, |(_, _, velocity)| velocity.amax());
-    if let Some(at) = log.watchdog_at
-        && log.set_points.last().is_none_or(|(last, ..)| *last <= at)
-    {
+    // It holds the arm until it is cleared, whatever set-points still arrive.
+    if let Some(at) = log.watchdog_at.filter(|at| log.cleared_at.is_none_or(|cleared| cleared < *at)) {
         return Some(at);
     }
     let rest = log.set_points.iter().rposition(|(_, _, velocity)| velocity.amax() > 0.0)? + 1;
@@ -99,6 +98,8 @@ mod tests {
         let at = start + Duration::from_millis(40);
         log.watchdog_at = Some(at);
         assert_eq!(braked_at(&log), Some(at), "the arm's own watchdog");
+        log.cleared_at = Some(at);
+        assert_eq!(braked_at(&log), None, "it was cleared, and moves");
     }
 
     #[test]
