@@ -11,9 +11,10 @@
 //! - [`link`], [`port`]: a serial line.
 //! - [`ur`], [`rtde`], [`tcp`]: a Universal Robots arm over RTDE.
 //! - [`latch`]: stops that survive restarts, on disk.
-//! - [`realtime`]: locked memory and priority.
+//! - [`realtime`]: locked memory and priority; [`check`]: whether they are allowed here.
 
 pub mod arm_port;
+pub mod check;
 pub mod client;
 pub mod clock;
 mod dashboard;

@@ -1,11 +1,12 @@
 //! `panoscope-arm`: the arm's interlock, started by the nodes `arm_serial` and `arm_ur` with a socket as standard input.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
 use panoscope_arm_core::Chain;
 use panoscope_arm_guard::arm_port::Target;
+use panoscope_arm_guard::check::Check;
 use panoscope_arm_guard::link::Connection;
 use panoscope_arm_guard::server::{self, Options};
 use panoscope_arm_guard::ur::{self, UrConnection};
@@ -16,7 +17,9 @@ const USAGE: &str = "panoscope-arm guards an arm. The nodes `arm_serial` and `ar
 usage: panoscope-arm --port DEVICE --baud BITS_PER_SECOND --answer-ms MS [--arm FILE.urdf] [--latches FOLDER]
        panoscope-arm --ur HOST --home RAD,RAD,RAD,RAD,RAD,RAD --answer-ms MS --arm FILE.urdf [--latches FOLDER]
                      [--rtde-port PORT] [--dashboard-port PORT]
-       standard input must be the socket to the program that steers the arm";
+       standard input must be the socket to the program that steers the arm
+       panoscope-arm --check [FOLDER]
+       tries locked memory, real-time priority and the folder of latched stops, and writes the result";
 
 fn main() -> ExitCode {
     match run(std::env::args().skip(1).collect()) {
@@ -31,6 +34,12 @@ fn main() -> ExitCode {
 /// The second value of an option, or the first error: exit code and message.
 fn run(args: Vec<String>) -> Result<(), (u8, String)> {
     let wrong = |message: String| (2, format!("{message}\n\n{USAGE}"));
+    if let [first, folder @ ..] = args.as_slice()
+        && first == "--check"
+    {
+        let check = Check::run(folder.first().map(Path::new));
+        return check.write(&mut std::io::stdout()).map_err(|error| (1, error.to_string()));
+    }
     let (mut port, mut baud, mut answer_ms, mut arm, mut latches) = (None, None, None, PathBuf::new(), None);
     let (mut host, mut home, mut rtde_port, mut dashboard_port) = (None, None, ur::RTDE_PORT, ur::DASHBOARD_PORT);
     let mut args = args.into_iter();

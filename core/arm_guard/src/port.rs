@@ -118,12 +118,13 @@ impl Port {
     /// The device does not exist, is not permitted, is no terminal, or does not have this speed.
     pub fn open(path: &Path, baud: u32) -> Result<Self, PortError> {
         let flags = (OFlags::NOCTTY | OFlags::NONBLOCK).bits() as i32;
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .custom_flags(flags)
-            .open(path)
-            .map_err(|cause| PortError::Open { path: path.to_owned(), cause })?;
+        let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(path).map_err(|cause| {
+            match cause.kind() {
+                // Held by another program with `TIOCEXCL`.
+                ErrorKind::ResourceBusy => PortError::InUse { path: path.to_owned() },
+                _ => PortError::Open { path: path.to_owned(), cause },
+            }
+        })?;
         let no_line = |cause: rustix::io::Errno| PortError::NoLine { path: path.to_owned(), cause: cause.into() };
         let mut settings = termios::tcgetattr(&file).map_err(no_line)?;
         // One program drives an arm, whatever path it opens: the lock belongs to the device's file, not to its name.

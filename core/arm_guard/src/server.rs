@@ -8,7 +8,9 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use panoscope_arm_core::interlock::Measured;
+use panoscope_arm_core::interlock::caps::STEP_NS;
 use panoscope_arm_core::{Cause, Chain, Interlock, JointVector};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::net::{RecvFlags, SendFlags, recv, send};
 use thiserror::Error;
@@ -35,6 +37,8 @@ const FUTURE_NS: i64 = 1_000_000;
 const CLEAR_WITHIN: Duration = Duration::from_millis(250);
 /// Longest time to brake after the program has ended.
 const LEAVE_WITHIN: Duration = Duration::from_secs(2);
+/// Bits per second from which a line has room for a set-point between two periods.
+const FAST_BAUD: u32 = 230_400;
 
 /// Errors at the start.
 #[derive(Debug, Error)]
@@ -92,6 +96,8 @@ struct Server {
     judged_ns: i64,
     /// The newest `reset`; the first request sets it.
     reset: Option<u64>,
+    /// When the present stop latched, ns: an older reset does not release it.
+    latched_ns: i64,
     last_sent_ns: i64,
     refused: u64,
     has_host: bool,
@@ -118,6 +124,7 @@ impl Server {
             measured,
             judged_ns: i64::MIN,
             reset: None,
+            latched_ns: clock::now_ns(),
             last_sent_ns: i64::MIN,
             refused: 0,
             has_host: true,
@@ -139,32 +146,62 @@ impl Server {
                     return;
                 }
             }
-            next += self.period;
-            let now = Instant::now();
             // Missed periods are skipped, not made up for.
-            next = next.max(now);
-            std::thread::sleep(next - now);
+            next = (next + self.period).max(Instant::now());
+            if self.wait(next) {
+                next = Instant::now();
+            }
         }
+    }
+
+    /// Sleeps until `next`, or until the demand expires or the program ends, so that braking is sent at once. True when it woke early.
+    fn wait(&self, next: Instant) -> bool {
+        let left = next.saturating_duration_since(Instant::now());
+        let mut sleep = left;
+        if matches!(&self.options.target, Target::Serial(line) if line.baud >= FAST_BAUD)
+            && let Some(expires_ns) = self.lock.expires_ns()
+        {
+            // Two steps later the first set-point that brakes exists, wherever the expiry lies between two steps.
+            let until_ns = expires_ns.saturating_add(2 * STEP_NS).saturating_sub(clock::now_ns());
+            sleep = sleep.min(Duration::from_nanos(until_ns.max(STEP_NS).unsigned_abs()));
+        }
+        if !self.has_host {
+            std::thread::sleep(sleep);
+            return sleep < left;
+        }
+        let timeout = Timespec { tv_sec: 0, tv_nsec: sleep.subsec_nanos().into() };
+        let mut host = [PollFd::new(&self.socket, PollFlags::RDHUP)];
+        let has_ended = poll(&mut host, Some(&timeout)).is_ok_and(|count| count > 0);
+        has_ended || sleep < left
+    }
+
+    /// Latches a stop that was found at `at_ns`.
+    fn latch(&mut self, cause: Cause, at_ns: i64) {
+        if self.lock.latched().is_none() {
+            self.latched_ns = at_ns;
+        }
+        self.lock.latch(cause);
     }
 
     fn turn(&mut self) {
         let now_ns = clock::now_ns();
         if let Some(cause) = self.listen(now_ns) {
-            self.lock.latch(cause);
+            self.latch(cause, now_ns);
         }
         self.receive(now_ns);
         // A release takes time.
         let now_ns = clock::now_ns();
         self.lock.advance(now_ns, &mut |_| {});
         let point = *self.lock.set_point();
-        let is_moving = !point.is_at_rest() || self.lock.stop().is_none();
+        // A program that has ended asks for nothing: the arm was left at rest, which is recorded.
+        let is_moving = !point.is_at_rest() || (self.lock.stop().is_none() && self.has_host);
         if let Some(link) = &mut self.link {
             // The last set-point has speed 0: without it the arm's watchdog takes the end of a movement for a failure.
             let sent =
                 if is_moving || self.was_moving { link.set(&point.position, &point.velocity) } else { link.query() };
             if sent.is_err() {
                 self.link = None;
-                self.lock.latch(Cause::Unplugged);
+                self.latch(Cause::Unplugged, now_ns);
             }
         }
         self.was_moving = is_moving;
@@ -224,7 +261,8 @@ impl Server {
             return;
         }
         let mut newest: Option<Request> = None;
-        let mut is_reset = false;
+        // When the newest reset was made that no emergency stop followed.
+        let mut reset_ns = None;
         let mut buffer = [0; LONGEST];
         for _ in 0..REQUESTS_PER_TURN {
             match recv(self.socket.as_fd(), &mut buffer, RecvFlags::DONTWAIT) {
@@ -235,9 +273,12 @@ impl Server {
                 Ok((_, length)) => match Request::decode(&buffer[..length.min(LONGEST)]) {
                     Some(request) if self.is_in_order(&request, now_ns) => {
                         self.last_sent_ns = request.sent_ns;
-                        is_reset |= self.reset.replace(request.reset).is_some_and(|old| old != request.reset);
+                        if self.reset.replace(request.reset).is_some_and(|old| old != request.reset) {
+                            reset_ns = Some(request.sent_ns);
+                        }
                         if request.emergency_stop {
-                            self.lock.latch(Cause::EmergencyStop);
+                            self.latch(Cause::EmergencyStop, request.sent_ns);
+                            reset_ns = None;
                         }
                         newest = Some(request);
                     }
@@ -251,7 +292,7 @@ impl Server {
             }
         }
         if let Some(request) = newest {
-            self.apply(&request, is_reset);
+            self.apply(&request, reset_ns.is_some_and(|at_ns| at_ns > self.latched_ns));
         }
     }
 
@@ -263,14 +304,14 @@ impl Server {
     fn host_has_ended(&mut self) {
         self.has_host = false;
         if !self.lock.set_point().is_at_rest() {
-            self.lock.latch(Cause::HostGone);
+            self.latch(Cause::HostGone, clock::now_ns());
         }
         self.lock.demand(clock::now_ns(), JointVector::zeros().as_slice());
     }
 
     fn apply(&mut self, request: &Request, is_reset: bool) {
         self.lock.set(request.settings);
-        if is_reset && !request.emergency_stop {
+        if is_reset {
             self.release();
         }
         if let Some((light_ns, evidence)) = request.tip {

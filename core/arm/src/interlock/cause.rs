@@ -49,7 +49,7 @@ pub enum Cause {
     HardwareFault,
     /// The program that steers the arm has ended; latches.
     HostGone,
-    /// The process that guards the arm has ended; latches.
+    /// The process that guards the arm has ended or does not report; latches.
     GuardGone,
     /// The arm moves faster than the limits allow, by its encoders; latches.
     MeasuredSpeed,
@@ -165,7 +165,7 @@ impl Cause {
             Self::HardwareStop => "the hardware stop is pressed",
             Self::HardwareFault => "the arm's hardware reports a fault",
             Self::HostGone => "the program that steers the arm has ended",
-            Self::GuardGone => "the process that guards the arm has ended",
+            Self::GuardGone => "the process that guards the arm has ended or does not report",
             Self::MeasuredSpeed => "the arm moves faster than its limits, by its encoders",
             Self::MeasuredWorkspace => "the arm is outside its workspace, by its encoders",
             Self::ProtectiveStop => "the robot made a protective stop",
