@@ -117,12 +117,12 @@ fn nothing_is_allocated_while_the_arm_moves() {
     let mut newest: Option<Box<Status>> = None;
     // Time in which the arm followed, and the count at its start; a stop latches and is released with allocations, at rest.
     let (mut watched, mut since): (Duration, Option<(Instant, u64)>) = (Duration::ZERO, None);
+    // When the count was read, and what it was.
+    let mut sample: Option<(i64, u64)> = None;
     let (start, mut released, mut refused) = (Instant::now(), Instant::now(), 0);
     while watched < TRAFFIC {
         assert!(start.elapsed() < LIMIT, "the arm moved for {watched:?} only: {newest:?}");
         send_requests(&ours, &mut random, reset, &mut buffer);
-        // Read before the state: whatever it includes happened before.
-        let count = COUNT.load(Ordering::SeqCst);
         while let Ok((_, length)) = recv(&ours, &mut buffer, RecvFlags::DONTWAIT) {
             match Report::decode(&buffer[..length]) {
                 Some(Report::Status(status)) => newest = Some(status),
@@ -133,14 +133,18 @@ fn nothing_is_allocated_while_the_arm_moves() {
         let Some(status) = &newest else { continue };
         refused = status.refused;
         if status.latched {
-            since = None;
+            (since, sample) = (None, None);
             if released.elapsed() > Duration::from_millis(1500) {
                 (reset, released) = (reset + 1, Instant::now());
             }
         } else if let Some((at, from)) = since {
-            assert_eq!(count - from, 0, "allocations in {:?}", at.elapsed());
-            watched += at.elapsed();
-            since = Some((Instant::now(), count));
+            // Judged by a later state: when that is not latched, nothing latched before the sample, at rest and with allocations.
+            if let Some((sampled_ns, count)) = sample.filter(|(sampled_ns, _)| status.at_ns > *sampled_ns) {
+                assert_eq!(count - from, 0, "allocations in {:?} before {sampled_ns} ns", at.elapsed());
+                watched += at.elapsed();
+                (since, sample) = (Some((Instant::now(), count)), None);
+            }
+            sample = sample.or_else(|| Some((clock::now_ns(), COUNT.load(Ordering::SeqCst))));
         } else {
             since = Some((Instant::now(), COUNT.load(Ordering::SeqCst)));
         }
