@@ -201,6 +201,22 @@ const CASES: &[Case] = &[
         outputs: &["joints"],
         found: (WARNING, PARAM, "\"/dev/ttyNONE9\"", "there is no serial line /dev/ttyNONE9"),
     },
+    Case {
+        name: "a robot without a description",
+        node: "type = \"arm_ur\"\nparams = { arm = \"\" }\ninputs = { tip = \"scope.tip\" }",
+        outputs: &["joints"],
+        found: (ERROR, PARAM, "\"\"", "the robot has no description"),
+    },
+    Case {
+        name: "a robot whose home is not six angles",
+        node: concat!(
+            "type = \"arm_ur\"\nparams = { home_deg = \"0, 90\", arm = \"",
+            env!("CARGO_MANIFEST_DIR"),
+            "/../core/arm/description/panoscope_arm6.urdf\" }\ninputs = { tip = \"scope.tip\" }"
+        ),
+        outputs: &["joints"],
+        found: (ERROR, PARAM, "\"0, 90\"", "is not 6 angles"),
+    },
     // --- phantom
     Case {
         name: "an instrument that does not exist",

@@ -232,10 +232,12 @@ fn vector(words: &mut std::str::Split<'_, char>) -> Option<JointVector> {
 fn is_version_1(bytes: &[u8]) -> bool {
     let bytes = bytes.strip_suffix(b"\r").unwrap_or(bytes);
     let Some((body, tail)) = bytes.len().checked_sub(3).map(|at| bytes.split_at(at)) else { return false };
-    let sum = body.iter().fold(0, |sum, byte| sum ^ byte);
+    let sum = body.iter().fold(0_u8, |sum, byte| sum ^ byte);
+    // Compared digit by digit: damaged lines arrive while the arm moves, where nothing may be allocated.
+    let digit = |value: u8| b"0123456789ABCDEF"[usize::from(value & 15)];
     body.starts_with(b"A ")
         && body.iter().filter(|byte| **byte == b' ').count() == JOINTS + 2
-        && tail == format!("*{sum:02X}").as_bytes()
+        && tail == [b'*', digit(sum >> 4), digit(sum)]
 }
 
 /// The question of version 1 that moves nothing, to find out why an arm does not answer.
@@ -360,6 +362,7 @@ mod tests {
                 undetected += 1;
             }
         }
+        println!("undetected_line_errors {undetected} of {} damaged lines", cases - unchanged);
         assert_eq!(undetected, 0, "of {} damaged lines", cases - unchanged);
         assert!(unchanged < cases / 20);
     }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use panoscope_arm_core::Cause;
 use panoscope_arm_core::interlock::Event;
 use panoscope_arm_core::line::Serial;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -16,7 +17,8 @@ use rustix::net::{
 };
 use thiserror::Error;
 
-use crate::link::Connection;
+use crate::arm_port::Target;
+use crate::clock;
 use crate::message::{LONGEST, Report, Request, Status};
 
 /// Name of the guard's program.
@@ -25,6 +27,8 @@ pub const PROGRAM: &str = "panoscope-arm";
 pub const PROGRAM_VARIABLE: &str = "PANOSCOPE_ARM";
 /// Time limit of the guard's start.
 const START_WITHIN: Duration = Duration::from_secs(5);
+/// Time without a report of a guard that last followed, after which it counts as gone, ns. It reports every 10 ms.
+const SILENT_NS: i64 = 250_000_000;
 /// Time limit of its end: it brakes the arm first.
 const END_WITHIN: Duration = Duration::from_secs(3);
 
@@ -69,7 +73,10 @@ pub fn inherited_socket() -> Result<OwnedFd, GuardError> {
 }
 
 /// The program: [`PROGRAM_VARIABLE`], else beside the running program or one folder above it.
-fn program() -> Result<PathBuf, GuardError> {
+///
+/// # Errors
+/// It is not there.
+pub fn program() -> Result<PathBuf, GuardError> {
     if let Some(path) = std::env::var_os(PROGRAM_VARIABLE).filter(|value| !value.is_empty()) {
         return Ok(path.into());
     }
@@ -97,14 +104,13 @@ impl Guard {
     ///
     /// # Errors
     /// The guard is not installed, or does not find the arm: the error gives its reason.
-    pub fn start(connection: &Connection, urdf: &Path, latches: Option<&Path>) -> Result<Self, GuardError> {
+    pub fn start(target: impl Into<Target>, urdf: &Path, latches: Option<&Path>) -> Result<Self, GuardError> {
         let path = program()?;
         let failed = |cause: io::Error| GuardError::Start { path: path.clone(), cause };
         let (ours, theirs) = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)
             .map_err(|error| failed(error.into()))?;
         let mut command = Command::new(&path);
-        command.arg("--port").arg(&connection.path).arg("--baud").arg(connection.baud.to_string());
-        command.arg("--answer-ms").arg(connection.answer_within.as_millis().to_string());
+        command.args(target.into().arguments());
         if !urdf.as_os_str().is_empty() {
             command.arg("--arm").arg(urdf);
         }
@@ -194,16 +200,27 @@ impl Guard {
         }
     }
 
-    /// The newest state. Calls `event` once for each new event. `None` when the guard has ended.
+    /// The newest state. Calls `event` once for each new event. `None` when the guard has ended. A guard that hangs or was stopped while it
+    /// followed does not report: the arm's own watchdog holds the arm then, and the state is [`Cause::GuardGone`].
     pub fn status(&mut self, mut event: impl FnMut(Event)) -> Option<Status> {
+        let mut has_reported = false;
         while let Some(report) = self.receive() {
+            has_reported = true;
             match report {
                 Report::Status(status) => self.status = *status,
                 Report::Event(next) => event(next),
                 Report::Ready { .. } | Report::Failed(_) => {}
             }
         }
-        (!self.has_ended).then_some(self.status)
+        if self.has_ended {
+            return None;
+        }
+        // A release takes time, but the guard is stopped then. Old records that waited here are followed by new ones.
+        let is_old = clock::now_ns().saturating_sub(self.status.at_ns) > SILENT_NS;
+        if is_old && !has_reported && self.status.stop.is_none() {
+            return Some(Status { stop: Some(Cause::GuardGone), latched: true, ..self.status });
+        }
+        Some(self.status)
     }
 
     /// The newest state that was received, also after the guard's end.

@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use panoscope_arm_core::JointVector;
-use panoscope_arm_core::line::{DeviceState, HELLO_VERSION_1, Line, Reader, Received, SEQ_END, Serial, VERSION};
+use panoscope_arm_core::line::{DeviceState, HELLO_VERSION_1, Line, Reader, Received, SEQ_END, VERSION};
+use panoscope_arm_core::{Cause, JointVector};
 
+use crate::arm_port::{Answer, ArmPort, Identity};
 use crate::clock;
 use crate::port::{Port, PortError};
 
@@ -29,15 +30,6 @@ pub struct Connection {
     pub answer_within: Duration,
 }
 
-/// What the arm reports about itself.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Identity {
-    /// Serial number.
-    pub serial: Serial,
-    /// Time limit of the arm's own watchdog, ms.
-    pub watchdog_ms: u32,
-}
-
 /// A line that was sent and not answered yet.
 #[derive(Clone, Copy, Default)]
 struct Sent {
@@ -54,14 +46,7 @@ pub struct ArmLink {
     sent: [Sent; OUTSTANDING],
     identity: Option<Identity>,
     other_version: Option<u32>,
-    /// Encoder angles of the newest answer, rad.
-    pub encoders: JointVector,
-    /// State in the newest answer.
-    pub state: DeviceState,
-    /// When the line was sent that the newest answer belongs to, ns: an answer that was held up on its way counts as old as its question.
-    pub answered_ns: i64,
-    /// Damaged lines, and answers to no question, since the last valid answer.
-    pub damaged: u32,
+    answer: Answer,
     out: Vec<u8>,
 }
 
@@ -78,10 +63,7 @@ impl ArmLink {
             sent: [Sent::default(); OUTSTANDING],
             identity: None,
             other_version: None,
-            encoders: JointVector::zeros(),
-            state: DeviceState::Ready,
-            answered_ns: i64::MIN,
-            damaged: 0,
+            answer: Answer::default(),
             out: Vec::with_capacity(256),
         };
         let identity = link.handshake(&connection.path)?;
@@ -105,21 +87,18 @@ impl ArmLink {
                 return Err(PortError::OtherProtocol { path: path.to_owned(), theirs, ours: VERSION });
             }
             if let Some(identity) = self.identity
-                && self.answered_ns >= start_ns
+                && self.answer.answered_ns >= start_ns
             {
-                self.damaged = 0;
+                self.answer.damaged = 0;
                 return Ok(identity);
             }
-            garbage = self.damaged;
+            garbage = self.answer.damaged;
         }
         Err(PortError::NoArm { path: path.to_owned(), wait_ms: FIRST_ANSWER.as_millis(), garbage })
     }
 
     /// Sends a line under the next number.
-    ///
-    /// # Errors
-    /// The connection was lost.
-    pub fn send(&mut self, line: impl FnOnce(u32) -> Line) -> Result<(), PortError> {
+    fn send(&mut self, line: impl FnOnce(u32) -> Line) -> Result<(), PortError> {
         self.seq = (self.seq + 1) % SEQ_END;
         self.sent[self.seq as usize % OUTSTANDING] = Sent { seq: self.seq, at_ns: clock::now_ns(), is_open: true };
         self.out.clear();
@@ -127,11 +106,60 @@ impl ArmLink {
         self.port.write(&self.out)
     }
 
-    /// Reads all answers that have arrived.
-    ///
-    /// # Errors
-    /// The connection was lost.
-    pub fn listen(&mut self) -> Result<(), PortError> {
+    fn receive(&mut self, received: Received) {
+        match received {
+            Received::Line(Line::Answer { seq, state, position }) => {
+                let Some(at_ns) = self.close(seq) else {
+                    return self.answer.damaged = self.answer.damaged.saturating_add(1);
+                };
+                // An answer that was overtaken says nothing new.
+                if at_ns >= self.answer.answered_ns {
+                    self.answer = Answer {
+                        encoders: position,
+                        stop: stop_of(state),
+                        answered_ns: at_ns,
+                        measured_ns: at_ns,
+                        damaged: 0,
+                    };
+                }
+            }
+            Received::Line(Line::Identity { seq, version, serial, watchdog_ms }) => {
+                if self.close(seq).is_none() {
+                    self.answer.damaged = self.answer.damaged.saturating_add(1);
+                } else if version == VERSION {
+                    self.identity = Some(Identity { serial, watchdog_ms });
+                } else {
+                    self.other_version = Some(version);
+                }
+            }
+            Received::OlderProtocol => self.other_version = Some(1),
+            Received::Line(_) | Received::Damaged => self.answer.damaged = self.answer.damaged.saturating_add(1),
+        }
+    }
+
+    /// Closes the line `seq`; returns when it was sent, `None` for a number that no open line has.
+    fn close(&mut self, seq: u32) -> Option<i64> {
+        let sent = &mut self.sent[seq as usize % OUTSTANDING];
+        if sent.seq != seq || !sent.is_open {
+            return None;
+        }
+        sent.is_open = false;
+        Some(sent.at_ns)
+    }
+}
+
+/// Why an arm in this state does not follow.
+fn stop_of(state: DeviceState) -> Option<Cause> {
+    match state {
+        DeviceState::Ready => None,
+        DeviceState::Watchdog => Some(Cause::DeviceStopped),
+        DeviceState::HardwareStop => Some(Cause::HardwareStop),
+        DeviceState::Fault => Some(Cause::HardwareFault),
+    }
+}
+
+impl ArmPort for ArmLink {
+    fn listen(&mut self) -> Result<(), PortError> {
         let mut buffer = [0; 512];
         // Bounded, so that a device that sends without pause cannot hold this thread.
         for _ in 0..16 {
@@ -146,41 +174,31 @@ impl ArmLink {
         Ok(())
     }
 
-    fn receive(&mut self, received: Received) {
-        match received {
-            Received::Line(Line::Answer { seq, state, position }) => {
-                let Some(at_ns) = self.close(seq) else { return self.damaged = self.damaged.saturating_add(1) };
-                // An answer that was overtaken says nothing new.
-                if at_ns >= self.answered_ns {
-                    (self.encoders, self.state, self.answered_ns, self.damaged) = (position, state, at_ns, 0);
-                }
-            }
-            Received::Line(Line::Identity { seq, version, serial, watchdog_ms }) => {
-                if self.close(seq).is_none() {
-                    self.damaged = self.damaged.saturating_add(1);
-                } else if version == VERSION {
-                    self.identity = Some(Identity { serial, watchdog_ms });
-                } else {
-                    self.other_version = Some(version);
-                }
-            }
-            Received::OlderProtocol => self.other_version = Some(1),
-            Received::Line(_) | Received::Damaged => self.damaged = self.damaged.saturating_add(1),
-        }
+    fn query(&mut self) -> Result<(), PortError> {
+        self.send(|seq| Line::Query { seq })
     }
 
-    /// Closes the line `seq`; returns when it was sent, `None` for a number that no open line has.
-    fn close(&mut self, seq: u32) -> Option<i64> {
-        let sent = &mut self.sent[seq as usize % OUTSTANDING];
-        if sent.seq != seq || !sent.is_open {
-            return None;
-        }
-        sent.is_open = false;
-        Some(sent.at_ns)
+    fn set(&mut self, position: &JointVector, velocity: &JointVector) -> Result<(), PortError> {
+        self.send(|seq| Line::Set { seq, position: *position, velocity: *velocity })
     }
 
-    /// The arm's identity as it was last reported.
-    pub fn identity(&self) -> Option<Identity> {
+    fn clear(&mut self) -> Result<(), PortError> {
+        self.send(|seq| Line::Clear { seq })
+    }
+
+    fn answer(&self) -> &Answer {
+        &self.answer
+    }
+
+    fn forgive(&mut self) {
+        self.answer.damaged = 0;
+    }
+
+    fn identity(&self) -> Option<Identity> {
         self.identity
+    }
+
+    fn period(&self) -> Duration {
+        PERIOD
     }
 }

@@ -1,15 +1,16 @@
-//! A serial line that is read without waiting.
+//! A serial line that is read without waiting, and the errors of all connections to arms.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
+use panoscope_arm_core::Cause;
 use rustix::fs::{FlockOperation, OFlags};
 use rustix::termios::{self, OptionalActions};
 use thiserror::Error;
 
-/// Errors of a serial line.
+/// Errors of a connection to an arm.
 #[derive(Debug, Error)]
 pub enum PortError {
     /// The device cannot be opened.
@@ -55,8 +56,53 @@ pub enum PortError {
         garbage: u32,
     },
     /// The connection was lost.
-    #[error("the serial line was lost: {0}")]
+    #[error("the connection to the arm was lost: {0}")]
     Gone(std::io::Error),
+    /// Nothing answers at a network address.
+    #[error("{place} cannot be reached: {cause}; is the robot switched on and connected, and is this its address?")]
+    NotReached {
+        /// Host and port.
+        place: String,
+        /// The system's error.
+        cause: std::io::Error,
+    },
+    /// The robot's controller does not do what the protocol needs.
+    #[error("{place}: {what}; {advice}")]
+    Unsuitable {
+        /// Host and port.
+        place: String,
+        /// What it does not do.
+        what: String,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// The robot cannot follow set-points now.
+    #[error("{place}: {cause}; {advice}")]
+    NotReady {
+        /// Host and port.
+        place: String,
+        /// Why.
+        cause: Cause,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// What arrives is no package of the protocol.
+    #[error("what {place} sends cannot be read; is this the robot's RTDE port?")]
+    Unreadable {
+        /// Host and port.
+        place: String,
+    },
+}
+
+impl PortError {
+    /// Why an arm stops when its connection fails in this way.
+    pub fn cause(&self) -> Cause {
+        match self {
+            Self::NotReady { cause, .. } => *cause,
+            Self::Unreadable { .. } => Cause::Garbage,
+            _ => Cause::Unplugged,
+        }
+    }
 }
 
 /// An open serial line.
@@ -72,12 +118,13 @@ impl Port {
     /// The device does not exist, is not permitted, is no terminal, or does not have this speed.
     pub fn open(path: &Path, baud: u32) -> Result<Self, PortError> {
         let flags = (OFlags::NOCTTY | OFlags::NONBLOCK).bits() as i32;
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .custom_flags(flags)
-            .open(path)
-            .map_err(|cause| PortError::Open { path: path.to_owned(), cause })?;
+        let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(path).map_err(|cause| {
+            match cause.kind() {
+                // Held by another program with `TIOCEXCL`.
+                ErrorKind::ResourceBusy => PortError::InUse { path: path.to_owned() },
+                _ => PortError::Open { path: path.to_owned(), cause },
+            }
+        })?;
         let no_line = |cause: rustix::io::Errno| PortError::NoLine { path: path.to_owned(), cause: cause.into() };
         let mut settings = termios::tcgetattr(&file).map_err(no_line)?;
         // One program drives an arm, whatever path it opens: the lock belongs to the device's file, not to its name.

@@ -1,7 +1,9 @@
 //! Locked memory and real-time priority, where the system allows them.
 
 /// Priority of the loop: above the threads of the program.
-const PRIORITY: i32 = 60;
+pub const PRIORITY: i32 = 60;
+/// Locked memory that the guard needs at most, KiB.
+pub const MEMORY_KIB: u64 = 65_536;
 
 /// What the system granted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,6 +1,6 @@
-//! The loop of the guard. It owns the line, the interlock and the latches, and continues when the program does not.
+//! The loop of the guard. It owns the connection to the arm, the interlock and the latches, and continues when the program does not.
 //!
-//! Every 10 ms it reads the arm's answers and the program's requests, advances the interlock to the present, and sends a set-point while anything
+//! Every few milliseconds ([`ArmPort::period`]) it reads the arm's answers and the program's requests, advances the interlock to the present, and sends a set-point while anything
 //! moves. Nothing is allocated and no file is written while the arm moves.
 
 use std::os::fd::{AsFd, OwnedFd};
@@ -8,15 +8,16 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use panoscope_arm_core::interlock::Measured;
-use panoscope_arm_core::line::{DeviceState, Line};
+use panoscope_arm_core::interlock::caps::STEP_NS;
 use panoscope_arm_core::{Cause, Chain, Interlock, JointVector};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::net::{RecvFlags, SendFlags, recv, send};
 use thiserror::Error;
 
+use crate::arm_port::{ArmPort, Identity, Target};
 use crate::clock;
 use crate::latch::{LatchError, LatchStore, Record};
-use crate::link::{ArmLink, Connection, Identity, PERIOD};
 use crate::message::{LONGEST, Report, Request, Status};
 use crate::port::PortError;
 use crate::realtime;
@@ -28,17 +29,21 @@ const LAG_S: f64 = 0.15;
 const LAG_RAD: f64 = 0.02;
 /// Requests that are read in one turn: a flood cannot hold the loop.
 const REQUESTS_PER_TURN: u32 = 256;
+/// Shortest time between two encoder angles that are judged, ns.
+const MEASURED_STEP_NS: i64 = 5_000_000;
 /// How far in the future a stamp may lie, ns.
 const FUTURE_NS: i64 = 1_000_000;
-/// Time limit of the arm's answer to `C`.
+/// Time limit in which the arm clears its own stop.
 const CLEAR_WITHIN: Duration = Duration::from_millis(250);
 /// Longest time to brake after the program has ended.
 const LEAVE_WITHIN: Duration = Duration::from_secs(2);
+/// Bits per second from which a line has room for a set-point between two periods.
+const FAST_BAUD: u32 = 230_400;
 
 /// Errors at the start.
 #[derive(Debug, Error)]
 pub enum ServeError {
-    /// The line cannot be used.
+    /// The arm cannot be reached.
     #[error(transparent)]
     Port(#[from] PortError),
     /// Latched stops cannot be kept.
@@ -52,7 +57,7 @@ pub enum ServeError {
 /// What the guard is started with.
 pub struct Options {
     /// How to reach the arm.
-    pub connection: Connection,
+    pub target: Target,
     /// The arm.
     pub chain: Chain,
     /// Folder of the latches.
@@ -80,13 +85,19 @@ pub fn serve(socket: OwnedFd, options: Options) -> Result<(), ServeError> {
 struct Server {
     socket: OwnedFd,
     options: Options,
-    link: Option<ArmLink>,
+    link: Option<Box<dyn ArmPort>>,
+    /// Time between two turns.
+    period: Duration,
     identity: Identity,
     latches: LatchStore,
     lock: Interlock,
     measured: Measured,
+    /// Time of the newest encoder angles that were judged, ns.
+    judged_ns: i64,
     /// The newest `reset`; the first request sets it.
     reset: Option<u64>,
+    /// When the present stop latched, ns: an older reset does not release it.
+    latched_ns: i64,
     last_sent_ns: i64,
     refused: u64,
     has_host: bool,
@@ -96,21 +107,24 @@ struct Server {
 
 impl Server {
     fn start(socket: OwnedFd, options: Options) -> Result<Self, ServeError> {
-        let (link, identity) = ArmLink::open(&options.connection)?;
+        let (link, identity) = options.target.open()?;
         let (latches, stop) = LatchStore::open(&options.latches, &identity.serial)?;
-        let mut lock = Interlock::new(options.chain.clone(), link.encoders, clock::now_ns());
+        let mut lock = Interlock::new(options.chain.clone(), link.answer().encoders, clock::now_ns());
         lock.latch(stop.unwrap_or(Cause::AwaitsOperator));
         let measured = Measured::new(&options.chain);
         let granted = realtime::request();
         let server = Self {
             socket,
             options,
+            period: link.period(),
             link: Some(link),
             identity,
             latches,
             lock,
             measured,
+            judged_ns: i64::MIN,
             reset: None,
+            latched_ns: clock::now_ns(),
             last_sent_ns: i64::MIN,
             refused: 0,
             has_host: true,
@@ -132,35 +146,62 @@ impl Server {
                     return;
                 }
             }
-            next += PERIOD;
-            let now = Instant::now();
             // Missed periods are skipped, not made up for.
-            next = next.max(now);
-            std::thread::sleep(next - now);
+            next = (next + self.period).max(Instant::now());
+            if self.wait(next) {
+                next = Instant::now();
+            }
         }
+    }
+
+    /// Sleeps until `next`, or until the demand expires or the program ends, so that braking is sent at once. True when it woke early.
+    fn wait(&self, next: Instant) -> bool {
+        let left = next.saturating_duration_since(Instant::now());
+        let mut sleep = left;
+        if matches!(&self.options.target, Target::Serial(line) if line.baud >= FAST_BAUD)
+            && let Some(expires_ns) = self.lock.expires_ns()
+        {
+            // Two steps later the first set-point that brakes exists, wherever the expiry lies between two steps.
+            let until_ns = expires_ns.saturating_add(2 * STEP_NS).saturating_sub(clock::now_ns());
+            sleep = sleep.min(Duration::from_nanos(until_ns.max(STEP_NS).unsigned_abs()));
+        }
+        if !self.has_host {
+            std::thread::sleep(sleep);
+            return sleep < left;
+        }
+        let timeout = Timespec { tv_sec: 0, tv_nsec: sleep.subsec_nanos().into() };
+        let mut host = [PollFd::new(&self.socket, PollFlags::RDHUP)];
+        let has_ended = poll(&mut host, Some(&timeout)).is_ok_and(|count| count > 0);
+        has_ended || sleep < left
+    }
+
+    /// Latches a stop that was found at `at_ns`.
+    fn latch(&mut self, cause: Cause, at_ns: i64) {
+        if self.lock.latched().is_none() {
+            self.latched_ns = at_ns;
+        }
+        self.lock.latch(cause);
     }
 
     fn turn(&mut self) {
         let now_ns = clock::now_ns();
         if let Some(cause) = self.listen(now_ns) {
-            self.lock.latch(cause);
+            self.latch(cause, now_ns);
         }
         self.receive(now_ns);
         // A release takes time.
         let now_ns = clock::now_ns();
         self.lock.advance(now_ns, &mut |_| {});
         let point = *self.lock.set_point();
-        let is_moving = !point.is_at_rest() || self.lock.stop().is_none();
+        // A program that has ended asks for nothing: the arm was left at rest, which is recorded.
+        let is_moving = !point.is_at_rest() || (self.lock.stop().is_none() && self.has_host);
         if let Some(link) = &mut self.link {
             // The last set-point has speed 0: without it the arm's watchdog takes the end of a movement for a failure.
-            let sent = if is_moving || self.was_moving {
-                link.send(|seq| Line::Set { seq, position: point.position, velocity: point.velocity })
-            } else {
-                link.send(|seq| Line::Query { seq })
-            };
+            let sent =
+                if is_moving || self.was_moving { link.set(&point.position, &point.velocity) } else { link.query() };
             if sent.is_err() {
                 self.link = None;
-                self.lock.latch(Cause::Unplugged);
+                self.latch(Cause::Unplugged, now_ns);
             }
         }
         self.was_moving = is_moving;
@@ -186,29 +227,31 @@ impl Server {
     /// Reads the arm's answers. Returns a cause to stop when they are missing, wrong, or beyond a limit.
     fn listen(&mut self, now_ns: i64) -> Option<Cause> {
         let link = self.link.as_mut()?;
-        if link.listen().is_err() {
+        if let Err(error) = link.listen() {
             self.link = None;
-            return Some(Cause::Unplugged);
+            return Some(error.cause());
         }
-        if link.damaged > NOISE_LINES || link.identity().is_some_and(|identity| identity != self.identity) {
-            link.damaged = 0;
+        if link.answer().damaged > NOISE_LINES || link.identity().is_some_and(|identity| identity != self.identity) {
+            link.forgive();
             return Some(Cause::Garbage);
         }
-        let limit_ns = (self.options.connection.answer_within + PERIOD).as_nanos() as i64;
-        if now_ns.saturating_sub(link.answered_ns) > limit_ns {
-            return Some(Cause::Stalled);
+        let answer = *link.answer();
+        let limit_ns = (self.options.target.answer_within() + self.period).as_nanos() as i64;
+        if now_ns.saturating_sub(answer.answered_ns) > limit_ns {
+            // The arm's own reason says more.
+            return Some(answer.stop.unwrap_or(Cause::Stalled));
         }
-        match link.state {
-            DeviceState::Ready => {}
-            DeviceState::Watchdog => return Some(Cause::DeviceStopped),
-            DeviceState::HardwareStop => return Some(Cause::HardwareStop),
-            DeviceState::Fault => return Some(Cause::HardwareFault),
+        if answer.stop.is_some() {
+            return answer.stop;
         }
-        if let Some(cause) = self.measured.check(&self.options.chain, link.answered_ns, &link.encoders) {
-            return Some(cause);
+        if answer.measured_ns.saturating_sub(self.judged_ns) >= MEASURED_STEP_NS {
+            self.judged_ns = answer.measured_ns;
+            if let Some(cause) = self.measured.check(&self.options.chain, answer.measured_ns, &answer.encoders) {
+                return Some(cause);
+            }
         }
         let point = self.lock.set_point();
-        let off = (link.encoders - point.position).amax();
+        let off = (answer.encoders - point.position).amax();
         (off > LAG_RAD + LAG_S * point.velocity.amax().max(0.1)).then_some(Cause::NotFollowing)
     }
 
@@ -218,7 +261,8 @@ impl Server {
             return;
         }
         let mut newest: Option<Request> = None;
-        let mut is_reset = false;
+        // When the newest reset was made that no emergency stop followed.
+        let mut reset_ns = None;
         let mut buffer = [0; LONGEST];
         for _ in 0..REQUESTS_PER_TURN {
             match recv(self.socket.as_fd(), &mut buffer, RecvFlags::DONTWAIT) {
@@ -229,9 +273,12 @@ impl Server {
                 Ok((_, length)) => match Request::decode(&buffer[..length.min(LONGEST)]) {
                     Some(request) if self.is_in_order(&request, now_ns) => {
                         self.last_sent_ns = request.sent_ns;
-                        is_reset |= self.reset.replace(request.reset).is_some_and(|old| old != request.reset);
+                        if self.reset.replace(request.reset).is_some_and(|old| old != request.reset) {
+                            reset_ns = Some(request.sent_ns);
+                        }
                         if request.emergency_stop {
-                            self.lock.latch(Cause::EmergencyStop);
+                            self.latch(Cause::EmergencyStop, request.sent_ns);
+                            reset_ns = None;
                         }
                         newest = Some(request);
                     }
@@ -245,7 +292,7 @@ impl Server {
             }
         }
         if let Some(request) = newest {
-            self.apply(&request, is_reset);
+            self.apply(&request, reset_ns.is_some_and(|at_ns| at_ns > self.latched_ns));
         }
     }
 
@@ -257,14 +304,14 @@ impl Server {
     fn host_has_ended(&mut self) {
         self.has_host = false;
         if !self.lock.set_point().is_at_rest() {
-            self.lock.latch(Cause::HostGone);
+            self.latch(Cause::HostGone, clock::now_ns());
         }
         self.lock.demand(clock::now_ns(), JointVector::zeros().as_slice());
     }
 
     fn apply(&mut self, request: &Request, is_reset: bool) {
         self.lock.set(request.settings);
-        if is_reset && !request.emergency_stop {
+        if is_reset {
             self.release();
         }
         if let Some((light_ns, evidence)) = request.tip {
@@ -294,7 +341,7 @@ impl Server {
 
     fn try_release(&mut self) -> Result<(), Cause> {
         if self.link.is_none() {
-            let (link, identity) = ArmLink::open(&self.options.connection).map_err(|_| Cause::Unplugged)?;
+            let (link, identity) = self.options.target.open().map_err(|error| error.cause())?;
             if identity.serial != self.identity.serial {
                 // Another arm has other latches: it needs a guard of its own.
                 return Err(Cause::Garbage);
@@ -302,31 +349,28 @@ impl Server {
             self.link = Some(link);
         }
         let Some(link) = &mut self.link else { return Err(Cause::Unplugged) };
-        link.damaged = 0;
+        link.forgive();
         let start_ns = clock::now_ns();
         let start = Instant::now();
-        let lost = |_| Cause::Unplugged;
-        link.send(|seq| Line::Clear { seq }).map_err(lost)?;
-        while link.answered_ns < start_ns || link.state != DeviceState::Ready {
+        let lost = |error: PortError| error.cause();
+        link.clear().map_err(lost)?;
+        while link.answer().answered_ns < start_ns || link.answer().stop.is_some() {
             if start.elapsed() > CLEAR_WITHIN {
-                return Err(match link.state {
-                    DeviceState::HardwareStop => Cause::HardwareStop,
-                    DeviceState::Fault => Cause::HardwareFault,
-                    DeviceState::Watchdog => Cause::DeviceStopped,
-                    DeviceState::Ready => Cause::Stalled,
-                });
+                return Err(link.answer().stop.unwrap_or(Cause::Stalled));
             }
-            std::thread::sleep(PERIOD);
+            std::thread::sleep(self.period);
             link.listen().map_err(lost)?;
-            link.send(|seq| Line::Query { seq }).map_err(lost)?;
+            link.query().map_err(lost)?;
         }
+        let answer = *link.answer();
         self.measured.restart();
-        if let Some(cause) = self.measured.check(&self.options.chain, link.answered_ns, &link.encoders) {
+        self.judged_ns = answer.measured_ns;
+        if let Some(cause) = self.measured.check(&self.options.chain, answer.measured_ns, &answer.encoders) {
             return Err(cause);
         }
         self.latches.write(Record::Released).map_err(|_| Cause::CannotRecord)?;
         let stops = self.lock.stops();
-        let mut lock = Interlock::new(self.options.chain.clone(), link.encoders, clock::now_ns());
+        let mut lock = Interlock::new(self.options.chain.clone(), answer.encoders, clock::now_ns());
         lock.count_stops_from(stops);
         self.lock = lock;
         Ok(())
@@ -335,8 +379,10 @@ impl Server {
     fn publish(&mut self, now_ns: i64) {
         let tube = self.lock.tube();
         let point = *self.lock.set_point();
-        let (encoders, answered_ns) =
-            self.link.as_ref().map_or((point.position, now_ns), |link| (link.encoders, link.answered_ns));
+        let (encoders, answered_ns) = self
+            .link
+            .as_ref()
+            .map_or((point.position, now_ns), |link| (link.answer().encoders, link.answer().answered_ns));
         let status = Status {
             at_ns: now_ns,
             encoders,

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use panoscope_arm_core::interlock::{Event, Evidence, Settings};
-use panoscope_arm_core::{Cause, JointVector};
+use panoscope_arm_core::interlock::{Brake, Caps, Event, Evidence, Settings, caps};
+use panoscope_arm_core::{Cause, Chain, JointVector, SetPoint};
 use panoscope_arm_guard::client::{Guard, GuardError};
 use panoscope_arm_guard::clock;
 use panoscope_arm_guard::link::Connection;
@@ -148,6 +148,161 @@ fn an_arm_stops_when_requests_stop() {
     assert!(!status.latched, "requests that go on move the arm again");
 }
 
+/// The angle of the last joint at which the arm rests when requests stop at `sent_ns`: it goes on for 30 ms, then brakes. From a state of steady speed.
+fn rests_at(status: &Status, sent_ns: i64) -> f64 {
+    let chain = Chain::shipped().expect("the shipped arm");
+    let (position, velocity) = status.set_point;
+    let left_s = (sent_ns + caps::DEMAND_AGE.as_nanos() as i64 - status.at_ns) as f64 * 1e-9;
+    let start = SetPoint { position: position + velocity * left_s, velocity, acceleration: JointVector::zeros() };
+    let brake = Brake::plan(start, &Caps::of(&chain));
+    brake.at(brake.steps()).position[5]
+}
+
+#[test]
+fn set_points_brake_30_ms_after_the_last_request_however_loaded_the_machine_is() {
+    let folder = Folder::new("hold");
+    // Its own watchdog would stop the arm after 400 ms only: what holds it here is the guard. Set-points are a function of the clock that stamps
+    // requests, so the angle at which they end gives the time at which they began to brake, however late the machine ran each process.
+    let firmware = Firmware::plug_in("CAM6-11", patient()).expect("an arm");
+    let mut guard = start(&firmware, &folder).expect("started");
+    let mut reset = 0;
+    let mut differences_rad = Vec::new();
+    for _ in 0..20 {
+        moving(&mut guard, &firmware, &mut reset);
+        let mut last_ns = 0;
+        let mut steady = 0;
+        let status = drive(
+            &mut guard,
+            &mut Vec::new(),
+            || {
+                let asked = request(reset);
+                last_ns = asked.sent_ns;
+                asked
+            },
+            |status| {
+                let is_steady = status.stop.is_none() && (status.set_point.1[5] - 0.1).abs() < 1e-4;
+                steady = if is_steady { steady + 1 } else { 0 };
+                // A late request would have made it brake before.
+                steady == 5 && clock::now_ns() - status.at_ns < 15_000_000
+            },
+        );
+        let Some(known) = status else { continue };
+        let expected = rests_at(&known, last_ns);
+        let start = Instant::now();
+        let rested = loop {
+            let status = guard.status(|_| ()).expect("it runs");
+            if status.set_point.1.amax() == 0.0 || start.elapsed() > LIMIT {
+                break status;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        };
+        assert_eq!(rested.set_point.1, JointVector::zeros(), "it comes to rest");
+        differences_rad.push(rested.set_point.0[5] - expected);
+        // A latched stop, of a late answer, brakes earlier. The watchdog of the arm did nothing.
+        let is_stale = matches!(rested.stop, Some(Cause::LoopStalled | Cause::OldTip));
+        assert!(rested.latched || is_stale, "{:?}", rested.stop);
+        if differences_rad.iter().filter(|off| off.abs() < 0.25e-3).count() >= 3 {
+            break;
+        }
+    }
+    println!("{differences_rad:?}");
+    // 1 ms at 0.1 rad/s is 0.1 mrad: the state and the braking begin at whole steps of 1 ms. Braking earlier is allowed, later is not.
+    assert!(differences_rad.iter().all(|off| *off < 0.25e-3), "it goes on for more than 30 ms: {differences_rad:?}");
+    assert!(differences_rad.iter().any(|off| off.abs() < 0.25e-3), "it never went on for 30 ms: {differences_rad:?}");
+}
+
+#[test]
+fn the_arms_own_watchdog_holds_it_30_ms_after_the_guard_died() {
+    let folder = Folder::new("own");
+    // The true limit of 30 ms. A loaded machine may trip it before the guard dies: then once more.
+    let firmware = Firmware::plug_in("CAM6-12", Behaviour::default()).expect("an arm");
+    let mut guard = start(&firmware, &folder).expect("started");
+    assert_eq!(guard.watchdog_ms(), 30);
+    moving(&mut guard, &firmware, &mut 0);
+    let before = firmware.log().watchdog;
+    assert!(rustix_kill(&guard), "killed");
+    assert!(firmware.wait(LIMIT, |log| log.watchdog > before), "the arm's watchdog");
+    let log = firmware.log();
+    let (fed, at) = (log.set_points.last().expect("set-points").0, log.watchdog_at.expect("it stopped"));
+    assert!(at - fed > Duration::from_millis(30), "not before its time: {:?}", at - fed);
+    // True angles: 30 ms at 0.1 rad/s, the lag of the motors, braking at 4 rad/s^2, all with room for the turns of the simulated controller.
+    let from = log.angles.iter().rfind(|(when, _)| *when <= fed).expect("it moved").1[5];
+    assert!(firmware.wait(LIMIT, |log| log.angles.last().is_some_and(|(when, _)| when.elapsed().as_millis() > 60)));
+    let went = firmware.angles()[5] - from;
+    assert!(went < 0.1 * 0.03 + 0.005, "{went} rad");
+}
+
+#[test]
+fn a_guard_that_does_not_report_is_noticed() {
+    let folder = Folder::new("hangs");
+    let firmware = Firmware::plug_in("CAM6-13", patient()).expect("an arm");
+    let mut guard = start(&firmware, &folder).expect("started");
+    let mut reset = 0;
+    moving(&mut guard, &firmware, &mut reset);
+    signal(&guard, rustix::process::Signal::STOP);
+    let status = drive(&mut guard, &mut Vec::new(), || request(reset), |status| status.stop == Some(Cause::GuardGone));
+    assert!(status.is_some_and(|status| status.latched), "the program does not see that its guard is stopped");
+    assert!(firmware.wait(LIMIT, |log| log.watchdog == 1), "the arm's own watchdog holds it");
+    signal(&guard, rustix::process::Signal::CONT);
+    // It finds what happened meanwhile, and does not go on.
+    let status = drive(&mut guard, &mut Vec::new(), || request(reset), |status| status.stop != Some(Cause::GuardGone));
+    let stop = status.and_then(|status| status.stop);
+    assert!(matches!(stop, Some(Cause::Stalled | Cause::DeviceStopped)), "{stop:?}");
+    moving(&mut guard, &firmware, &mut reset);
+}
+
+#[test]
+fn a_reset_releases_only_what_stopped_before_it() {
+    let folder = Folder::new("order");
+    let firmware = Firmware::plug_in("CAM6-14", patient()).expect("an arm");
+    let mut guard = start(&firmware, &folder).expect("started");
+    drive(&mut guard, &mut Vec::new(), || request(0), |status| status.latched).expect("it waits");
+    // Read in one turn: a reset, then an emergency stop that is let go again.
+    signal(&guard, rustix::process::Signal::STOP);
+    guard.request(&request(1));
+    guard.request(&Request { emergency_stop: true, ..request(1) });
+    guard.request(&request(1));
+    signal(&guard, rustix::process::Signal::CONT);
+    let sent_ns = clock::now_ns();
+    let status = drive(&mut guard, &mut Vec::new(), || request(1), |status| status.at_ns > sent_ns + 300_000_000);
+    assert!(status.is_some_and(|status| status.latched), "{status:?}");
+    assert_eq!(firmware.log().clears, 0, "nothing was released");
+    moving(&mut guard, &firmware, &mut 1);
+}
+
+#[test]
+fn an_arm_left_at_rest_is_remembered_as_such() {
+    let folder = Folder::new("rest");
+    let firmware = Firmware::plug_in("CAM6-15", patient()).expect("an arm");
+    // A late answer of a loaded machine may stop it while it rests: then once more.
+    let causes: Vec<Option<Cause>> = (0..4)
+        .map(|_| {
+            let mut guard = start(&firmware, &folder).expect("started");
+            let mut reset = 0;
+            moving(&mut guard, &firmware, &mut reset);
+            let still = || Request { demand: Some((clock::now_ns(), [0.0; 8], 6)), ..request(reset) };
+            let rested = drive(&mut guard, &mut Vec::new(), still, |status| status.set_point.1.amax() == 0.0);
+            assert!(rested.is_some(), "it comes to rest");
+            drop(guard);
+            let mut guard = start(&firmware, &folder).expect("started");
+            drive(&mut guard, &mut Vec::new(), || request(0), |_| true).expect("it runs").stop
+        })
+        .collect();
+    assert!(causes.contains(&Some(Cause::AwaitsOperator)), "{causes:?}");
+}
+
+#[test]
+fn the_guard_fits_into_the_memory_that_the_doctor_asks_for() {
+    let folder = Folder::new("memory");
+    let firmware = Firmware::plug_in("CAM6-16", patient()).expect("an arm");
+    let mut guard = start(&firmware, &folder).expect("started");
+    moving(&mut guard, &firmware, &mut 0);
+    let status = std::fs::read_to_string(format!("/proc/{}/status", guard.process_id())).expect("it runs");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmPeak:")).expect("its largest size");
+    let kib: u64 = line.split_whitespace().next().and_then(|word| word.parse().ok()).expect("a number of KiB");
+    assert!(kib < panoscope_arm_guard::realtime::MEMORY_KIB, "{kib} KiB");
+}
+
 #[test]
 fn stale_future_and_disordered_requests_move_nothing() {
     let folder = Folder::new("stale");
@@ -238,8 +393,7 @@ fn a_stop_survives_restart_crash_and_another_path() {
     assert_eq!(status.expect("it runs").stop, Some(Cause::EmergencyStop));
     moving(&mut guard, &firmware, &mut reset);
     // The guard is killed while the arm moves: the arm's own watchdog holds it, and the next start is stopped.
-    let process = rustix_kill(&guard);
-    assert!(process, "killed");
+    assert!(rustix_kill(&guard), "killed");
     assert!(firmware.wait(LIMIT, |log| log.watchdog == 1), "the arm's watchdog");
     assert!(drive(&mut guard, &mut Vec::new(), || request(reset), |_| false).is_none(), "the program sees the end");
     drop(guard);
@@ -252,8 +406,23 @@ fn a_stop_survives_restart_crash_and_another_path() {
 
 /// Kills the guard's process.
 fn rustix_kill(guard: &Guard) -> bool {
+    signal(guard, rustix::process::Signal::KILL)
+}
+
+/// Sends the guard's process a signal.
+fn signal(guard: &Guard, signal: rustix::process::Signal) -> bool {
     let id = i32::try_from(guard.process_id()).ok().and_then(rustix::process::Pid::from_raw);
-    id.is_some_and(|id| rustix::process::kill_process(id, rustix::process::Signal::KILL).is_ok())
+    let is_sent = id.is_some_and(|id| rustix::process::kill_process(id, signal).is_ok());
+    // It takes effect a moment later.
+    let start = Instant::now();
+    while signal == rustix::process::Signal::STOP && start.elapsed() < LIMIT {
+        let line = std::fs::read_to_string(format!("/proc/{}/stat", guard.process_id())).unwrap_or_default();
+        if line.contains(") T ") {
+            break;
+        }
+        std::thread::yield_now();
+    }
+    is_sent
 }
 
 #[test]
@@ -276,6 +445,12 @@ fn a_second_program_and_older_firmware_are_refused() {
     let _first = start(&firmware, &folder).expect("started");
     let error = start(&firmware, &folder).err().map(|error| error.to_string()).unwrap_or_default();
     assert!(error.contains("another program drives this arm"), "{error}");
+    // The same device under another name, as in /dev/serial/by-id.
+    let link = folder.0.join("by-id");
+    std::os::unix::fs::symlink(firmware.path(), &link).expect("linked");
+    let other_path = Connection { path: link, ..connection(&firmware) };
+    let error = Guard::start(&other_path, Path::new(""), Some(&folder.0)).err().map(|error| error.to_string());
+    assert!(error.as_ref().is_some_and(|words| words.contains("another program drives this arm")), "{error:?}");
     let other = Firmware::plug_in("CAM6-7", patient()).expect("an arm");
     let error = start(&other, &folder).err().map(|error| error.to_string()).unwrap_or_default();
     assert!(error.contains("another program drives the arm CAM6-7"), "{error}");

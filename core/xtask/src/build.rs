@@ -18,7 +18,7 @@ const PROGRAM: &str = "panoscope";
 /// The windows that `panoscope edit` and `panoscope theatre` start; packages and programs have one name.
 const EDITOR: &str = "panoscope-editor";
 const THEATRE: &str = "panoscope-theatre";
-/// The process that guards an arm, which `arm_serial` starts; it is built beside the program.
+/// The process that guards an arm, which `arm_serial` and `arm_ur` start; it is built beside the program.
 const GUARD_PACKAGE: &str = "panoscope-arm-guard";
 const GUARD: &str = "panoscope-arm";
 /// Folder beside the program for plugins that only tests use.

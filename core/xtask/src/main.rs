@@ -7,6 +7,7 @@ mod data;
 mod demo;
 mod generated;
 mod install;
+mod interlock;
 mod licences;
 mod lint;
 mod onnxruntime;
@@ -37,7 +38,9 @@ cargo xtask COMMAND
                        installs what is missing, builds, runs graphs/panorama.toml and prints what it wrote
   test [SUITE] [-- args of `cargo test`]
                        installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, faults,
-                       hostile-models, disk, kill
+                       hostile-models, disk, kill, arm
+  interlock [--coverage | --mutants]
+                       judges the tests of the arm's interlock: branch coverage (nightly compiler) and mutants; takes an hour
   setup                installs the system packages that are missing
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
@@ -77,6 +80,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
     match command.as_str() {
         "demo" => demo::demo(&Workspace::locate()?, rest)?,
         "test" => return test::test(&Workspace::locate()?, rest),
+        "interlock" => interlock::interlock(&Workspace::locate()?, rest)?,
         "setup" => {
             if let Some(other) = rest.first() {
                 bail!("unexpected argument `{other}`");

@@ -64,6 +64,14 @@ static SUITES: &[Suite] = &[
     },
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
     Suite { name: "kill", lints: false, tests: true, only: &["-p", "panoscope-editor", "--test", "kill"], env: &[] },
+    // PANOSCOPE_ARM_CASES, PANOSCOPE_ARM_SEED and PANOSCOPE_ARM_BESIDE choose how many cases, which, and how many at a time.
+    Suite {
+        name: "arm",
+        lints: false,
+        tests: true,
+        only: &["-p", "panoscope-arm-guard", "--test", "campaign"],
+        env: &[("PANOSCOPE_ARM_CASES", "10000")],
+    },
 ];
 
 /// What the command line asks for.
@@ -187,7 +195,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, kill"
+            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, kill, arm"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));

@@ -1,34 +1,15 @@
-//! `arm_serial`: a real arm on a serial line ([`panoscope_arm_core::line`] is the protocol). The process `panoscope-arm` owns the line and the interlock;
-//! this node sends it requests ([`panoscope_arm_guard`]).
+//! `arm_serial`: a real arm on a serial line ([`panoscope_arm_core::line`] is the protocol).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use panoscope_arm_core::interlock::Event;
-use panoscope_arm_core::{Cause, Chain, JointVector};
-use panoscope_arm_guard::client::Guard;
-use panoscope_arm_guard::clock;
+use panoscope_arm_guard::arm_port::Target;
 use panoscope_arm_guard::link::Connection;
-use panoscope_arm_guard::message::{MAX_DEMAND, Request, Status};
-use panoscope_node::{
-    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Timed, Validation, error,
-};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
-use crate::declared::{In, MotionOut, StopParams};
-use crate::guard::{self, age_ns};
-use crate::joints::{arm_of, check_arm, requested};
-
-/// Outputs.
-#[derive(Ports)]
-pub struct Out<'f> {
-    #[ports(flatten)]
-    motion: MotionOut<'f>,
-    /// One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, distance of the tube from
-    /// the trocar, its depth, age of the arm's last answer.
-    table: Slot<'f, TableData>,
-    /// State of the arm in words.
-    text: Slot<'f, TextPacket>,
-}
+use crate::declared::{In, StopParams};
+use crate::joints::check_arm;
+use crate::real::{Out, RealArm};
 
 /// Parameters.
 #[derive(Params)]
@@ -52,62 +33,8 @@ pub struct SerialParams {
     stop: StopParams,
 }
 
-/// Columns of the table.
-pub const COLUMNS: [&str; 7] = ["following", "cause", "stops", "speed_rad_s", "pivot_mm", "depth_mm", "answer_age_ms"];
-
 /// See the module.
-pub struct ArmSerial {
-    guard: Guard,
-    connection: Connection,
-    urdf: PathBuf,
-    chain: Chain,
-    home: nalgebra::Isometry3<f64>,
-    reset: Option<u64>,
-    has_reported_end: bool,
-    words: String,
-}
-
-/// The state in which a guard that has ended left the arm.
-fn ended(last: &Status) -> Status {
-    let stop = Some(Cause::GuardGone);
-    Status { stop, latched: true, set_point: (last.set_point.0, JointVector::zeros()), ..*last }
-}
-
-impl ArmSerial {
-    fn start(connection: &Connection, urdf: &std::path::Path) -> Result<Guard> {
-        Guard::start(connection, urdf, None).map_err(|error| error!("{error}"))
-    }
-
-    /// The newest state. Reports stops, and the end of the guard.
-    fn status(&mut self, cx: &Context<'_>) -> Status {
-        let log =
-            |event: Event| if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) };
-        if let Some(status) = self.guard.status(log) {
-            return status;
-        }
-        if !std::mem::replace(&mut self.has_reported_end, true) {
-            cx.fault("the process that guards the arm has ended; the arm's own watchdog holds it. Change `reset` to start it again");
-        }
-        ended(self.guard.last_status())
-    }
-
-    /// Starts a guard that has ended again, after a person's reset. It starts with the stop latched; the next reset releases it.
-    fn revive(&mut self, cx: &Context<'_>) {
-        match Self::start(&self.connection, &self.urdf) {
-            Ok(guard) => {
-                self.guard = guard;
-                self.has_reported_end = false;
-                cx.info("the arm is guarded again and stopped; change `reset` once more to release it");
-            }
-            Err(error) => cx.warn(&format!("the arm's guard does not start again: {error}")),
-        }
-    }
-}
-
-/// When the light of a packet arrived, on the clock of the guard, ns.
-fn light_ns(cx: &Context<'_>, packet: &impl Timed, now_ns: i64) -> i64 {
-    now_ns.saturating_sub(age_ns(cx, packet))
-}
+pub struct ArmSerial(RealArm);
 
 impl Node for ArmSerial {
     const INFO: NodeInfo = NodeInfo::realtime(
@@ -124,69 +51,19 @@ impl Node for ArmSerial {
     fn validate(params: &SerialParams, check: &mut Validation<'_>) {
         check_arm(check, &params.arm);
         // A line may be plugged in until the graph runs.
-        if !std::path::Path::new(&params.port).exists() {
+        if !Path::new(&params.port).exists() {
             let message = format!("there is no serial line {}", params.port);
             check.warning("port", message, "plug the arm in before the graph runs, or name its line");
         }
     }
 
     fn open(cx: &Open<'_>, params: &SerialParams) -> Result<Self> {
-        let chain = arm_of(&params.arm)?;
         let answer_within = Duration::from_secs_f64(params.answer_ms * 1e-3);
         let connection = Connection { path: params.port.clone().into(), baud: params.baud, answer_within };
-        let home = chain.stance(&JointVector::zeros()).base_from_camera;
-        let urdf = params.arm.clone();
-        let guard = Self::start(&connection, &urdf)?;
-        cx.info(&format!(
-            "arm {} found; it stops by itself {} ms after the last set-point",
-            guard.serial(),
-            guard.watchdog_ms()
-        ));
-        if guard.granted() != (true, true) {
-            cx.warn("the arm's guard runs without locked memory or real-time priority: `panoscope doctor` says how to allow both");
-        }
-        Ok(Self { guard, connection, urdf, chain, home, reset: None, has_reported_end: false, words: String::new() })
+        RealArm::open(cx, Target::Serial(connection), &params.arm).map(Self)
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &SerialParams) -> Result<()> {
-        let is_reset = self.reset.replace(params.stop.reset).is_some_and(|old| old != params.stop.reset);
-        let now_ns = clock::now_ns();
-        let tip = input.tip.as_ref().map(|tip| (light_ns(cx, tip, now_ns), guard::evidence(tip)));
-        let demand = input.joints.as_ref().filter(|_| params.enabled).map(|joints| {
-            let (values, mut velocity) = (requested(joints), [0.0; MAX_DEMAND]);
-            velocity[..values.len()].copy_from_slice(values);
-            (light_ns(cx, joints, now_ns), velocity, values.len() as u32)
-        });
-        self.guard.request(&Request {
-            sent_ns: now_ns,
-            tip,
-            demand,
-            settings: params.stop.settings(),
-            emergency_stop: params.stop.emergency_stop,
-            reset: params.stop.reset,
-        });
-        let mut known = self.status(cx);
-        if self.has_reported_end && is_reset {
-            self.revive(cx);
-            known = self.status(cx);
-        }
-        let stance = self.chain.stance(&known.encoders);
-        let (position_rad, velocity_rad_s) = &known.set_point;
-        out.motion.set(&stance, &self.home, (&known.encoders, velocity_rad_s), (position_rad, velocity_rad_s))?;
-        cx.metric("stops", known.stops as f64);
-        if out.text.is_read() {
-            guard::words(known.stop, known.latched, &mut self.words);
-            out.text.set_text(if params.enabled { &self.words } else { "arm off" })?;
-        }
-        let row: [f64; COLUMNS.len()] = [
-            f64::from(u8::from(known.stop.is_none())),
-            known.stop.map_or(0.0, |cause| cause.number() as f64),
-            known.stops as f64,
-            known.set_point.1.amax(),
-            known.pivot_mm,
-            known.depth_mm,
-            known.answer_age_ms,
-        ];
-        out.table.set_table(&COLUMNS, &row)
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, out: Out<'f>, params: &SerialParams) -> Result<()> {
+        self.0.process(cx, &input, out, params.enabled, &params.stop)
     }
 }

@@ -1,5 +1,9 @@
 //! A simulated arm's controller on a pseudo-terminal. It speaks the line protocol of [`panoscope_arm_core::line`], with a watchdog of its own, motors
-//! with lag, encoders with noise, late answers, and a line that damages bytes.
+//! with lag, encoders with noise, late answers, and a line that damages bytes. [`ur`] is the same for a Universal Robots arm over RTDE.
+
+mod rtde_server;
+pub mod ur;
+pub mod urscript;
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -17,6 +21,12 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 const PERIOD: Duration = Duration::from_millis(1);
 /// Braking of the controller's own watchdog, rad/s^2.
 const BRAKE_RAD_S2: f64 = 4.0;
+/// Largest acceleration of the motors, rad/s^2. A real motor does not jump after set-points that arrive late and together.
+const MOTOR_RAD_S2: f64 = 20.0;
+/// Smallest movement that is logged, rad.
+const LOGGED_RAD: f64 = 1e-7;
+/// Longest step in which movements are computed, s.
+const LONGEST_STEP_S: f64 = 0.001;
 
 /// What the controller and its line do. Everything may change while it runs.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +39,7 @@ pub struct Behaviour {
     pub noise_rad: f64,
     /// Delay of answers.
     pub delay: Duration,
-    /// Share of bytes, in both directions, that are lost, doubled or flipped.
+    /// Share of bytes, in both directions, that are lost, doubled, flipped, or followed by a random one.
     pub damaged_bytes: f64,
     /// Sends garbage instead of answers.
     pub is_garbage: bool,
@@ -77,7 +87,7 @@ impl Default for Behaviour {
 pub struct Log {
     /// Valid set-points: when they arrived, angles and speeds.
     pub set_points: Vec<(Instant, JointVector, JointVector)>,
-    /// True angles, one entry per turn in which the arm moved.
+    /// True angles, one entry per turn in which the arm moved: by more than 1e-7 rad, because motors come to rest exponentially.
     pub angles: Vec<(Instant, JointVector)>,
     /// How often the watchdog stopped the arm.
     pub watchdog: u32,
@@ -85,6 +95,8 @@ pub struct Log {
     pub watchdog_at: Option<Instant>,
     /// `C` lines.
     pub clears: u32,
+    /// When the last one arrived.
+    pub cleared_at: Option<Instant>,
     /// Lines that were refused.
     pub damaged: u64,
     /// Lines that were accepted.
@@ -145,6 +157,11 @@ impl Firmware {
         locked(&self.state.0).log.clone()
     }
 
+    /// Something of the log, without a copy of all of it.
+    pub fn inspect<T>(&self, of: impl FnOnce(&Log) -> T) -> T {
+        of(&locked(&self.state.0).log)
+    }
+
     /// True joint angles, rad.
     pub fn angles(&self) -> JointVector {
         locked(&self.state.0).angles
@@ -176,6 +193,7 @@ struct Controller {
     /// Answers on their way: when they leave.
     late: VecDeque<(Instant, Vec<u8>)>,
     angles: JointVector,
+    logged: JointVector,
     speed: JointVector,
     target: Option<(JointVector, JointVector)>,
     is_held: bool,
@@ -192,6 +210,7 @@ impl Controller {
             random: Random::new(17),
             late: VecDeque::new(),
             angles: JointVector::zeros(),
+            logged: JointVector::zeros(),
             speed: JointVector::zeros(),
             target: None,
             is_held: false,
@@ -208,13 +227,13 @@ impl Controller {
             }
             let now = Instant::now();
             self.read(&behaviour, now);
-            let was = self.angles;
             self.turn(&behaviour, now, (now - before).as_secs_f64());
             before = now;
             {
                 let mut state = locked(&self.shared.0);
                 state.angles = self.angles;
-                if self.angles != was {
+                if (self.angles - self.logged).amax() > LOGGED_RAD {
+                    self.logged = self.angles;
                     state.log.angles.push((now, self.angles));
                 }
             }
@@ -229,9 +248,10 @@ impl Controller {
         let mut out = Vec::with_capacity(bytes.len() + 8);
         for &byte in bytes {
             if share > 0.0 && self.random.unit() < share {
-                match self.random.of(3) {
+                match self.random.of(4) {
                     0 => {}
                     1 => out.extend([byte, byte]),
+                    2 => out.extend([byte, self.random.bits() as u8]),
                     _ => out.push(byte ^ (1 << self.random.of(8))),
                 }
             } else {
@@ -281,7 +301,8 @@ impl Controller {
             }
             Line::Query { seq } => seq,
             Line::Clear { seq } => {
-                locked(&self.shared.0).log.clears += 1;
+                let log = &mut locked(&self.shared.0).log;
+                (log.clears, log.cleared_at) = (log.clears + 1, Some(now));
                 (self.is_held, self.target) = (false, None);
                 seq
             }
@@ -323,25 +344,40 @@ impl Controller {
         if behaviour.is_stopped || behaviour.has_fault {
             self.target = None;
         }
-        let before = self.angles;
-        if !behaviour.is_stuck && dt_s > 0.0 {
-            match self.target {
-                // Motors that run away do not listen.
-                Some((position, _)) if behaviour.runaway_rad_s == 0.0 => {
-                    let share = if behaviour.lag_s > 0.0 { (dt_s / behaviour.lag_s).min(1.0) } else { 1.0 };
-                    self.angles += (position - self.angles) * share;
-                    self.speed = (self.angles - before) / dt_s;
-                }
-                _ => {
-                    // Brakes evenly.
-                    let largest = self.speed.amax();
-                    let slower = (largest - BRAKE_RAD_S2 * dt_s).max(0.0);
-                    self.speed *= if largest > 0.0 { slower / largest } else { 0.0 };
-                    self.angles += self.speed * dt_s;
-                }
+        if !behaviour.is_stuck {
+            // A controller that was held up computes what its motors did meanwhile.
+            let mut left_s = dt_s;
+            while left_s > 0.0 {
+                let step_s = left_s.min(LONGEST_STEP_S);
+                self.step(behaviour, step_s);
+                left_s -= step_s;
             }
         }
         self.angles[5] += behaviour.runaway_rad_s * dt_s;
+    }
+
+    /// Moves the motors for a short time.
+    fn step(&mut self, behaviour: &Behaviour, dt_s: f64) {
+        match self.target {
+            // Motors that run away do not listen.
+            Some((position, _)) if behaviour.runaway_rad_s == 0.0 => {
+                let off = position - self.angles;
+                let lag_s = behaviour.lag_s.max(dt_s);
+                for k in 0..off.len() {
+                    // Not faster than it can brake before the set-point.
+                    let wanted = (off[k].abs() / lag_s).min((2.0 * MOTOR_RAD_S2 * off[k].abs()).sqrt());
+                    let change = wanted.copysign(off[k]) - self.speed[k];
+                    self.speed[k] += change.clamp(-MOTOR_RAD_S2 * dt_s, MOTOR_RAD_S2 * dt_s);
+                }
+            }
+            _ => {
+                // Brakes evenly.
+                let largest = self.speed.amax();
+                let slower = (largest - BRAKE_RAD_S2 * dt_s).max(0.0);
+                self.speed *= if largest > 0.0 { slower / largest } else { 0.0 };
+            }
+        }
+        self.angles += self.speed * dt_s;
     }
 
     fn write(&mut self, behaviour: &Behaviour, now: Instant) {
@@ -352,6 +388,56 @@ impl Controller {
             }
             let bytes = self.damaged(&bytes, behaviour.damaged_bytes);
             let _ = self.line.write_all(&bytes);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn controller() -> Controller {
+        let line = File::open("/dev/null").expect("a file without bytes");
+        let state = State { behaviour: Behaviour::default(), log: Log::default(), angles: JointVector::zeros() };
+        let serial = Serial::new("TEST-1").expect("a serial number");
+        Controller::new(line, serial, Arc::new((Mutex::new(state), Condvar::new())))
+    }
+
+    fn turn_joint(rad: f64) -> JointVector {
+        JointVector::from_fn(|k, _| if k == 5 { rad } else { 0.0 })
+    }
+
+    #[test]
+    fn a_stop_while_the_arm_catches_up_does_not_throw_it() {
+        let mut behaviour = Behaviour { lag_s: 0.005, watchdog_ms: 1000, ..Behaviour::default() };
+        let mut arm = controller();
+        let start = Instant::now();
+        // 30 ms of set-points at 0.15 rad/s arrive together, and the hardware stop is pressed 1 ms later.
+        (arm.fed, arm.target) = (start, Some((turn_joint(0.0045), turn_joint(0.15))));
+        arm.turn(&behaviour, start, 1e-3);
+        behaviour.is_stopped = true;
+        (0..1000).for_each(|_| arm.turn(&behaviour, start, 1e-3));
+        assert!(arm.angles[5] > 0.0 && arm.angles[5] < 0.0045, "it came to rest at {} rad", arm.angles[5]);
+        assert_eq!(arm.speed, JointVector::zeros());
+    }
+
+    #[test]
+    fn motors_follow_set_points_with_their_lag() {
+        for lag_s in [0.0, 0.005, 0.025] {
+            let behaviour = Behaviour { lag_s, watchdog_ms: 10_000, ..Behaviour::default() };
+            let mut arm = controller();
+            let start = Instant::now();
+            let mut largest = 0.0_f64;
+            for ms in 0..600 {
+                let asked = 0.15e-3 * f64::from((ms / 10 * 10).min(400));
+                (arm.fed, arm.target) = (start, Some((turn_joint(asked), turn_joint(0.15))));
+                let before = arm.angles[5];
+                arm.turn(&behaviour, start, 1e-3);
+                largest = largest.max((arm.angles[5] - before) * 1e3);
+                assert!((arm.angles[5] - asked).abs() < 0.15 * (0.02 + 2.0 * lag_s), "{ms} ms: {}", arm.angles[5]);
+            }
+            assert!((arm.angles[5] - 0.06).abs() < 1e-4, "{lag_s} s: {}", arm.angles[5]);
+            assert!(largest < 0.5, "{largest} rad/s");
         }
     }
 }

@@ -49,17 +49,27 @@ pub enum Cause {
     HardwareFault,
     /// The program that steers the arm has ended; latches.
     HostGone,
-    /// The process that guards the arm has ended; latches.
+    /// The process that guards the arm has ended or does not report; latches.
     GuardGone,
     /// The arm moves faster than the limits allow, by its encoders; latches.
     MeasuredSpeed,
     /// The arm is outside its joint limits or its workspace, by its encoders; latches.
     MeasuredWorkspace,
+    /// The robot's safety system made a protective stop; latches.
+    ProtectiveStop,
+    /// The robot's safety system stopped it for another reason than an emergency stop: safeguard, recovery; latches.
+    SafeguardStop,
+    /// The robot is switched off, or its brakes are on; latches.
+    RobotOff,
+    /// The program that follows set-points does not run on the robot's controller; latches.
+    ProgramNotRunning,
+    /// The clock of the arm's controller is wrong: its own watchdog would be late; latches.
+    DeviceClock,
 }
 
 impl Cause {
     /// All causes; a cause's index is its number in tables.
-    pub const ALL: [Self; 25] = [
+    pub const ALL: [Self; 30] = [
         Self::EmergencyStop,
         Self::NotFollowing,
         Self::Unplugged,
@@ -85,6 +95,11 @@ impl Cause {
         Self::GuardGone,
         Self::MeasuredSpeed,
         Self::MeasuredWorkspace,
+        Self::ProtectiveStop,
+        Self::SafeguardStop,
+        Self::RobotOff,
+        Self::ProgramNotRunning,
+        Self::DeviceClock,
     ];
 
     /// Its number in tables, from 1; 0 stands for no stop.
@@ -117,6 +132,11 @@ impl Cause {
                 | Self::GuardGone
                 | Self::MeasuredSpeed
                 | Self::MeasuredWorkspace
+                | Self::ProtectiveStop
+                | Self::SafeguardStop
+                | Self::RobotOff
+                | Self::ProgramNotRunning
+                | Self::DeviceClock
         )
     }
 
@@ -145,9 +165,14 @@ impl Cause {
             Self::HardwareStop => "the hardware stop is pressed",
             Self::HardwareFault => "the arm's hardware reports a fault",
             Self::HostGone => "the program that steers the arm has ended",
-            Self::GuardGone => "the process that guards the arm has ended",
+            Self::GuardGone => "the process that guards the arm has ended or does not report",
             Self::MeasuredSpeed => "the arm moves faster than its limits, by its encoders",
             Self::MeasuredWorkspace => "the arm is outside its workspace, by its encoders",
+            Self::ProtectiveStop => "the robot made a protective stop",
+            Self::SafeguardStop => "the robot's safety system stopped it",
+            Self::RobotOff => "the robot is switched off or its brakes are on",
+            Self::ProgramNotRunning => "the arm's program does not run on the robot",
+            Self::DeviceClock => "the clock of the arm's controller is wrong",
         }
     }
 }

@@ -16,6 +16,8 @@ mod brake;
 pub mod caps;
 mod cause;
 pub mod measured;
+#[cfg(test)]
+mod tests;
 
 use std::collections::VecDeque;
 
@@ -90,7 +92,6 @@ pub struct Interlock {
     demand: Option<Demand>,
     latched: Option<Cause>,
     clock_jumped: bool,
-    at_limit: bool,
     stop: Option<Cause>,
     stopping_steps: u32,
     noted: Option<Cause>,
@@ -122,7 +123,6 @@ impl Interlock {
             demand: None,
             latched: None,
             clock_jumped: false,
-            at_limit: false,
             stop: Some(Cause::NoTip),
             stopping_steps: NOTED_AFTER_STEPS,
             noted: Some(Cause::NoTip),
@@ -203,6 +203,12 @@ impl Interlock {
         self.latched
     }
 
+    /// When the demand expires that the arm follows, ns; none while it brakes or stands.
+    pub fn expires_ns(&self) -> Option<i64> {
+        let demand = self.demand.filter(|_| self.stop.is_none())?;
+        Some(demand.made_ns.saturating_add(caps::DEMAND_AGE.as_nanos() as i64))
+    }
+
     /// Cause of a stop that has lasted longer than a late tick; none while the arm follows.
     pub fn stopped(&self) -> Option<Cause> {
         self.noted
@@ -262,8 +268,8 @@ impl Interlock {
         let end = brake.steps();
         let release = brake.release_steps();
         let rest = end - release;
-        let most = share(&brake.at(release).velocity, &self.caps.speed);
-        if most > 1.0 || most.is_nan() {
+        // A speed that is not a number has no share; the camera's limit refuses it below.
+        if share(&brake.at(release).velocity, &self.caps.speed) > 1.0 {
             return false;
         }
         let places = [
@@ -292,62 +298,60 @@ impl Interlock {
         })
     }
 
-    /// Cause not to follow at this moment.
-    fn reason(&self) -> Option<Cause> {
+    /// When the demand was made that is followed at this moment, ns, and its velocities; else the cause not to follow.
+    fn followed(&self) -> Result<(i64, JointVector), Cause> {
         if let Some(cause) = self.latched {
-            return Some(cause);
+            return Err(cause);
         }
         // A tip from the future is as invalid as an old one.
         let age = |at_ns: i64| self.now_ns.saturating_sub(at_ns).saturating_abs();
         let is_old = |light_ns: i64| age(light_ns) as f64 > self.settings.max_age_ms * 1e6;
         match self.tip {
-            None if self.clock_jumped => return Some(Cause::Clock),
-            None => return Some(Cause::NoTip),
-            Some((light_ns, _)) if is_old(light_ns) => return Some(Cause::OldTip),
+            None if self.clock_jumped => return Err(Cause::Clock),
+            None => return Err(Cause::NoTip),
+            Some((light_ns, _)) if is_old(light_ns) => return Err(Cause::OldTip),
             // Written so that a NaN score stops the arm.
             Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0 && tip.score <= 1.0) => {
-                return Some(Cause::DoubtfulTip);
+                return Err(Cause::DoubtfulTip);
             }
-            Some((_, tip)) if !tip.in_space => return Some(Cause::FlatTip),
+            Some((_, tip)) if !tip.in_space => return Err(Cause::FlatTip),
             Some(_) => {}
         }
         match self.demand {
-            None => Some(Cause::NoDemand),
-            Some(demand) if age(demand.made_ns) >= caps::DEMAND_AGE.as_nanos() as i64 => Some(Cause::LoopStalled),
-            Some(Demand { velocity: None, .. }) => Some(Cause::BadDemand),
-            Some(demand) if is_old(demand.light_ns) => Some(Cause::OldTip),
-            Some(_) => None,
+            None => Err(Cause::NoDemand),
+            Some(demand) if age(demand.made_ns) >= caps::DEMAND_AGE.as_nanos() as i64 => Err(Cause::LoopStalled),
+            Some(Demand { velocity: None, .. }) => Err(Cause::BadDemand),
+            Some(demand) if is_old(demand.light_ns) => Err(Cause::OldTip),
+            Some(Demand { made_ns, velocity: Some(velocity), .. }) => Ok((made_ns, velocity)),
         }
     }
 
     /// Drives up to `most` steps; returns their number.
     fn chunk(&mut self, most: u32, each: &mut dyn FnMut(&SetPoint)) -> u32 {
-        let mut reason = self.reason();
         let mut steps = most;
-        if reason.is_none()
-            && let Some(Demand { made_ns, velocity: Some(wanted), .. }) = self.demand
-        {
-            // Not beyond the time at which the demand expires.
-            let left_ns = caps::DEMAND_AGE.as_nanos() as i64 - self.now_ns.saturating_sub(made_ns);
-            steps = steps.min((left_ns / STEP_NS).clamp(1, i64::from(CHUNK_STEPS)) as u32);
-            let wanted = self.tamed(&wanted);
-            let followed = SHARES.iter().any(|part| self.try_follow(&(wanted * *part), steps, each));
-            self.at_limit = !followed;
-            if followed {
-                self.braking = None;
-                self.clock_jumped = false;
-                self.passed(steps, None);
-                return steps;
+        let cause = match self.followed() {
+            Ok((made_ns, wanted)) => {
+                // Not beyond the time at which the demand expires.
+                let left_ns = caps::DEMAND_AGE.as_nanos() as i64 - self.now_ns.saturating_sub(made_ns);
+                steps = steps.min((left_ns / STEP_NS).clamp(1, i64::from(CHUNK_STEPS)) as u32);
+                let wanted = self.tamed(&wanted);
+                if SHARES.iter().any(|part| self.try_follow(&(wanted * *part), steps, each)) {
+                    self.braking = None;
+                    self.clock_jumped = false;
+                    self.passed(steps, None);
+                    return steps;
+                }
+                Cause::Limit
             }
-            reason = Some(Cause::Limit);
-        }
+            Err(cause) => cause,
+        };
         let (brake, done) = self.braking.unwrap_or((self.escape, 0));
         for k in 1..=steps {
             self.state = brake.at(done.saturating_add(k));
             each(&self.state);
         }
         self.braking = Some((brake, done.saturating_add(steps)));
-        self.passed(steps, reason);
+        self.passed(steps, Some(cause));
         steps
     }
 

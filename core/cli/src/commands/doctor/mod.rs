@@ -1,5 +1,6 @@
 //! `panoscope doctor`.
 
+mod arm;
 mod libraries;
 
 use std::fs;
@@ -116,6 +117,9 @@ impl Doctor {
         } else {
             let how = "not allowed: control nodes run at normal priority. For a user `me`: `me - rtprio 50` in /etc/security/limits.conf, then log in again";
             self.say(State::Optional, "real-time priority", how);
+        }
+        for (state, what, about) in arm::lines() {
+            self.say(state, what, &about);
         }
     }
 
