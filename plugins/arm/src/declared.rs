@@ -26,7 +26,7 @@ pub struct MotionOut<'f> {
     /// Newest set-points (rad, rad/s), after the interlock.
     setpoint: Slot<'f, Joints>,
     /// Pose of the left camera in the frame `scene`, which is the camera's pose at joint angles of 0; mm. The true pose for `arm_sim`, by the
-    /// encoders for `arm_serial`.
+    /// encoders for a real arm.
     camera_pose: Slot<'f, Pose>,
     /// Positions of the joints in the frame `scene`, mm: one row per joint, from the base to the camera.
     links: Slot<'f, TableData>,
@@ -62,7 +62,7 @@ pub struct StopParams {
     /// Stops the arm. It stays stopped when this is switched off again, until `reset` changes.
     #[param(default = false)]
     pub emergency_stop: bool,
-    /// A change of this number releases a latched stop. `arm_serial` then also opens a lost serial line again.
+    /// A change of this number releases a latched stop. The driver of a real arm then also opens a lost connection again.
     #[param(default = 0, range = 0..=1_000_000_000)]
     pub reset: u64,
     /// Age of its light up to which a tip is followed, by the host's clock. The arm stops when no younger one has arrived. A predicted tip is as old as
