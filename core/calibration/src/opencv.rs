@@ -176,7 +176,10 @@ fn coefficients(all: &[f64; 14]) -> &[f64] {
 /// a rectification; numbers read back bit by bit.
 pub fn text_of(packet: &Calibration) -> String {
     let mut out = "%YAML:1.0\n---\n".to_owned();
-    let _ = writeln!(out, "image_width: {}\nimage_height: {}", packet.left.width, packet.left.height);
+    // A file that states no size is read as 0, and is written without one again.
+    if packet.left.width > 0 && packet.left.height > 0 {
+        let _ = writeln!(out, "image_width: {}\nimage_height: {}", packet.left.width, packet.left.height);
+    }
     for (camera, k, d) in [(&packet.left, "M1", "D1"), (&packet.right, "M2", "D2")] {
         matrix(&mut out, k, 3, &[camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]);
         matrix(&mut out, d, 1, coefficients(&camera.distortion));

@@ -32,6 +32,7 @@ pub mod packet;
 pub mod param;
 mod parse;
 mod parts;
+mod read;
 mod schema;
 mod shape;
 mod source;

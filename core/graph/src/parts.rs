@@ -6,15 +6,22 @@ use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
 use crate::file::{Export, FileText, InputText, NodeText, PartText, PinText, RefText, Role, Supply, ViewText};
 use crate::nearest::{list, nearest, sibling};
 use crate::parse;
+use crate::read::read_file;
 use crate::shape;
 use crate::source::{Source, Sources, folder, tidy};
 use crate::value::{Spanned, Value, shift};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Most nodes of a flattened graph: parts of parts multiply.
+/// Most nodes and parts of a flattened graph: parts of parts multiply.
 const MOST_NODES: usize = 10_000;
+/// Most levels of parts in parts.
+const MOST_LEVELS: usize = 64;
+/// Most bytes of all texts of a graph: a part that is used again is read again.
+const MOST_TEXT_BYTES: usize = 64 << 20;
+/// Most inputs and parameters that parts hand on to their nodes: names of names multiply.
+const MOST_FORWARDED: usize = 50_000;
 
 /// What a name of a part stands for in the flattened graph.
 #[derive(Clone, Debug)]
@@ -65,6 +72,8 @@ pub(crate) struct Flat {
     pub(crate) read_outside: Vec<String>,
     pub(crate) diagnostics: Diagnostics,
     pub(crate) incomplete: bool,
+    /// Inputs and parameters handed on so far.
+    forwarded: usize,
     index: HashMap<String, usize>,
 }
 
@@ -75,12 +84,19 @@ impl Flat {
 
     /// What `part.param` stands for: all parameters of nodes, through parts of parts.
     pub(crate) fn param_targets(&self, id: &str, param: &str) -> Option<Vec<Target>> {
-        let targets = Interface::find(&self.part(id)?.interface.as_ref()?.params, param)?;
-        let mut all = Vec::new();
-        for target in targets {
-            match self.param_targets(&target.node, &target.port.value) {
-                Some(inner) => all.extend(inner),
-                None => all.push(target.clone()),
+        let inner = |id: &str, param: &str| {
+            let targets = Interface::find(&self.part(id)?.interface.as_ref()?.params, param)?;
+            Some(targets.iter().rev().cloned().collect::<Vec<_>>())
+        };
+        // Depth first, so in the order of the files; each name once, since names of names multiply.
+        let (mut all, mut open, mut seen) = (Vec::new(), inner(id, param)?, HashSet::new());
+        while let Some(target) = open.pop() {
+            if !seen.insert((target.node.clone(), target.port.value.clone())) {
+                continue;
+            }
+            match inner(&target.node, &target.port.value) {
+                Some(more) => open.extend(more),
+                None => all.push(target),
             }
         }
         Some(all)
@@ -235,9 +251,14 @@ impl Flattener<'_> {
                 .help("a part cannot use itself, nor a file that leads back to it");
             return None;
         }
+        if chain.len() > MOST_LEVELS {
+            self.error("part-recursion", &file.span, format!("parts stand in parts more than {MOST_LEVELS} deep"))
+                .help("use the nodes of the inner parts directly");
+            return None;
+        }
         let text = match self.texts.get(&key) {
             Some(text) => text.clone(),
-            None => match std::fs::read(&path) {
+            None => match read_file(&path) {
                 Ok(bytes) => match String::from_utf8(bytes) {
                     Ok(text) => text,
                     Err(_) => {
@@ -262,6 +283,12 @@ impl Flattener<'_> {
             },
         };
         let text_length = text.len();
+        let read: usize = self.sources.list().last().map_or(0, |last| last.base() + last.text.len());
+        if read + text_length > MOST_TEXT_BYTES {
+            let message = format!("the graph has more than {MOST_TEXT_BYTES} bytes with this part");
+            self.error("too-many-nodes", &file.span, message).help("parts of parts multiply: use fewer");
+            return None;
+        }
         let source = Source::new(shown.clone(), text, folder(&path));
         let mut parsed = parse::parse(&source);
         let index = self.sources.add(source);
@@ -283,7 +310,8 @@ impl Flattener<'_> {
             );
             return None;
         }
-        if self.flat.nodes.len() + part.nodes.len() > MOST_NODES {
+        // A part without nodes of its own counts, too: otherwise empty parts multiply without end.
+        if self.flat.nodes.len() + self.flat.parts.len() + part.nodes.len() > MOST_NODES {
             let message = format!("the graph has more than {MOST_NODES} nodes with this part");
             self.error("too-many-nodes", &file.span, message).help("parts of parts multiply: use fewer");
             return None;
@@ -354,8 +382,22 @@ impl Flattener<'_> {
         self.error(code, &name.span, message).label(near.unwrap_or_default()).help(help);
     }
 
+    /// Counts a name that is handed on; the first one too many is reported.
+    fn may_forward(&mut self, span: &Range<usize>) -> bool {
+        self.flat.forwarded += 1;
+        if self.flat.forwarded == MOST_FORWARDED {
+            let message = format!("parts hand on more than {MOST_FORWARDED} inputs and parameters");
+            self.error("too-many-nodes", span, message)
+                .help("names in [part] that stand for several names multiply: use fewer");
+        }
+        self.flat.forwarded < MOST_FORWARDED
+    }
+
     /// Connects an input inside a part as its user connects the part.
     fn connect(&mut self, target: &Target, input: &InputText) {
+        if !self.may_forward(&target.port.span) {
+            return;
+        }
         if let Some(inner) = self.flat.part(&target.node) {
             let Some(interface) = inner.interface.clone() else { return };
             match Interface::find(&interface.inputs, &target.port.value) {
@@ -391,6 +433,9 @@ impl Flattener<'_> {
 
     /// Sets a parameter inside a part as its user sets it.
     fn set(&mut self, target: &Target, value: &Value) {
+        if !self.may_forward(&target.port.span) {
+            return;
+        }
         if let Some(inner) = self.flat.part(&target.node) {
             let Some(interface) = inner.interface.clone() else { return };
             match Interface::find(&interface.params, &target.port.value) {

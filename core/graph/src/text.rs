@@ -8,6 +8,7 @@ use crate::nearest::{list, nearest, sibling};
 use crate::options::GraphOptions;
 use crate::parse;
 use crate::parts::{Flat, Flattener};
+use crate::read::read_file;
 use crate::shape;
 use crate::source::{COMMAND_LINE, Source, Sources, folder, tidy};
 use crate::value::{Spanned, shift};
@@ -391,7 +392,7 @@ fn read_text(path: &Path, what: &str) -> Result<String, Diagnostics> {
         false => ("overlay-missing", "overlay-unreadable", "overlay-not-utf8"),
     };
     let file = if is_graph { "graph file" } else { "overlay" };
-    let bytes = match std::fs::read(path) {
+    let bytes = match read_file(path) {
         Ok(bytes) => bytes,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
             let help = match sibling(path) {

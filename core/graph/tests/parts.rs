@@ -395,6 +395,68 @@ fn parts_that_multiply_without_end_are_refused() {
 }
 
 #[test]
+fn parts_without_nodes_that_multiply_are_refused() {
+    // Each level uses the next one ten times, and the last has no node: 10^11 parts.
+    let level = |next: &str| {
+        let nodes: String = (0..10).map(|i| format!("[nodes.n{i}]\ngraph = \"{next}\"\n")).collect();
+        format!("[part]\n{nodes}")
+    };
+    let names: Vec<String> = (0..11).map(|i| format!("p{i}.toml")).collect();
+    let mut files: Vec<(&str, String)> = names.windows(2).map(|w| (w[0].as_str(), level(&w[1]))).collect();
+    files.push(("p10.toml", "[part]\n".to_owned()));
+    files.push(("graph.toml", level("p0.toml")));
+    let files: Vec<(&str, &str)> = files.iter().map(|(n, t)| (*n, t.as_str())).collect();
+    let folder = Folder::new("multiply-empty", &files);
+    let text = open(&folder, &GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
+    assert!(text.diagnostics().iter().any(|d| d.code == "too-many-nodes"));
+}
+
+#[test]
+fn names_of_parts_that_multiply_are_refused() {
+    // Each level hands its two names on to both names of the next one: 2^40 names for 40 parts.
+    let level = |next: &str| {
+        format!(
+            "[part]\nparams = {{ a = [\"in.a\", \"in.b\"], b = [\"in.a\", \"in.b\"] }}\n[nodes.in]\ngraph = \"{next}\"\nparams = {{ a = 1, b = 2 }}\n"
+        )
+    };
+    let names: Vec<String> = (0..40).map(|i| format!("p{i}.toml")).collect();
+    let mut files: Vec<(&str, String)> = names.windows(2).map(|w| (w[0].as_str(), level(&w[1]))).collect();
+    let leaf = "plugins = [\"phantom\"]\n[part]\nparams = { a = \"scope.seed\", b = \"scope.seed\" }\n[nodes.scope]\ntype = \"phantom\"\n";
+    files.push(("p39.toml", leaf.to_owned()));
+    files.push(("graph.toml", "[nodes.top]\ngraph = \"p0.toml\"\nparams = { a = 3 }\n".to_owned()));
+    let files: Vec<(&str, &str)> = files.iter().map(|(n, t)| (*n, t.as_str())).collect();
+    let folder = Folder::new("multiply-names", &files);
+    let text = open(&folder, &GraphOptions { set: vec!["top.a=4".into()], ..GraphOptions::default() });
+    assert!(text.diagnostics().iter().any(|d| d.code == "too-many-nodes"), "{:?}", text.diagnostics());
+    let seed = format!("top/{}scope.seed", "in/".repeat(39));
+    assert_eq!(text.settings(), [format!("{seed}=4")], "one node has the parameter");
+}
+
+#[test]
+fn parts_in_parts_have_a_limit() {
+    let names: Vec<String> = (0..100).map(|i| format!("p{i}.toml")).collect();
+    let level = |next: &str| format!("[part]\n[nodes.in]\ngraph = \"{next}\"\n");
+    let mut files: Vec<(&str, String)> = names.windows(2).map(|w| (w[0].as_str(), level(&w[1]))).collect();
+    files.push(("p99.toml", "[part]\n".to_owned()));
+    files.push(("graph.toml", level("p0.toml")));
+    let files: Vec<(&str, &str)> = files.iter().map(|(n, t)| (*n, t.as_str())).collect();
+    let folder = Folder::new("deep-parts", &files);
+    let text = open(&folder, &GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
+    let wrong = text.diagnostics();
+    assert!(wrong.iter().any(|d| d.code == "part-recursion" && d.message.contains("64 deep")), "{wrong:?}");
+}
+
+#[test]
+fn a_device_is_no_part_and_no_graph() {
+    let folder = Folder::new("device", &[("graph.toml", "[nodes.a]\ngraph = \"/dev/zero\"\n")]);
+    let text = open(&folder, &GraphOptions::default());
+    let wrong = text.diagnostics();
+    assert!(wrong.iter().any(|d| d.code == "part-unreadable" && d.message.contains("device")), "{wrong:?}");
+    let error = GraphText::load(Path::new("/dev/zero")).expect_err("no graph").render(false);
+    assert!(error.contains("graph-unreadable") && error.contains("not a regular file"), "{error}");
+}
+
+#[test]
 fn paths_are_relative_to_the_file_that_names_them() {
     let folder = depth("relative");
     let text = open(&folder, &GraphOptions::default());

@@ -66,6 +66,11 @@ pub enum ElfError {
 
 const PT_LOAD: u32 = 1;
 const SHT_NOBITS: u32 = 8;
+const SHT_NOTE: u32 = 7;
+/// Bytes of an entry of the table of segments and of that of sections, in every 64-bit ELF file.
+const ENTRY_BYTES: (u64, u64) = (56, 64);
+/// Most bytes of all notes: those of compilers have a few hundred, ours two thousand.
+const MOST_NOTE_BYTES: u64 = 1 << 20;
 
 /// A file that is read in parts: plugins are large, and only a small part is needed before loading.
 pub trait Parts {
@@ -182,6 +187,10 @@ pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
     let program_count = reader.u16(56).ok_or(unreadable("header"))?;
     let section_size = reader.u16(58).ok_or(unreadable("header"))?;
     let section_count = reader.u16(60).ok_or(unreadable("header"))?;
+    if (program_count > 0 && program_size != ENTRY_BYTES.0) || (section_count > 0 && section_size != ENTRY_BYTES.1) {
+        let what = format!("its tables have entries of {program_size} and {section_size} bytes");
+        return Err(ElfError::NotElf { what });
+    }
     inside("the table of segments", programs, program_size * program_count)?;
     inside("the table of sections", sections, section_size * section_count)?;
     let mut notes = Vec::new();
@@ -204,9 +213,13 @@ pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
         if kind != SHT_NOBITS {
             inside("a section", offset, size)?;
         }
-        if kind == 7 {
+        if kind == SHT_NOTE {
             notes.push((offset, size));
         }
+    }
+    // Sections may overlap, so the length of the file does not limit their sum.
+    if notes.iter().fold(0u64, |sum, (_, size)| sum.saturating_add(*size)) > MOST_NOTE_BYTES {
+        return Err(ElfError::BadNote { what: format!("the notes have more than {MOST_NOTE_BYTES} bytes") });
     }
     for (offset, size) in notes {
         if let Some(note) = find_note(&file.part(offset, size)?)? {

@@ -13,6 +13,7 @@ mod file;
 mod file_hash;
 pub mod format;
 mod head;
+mod mcap_texts;
 mod recorder;
 mod recording;
 mod replay;

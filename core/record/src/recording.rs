@@ -8,7 +8,7 @@ use std::io::{BufReader, Read};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-use mcap::records::{Record, op};
+use mcap::records::op;
 use panoscope_abi::Frame;
 
 use crate::check::{self, MESSAGE_HEAD_BYTES, Seal};
@@ -17,6 +17,7 @@ use crate::format::{
     CHECKED_FORMAT, EVENTS, Event, FORMAT, Head, OLDEST_FORMAT, PACKET_ENCODING, PACKET_HEAD_BYTES, PLAIN_HEAD_BYTES,
     PacketHead, SUMMED_HEAD_BYTES,
 };
+use crate::mcap_texts;
 use panoscope_engine::memory::{FrameRef, memory};
 
 /// Maximum length of the index at the end of a recording.
@@ -384,13 +385,13 @@ impl Scan {
             op::DATA_END => return Err(self.index(len)),
             op::CHANNEL if len < 1 << 16 => {
                 let body = self.body(len)?;
-                let Ok(Record::Channel(channel)) = mcap::parse_record(op::CHANNEL, &body) else {
+                let Some(channel) = mcap_texts::channel(&body) else {
                     return Err(damaged("a channel that cannot be read"));
                 };
                 let events = channel.topic == EVENTS;
                 if self.is_ours()
                     && (channel.schema_id != 0
-                        || !channel.metadata.is_empty()
+                        || channel.has_metadata
                         || (events && channel.message_encoding != "json"))
                 {
                     return Err(damaged("a channel with an unexpected description"));
@@ -404,10 +405,10 @@ impl Scan {
             op::CHUNK if self.head.is_none() => return Err(Stop::Foreign("it has chunks".to_owned())),
             op::HEADER if self.at == mcap::MAGIC.len() as u64 && len < 1 << 16 => {
                 let body = self.body(len)?;
-                let Ok(Record::Header(header)) = mcap::parse_record(op::HEADER, &body) else {
+                let Some((profile, library)) = mcap_texts::header(&body) else {
                     return Err(damaged("a header that cannot be read"));
                 };
-                self.library = format!("{} {}", header.profile, header.library);
+                self.library = format!("{profile} {library}");
             }
             // Only files of other programs have these records before the first event.
             op::SCHEMA | op::ATTACHMENT | op::METADATA if self.head.is_none() => self.skip(len)?,

@@ -5,6 +5,7 @@
 mod build;
 mod data;
 mod demo;
+mod fuzz;
 mod generated;
 mod install;
 mod interlock;
@@ -41,6 +42,9 @@ cargo xtask COMMAND
                        hostile-models, disk, kill, arm
   interlock [--coverage | --mutants]
                        judges the tests of the arm's interlock: branch coverage (nightly compiler) and mutants; takes an hour
+  fuzz [TARGET] [--seconds N] [--keep]
+                       feeds the parsers of foreign files with inputs that look for crashes, N seconds each (60); needs the nightly toolchain;
+                       --keep puts a small selection of what it found into tests/fuzz/corpus
   setup                installs the system packages that are missing
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
@@ -81,6 +85,10 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
         "demo" => demo::demo(&Workspace::locate()?, rest)?,
         "test" => return test::test(&Workspace::locate()?, rest),
         "interlock" => interlock::interlock(&Workspace::locate()?, rest)?,
+        "fuzz" => {
+            let clean = fuzz::fuzz(&Workspace::locate()?, rest)?;
+            return Ok(if clean { ExitCode::SUCCESS } else { ExitCode::FAILURE });
+        }
         "setup" => {
             if let Some(other) = rest.first() {
                 bail!("unexpected argument `{other}`");

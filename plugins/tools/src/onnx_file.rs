@@ -176,7 +176,12 @@ pub struct OnnxFile {
 /// Reads and checks the file. Refuses it when it names files outside its folder.
 pub fn read(path: &Path) -> Result<OnnxFile, OnnxFileError> {
     let failed = |source| OnnxFileError::Read { path: path.to_owned(), source };
-    let bytes = std::fs::metadata(path).map_err(failed)?.len();
+    let about = std::fs::metadata(path).map_err(failed)?;
+    // A device or a pipe has no length, and reading it need not end.
+    if !about.is_file() {
+        return Err(failed(std::io::Error::other("it is not a regular file")));
+    }
+    let bytes = about.len();
     if bytes > MAX_BYTES {
         return Err(OnnxFileError::TooLarge { path: path.to_owned(), bytes });
     }

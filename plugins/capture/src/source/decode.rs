@@ -27,14 +27,22 @@ pub fn read(path: &Path) -> Result<Picture, PictureError> {
     if bytes.is_empty() {
         return Err(PictureError::Empty);
     }
-    match image::guess_format(&bytes) {
-        Ok(image::ImageFormat::Jpeg) => decode_jpeg(&bytes),
-        Ok(format @ (image::ImageFormat::Png | image::ImageFormat::OpenExr)) => decode(&bytes, format),
-        Ok(image::ImageFormat::Tiff) => decode_tiff(&bytes),
-        Ok(image::ImageFormat::Bmp) => plain::bmp(&bytes),
-        Ok(image::ImageFormat::Pnm) => plain::pnm(&bytes),
-        _ => decode_other(path),
-    }
+    decode_picture(&bytes).unwrap_or_else(|| decode_other(path))
+}
+
+/// Decodes a picture in memory as BGR; `None` for formats that GStreamer decodes, from a file.
+///
+/// # Errors
+/// What is wrong with the bytes.
+pub fn decode_picture(bytes: &[u8]) -> Option<Result<Picture, PictureError>> {
+    Some(match image::guess_format(bytes) {
+        Ok(image::ImageFormat::Jpeg) => decode_jpeg(bytes),
+        Ok(format @ (image::ImageFormat::Png | image::ImageFormat::OpenExr)) => decode(bytes, format),
+        Ok(image::ImageFormat::Tiff) => decode_tiff(bytes),
+        Ok(image::ImageFormat::Bmp) => plain::bmp(bytes),
+        Ok(image::ImageFormat::Pnm) => plain::pnm(bytes),
+        _ => return None,
+    })
 }
 
 /// Decodes a TIFF of 8 or 16 bits without sign, or of floats.

@@ -20,9 +20,10 @@ use std::sync::Arc;
 
 use panoscope_media::input::Signal;
 
+pub use decode::decode_picture;
 pub use demands::{Clock, Demands, Grab, Lock};
 pub use elements::unknown_element;
-pub use error::CaptureError;
+pub use error::{CaptureError, PictureError};
 pub use name::SourceName;
 pub use picture::{Picture, Samples, white_of_bits};
 pub use stream::Stream;

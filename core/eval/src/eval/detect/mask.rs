@@ -10,12 +10,14 @@ pub struct Mask {
     words: Vec<u64>,
     /// Bits that are set.
     pub area: u64,
+    /// First column and row, last column and row of what is set; kept with every change, because pictures are large and objects small.
+    extent: Option<[usize; 4]>,
 }
 
 impl Mask {
     /// An empty mask.
     pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, words: vec![0; (width * height).div_ceil(64)], area: 0 }
+        Self { width, height, words: vec![0; (width * height).div_ceil(64)], area: 0, extent: None }
     }
 
     /// Whether a pixel is set; places outside are not.
@@ -30,21 +32,44 @@ impl Mask {
             let bit = x * self.height + y;
             self.words[bit / 64] |= 1 << (bit % 64);
             self.area += 1;
+            self.extend([x, y, x, y]);
         }
+    }
+
+    fn extend(&mut self, [x0, y0, x1, y1]: [usize; 4]) {
+        let [a, b, c, d] = self.extent.unwrap_or([x0, y0, x1, y1]);
+        self.extent = Some([a.min(x0), b.min(y0), c.max(x1), d.max(y1)]);
+    }
+
+    /// Sets the bits from `at` to before `end`, a word at a time.
+    fn fill(&mut self, at: usize, end: usize) {
+        if at >= end {
+            return;
+        }
+        let (first, last) = (at / 64, (end - 1) / 64);
+        for word in first..=last {
+            let from = if word == first { at % 64 } else { 0 };
+            let to = if word == last { (end - 1) % 64 } else { 63 };
+            self.words[word] |= (u64::MAX >> (63 - (to - from))) << from;
+        }
+        self.area += (end - at) as u64;
+        let (x0, x1) = (at / self.height, (end - 1) / self.height);
+        // A run over the end of a column holds the last row and the first.
+        let (y0, y1) = if x0 == x1 { (at % self.height, (end - 1) % self.height) } else { (0, self.height - 1) };
+        self.extend([x0, y0, x1, y1]);
     }
 
     /// From COCO's uncompressed run lengths, which begin with zeros. `None` when they are not as long as the picture.
     pub fn from_runs(width: usize, height: usize, runs: &[u64]) -> Option<Self> {
         let total = runs.iter().try_fold(0u64, |sum, run| sum.checked_add(*run))?;
-        if total != (width * height) as u64 {
+        if width.checked_mul(height).is_none_or(|area| area as u64 != total) {
             return None;
         }
         let (mut mask, mut at) = (Self::new(width, height), 0usize);
         for (index, &run) in runs.iter().enumerate() {
             let end = at + run as usize;
             if index % 2 == 1 {
-                (at..end).for_each(|bit| mask.words[bit / 64] |= 1 << (bit % 64));
-                mask.area += run;
+                mask.fill(at, end);
             }
             at = end;
         }
@@ -73,7 +98,7 @@ impl Mask {
                 byte = bytes.next()?;
             }
             if runs.len() > 2 {
-                value += runs[runs.len() - 2];
+                value = value.checked_add(runs[runs.len() - 2])?;
             }
             runs.push(value);
         }
@@ -84,7 +109,10 @@ impl Mask {
     /// Adds a polygon of x, y pairs, even-odd, pixels counted by their centres.
     pub fn add_polygon(&mut self, points: &[[f64; 2]]) {
         let mut crossings = Vec::new();
-        for y in 0..self.height {
+        let (top, bottom) =
+            points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p[1]), b.max(p[1])));
+        // A cast of a float ends at 0; rows outside the polygon have no crossing.
+        for y in (top - 1.0) as usize..self.height.min((bottom + 1.0) as usize) {
             let middle = y as f64 + 0.5;
             crossings.clear();
             for (index, a) in points.iter().enumerate() {
@@ -127,13 +155,8 @@ impl Mask {
 
     /// Left, top, width, height of what is set; all zero when nothing is.
     pub fn bounds(&self) -> [f64; 4] {
-        let (mut x0, mut y0, mut x1, mut y1) = (usize::MAX, usize::MAX, 0, 0);
-        for x in 0..self.width {
-            for y in (0..self.height).filter(|&y| self.at(x, y)) {
-                (x0, y0, x1, y1) = (x0.min(x), y0.min(y), x1.max(x + 1), y1.max(y + 1));
-            }
-        }
-        if self.area == 0 { [0.0; 4] } else { [x0 as f64, y0 as f64, (x1 - x0) as f64, (y1 - y0) as f64] }
+        let Some([x0, y0, x1, y1]) = self.extent else { return [0.0; 4] };
+        [x0 as f64, y0 as f64, (x1 - x0 + 1) as f64, (y1 - y0 + 1) as f64]
     }
 }
 
@@ -157,6 +180,19 @@ mod tests {
         assert_eq!(mask.runs(), [5, 2, 2, 2, 2, 2, 5]);
         assert_eq!(Mask::from_packed(5, 4, "52200"), None);
         assert_eq!(Mask::from_packed(5, 4, "\u{1}"), None);
+        // Each difference adds 2^59 to the value two before: the sum leaves 64 bits.
+        assert_eq!(Mask::from_packed(5, 4, &"ooooooooooo?".repeat(40)), None);
+        assert_eq!(Mask::from_runs(1 << 32, 1 << 32, &[0]), None, "an area beyond 64 bits");
+    }
+
+    #[test]
+    fn runs_over_words_and_columns_set_every_bit() {
+        for (start, len) in [(0, 1), (3, 60), (60, 8), (0, 64), (63, 130), (127, 1), (64, 64), (5, 195)] {
+            let mask = Mask::from_runs(10, 20, &[start, len, 200 - start - len]).unwrap();
+            let mut slow = Mask::new(10, 20);
+            (start..start + len).for_each(|bit| slow.set(bit as usize / 20, bit as usize % 20));
+            assert_eq!(mask, slow, "{start} {len}");
+        }
     }
 
     #[test]

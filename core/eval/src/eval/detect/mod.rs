@@ -10,7 +10,8 @@ mod picture;
 mod score;
 mod selfcheck;
 mod tables;
-mod truth;
+#[doc(hidden)]
+pub mod truth;
 
 use std::path::{Path, PathBuf};
 

@@ -10,7 +10,8 @@ mod phantom;
 mod picture;
 mod rectified;
 mod sets;
-mod truth_files;
+#[doc(hidden)]
+pub mod truth_files;
 
 use std::path::PathBuf;
 

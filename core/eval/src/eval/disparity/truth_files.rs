@@ -83,9 +83,12 @@ fn tiff(bytes: &[u8]) -> Result<FloatImage> {
         one(258, 1)? == 32 && one(339, 1)? == 3 && one(277, 1)? == 1 && one(259, 1)? == 1,
         "one channel of uncompressed 32-bit floats is expected"
     );
-    let mut data = Vec::with_capacity(width * height);
+    let needed = width * height;
+    ensure!(needed <= bytes.len() / 4, "its {} bytes hold no {needed} values", bytes.len());
+    let mut data = Vec::with_capacity(needed);
     for (start, len) in values(273)?.into_iter().zip(values(279)?) {
         let part = bytes.get(start..start.saturating_add(len)).ok_or_else(cut)?;
+        ensure!(data.len() + len / 4 <= bytes.len() / 4, "its strips overlap");
         data.extend(
             part.as_chunks::<4>()
                 .0
@@ -93,8 +96,8 @@ fn tiff(bytes: &[u8]) -> Result<FloatImage> {
                 .map(|raw| if is_little { f32::from_le_bytes(*raw) } else { f32::from_be_bytes(*raw) }),
         );
     }
-    ensure!(data.len() >= width * height, "it holds {} values, {} are expected", data.len(), width * height);
-    data.truncate(width * height);
+    ensure!(data.len() >= needed, "it holds {} values, {needed} are expected", data.len());
+    data.truncate(needed);
     Ok(FloatImage { width, height, data })
 }
 
@@ -213,6 +216,22 @@ mod tests {
         for at in 0..bytes.len() - 4 {
             assert!(tiff(&bytes[..at]).is_err(), "{at}");
         }
+    }
+
+    #[test]
+    fn a_small_tiff_cannot_ask_for_much_memory_or_work() {
+        let mut bytes = small_tiff();
+        let at = 48 + 2 + 8;
+        bytes[at..at + 4].copy_from_slice(&65536u32.to_le_bytes());
+        bytes[at + 12..at + 16].copy_from_slice(&65536u32.to_le_bytes());
+        let error = tiff(&bytes).unwrap_err().to_string();
+        assert!(error.contains("hold no 4294967296 values"), "{error}");
+        // Both strips are the whole file.
+        let mut bytes = small_tiff();
+        let len = bytes.len() as u32;
+        bytes[32..48].copy_from_slice(&[0, 0, len, len].map(u32::to_le_bytes).concat());
+        let error = tiff(&bytes).unwrap_err().to_string();
+        assert!(error.contains("strips overlap"), "{error}");
     }
 
     #[test]

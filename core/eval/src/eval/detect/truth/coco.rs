@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::{Picture, Truth, outlined};
+use super::{MOST_PIXELS, Picture, Truth, outlined};
 use crate::error::{Context, FileAction, OnFile, Result, bail};
 use crate::eval::detect::mask::Mask;
 use crate::eval::detect::score::Object;
@@ -63,21 +63,24 @@ pub enum Segmentation {
 impl Segmentation {
     /// The mask in a picture of `width` x `height` px.
     pub fn mask(&self, width: usize, height: usize) -> Result<Mask> {
-        let (size, mask) = match self {
-            Self::Runs { size, counts } => (*size, Mask::from_runs(size[1], size[0], counts)),
-            Self::Packed { size, counts } => (*size, Mask::from_packed(size[1], size[0], counts)),
+        // Compared before a mask of that size is made.
+        if let Self::Runs { size, .. } | Self::Packed { size, .. } = self
+            && *size != [height, width]
+        {
+            bail!("a mask of {}x{} in a picture of {width}x{height}", size[1], size[0]);
+        }
+        let mask = match self {
+            Self::Runs { counts, .. } => Mask::from_runs(width, height, counts),
+            Self::Packed { counts, .. } => Mask::from_packed(width, height, counts),
             Self::Polygons(lists) => {
                 let mut mask = Mask::new(width, height);
                 for list in lists {
                     let points: Vec<[f64; 2]> = list.chunks_exact(2).map(|p| [p[0], p[1]]).collect();
                     mask.add_polygon(&points);
                 }
-                ([height, width], Some(mask))
+                Some(mask)
             }
         };
-        if size != [height, width] {
-            bail!("a mask of {}x{} in a picture of {width}x{height}", size[1], size[0]);
-        }
         mask.context("run lengths that do not cover the picture")
     }
 }
@@ -118,7 +121,7 @@ pub fn read(path: &Path, folder: &Path) -> Result<Truth> {
         if !picture.is_file() {
             bail!("{} names {}, which is not in {}", path.display(), image.file_name, folder.display());
         }
-        if image.width.checked_mul(image.height).is_none_or(|n| n == 0 || n > 1 << 28) {
+        if image.width.checked_mul(image.height).is_none_or(|n| n == 0 || n as u64 > MOST_PIXELS) {
             bail!("{}: {} of {}x{} px", path.display(), image.file_name, image.width, image.height);
         }
         place.insert(image.id, truth.pictures.len());

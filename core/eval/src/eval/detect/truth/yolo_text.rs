@@ -69,6 +69,9 @@ pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
             let class = truth.class(names.get(index).map_or(&format!("class {index}"), |n| n));
             if let [_, x, y, bw, bh] = values[..] {
                 let bbox = [(x - bw / 2.0) * w, (y - bh / 2.0) * h, bw * w, bh * h];
+                if bbox.iter().any(|px| !px.is_finite()) {
+                    bail!("{}:{}: the box reaches to infinity", label.display(), number + 1);
+                }
                 objects.push(Object { class, bbox, mask: None, ignored: false });
             } else {
                 let points: Vec<[f64; 2]> = values[1..].chunks_exact(2).map(|p| [p[0] * w, p[1] * h]).collect();

@@ -1,0 +1,316 @@
+//! `cargo xtask fuzz`: runs the fuzz targets of `tests/fuzz` with cargo-fuzz and the nightly toolchain, and prints what they found.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+
+use crate::process;
+use crate::workspace::Workspace;
+
+/// Time for each target without `--seconds`.
+const SECONDS: u64 = 60;
+/// Longest time for one input, seconds.
+const TIMEOUT_S: u32 = 20;
+/// Largest single allocation and largest memory of the process, MB. Pictures may expand what they packed.
+const MALLOC_MB: u32 = 64;
+const MALLOC_PICTURE_MB: u32 = 600;
+const RSS_MB: u32 = 2048;
+/// Longest input that the fuzzer makes, bytes.
+const MOST_LEN: u32 = 16 << 10;
+/// Most files and bytes of a corpus that is kept in the repository.
+const MOST_FILES: usize = 60;
+const MOST_BYTES: u64 = 100 << 10;
+
+/// What the command line asks for.
+#[derive(Debug, PartialEq, Eq)]
+struct Request {
+    target: Option<String>,
+    seconds: u64,
+    /// Put a minimized selection of what was found into the repository.
+    keep: bool,
+}
+
+impl Request {
+    fn parse(args: &[String]) -> Result<Self> {
+        let mut request = Self { target: None, seconds: SECONDS, keep: false };
+        let mut words = args.iter();
+        while let Some(word) = words.next() {
+            match word.as_str() {
+                "--seconds" => {
+                    let number = words.next().context("--seconds takes a number")?;
+                    request.seconds = number.parse().with_context(|| format!("--seconds {number}"))?;
+                }
+                "--keep" => request.keep = true,
+                name if request.target.is_none() && !name.starts_with('-') => request.target = Some(name.to_owned()),
+                other => bail!("unexpected argument `{other}`"),
+            }
+        }
+        Ok(request)
+    }
+}
+
+/// What libFuzzer reported of one target.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Figures {
+    inputs: u64,
+    /// Edges of the program that were reached with the inputs of the start, and at the end.
+    coverage: (u64, u64),
+    /// Inputs that reached something new.
+    found: u64,
+}
+
+impl Figures {
+    /// Reads the output of libFuzzer.
+    fn of(output: &str) -> Self {
+        let mut figures = Self::default();
+        for line in output.lines() {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let after = |name: &str| {
+                let at = words.iter().position(|word| *word == name)?;
+                words.get(at + 1)?.parse::<u64>().ok()
+            };
+            if let Some(edges) = after("cov:") {
+                figures.coverage.1 = edges;
+                if words.contains(&"INITED") {
+                    figures.coverage.0 = edges;
+                }
+            }
+            figures.inputs = after("stat::number_of_executed_units:").unwrap_or(figures.inputs);
+            figures.found = after("stat::new_units_added:").unwrap_or(figures.found);
+        }
+        figures
+    }
+}
+
+/// Folders and tools of a run.
+struct Fuzzing<'a> {
+    workspace: &'a Workspace,
+    /// Sources and committed corpora.
+    source: PathBuf,
+    /// Everything that is not committed.
+    work: PathBuf,
+    /// Search path with cargo-fuzz on it.
+    path: std::ffi::OsString,
+}
+
+/// Runs the fuzz targets, one after the other, and prints a table.
+pub fn fuzz(workspace: &Workspace, args: &[String]) -> Result<bool> {
+    let request = Request::parse(args)?;
+    let source = workspace.root.join("tests/fuzz");
+    let mut targets = targets(&source.join("fuzz_targets"))?;
+    if let Some(name) = &request.target {
+        if !targets.contains(name) {
+            bail!("there is no fuzz target `{name}`; there are: {}", targets.join(", "));
+        }
+        targets = vec![name.clone()];
+    }
+    let work = workspace.target.join("fuzz");
+    let path = tools(&work)?;
+    let fuzzing = Fuzzing { workspace, source, work, path };
+    fuzzing.build(request.target.as_deref())?;
+    println!("{:<14} {:>12} {:>14} {:>6} {:>8}", "target", "inputs", "coverage", "new", "crashes");
+    let mut crashes = Vec::new();
+    for name in &targets {
+        let (figures, new) = fuzzing.run(name, request.seconds)?;
+        let Figures { inputs, coverage: (before, after), found } = figures;
+        println!("{name:<14} {inputs:>12} {:>14} {found:>6} {:>8}", format!("{before}->{after}"), new.len());
+        crashes.extend(new);
+        if request.keep {
+            fuzzing.keep(name)?;
+        }
+    }
+    for file in &crashes {
+        println!("{}", file.display());
+    }
+    Ok(crashes.is_empty())
+}
+
+/// Names of the targets, sorted.
+fn targets(folder: &Path) -> Result<Vec<String>> {
+    let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    let mut names: Vec<String> =
+        entries.flatten().filter_map(|entry| Some(entry.path().file_stem()?.to_str()?.to_owned())).collect();
+    names.sort();
+    Ok(names)
+}
+
+/// Cargo of the nightly toolchain, without what `cargo run` set for this program.
+fn nightly() -> Command {
+    let mut command = Command::new("cargo");
+    for name in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN", "RUSTDOC"] {
+        command.env_remove(name);
+    }
+    command.arg("+nightly");
+    command
+}
+
+/// Sees to it that the nightly toolchain and cargo-fuzz are there. Returns the search path with cargo-fuzz.
+fn tools(work: &Path) -> Result<std::ffi::OsString> {
+    if process::capture(nightly().arg("--version")).is_err() {
+        bail!("fuzzing needs the nightly toolchain: install it with `rustup toolchain install nightly`");
+    }
+    let old = std::env::var_os("PATH").unwrap_or_default();
+    if process::find_program("cargo-fuzz").is_some() {
+        return Ok(old);
+    }
+    let root = work.join("tools");
+    if !root.join("bin/cargo-fuzz").is_file() {
+        println!("Installing cargo-fuzz into {}", root.display());
+        process::run(nightly().args(["install", "--locked", "cargo-fuzz", "--root"]).arg(&root))?;
+    }
+    let folders = std::iter::once(root.join("bin")).chain(std::env::split_paths(&old));
+    std::env::join_paths(folders).context("the search path")
+}
+
+impl Fuzzing<'_> {
+    fn build_dir(&self) -> PathBuf {
+        self.work.join("build")
+    }
+
+    /// Builds one target, or all.
+    fn build(&self, target: Option<&str>) -> Result<()> {
+        let mut command = nightly();
+        command.env("PATH", &self.path).current_dir(&self.workspace.root).args(["fuzz", "build", "--fuzz-dir"]);
+        command.arg(&self.source).arg("--target-dir").arg(self.build_dir()).args(target);
+        process::run(&mut command)
+    }
+
+    /// The program of a target: below a folder with the name of the machine.
+    fn program(&self, target: &str) -> Result<PathBuf> {
+        let machines = std::fs::read_dir(self.build_dir()).context("nothing was built")?;
+        let programs = machines.flatten().map(|entry| entry.path().join("release").join(target));
+        // A build without a machine's name has `release` itself here.
+        programs.filter(|program| program.is_file()).last().with_context(|| format!("`{target}` was not built"))
+    }
+
+    /// A folder for a target, made if it is not there.
+    fn folder(&self, kind: &str, target: &str) -> Result<PathBuf> {
+        let folder = self.work.join(kind).join(target);
+        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        Ok(folder)
+    }
+
+    /// A command with the limits of a target.
+    fn command(&self, target: &str) -> Result<Command> {
+        let malloc = if ["picture", "truth_file"].contains(&target) { MALLOC_PICTURE_MB } else { MALLOC_MB };
+        let mut command = Command::new(self.program(target)?);
+        command.env("PANOSCOPE_FUZZ_SEEDS", self.folder("seeds", target)?);
+        command.env("PANOSCOPE_FUZZ_SCRATCH", self.folder("scratch", target)?);
+        command.arg(format!("-timeout={TIMEOUT_S}")).arg(format!("-rss_limit_mb={RSS_MB}"));
+        command.arg(format!("-malloc_limit_mb={malloc}"));
+        command.stdin(Stdio::null());
+        Ok(command)
+    }
+
+    /// Runs a target. Returns its figures and the inputs that crashed it.
+    fn run(&self, target: &str, seconds: u64) -> Result<(Figures, Vec<PathBuf>)> {
+        let artifacts = self.folder("artifacts", target)?;
+        let known = inputs(&artifacts);
+        let mut command = self.command(target)?;
+        command.arg(format!("-artifact_prefix={}/", artifacts.display()));
+        command.arg(format!("-max_total_time={seconds}")).arg(format!("-max_len={MOST_LEN}"));
+        // What is found goes to the first folder.
+        command.arg("-print_final_stats=1").arg(self.folder("corpus", target)?);
+        command.arg(self.folder("seeds", target)?);
+        let committed = self.source.join("corpus").join(target);
+        if committed.is_dir() {
+            command.arg(committed);
+        }
+        let log = self.work.join(format!("{target}.log"));
+        let file = std::fs::File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
+        command.stdout(Stdio::null()).stderr(file);
+        let status = command.status().with_context(|| format!("cannot start `{}`", process::shown(&command)))?;
+        let output = std::fs::read(&log).with_context(|| format!("cannot read {}", log.display()))?;
+        let output = String::from_utf8_lossy(&output);
+        let new: Vec<PathBuf> = inputs(&artifacts).into_keys().filter(|file| !known.contains_key(file)).collect();
+        let _ = std::fs::remove_dir_all(self.work.join("scratch").join(target));
+        if !status.success() && new.is_empty() {
+            bail!("the fuzzer of `{target}` failed ({status}), see {}\n{}", log.display(), process::tail(&output, 20));
+        }
+        Ok((Figures::of(&output), new))
+    }
+
+    /// Replaces the committed corpus of a target by a small selection of all its inputs. Regressions stay.
+    fn keep(&self, target: &str) -> Result<()> {
+        let committed = self.source.join("corpus").join(target);
+        std::fs::create_dir_all(&committed).with_context(|| format!("cannot make {}", committed.display()))?;
+        let chosen = self.folder("chosen", target)?;
+        inputs(&chosen).keys().try_for_each(std::fs::remove_file)?;
+        let mut command = self.command(target)?;
+        command.arg("-set_cover_merge=1").arg(&chosen).arg(self.folder("corpus", target)?);
+        command.arg(self.folder("seeds", target)?).arg(&committed);
+        process::capture(&mut command)?;
+        let (mut files, mut bytes) = (0, 0);
+        for (file, len) in inputs(&committed) {
+            if is_regression(&file) {
+                (files, bytes) = (files + 1, bytes + len);
+            } else {
+                std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
+            }
+        }
+        // The smallest first: most of what a parser does is reached by small inputs.
+        let mut all: Vec<(u64, PathBuf)> = inputs(&chosen).into_iter().map(|(file, len)| (len, file)).collect();
+        all.sort();
+        for (len, file) in all {
+            if files + 1 > MOST_FILES || bytes + len > MOST_BYTES {
+                break;
+            }
+            let name = file.file_name().context("a file has a name")?;
+            std::fs::copy(&file, committed.join(name)).with_context(|| format!("cannot copy {}", file.display()))?;
+            (files, bytes) = (files + 1, bytes + len);
+        }
+        Ok(())
+    }
+}
+
+/// Whether a file of a corpus has a name that a person gave it; libFuzzer names files by their hash.
+fn is_regression(file: &Path) -> bool {
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    name.len() != 40 || !name.bytes().all(|byte| byte.is_ascii_hexdigit())
+}
+
+/// The files of a folder with their lengths.
+fn inputs(folder: &Path) -> BTreeMap<PathBuf, u64> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let files = entries.filter_map(|entry| Some((entry.path(), entry.metadata().ok()?)));
+    files.filter(|(_, about)| about.is_file()).map(|(path, about)| (path, about.len())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_choose_target_and_time() {
+        let parse = |text: &str| Request::parse(&text.split_whitespace().map(str::to_owned).collect::<Vec<_>>());
+        assert_eq!(parse("").unwrap(), Request { target: None, seconds: SECONDS, keep: false });
+        let graph = Request { target: Some("graph".to_owned()), seconds: 5, keep: true };
+        assert_eq!(parse("graph --seconds 5 --keep").unwrap(), graph);
+        assert!(parse("graph urdf").unwrap_err().to_string().contains("`urdf`"));
+        assert!(parse("--seconds").unwrap_err().to_string().contains("a number"));
+    }
+
+    #[test]
+    fn the_output_of_the_fuzzer_is_read() {
+        let output = "INFO: seed corpus: files: 3\n#4\tINITED cov: 120 ft: 130 corp: 3/9b exec/s: 0 rss: 40Mb\n\
+                      #900\tNEW    cov: 125 ft: 140 corp: 4/12b\n#1000\tDONE   cov: 131 ft: 150 corp: 5/20b\n\
+                      stat::number_of_executed_units: 1000\nstat::average_exec_per_sec:     100\nstat::new_units_added:          2\n";
+        assert_eq!(Figures::of(output), Figures { inputs: 1000, coverage: (120, 131), found: 2 });
+        assert_eq!(Figures::of("nothing"), Figures::default());
+    }
+
+    #[test]
+    fn files_with_names_of_their_own_are_regressions() {
+        assert!(is_regression(Path::new("corpus/graph/parts_multiply")));
+        assert!(!is_regression(Path::new("corpus/graph/0123456789abcdef0123456789abcdef01234567")));
+    }
+
+    #[test]
+    fn every_target_has_a_file() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fuzz/fuzz_targets");
+        let names = targets(&folder).unwrap();
+        assert!(names.len() > 20 && names.contains(&"graph".to_owned()), "{names:?}");
+    }
+}

@@ -1,0 +1,172 @@
+//! The arm: its line protocol, records of the guard, its latch file, its description.
+
+use panoscope_arm_core::interlock::{Cause, Event, Evidence, Settings};
+use panoscope_arm_core::line::Serial;
+use panoscope_arm_core::line::{LONGEST, Line, Reader, Received};
+use panoscope_arm_core::{Chain, JointVector};
+use panoscope_arm_guard::latch::{LatchStore, Record};
+use panoscope_arm_guard::message::{self, Report, Request, Status};
+
+use crate::scratch;
+
+/// Lines of a serial port: as they are, and with the CRC made right, which the fuzzer cannot guess.
+pub fn line(bytes: &[u8]) {
+    for part in bytes.split(|byte| *byte == b'\n') {
+        one_line(part);
+        let body = part.split(|byte| *byte == b'*').next().unwrap_or(part);
+        let sealed = [body, format!("*{:08X}", crc32fast::hash(body)).as_bytes()].concat();
+        one_line(&sealed);
+    }
+    // The lines of a stream do not depend on how its bytes were delivered.
+    let mut whole = Vec::new();
+    Reader::default().take(bytes, |received| whole.push(format!("{received:?}")));
+    for pieces in [1, 7, 64] {
+        let (mut reader, mut parts) = (Reader::default(), Vec::new());
+        bytes.chunks(pieces).for_each(|piece| reader.take(piece, |received| parts.push(format!("{received:?}"))));
+        assert_eq!(parts, whole, "in pieces of {pieces}");
+    }
+}
+
+fn one_line(bytes: &[u8]) {
+    let Some(line) = Line::read(bytes) else { return };
+    let mut written = Vec::new();
+    line.write(&mut written);
+    assert!(written.len() <= LONGEST, "{line:?}");
+    let mut back = Vec::new();
+    Reader::default().take(&written, |received| back.push(received));
+    let [Received::Line(again)] = back.as_slice() else { panic!("{line:?} came back as {back:?}") };
+    let mut twice = Vec::new();
+    again.write(&mut twice);
+    assert_eq!(twice, written, "{line:?}");
+}
+
+fn joints(start: f64) -> JointVector {
+    JointVector::from_fn(|k, _| start + 0.1 * k as f64)
+}
+
+pub fn line_seeds() -> Vec<Vec<u8>> {
+    let serial = Serial::new("CAM6-0042").expect("a serial number");
+    let lines = [
+        Line::Hello { seq: 0, version: 2 },
+        Line::Identity { seq: 1, version: 2, serial, watchdog_ms: 30 },
+        Line::Query { seq: 2 },
+        Line::Clear { seq: 3 },
+        Line::Set { seq: 999_999, position: joints(-0.2), velocity: joints(1e-6) },
+    ];
+    let mut all: Vec<Vec<u8>> = lines
+        .iter()
+        .map(|line| {
+            let mut bytes = Vec::new();
+            line.write(&mut bytes);
+            bytes
+        })
+        .collect();
+    all.push(all.concat());
+    all.push(b"A 1 R 0 0 0 0 0 0*6B\n".to_vec());
+    all.push(vec![b'S'; 600]);
+    all
+}
+
+/// A record as it is, and with its CRC made right.
+pub fn message(bytes: &[u8]) {
+    one_message(bytes);
+    let sealed = [bytes, &crc32fast::hash(bytes).to_le_bytes()].concat();
+    one_message(&sealed);
+}
+
+fn one_message(bytes: &[u8]) {
+    let mut out = [0; message::LONGEST];
+    if let Some(request) = Request::decode(bytes) {
+        let written = request.encode(&mut out).to_vec();
+        let again = Request::decode(&written).expect("a request that was written");
+        assert_eq!(again.encode(&mut out), written);
+    }
+    if let Some(report) = Report::decode(bytes) {
+        let written = report.encode(&mut out).to_vec();
+        let again = Report::decode(&written).expect("a report that was written");
+        assert_eq!(again.encode(&mut out), written);
+    }
+}
+
+pub fn message_seeds() -> Vec<Vec<u8>> {
+    let request = Request {
+        sent_ns: 123_456_789,
+        tip: Some((-5, Evidence { score: 0.75, in_space: true })),
+        demand: Some((99, [0.1; message::MAX_DEMAND], 6)),
+        settings: Settings { max_age_ms: 150.0, min_score: 0.3 },
+        emergency_stop: false,
+        reset: 7,
+    };
+    let status = Status { encoders: joints(0.1), stop: Some(Cause::OldTip), ..Status::default() };
+    let serial = Serial::new("CAM6-0042").expect("a serial number");
+    let reports = [
+        Report::Ready { serial, watchdog_ms: 30, granted: (true, false) },
+        Report::Failed("the arm is not there: ä".to_owned()),
+        Report::Status(Box::new(status)),
+        Report::Event(Event { at_ns: 5, stop: None, speed_rad_s: 0.4 }),
+    ];
+    let mut out = [0; message::LONGEST];
+    let mut all = vec![request.encode(&mut out).to_vec()];
+    all.extend(reports.iter().map(|report| report.encode(&mut out).to_vec()));
+    // Without the CRC, which the target adds.
+    all.extend(all.clone().iter().map(|record| record[..record.len() - 4].to_vec()));
+    all
+}
+
+/// The latch file: whatever it holds, the arm opens with a stop or was left at rest.
+pub fn latch(bytes: &[u8]) {
+    one_latch(bytes);
+    let body = bytes.split(|byte| *byte == b'\n').next().unwrap_or(bytes);
+    let sealed = [body, format!("\n{:08x}\n", crc32fast::hash(body)).as_bytes()].concat();
+    one_latch(&sealed);
+}
+
+fn one_latch(bytes: &[u8]) {
+    let serial = Serial::new("FUZZ").expect("a serial number");
+    let file = scratch::file("latches/FUZZ.latch", bytes);
+    let folder = file.parent().expect("it is in a folder");
+    let (mut store, stop) = LatchStore::open(folder, &serial).expect("the folder can be written");
+    assert!(stop.is_some() || bytes.starts_with(b"rest\n"), "{:?} is no rest", String::from_utf8_lossy(bytes));
+    let Some(cause) = stop else { return };
+    store.write(Record::Latched(cause)).expect("written");
+    drop(store);
+    let (_, again) = LatchStore::open(folder, &serial).expect("the folder can be written");
+    assert_eq!(again, Some(cause));
+}
+
+pub fn latch_seeds() -> Vec<Vec<u8>> {
+    let bodies = ["rest", "released", "latched 3 old tip", "latched 99999999999999999999", "latched -1", ""];
+    let mut all: Vec<Vec<u8>> = bodies.iter().map(|body| body.as_bytes().to_vec()).collect();
+    all.extend(bodies.iter().map(|body| format!("{body}\n{:08x}\n", crc32fast::hash(body.as_bytes())).into_bytes()));
+    all
+}
+
+pub fn urdf(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    match Chain::from_urdf(text) {
+        Ok(chain) => {
+            for joint in chain.joints() {
+                assert!(joint.lower_rad < 0.0 && joint.upper_rad > 0.0 && joint.speed_rad_s > 0.0, "{joint:?}");
+                assert!(joint.lower_rad.is_finite() && joint.upper_rad.is_finite() && joint.speed_rad_s.is_finite());
+            }
+            let stance = chain.stance(&JointVector::zeros());
+            assert!(stance.links().iter().all(|point| point.iter().all(|mm| mm.is_finite())), "{stance:?}");
+            assert!(chain.trocar_mm().iter().all(|mm| mm.is_finite()));
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+pub fn urdf_seeds() -> Vec<Vec<u8>> {
+    let shipped = panoscope_arm_core::chain::SHIPPED_URDF;
+    let texts = [
+        shipped.to_owned(),
+        shipped.replace("revolute", "continuous"),
+        shipped.replace("trocar", "other"),
+        shipped.replacen("xyz=\"", "xyz=\"1e308 ", 3),
+        shipped[..shipped.len() / 2].to_owned(),
+        format!("<robot name=\"a\">{}", "<link name=\"b\">".repeat(300)),
+        "<!DOCTYPE a [<!ENTITY b \"&c;&c;\">]><robot name=\"&b;\"/>".to_owned(),
+    ];
+    texts.into_iter().map(String::into_bytes).collect()
+}

@@ -1,0 +1,84 @@
+//! Functions that take bytes nobody has checked, one per parser of foreign files and messages.
+//!
+//! The fuzzer calls them (`tests/fuzz/fuzz_targets`), and the test `corpora` replays what the fuzzer found with the stable toolchain. A function
+//! panics when the parser breaks a property: what it accepted must survive being written and read again, positions of errors must
+//! lie inside the file, and the work must be in proportion to the bytes. The callers add limits of memory and time.
+
+mod arm;
+mod calibration;
+mod descriptor;
+mod draw;
+mod graph;
+mod labels;
+mod model;
+mod numbers;
+mod packets;
+mod picture;
+mod plugin;
+mod recording;
+mod scratch;
+
+use std::path::Path;
+
+/// A parser under test.
+pub struct Target {
+    /// Name of the target, its corpus and its file in `tests/fuzz/fuzz_targets`.
+    pub name: &'static str,
+    /// Parses bytes and asserts properties of the result.
+    pub run: fn(&[u8]),
+    /// Valid inputs and typical mistakes, to start from.
+    pub seeds: fn() -> Vec<Vec<u8>>,
+}
+
+/// All targets, by name.
+pub const TARGETS: &[Target] = &[
+    Target { name: "arm_line", run: arm::line, seeds: arm::line_seeds },
+    Target { name: "board", run: calibration::board, seeds: calibration::board_seeds },
+    Target { name: "calibration", run: calibration::file, seeds: calibration::file_seeds },
+    Target { name: "coco", run: labels::coco, seeds: labels::coco_seeds },
+    Target { name: "descriptor", run: descriptor::run, seeds: descriptor::seeds },
+    Target { name: "digests", run: recording::digests, seeds: recording::digest_seeds },
+    Target { name: "event", run: recording::event, seeds: recording::event_seeds },
+    Target { name: "float_image", run: numbers::float_image, seeds: numbers::float_image_seeds },
+    Target { name: "graph", run: graph::run, seeds: graph::seeds },
+    Target { name: "guard_message", run: arm::message, seeds: arm::message_seeds },
+    Target { name: "labelme", run: labels::labelme, seeds: labels::labelme_seeds },
+    Target { name: "latch", run: arm::latch, seeds: arm::latch_seeds },
+    Target { name: "lock", run: plugin::lock, seeds: plugin::lock_seeds },
+    Target { name: "onnx", run: model::run, seeds: model::seeds },
+    Target { name: "packet", run: packets::run, seeds: packets::seeds },
+    Target { name: "picture", run: picture::run, seeds: picture::seeds },
+    Target { name: "plugin_note", run: plugin::note, seeds: plugin::note_seeds },
+    Target { name: "recording", run: recording::file, seeds: recording::file_seeds },
+    Target { name: "truth_file", run: numbers::truth_file, seeds: numbers::truth_file_seeds },
+    Target { name: "urdf", run: arm::urdf, seeds: arm::urdf_seeds },
+    Target { name: "via", run: labels::via, seeds: labels::via_seeds },
+    Target { name: "voc", run: labels::voc, seeds: labels::voc_seeds },
+    Target { name: "yolo_labels", run: labels::yolo, seeds: labels::yolo_seeds },
+];
+
+/// Folder that [`begin`] writes the seeds to.
+pub const SEEDS_VARIABLE: &str = "PANOSCOPE_FUZZ_SEEDS";
+/// Folder for the files that a target needs on disk; a folder in memory where there is one.
+pub const SCRATCH_VARIABLE: &str = "PANOSCOPE_FUZZ_SCRATCH";
+
+/// The target called `name`.
+///
+/// # Panics
+/// There is none.
+pub fn target(name: &str) -> &'static Target {
+    TARGETS.iter().find(|target| target.name == name).unwrap_or_else(|| panic!("there is no target `{name}`"))
+}
+
+/// Prepares a fuzzer: writes the seeds of a target to the folder that [`SEEDS_VARIABLE`] names.
+///
+/// # Panics
+/// The seeds cannot be written.
+pub fn begin(name: &str) {
+    let Some(folder) = std::env::var_os(SEEDS_VARIABLE) else { return };
+    let folder = Path::new(&folder);
+    std::fs::create_dir_all(folder).expect("a folder for the seeds");
+    for (number, seed) in (target(name).seeds)().iter().enumerate() {
+        std::fs::write(folder.join(format!("seed-{number:02}")), seed).expect("a seed");
+    }
+}

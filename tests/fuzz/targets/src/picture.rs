@@ -1,0 +1,52 @@
+//! Pictures that the node `capture` decodes itself: PNG, EXR, TIFF, JPEG, BMP, PNM.
+
+use panoscope_capture::source::decode_picture;
+use panoscope_media::input::jpeg;
+
+pub fn run(bytes: &[u8]) {
+    if let Ok(whole) = jpeg::whole(bytes) {
+        assert!(whole.len() <= bytes.len() + 1024, "at most the standard tables are added");
+        let _ = jpeg::check(bytes);
+    }
+    match decode_picture(bytes) {
+        Some(Ok(picture)) => {
+            assert!(picture.width > 0 && picture.height > 0);
+            // Rows of three values; each value takes a byte or more.
+            assert!(picture.bytes() >= 3 * picture.width * picture.height);
+        }
+        Some(Err(error)) => assert!(!error.to_string().is_empty()),
+        // A format that GStreamer decodes.
+        None => {}
+    }
+}
+
+pub fn seeds() -> Vec<Vec<u8>> {
+    let mut all = Vec::new();
+    let color = image::RgbImage::from_fn(5, 4, |x, y| image::Rgb([x as u8, y as u8, 200]));
+    let mut write = |picture: image::DynamicImage, format: image::ImageFormat| {
+        let mut bytes = Vec::new();
+        picture.write_to(&mut std::io::Cursor::new(&mut bytes), format).expect("a format that is built in");
+        all.push(bytes);
+    };
+    write(color.clone().into(), image::ImageFormat::Png);
+    write(color.clone().into(), image::ImageFormat::Jpeg);
+    write(color.into(), image::ImageFormat::Tiff);
+    let float = image::Rgb32FImage::from_fn(3, 2, |x, y| image::Rgb([x as f32, y as f32, 0.5]));
+    write(float.into(), image::ImageFormat::OpenExr);
+    let deep = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_fn(3, 2, |x, y| image::Luma([(x * y) as u16]));
+    write(deep.into(), image::ImageFormat::Png);
+    all.push(b"P5\n2 2\n255\nabcd".to_vec());
+    all.push(b"P6\n2 1\n65535\nabcdefghijkl".to_vec());
+    all.push(b"P2\n2 1\n9\n1 2\n".to_vec());
+    all.push(b"P5\n999999999 999999999\n255\n".to_vec());
+    let mut bmp = b"BM".to_vec();
+    bmp.extend(62u32.to_le_bytes());
+    bmp.extend([0; 4]);
+    bmp.extend(54u32.to_le_bytes());
+    for number in [40u32, 2, 1, 1 | 24 << 16, 0, 8, 0, 0, 0, 0] {
+        bmp.extend(number.to_le_bytes());
+    }
+    bmp.extend([1, 2, 3, 4, 5, 6, 0, 0]);
+    all.push(bmp);
+    all
+}
