@@ -64,7 +64,7 @@ pub(super) fn serve(child: &Child, lane: &ChildLane) {
     }
 }
 
-impl Instance<'_> {
+impl<'c> Instance<'c> {
     fn request(&mut self, kind: Kind, message: &[u8]) -> Result<Status, BadMessage> {
         let mut reader = Reader(message);
         if kind == Kind::Open {
@@ -111,7 +111,7 @@ impl Instance<'_> {
     }
 
     /// The target of a call's handle, without inputs and outputs.
-    fn call(&self, tick: abi::Tick) -> CallFrame<'_> {
+    fn call(&self, tick: abi::Tick) -> CallFrame<'c> {
         CallFrame {
             lane: self.lane,
             node: self.node.clone(),

@@ -99,7 +99,8 @@ pub(super) unsafe fn open(
     let host = unsafe { std::ptr::read(open.host) };
     let (out, message, copies) = (Vec::new(), Vec::new(), Vec::new());
     let mut remote = Remote { process, lane, host, out, message, params_version: None, copies };
-    remote.begin().u32(image.id).u32(index).u32(open.flags).u32(host.threads).u64(open.outputs_read);
+    let threads = remote.host.threads;
+    remote.begin().u32(image.id).u32(index).u32(open.flags).u32(threads).u64(open.outputs_read);
     // SAFETY: texts and values of the call live.
     unsafe {
         Writer(&mut remote.out).bytes(open.node_id.bytes()).bytes(open.graph_dir.bytes());
