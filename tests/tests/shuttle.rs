@@ -1,7 +1,7 @@
 //! The runtime's frame pool, parameter snapshot, admission queue and mark of a running call under a scheduler that tries thousands of orders (`shuttle`, after
 //! Burckhardt et al., "A randomized scheduler with probabilistic guarantees of finding bugs", 2010). `build.rs` lays their sources out with
 //! its locks and atomics; nothing else in them is changed.
-#![allow(dead_code, missing_docs, unreachable_pub, clippy::undocumented_unsafe_blocks)]
+#![allow(dead_code, missing_docs, unreachable_pub, unused_imports, clippy::undocumented_unsafe_blocks)]
 
 use std::collections::BTreeSet;
 

@@ -105,7 +105,11 @@ fn a_dissolved_part_leaves_its_group_to_its_nodes() {
 fn dot_draws_a_process_as_a_cluster() {
     let graph = checked(&parsed(GRAPH, None));
     let dot = to_dot(&graph, &common::catalog());
-    for part in ["subgraph \"cluster_process_renderer\" {", "label = \"process renderer\"; style = dashed;", "cluster_process_depth/own"] {
+    for part in [
+        "subgraph \"cluster_process_renderer\" {",
+        "label = \"process renderer\"; style = dashed;",
+        "cluster_process_depth/own",
+    ] {
         assert!(dot.contains(part), "no {part} in\n{dot}");
     }
     assert_eq!(dot.matches('{').count(), dot.matches('}').count());

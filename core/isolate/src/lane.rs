@@ -96,9 +96,8 @@ impl Lane {
     pub fn map(file: &File) -> std::io::Result<Self> {
         let protection = libc::PROT_READ | libc::PROT_WRITE;
         // SAFETY: a fresh mapping at an address that the system chooses, of a file with this size, which is sealed.
-        let base = unsafe {
-            libc::mmap(std::ptr::null_mut(), LANE_BYTES, protection, libc::MAP_SHARED, file.as_raw_fd(), 0)
-        };
+        let base =
+            unsafe { libc::mmap(std::ptr::null_mut(), LANE_BYTES, protection, libc::MAP_SHARED, file.as_raw_fd(), 0) };
         if base == libc::MAP_FAILED { Err(std::io::Error::last_os_error()) } else { Ok(Self { base: base.cast() }) }
     }
 

@@ -44,7 +44,7 @@ pub fn inspect(file: &Path) -> Result<PluginFile, LoadError> {
 
 /// Loads a plugin from a private copy of its file, so that a rebuild does not change mapped memory.
 pub fn load(plugin: &PluginFile) -> Result<Loaded, LoadError> {
-    let PluginFile { file, note } = plugin;
+    let file = &plugin.file;
     let link = |cause: String| LoadError::Link { file: file.clone(), cause };
     let mut whole = File::open(file).map_err(|cause| LoadError::Unreadable { file: file.clone(), cause })?;
     let copy = private_copy(file, &mut whole).map_err(|e| link(format!("a private copy could not be made: {e}")))?;

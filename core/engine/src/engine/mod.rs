@@ -89,9 +89,8 @@ impl Engine {
         for node in 0..graph.nodes.len() {
             let node_type = plan::entry_of(&graph, node, &entry)
                 .map_err(|error| StartError::Stale { reason: error.to_string() })?;
-            let group = groups
-                .of(&graph.nodes[node])
-                .map_err(|error| StartError::Stale { reason: error.to_string() })?;
+            let group =
+                groups.of(&graph.nodes[node]).map_err(|error| StartError::Stale { reason: error.to_string() })?;
             runtimes.push(plan::runtime(&graph, catalog, node, node_type, group));
         }
         let slots: Vec<usize> = (0..runtimes.len()).collect();

@@ -209,9 +209,8 @@ mod tests {
         let writable = libc::PROT_READ | libc::PROT_WRITE;
         use std::os::fd::AsRawFd;
         // SAFETY: a mapping at an address that the system chooses; it is expected to fail.
-        let mapped = unsafe {
-            libc::mmap(std::ptr::null_mut(), file.len, writable, libc::MAP_SHARED, file.file.as_raw_fd(), 0)
-        };
+        let mapped =
+            unsafe { libc::mmap(std::ptr::null_mut(), file.len, writable, libc::MAP_SHARED, file.file.as_raw_fd(), 0) };
         assert_eq!(mapped, libc::MAP_FAILED, "nobody else may write");
         assert!(file.file.set_len(0).is_err(), "nobody can shorten it");
         drop(second);

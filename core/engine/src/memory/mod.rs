@@ -14,10 +14,10 @@ use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering, fence};
 
 use panoscope_abi::{BufferId, Frame};
 
-pub use self::domain::{Domain, DomainError, SharedFrames};
 use self::domain::Shared;
-use self::pool::{Backing, Pool};
+pub use self::domain::{Domain, DomainError, SharedFrames};
 pub use self::pool::PoolFile;
+use self::pool::{Backing, Pool};
 
 const SMALLEST_BITS: u32 = 8;
 const LARGEST_BITS: u32 = 30;
@@ -136,12 +136,7 @@ impl Memory {
     }
 
     #[cold]
-    fn make_pool<'m>(
-        &self,
-        place: &'m OnceLock<Option<Pool>>,
-        domain: u32,
-        bits: u32,
-    ) -> Option<&'m Option<Pool>> {
+    fn make_pool<'m>(&self, place: &'m OnceLock<Option<Pool>>, domain: u32, bits: u32) -> Option<&'m Option<Pool>> {
         self.shared.with_backing(domain, |backing| place.get_or_init(|| Pool::reserve(bits, backing)))
     }
 

@@ -120,8 +120,8 @@ impl Pool {
         let flags = libc::MAP_SHARED | libc::MAP_NORESERVE | libc::MAP_FIXED;
         let protection = libc::PROT_READ | libc::PROT_WRITE;
         // SAFETY: the stretch from `base` belongs to this pool and none of its slots is in use: the pool is new, or closed and unmapped.
-        let mapped =
-            unsafe { libc::mmap(self.base.cast(), self.len(), protection, flags, file.as_raw_fd(), 0) } != libc::MAP_FAILED;
+        let mapped = unsafe { libc::mmap(self.base.cast(), self.len(), protection, flags, file.as_raw_fd(), 0) }
+            != libc::MAP_FAILED;
         // The mapping above stays writable under the seal.
         if !mapped || (backing == Backing::ReadElsewhere && seal(&file, libc::F_SEAL_FUTURE_WRITE).is_err()) {
             return false;

@@ -42,7 +42,8 @@ impl Checker<'_> {
                     .help("isolate the nodes that it depends on, and leave out this one: write `isolate` at nodes, not for the plugin");
             }
             if node.cpu.is_some() {
-                let message = format!("`{id}` has `cpu` and `isolate`; the thread that works for it is in another process");
+                let message =
+                    format!("`{id}` has `cpu` and `isolate`; the thread that works for it is in another process");
                 self.error("isolated-cpu", &group.span, message).help("remove one of the two");
             }
         }

@@ -94,12 +94,7 @@ impl Group for Isolated {
         proxies.entry(std::ptr::from_ref(entry).addr()).or_insert_with(|| Box::leak(Box::new(remote::proxy_of(entry))))
     }
 
-    unsafe fn open(
-        &self,
-        entry: &'static NodeType,
-        call: *mut abi::OpenCall,
-        instance: *mut *mut c_void,
-    ) -> Status {
+    unsafe fn open(&self, entry: &'static NodeType, call: *mut abi::OpenCall, instance: *mut *mut c_void) -> Status {
         let refuse = |words: String| {
             // SAFETY: the caller's promise: the call and its table live.
             unsafe {

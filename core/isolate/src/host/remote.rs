@@ -264,9 +264,9 @@ impl Remote {
                     frame.data = memory().resolve(frame.buffer);
                 }
                 // SAFETY: the running call; the host checks the frame.
-                let status = host.forward.map_or(abi::STATUS_INVALID, |forward| unsafe {
-                    forward(call, output, &raw const frame)
-                });
+                let status = host
+                    .forward
+                    .map_or(abi::STATUS_INVALID, |forward| unsafe { forward(call, output, &raw const frame) });
                 // SAFETY: the outputs live.
                 unsafe { self.made(status, output, place) }
             }
@@ -353,7 +353,9 @@ impl Remote {
                     Err(_) => _ = out.i32(abi::STATUS_EXHAUSTED).frame(&Frame::EMPTY),
                 }
             }
-            None => _ = out.i32(if status == abi::STATUS_OK { abi::STATUS_INVALID } else { status }).frame(&Frame::EMPTY),
+            None => {
+                _ = out.i32(if status == abi::STATUS_OK { abi::STATUS_INVALID } else { status }).frame(&Frame::EMPTY)
+            }
         }
         Ok(())
     }
