@@ -125,9 +125,6 @@ impl Shared {
         if !busy.abandon(since_ns) {
             return;
         }
-        if let Some(group) = &runtime.group {
-            group.kill(&format!("node `{}` did not return{}", runtime.id, kind.return_words()));
-        }
         let now_ns = clock::now_ns();
         let stuck = runtime.recovery.add_stuck();
         let failures = runtime.recovery.add_failure();
@@ -146,6 +143,10 @@ impl Shared {
         }
         busy.clear();
         runtime.exec.put(exec);
+        if let Some(group) = &runtime.group {
+            // The call returns now and is no longer counted as stuck.
+            group.kill(&format!("node `{}` did not return{}", runtime.id, kind.return_words()));
+        }
 
         let late_ms = now_ns.saturating_sub(since_ns.saturating_add(budget_ns)) as f64 / 1e6;
         let spent_ms = now_ns.saturating_sub(since_ns) as f64 / 1e6;
