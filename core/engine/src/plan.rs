@@ -437,6 +437,7 @@ mod tests {
             budget_ms: None,
             max_rate_hz: None,
             cpu: None,
+            isolate: None,
             span: 0..0,
             line: 0,
         };

@@ -30,8 +30,10 @@ pub struct PluginImage {
     file: PathBuf,
 }
 
-/// A node type's image and its position there.
-static IMAGES: LazyLock<Mutex<HashMap<usize, (Arc<PluginImage>, u32)>>> = LazyLock::new(Mutex::default);
+type Images = HashMap<usize, (Arc<PluginImage>, u32)>;
+
+/// A node type's image and its position there, by the address of the type.
+static IMAGES: LazyLock<Mutex<Images>> = LazyLock::new(Mutex::default);
 /// The functions of isolated node types, by the address of the type.
 static PROXIES: LazyLock<Mutex<HashMap<usize, &'static NodeType>>> = LazyLock::new(Mutex::default);
 
