@@ -1,7 +1,7 @@
 //! The runtime's frame pool, parameter snapshot, admission queue and mark of a running call under a scheduler that tries thousands of orders (`shuttle`, after
 //! Burckhardt et al., "A randomized scheduler with probabilistic guarantees of finding bugs", 2010). `build.rs` lays their sources out with
 //! its locks and atomics; nothing else in them is changed.
-#![allow(dead_code, missing_docs, unreachable_pub, clippy::undocumented_unsafe_blocks)]
+#![allow(dead_code, missing_docs, unreachable_pub, unused_imports, clippy::undocumented_unsafe_blocks)]
 
 use std::collections::BTreeSet;
 
@@ -15,11 +15,36 @@ mod sync {
 mod memory {
     include!(concat!(env!("OUT_DIR"), "/memory.rs"));
 
+    mod pool {
+        include!(concat!(env!("OUT_DIR"), "/pool.rs"));
+    }
+    /// The model has private memory only.
+    mod domain {
+        use super::Backing;
+
+        pub struct Domain;
+        pub struct DomainError;
+        pub struct SharedFrames;
+        pub(super) struct Shared;
+
+        impl Shared {
+            pub const fn new() -> Self {
+                Self
+            }
+
+            pub fn with_backing<R>(&self, _: u32, work: impl FnOnce(Backing) -> R) -> Option<R> {
+                Some(work(Backing::Private))
+            }
+        }
+    }
+
     impl Memory {
         /// A memory of its own for every order that is tried.
         pub fn fresh(limit_bytes: i64) -> Self {
             Memory {
-                pools: [const { OnceLock::new() }; POOLS],
+                pools: [const { OnceLock::new() }; MOST_POOLS],
+                current: AtomicU32::new(PRIVATE),
+                shared: Shared::new(),
                 in_use_bytes: AtomicI64::new(0),
                 limit_bytes: AtomicI64::new(limit_bytes),
                 allocations: AtomicU64::new(0),

@@ -19,6 +19,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use panoscope_engine::ending::signals;
 use panoscope_graph::command_line::{self, CommandLine};
+use panoscope_loader::isolated;
 
 panoscope_engine::guard_exits!();
 
@@ -135,6 +136,9 @@ fn parse(words: Vec<std::ffi::OsString>) -> Arguments {
 }
 
 fn main() {
+    if std::env::args_os().nth(1).is_some_and(|word| word == isolated::COMMAND) {
+        isolated::serve();
+    }
     if let Err(error) = signals::install() {
         terminal::log!("warning: signals end the program without finishing files: {error}");
     }

@@ -189,6 +189,9 @@ impl Shared {
                     let (runtime, kind, number) = (Arc::clone(runtime), *kind, state.thread);
                     (state.running, state.thread) = (None, 0);
                     runtime.recovery.add_stuck();
+                    if let Some(group) = &runtime.group {
+                        group.kill(&format!("node `{}` did not return{}", runtime.id, kind.return_words()));
+                    }
                     let error = CallError::NoReturn { kind, seconds: spent.as_secs_f64() };
                     state.done.push_back((runtime, Err(error)));
                     drop(state);

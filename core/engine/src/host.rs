@@ -10,7 +10,7 @@ use crate::claims::{Claimed, Holds};
 use crate::clock;
 use crate::fault::Cause;
 use crate::log::Level;
-use crate::memory::{FrameRef, MemoryError, memory};
+use crate::memory::{FrameRef, Memory, MemoryError, memory};
 use crate::node::{NodeRuntime, Refused, RunContext, Sources};
 use crate::outputs;
 use crate::pool;
@@ -174,7 +174,11 @@ impl CallContext<'_> {
         // In batch a tick waits for frame memory, in live it is dropped.
         let mut patience_ms = if self.context.ignores_wall_clock() { 5_000 } else { 0 };
         loop {
-            match memory().allocate(len) {
+            let made = match self.runtime.domain() {
+                None => memory().allocate(len),
+                Some(domain) => memory().allocate_in(domain, len),
+            };
+            match made {
                 Ok(buffer) => return Ok(buffer),
                 Err(MemoryError::Exhausted { .. }) if patience_ms > 0 => {
                     patience_ms -= 1;
@@ -252,7 +256,9 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
         return abi::STATUS_INVALID;
     }
     let lent = call_context.lent.is_some_and(|lent| lent.output == output);
-    if !lent && memory().references(frame.buffer) == 1 {
+    // An isolated node cannot write the frames of this process.
+    let own = call_context.runtime.domain().is_none_or(|domain| Memory::domain_of(frame.buffer) == domain);
+    if !lent && own && memory().references(frame.buffer) == 1 {
         return abi::STATUS_OK;
     }
     match call_context.allocate(frame.len) {
@@ -325,7 +331,7 @@ unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
 }
 
 /// Seed of a node's random numbers for a tick; the same in every run.
-fn seed(id: &str, tick: abi::Tick) -> u64 {
+pub fn random_seed(id: &str, tick: abi::Tick) -> u64 {
     let hash = abi::fnv1a(abi::FNV_START, id.as_bytes());
     abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
 }
@@ -334,7 +340,7 @@ unsafe extern "C" fn random(call: *mut c_void) -> u64 {
     // SAFETY: see `call_context`.
     match unsafe { call_context(call) } {
         Some(call_context) => {
-            let begin = || SplitMix64(seed(&call_context.runtime.id, call_context.tick));
+            let begin = || SplitMix64(random_seed(&call_context.runtime.id, call_context.tick));
             call_context.random.get_or_insert_with(begin).bits()
         }
         None => 0,

@@ -16,6 +16,7 @@ pub mod fault;
 mod guard;
 mod host;
 mod instance;
+pub mod isolation;
 mod join;
 mod leave;
 pub mod loading;
@@ -46,6 +47,7 @@ mod watch;
 
 pub use apply::{Applied, ApplyError};
 pub use engine::{Engine, Options, Outcome, SetError, StartError};
+pub use host::random_seed;
 pub use outbox::panic_words;
 pub use plugins::Plugins;
 pub use preview::{HearFn, HearNumberFn, Listener, NumberListener, Preview};

@@ -1,6 +1,7 @@
 //! What a plugin loader needs from the engine: the host's function table, and names for crash reports.
 
 use std::path::Path;
+use std::sync::OnceLock;
 
 use panoscope_abi as abi;
 use panoscope_graph::Validator;
@@ -12,7 +13,17 @@ use crate::host;
 ///
 /// `descriptor` is the plugin's own description. It identifies the plugin and is not read.
 pub fn plugin_table(descriptor: *const abi::Plugin) -> *const abi::Host {
-    host::plugin_table(descriptor)
+    match OTHER_TABLE.get() {
+        Some(table) => std::ptr::from_ref(*table),
+        None => host::plugin_table(descriptor),
+    }
+}
+
+static OTHER_TABLE: OnceLock<&'static abi::Host> = OnceLock::new();
+
+/// Plugins loaded from now on get this table: in a process that runs no graph, but nodes of another process's graph. The first call counts.
+pub fn use_table(table: &'static abi::Host) {
+    let _ = OTHER_TABLE.set(table);
 }
 
 /// Runs code of a plugin's file that belongs to no node yet: constructors, its description. A crash report names the file.

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use panoscope_abi::{self as abi, PortRange};
 use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, NodeKind};
 
+use crate::isolation::Group;
 use crate::join::{Join, Rule, Slot};
 use crate::node::{NodeRuntime, NodeSpec, Sources};
 use crate::params::Snapshot;
@@ -209,6 +210,7 @@ pub(crate) fn runtime(
     catalog: &Catalog,
     node: usize,
     node_type: &'static abi::NodeType,
+    group: Option<Arc<dyn Group>>,
 ) -> Arc<NodeRuntime> {
     let (join, ranges) = inputs(graph, catalog, node);
     let outputs_read = outputs_read(graph, node);
@@ -217,6 +219,7 @@ pub(crate) fn runtime(
     let spec = NodeSpec {
         id: node.id.clone(),
         node_type,
+        group,
         kind: description.kind,
         source: description.source,
         on_fault: node.on_fault,
@@ -434,6 +437,7 @@ mod tests {
             budget_ms: None,
             max_rate_hz: None,
             cpu: None,
+            isolate: None,
             span: 0..0,
             line: 0,
         };

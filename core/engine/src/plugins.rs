@@ -5,10 +5,17 @@ use std::sync::Arc;
 
 use panoscope_abi as abi;
 
+use crate::isolation::Isolator;
+
 /// Loaded plugins.
 pub trait Plugins {
     /// The entry of a node type of a plugin.
     fn entry(&self, plugin: &str, node_type: &str) -> Option<&'static abi::NodeType>;
+
+    /// Makes the processes of isolated nodes; `None` where there are none.
+    fn isolator(&self) -> Option<Arc<dyn Isolator>> {
+        None
+    }
 
     /// Names and files of those given plugins that were found.
     fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)>;
@@ -17,6 +24,10 @@ pub trait Plugins {
 impl<P: Plugins + ?Sized> Plugins for Arc<P> {
     fn entry(&self, plugin: &str, node_type: &str) -> Option<&'static abi::NodeType> {
         (**self).entry(plugin, node_type)
+    }
+
+    fn isolator(&self) -> Option<Arc<dyn Isolator>> {
+        (**self).isolator()
     }
 
     fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)> {

@@ -143,13 +143,18 @@ impl Shared {
         }
         busy.clear();
         runtime.exec.put(exec);
+        if let Some(group) = &runtime.group {
+            // The call returns now and is no longer counted as stuck.
+            group.kill(&format!("node `{}` did not return{}", runtime.id, kind.return_words()));
+        }
 
         let late_ms = now_ns.saturating_sub(since_ns.saturating_add(budget_ns)) as f64 / 1e6;
         let spent_ms = now_ns.saturating_sub(since_ns) as f64 / 1e6;
-        let words = format!(
-            "it did not return{} for {spent_ms:.0} ms and was left behind with its thread",
-            kind.return_words()
-        );
+        let done_about = match &runtime.group {
+            Some(_) => "its process was ended",
+            None => "was left behind with its thread",
+        };
+        let words = format!("it did not return{} for {spent_ms:.0} ms and {done_about}", kind.return_words());
         self.context.log.write(Level::Error, &runtime.id, &words);
         runtime.report_fault(&self.context, Cause::Hang, done, Some(tick.seq), Some(late_ms), words);
         // Finish the tick first, so that no thread runs the node before that.

@@ -130,6 +130,9 @@ pub struct Node {
     pub max_rate_hz: Option<f64>,
     /// Core its thread is pinned to.
     pub cpu: Option<u32>,
+    /// The group in whose process it runs; `None` for the process of the graph.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub isolate: Option<String>,
     /// Bytes of its id in the text.
     pub span: Range<usize>,
     /// Line of its id, from 1.

@@ -32,10 +32,27 @@ pub fn to_dot(graph: &Graph, catalog: &Catalog) -> String {
 fn cluster(out: &mut String, graph: &Graph, catalog: &Catalog, nodes: &[usize], prefix: &str) {
     let indent = "    ".repeat(1 + prefix.matches('/').count());
     let mut parts: Vec<&str> = Vec::new();
+    let mut groups: Vec<&str> = Vec::new();
     for &index in nodes {
         let local = &graph.nodes[index].id[prefix.len()..];
         match local.split_once('/') {
-            None => write_node(out, graph, catalog, index, local, &indent),
+            None => match graph.nodes[index].isolate.as_deref() {
+                None => write_node(out, graph, catalog, index, local, &indent),
+                Some(group) if groups.contains(&group) => {}
+                Some(group) => {
+                    groups.push(group);
+                    let name = quoted(&format!("cluster_process_{prefix}{group}"));
+                    let label = quoted(&format!("process {group}"));
+                    let _ = writeln!(out, "{indent}subgraph {name} {{\n{indent}    label = {label}; style = dashed;");
+                    for &node in nodes.iter().filter(|&&n| graph.nodes[n].isolate.as_deref() == Some(group)) {
+                        let local = &graph.nodes[node].id[prefix.len()..];
+                        if !local.contains('/') {
+                            write_node(out, graph, catalog, node, local, &format!("{indent}    "));
+                        }
+                    }
+                    let _ = writeln!(out, "{indent}}}");
+                }
+            },
             Some((part, _)) if parts.contains(&part) => {}
             Some((part, _)) => {
                 parts.push(part);

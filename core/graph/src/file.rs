@@ -12,6 +12,8 @@ pub(crate) struct FileText {
     pub(crate) mode: Mode,
     pub(crate) plugins: Vec<Spanned<String>>,
     pub(crate) plugin_paths: Vec<Spanned<String>>,
+    /// Plugins and the groups of their nodes.
+    pub(crate) isolate: Vec<(Spanned<String>, Spanned<String>)>,
     pub(crate) nodes: Vec<NodeText>,
     pub(crate) pins: Vec<PinText>,
     pub(crate) views: Vec<ViewText>,
@@ -64,6 +66,8 @@ pub(crate) struct NodeText {
     pub(crate) budget_ms: Option<f64>,
     pub(crate) max_rate_hz: Option<f64>,
     pub(crate) cpu: Option<u32>,
+    /// The group whose process it runs in.
+    pub(crate) isolate: Option<Spanned<String>>,
 }
 
 impl NodeText {
@@ -80,6 +84,7 @@ impl NodeText {
             budget_ms: None,
             max_rate_hz: None,
             cpu: None,
+            isolate: None,
         }
     }
 }

@@ -130,6 +130,14 @@ impl GraphText {
         for node in &self.flat.nodes {
             self.write_node(&mut out, node, catalog);
         }
+        if !self.isolate.is_empty() {
+            out.push_str("\n[isolate]\n");
+        }
+        for (k, (plugin, group)) in self.isolate.iter().enumerate() {
+            if !self.isolate[k + 1..].iter().any(|(later, _)| later.value == plugin.value) {
+                let _ = writeln!(out, "{} = {}", text(&plugin.value), text(&group.value));
+            }
+        }
         if !self.pins.is_empty() || !self.views.is_empty() {
             out.push_str("\n[preset]\n");
         }
@@ -207,6 +215,9 @@ impl GraphText {
         }
         if let Some(cpu) = node.cpu {
             let _ = writeln!(out, "cpu = {cpu}");
+        }
+        if let Some(group) = &node.isolate {
+            let _ = writeln!(out, "isolate = {}", text(&group.value));
         }
     }
 

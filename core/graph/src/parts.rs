@@ -236,6 +236,12 @@ impl Flattener<'_> {
         if let Some(interface) = &interface {
             self.given(&node, interface);
         }
+        if let (Some(group), true) = (&node.isolate, interface.is_some()) {
+            // The use of a part decides for all nodes inside.
+            let inside = format!("{id}/");
+            let nodes = self.flat.nodes.iter_mut().filter(|n| n.id.value.starts_with(&inside));
+            nodes.for_each(|n| n.isolate = Some(group.clone()));
+        }
         self.flat.index.remove(&id);
         self.flat.parts.push(Part { node, interface });
     }

@@ -67,6 +67,11 @@ pub fn json_schema(catalog: &Catalog) -> Value {
                     "params": { "type": "object", "additionalProperties": { "$ref": "#/$defs/targets" } }
                 }
             },
+            "isolate": {
+                "type": "object",
+                "additionalProperties": { "$ref": "#/$defs/group" },
+                "description": "Plugins whose nodes run in processes of their own, each with the name of its group."
+            },
             "preset": {
                 "type": "object",
                 "additionalProperties": false,
@@ -84,6 +89,11 @@ pub fn json_schema(catalog: &Catalog) -> Value {
         },
         "$defs": {
             "node": node,
+            "group": {
+                "type": "string",
+                "pattern": "^[A-Za-z_][A-Za-z0-9_-]*$",
+                "description": "Group of nodes that share a process of their own; a crash there ends no other node."
+            },
             "argument": {
                 "type": "object",
                 "additionalProperties": false,
@@ -188,7 +198,8 @@ fn part_schema() -> Value {
         "properties": {
             "graph": { "type": "string", "description": "The part's file, relative to this file." },
             "inputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/connections" } },
-            "params": { "type": "object" }
+            "params": { "type": "object" },
+            "isolate": { "$ref": "#/$defs/group" }
         }
     })
 }
@@ -232,7 +243,8 @@ fn node_schema(catalog: &Catalog, node_type: &NodeType) -> Value {
             },
             "budget_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_MS, "description": "Time it should not exceed per tick." },
             "max_rate_hz": { "type": "number", "exclusiveMinimum": 0, "maximum": HIGHEST_HZ, "description": "It runs at most this often." },
-            "cpu": { "type": "integer", "minimum": 0, "maximum": 4095, "description": "Core its thread is pinned to." }
+            "cpu": { "type": "integer", "minimum": 0, "maximum": 4095, "description": "Core its thread is pinned to." },
+            "isolate": { "$ref": "#/$defs/group" }
         }
     })
 }

@@ -13,10 +13,10 @@ use crate::value::{Kind, Spanned, Table, Value, plain_table};
 use std::collections::HashMap;
 use std::ops::Range;
 
-const TOP: [&str; 8] = ["name", "mode", "plugins", "plugin_paths", "args", "nodes", "preset", "editor"];
+const TOP: [&str; 9] = ["name", "mode", "plugins", "plugin_paths", "args", "nodes", "isolate", "preset", "editor"];
 const TOP_OF_PART: [&str; 6] = ["name", "plugins", "plugin_paths", "part", "nodes", "editor"];
-const TOP_OF_OVERLAY: [&str; 4] = ["plugins", "plugin_paths", "args", "nodes"];
-const NODE: [&str; 8] = ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu"];
+const TOP_OF_OVERLAY: [&str; 5] = ["plugins", "plugin_paths", "args", "nodes", "isolate"];
+const NODE: [&str; 9] = ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu", "isolate"];
 /// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
 pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
 pub(crate) const HIGHEST_HZ: f64 = 1e9;
@@ -177,6 +177,7 @@ impl<'s> Reader<'s> {
                 "plugins" => self.file.plugins = self.texts("plugins", "[\"phantom\", \"sinks\"]", value),
                 "plugin_paths" => self.file.plugin_paths = self.texts("plugin_paths", "[\"../my_plugins\"]", value),
                 "nodes" => self.nodes(value),
+                "isolate" => self.isolate(value),
                 "preset" => self.preset(value),
                 "editor" => {
                     if let Some(table) = self.table("`editor`", "a table", value) {
@@ -271,6 +272,7 @@ impl<'s> Reader<'s> {
                 "budget_ms" => node.budget_ms = self.positive("budget_ms", value, LONGEST_MS),
                 "max_rate_hz" => node.max_rate_hz = self.positive("max_rate_hz", value, HIGHEST_HZ),
                 "cpu" => node.cpu = self.whole("cpu", value, 0..=4095).map(|n| n as u32),
+                "isolate" => node.isolate = self.group(value),
                 _ => {}
             }
         }

@@ -32,6 +32,8 @@ pub struct GraphText {
     pub(crate) mode: Mode,
     /// The nodes of all files.
     pub(crate) flat: Flat,
+    /// Plugins and the groups of their nodes; of two entries of a plugin the last counts.
+    pub(crate) isolate: Vec<(Spanned<String>, Spanned<String>)>,
     pub(crate) pins: Vec<PinText>,
     pub(crate) views: Vec<ViewText>,
     pub(crate) editor: toml::Table,
@@ -136,7 +138,8 @@ impl GraphText {
         let mut bindings = Bindings::new(&mut sources, declared, overlay_args, &options.args);
         bindings.substitute(&sources, &mut graph.root);
         let incomplete = graph.incomplete || overlays.iter().any(|(_, parsed)| parsed.incomplete);
-        let root = shape::read(&sources, Role::Graph, graph);
+        let mut root = shape::read(&sources, Role::Graph, graph);
+        let mut isolate = std::mem::take(&mut root.isolate);
         let (mut nodes, mut plugins, mut plugin_paths) = (Vec::new(), Vec::new(), Vec::new());
         let overlay_files: Vec<usize> = overlays.iter().map(|(index, _)| *index).collect();
         for (index, mut parsed) in overlays {
@@ -146,6 +149,7 @@ impl GraphText {
             nodes.extend(overlay.nodes.into_iter().map(|node| (node, false)));
             plugins.push((index, overlay.plugins));
             plugin_paths.extend(overlay.plugin_paths);
+            isolate.extend(overlay.isolate);
         }
         diagnostics.extend(std::mem::take(&mut bindings.diagnostics));
         let (name, mode, editor, is_part) = (root.name.clone(), root.mode, root.editor.clone(), root.part.is_some());
@@ -166,6 +170,7 @@ impl GraphText {
             mode,
             incomplete: incomplete || flat.incomplete,
             flat,
+            isolate,
             pins,
             views,
             editor,

@@ -5,6 +5,7 @@
 
 pub mod elf;
 mod error;
+pub mod isolated;
 pub mod live;
 pub mod lock;
 mod map;

@@ -44,17 +44,41 @@ pub fn inspect(file: &Path) -> Result<PluginFile, LoadError> {
 
 /// Loads a plugin from a private copy of its file, so that a rebuild does not change mapped memory.
 pub fn load(plugin: &PluginFile) -> Result<Loaded, LoadError> {
-    let PluginFile { file, note } = plugin;
+    let file = &plugin.file;
     let link = |cause: String| LoadError::Link { file: file.clone(), cause };
     let mut whole = File::open(file).map_err(|cause| LoadError::Unreadable { file: file.clone(), cause })?;
     let copy = private_copy(file, &mut whole).map_err(|e| link(format!("a private copy could not be made: {e}")))?;
     // The copy is checked again, because the file may have changed since it was found.
     elf::read_note(&copy.parts).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
+    match map(plugin, &copy.path) {
+        Err(error @ LoadError::Link { .. }) => Err(error),
+        mapped => {
+            if let Ok(loaded) = &mapped {
+                panoscope_isolate::remember(&loaded.entries, &copy.path, file);
+            }
+            // The file descriptor of the copy stays open: debuggers and profilers read symbols through it, processes of isolated nodes map
+            // it, and the dynamic linker would take another file of its number for this one.
+            std::mem::forget(copy);
+            mapped
+        }
+    }
+}
+
+/// Loads a plugin from an image of its file, in a process of isolated nodes. The process that sent the image verified it.
+pub(crate) fn load_image(image: &Path, file: &Path) -> Result<Loaded, LoadError> {
+    let PluginFile { note, .. } = inspect(image)?;
+    map(&PluginFile { file: file.to_owned(), note }, image)
+}
+
+/// Maps the image of a plugin's file.
+fn map(plugin: &PluginFile, image: &Path) -> Result<Loaded, LoadError> {
+    let PluginFile { file, note } = plugin;
+    let link = |cause: String| LoadError::Link { file: file.clone(), cause };
     // SAFETY: this runs the library's constructors. `read_note` checked that it is a complete plugin of this ABI; the user who
     // installs a plugin is responsible for what its code does.
     let library = loading::run(file, || unsafe {
-        libloading::os::unix::Library::open(Some(&copy.path), libc::RTLD_NOW | libc::RTLD_LOCAL)
-            .map_err(|e| link(clean(&e, &copy.path, file)))
+        libloading::os::unix::Library::open(Some(image), libc::RTLD_NOW | libc::RTLD_LOCAL)
+            .map_err(|e| link(clean(&e, image, file)))
     });
     let library = library?;
     let bad = |cause: String| LoadError::BadDescriptor { file: file.clone(), cause };
@@ -65,10 +89,8 @@ pub fn load(plugin: &PluginFile) -> Result<Loaded, LoadError> {
             .map_err(|_| bad(format!("it exports no symbol `{}`", abi::ENTRY_SYMBOL)))?;
         loading::run(file, || entry())
     };
-    // The library stays mapped, because its threads, thread-locals and exit handlers cannot be removed safely. The file descriptor of the
-    // copy stays open, because debuggers and profilers read symbols through it.
+    // The library stays mapped, because its threads, thread-locals and exit handlers cannot be removed safely.
     std::mem::forget(library);
-    std::mem::forget(copy);
     // SAFETY: the plugin stays mapped, and `node_types` checks every field before it uses it.
     let mut node_types =
         unsafe { panoscope_graph::from_abi::node_types(descriptor) }.map_err(|e| bad(e.to_string()))?;

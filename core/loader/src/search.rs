@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use panoscope_abi as abi;
 use panoscope_engine::Plugins;
+use panoscope_engine::isolation::Isolator;
 use panoscope_graph::{Catalog, Offer, PluginProblem};
+use panoscope_isolate::Processes;
 
 use crate::elf::ElfError;
 use crate::error::LoadError;
@@ -195,6 +197,10 @@ impl Plugins for Loader {
         let loaded = self.load(plugin).ok()?;
         let index = loaded.node_types.iter().position(|t| t.name == node_type)?;
         loaded.entries.get(index).copied()
+    }
+
+    fn isolator(&self) -> Option<Arc<dyn Isolator>> {
+        Some(Arc::new(Processes))
     }
 
     fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)> {

@@ -5,10 +5,9 @@ use std::sync::Arc;
 use panoscope_graph::{Align, Catalog, Graph};
 
 use super::ApplyError;
-use crate::claims::Claims;
 use crate::engine::{Current, type_name};
 use crate::instance::Instance;
-use crate::node::NodeRuntime;
+use crate::node::{NodeRuntime, RunContext};
 use crate::params::Snapshot;
 use crate::plan::{self, Extent, Plan};
 use crate::region::Region;
@@ -159,14 +158,16 @@ impl Change {
         catalog: &Catalog,
         entry: plan::Entry<'_>,
         as_once: &[String],
-        claims: &Claims,
-    ) -> Result<Self, plan::NoNodeType> {
+        context: &RunContext,
+    ) -> Result<Self, ApplyError> {
+        let claims = &context.claims;
+        let stale = |error: &dyn std::fmt::Display| ApplyError::Stale { reason: error.to_string() };
         let mut runtimes = old.runtimes.clone();
         let mut free: Vec<usize> = (0..runtimes.len()).filter(|&s| !old.alive[s]).rev().collect();
         let mut slots = Vec::with_capacity(graph.nodes.len());
         let mut node_changes = Vec::with_capacity(graph.nodes.len());
         for node in 0..graph.nodes.len() {
-            let node_type = plan::entry_of(graph, node, entry)?;
+            let node_type = plan::entry_of(graph, node, entry).map_err(|error| stale(&error))?;
             let description = graph.nodes[node].node_type(catalog);
             let before = current.graph.node(&graph.nodes[node].id);
             let change = match before {
@@ -175,7 +176,8 @@ impl Change {
                     slots.push(slot);
                     let runtime = &old.runtimes[slot];
                     let pinned_elsewhere = runtime.owns_thread() && runtime.cpu != graph.nodes[node].cpu;
-                    let is_replaced = !std::ptr::eq(runtime.node_type, node_type)
+                    let is_replaced = !std::ptr::eq(runtime.declared, node_type)
+                        || current.graph.nodes[before].isolate != graph.nodes[node].isolate
                         || pinned_elsewhere
                         || as_once.contains(&graph.nodes[node].id);
                     if is_replaced {
@@ -201,7 +203,8 @@ impl Change {
             };
             if change.is_added() || change.is_replaced() {
                 let slot = slots[node];
-                let runtime = plan::runtime(graph, catalog, node, node_type);
+                let group = context.groups.of(&graph.nodes[node]).map_err(|error| stale(&error))?;
+                let runtime = plan::runtime(graph, catalog, node, node_type, group);
                 if slot < runtimes.len() {
                     runtimes[slot] = runtime;
                 } else {

@@ -99,9 +99,8 @@ impl Engine {
             (When::Recorded(edit), Some(decider)) => decider.replaced(*edit),
             _ => &[],
         };
-        let claims = &shared.context.claims;
-        let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once, claims)
-            .map_err(|error| ApplyError::Stale { reason: error.to_string() })?;
+        shared.context.groups.set_isolator(plugins.isolator());
+        let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once, &shared.context)?;
         if let When::At(at) = when {
             change.hold_also(&old, at)?;
         }

@@ -22,6 +22,7 @@ use crate::ending;
 use crate::fault::{Fault, FaultLog};
 use crate::guard::Limit;
 use crate::host;
+use crate::isolation::Groups;
 use crate::log::{Level, Log};
 use crate::node::{LONGEST_BUDGET_NS, NodeRuntime, RunContext, Sources};
 use crate::plan;
@@ -83,11 +84,14 @@ impl Engine {
             n => n,
         };
         let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
+        let groups = Groups::new(plugins.isolator(), threads, options.group_memory_bytes);
         let mut runtimes = Vec::with_capacity(graph.nodes.len());
         for node in 0..graph.nodes.len() {
             let node_type = plan::entry_of(&graph, node, &entry)
                 .map_err(|error| StartError::Stale { reason: error.to_string() })?;
-            runtimes.push(plan::runtime(&graph, catalog, node, node_type));
+            let group =
+                groups.of(&graph.nodes[node]).map_err(|error| StartError::Stale { reason: error.to_string() })?;
+            runtimes.push(plan::runtime(&graph, catalog, node, node_type, group));
         }
         let slots: Vec<usize> = (0..runtimes.len()).collect();
         let plan = plan::lay_out(&graph, catalog, runtimes, slots.clone(), options.ticks_at_once, None);
@@ -112,6 +116,7 @@ impl Engine {
             open_limit: options.open_limit,
             close_limit: options.close_limit,
             claims: Arc::default(),
+            groups,
             stopped: Mutex::default(),
         };
         let hurried = !context.ignores_wall_clock();

@@ -40,6 +40,8 @@ pub struct Options {
     pub open_limit: Duration,
     /// Time limit for closing a node, and for saving or loading its state while the graph runs.
     pub close_limit: Duration,
+    /// Most bytes of private memory that the process of a group of isolated nodes may have.
+    pub group_memory_bytes: u64,
     /// Heap allocations of the process so far, where the program counts them.
     pub process_allocations: Option<fn() -> u64>,
     /// Heap allocations of the calling thread so far, where the program counts them.
@@ -63,6 +65,7 @@ impl Default for Options {
             hang: Duration::from_secs(2),
             open_limit: Duration::from_secs(30),
             close_limit: Duration::from_secs(10),
+            group_memory_bytes: 8 << 30,
             process_allocations: None,
             thread_allocations: None,
         }

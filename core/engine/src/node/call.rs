@@ -15,7 +15,9 @@ use crate::exec::{Exec, Port};
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
 use crate::instance::Instance;
+use crate::isolation::STATUS_DIED;
 use crate::log::Level;
+use crate::memory::{FrameRef, Memory, memory};
 use crate::observe::Event;
 use crate::outputs::is_same;
 use crate::params::Snapshot;
@@ -305,7 +307,7 @@ impl NodeRuntime {
         // SAFETY: the plugin contract: an open instance that no other thread uses, and a call whose parts outlive it.
         let status = exec.instance.retained.during(|| unsafe { process(raw, &raw mut call) });
         current_node::end_call();
-        let refused = call_context.refused.take();
+        let mut refused = call_context.refused.take();
         let reports = call_context.has_failure && status >= abi::STATUS_OK;
         if call_context.has_times {
             self.take_times(tick, &mut call_context, &mut made.outputs);
@@ -313,6 +315,9 @@ impl NodeRuntime {
         if let Some(lent) = call_context.lent {
             // From here on the output holds the input's reference.
             ports.inputs[lent.input as usize].forget();
+        }
+        if self.group.is_some() {
+            self.receive(status, &mut refused, made);
         }
         if exec.source {
             tick.capture_ns = call.tick.capture_ns;
@@ -324,6 +329,38 @@ impl NodeRuntime {
             self.reported(exec, context, tick, status);
         }
         (status, refused)
+    }
+
+    /// Copies the packets of an isolated node to memory that its process cannot write, so that what a reader checked stays true. Pixels stay
+    /// where they are: all bytes are pixels.
+    #[cold]
+    fn receive(&self, status: abi::Status, refused: &mut Option<Refused>, made: &mut CallOutputs) {
+        if status == STATUS_DIED {
+            *refused = Some(Box::new((Cause::Crash, String::new())));
+        }
+        for (frame, shown) in made.outputs.iter_mut().zip(&mut made.shown) {
+            let own = !frame.is_empty() && self.domain() == Some(Memory::domain_of(frame.buffer));
+            if !own || frame.format != abi::FORMAT_BYTES {
+                continue;
+            }
+            let new = match memory().allocate(frame.len) {
+                Ok((buffer, data)) => abi::Frame { buffer, data, ..*frame },
+                Err(error) => {
+                    refused.get_or_insert_with(|| Box::new((Cause::Exhausted, error.to_string())));
+                    abi::Frame::EMPTY
+                }
+            };
+            if !new.is_empty() {
+                // SAFETY: two buffers of at least `len` bytes; the new one is known only here.
+                unsafe { std::ptr::copy_nonoverlapping(frame.data, new.data, frame.len) };
+            }
+            let untouched = is_same(frame, shown);
+            // SAFETY: the call has ended, so the output holds its reference, which `new` replaces.
+            drop(unsafe { FrameRef::adopt(std::mem::replace(frame, new)) });
+            if untouched {
+                *shown = new;
+            }
+        }
     }
 
     /// Passes to the observer what the node was answered about the time of its inputs, and to its readers the age that it declared.

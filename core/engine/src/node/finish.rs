@@ -9,6 +9,7 @@ use crate::ending::current_node;
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
 use crate::instance::Instance;
+use crate::isolation::STATUS_DIED;
 use crate::log::Level;
 use crate::stats::bump;
 use crate::sync::lock;
@@ -26,7 +27,8 @@ impl NodeRuntime {
             // SAFETY: the plugin contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
             instance.retained.during(|| unsafe { finish(raw, host, call) })
         });
-        if status == abi::STATUS_OK {
+        // The death of a process was reported when it came; a node that writes nothing has nothing to complete.
+        if status == abi::STATUS_OK || (status == STATUS_DIED && !self.side_effects) {
             return;
         }
         if failure.is_empty() {

@@ -35,6 +35,7 @@ use crate::ending::current_node::{NodeNames, Running};
 use crate::exec::{Exec, ExecPlace};
 use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
 use crate::instance::Instance;
+use crate::isolation::{Group, Groups};
 use crate::join::Join;
 use crate::log::{Level, Log};
 use crate::memory::FrameRef;
@@ -72,6 +73,8 @@ pub(crate) struct RunContext {
     pub close_limit: Duration,
     /// Files that nodes of this run write.
     pub claims: Arc<Claims>,
+    /// Groups of isolated nodes.
+    pub groups: Groups,
     /// Nodes that lost data for good, with the reason.
     pub stopped: Mutex<BTreeMap<String, String>>,
 }
@@ -138,7 +141,12 @@ pub(crate) struct NodeRuntime {
     outputs_read: AtomicU64,
     pub subscribers: Subscribers,
     pub id: String,
+    /// Its functions: those of `declared`, or of its group.
     pub node_type: &'static abi::NodeType,
+    /// As its plugin describes it.
+    pub declared: &'static abi::NodeType,
+    /// The group in whose process it runs, if it is isolated.
+    pub group: Option<Arc<dyn Group>>,
     pub kind: NodeKind,
     pub source: bool,
     pub exclusive: bool,
@@ -190,6 +198,7 @@ pub(crate) struct Ports<'w> {
 pub(crate) struct NodeSpec {
     pub id: String,
     pub node_type: &'static abi::NodeType,
+    pub group: Option<Arc<dyn Group>>,
     pub kind: NodeKind,
     pub source: bool,
     pub on_fault: OnFault,
@@ -203,18 +212,22 @@ pub(crate) struct NodeSpec {
 impl NodeRuntime {
     /// A runtime whose instance is not open yet.
     pub fn new(spec: NodeSpec, join: Join, snapshot: Arc<Snapshot>) -> Self {
-        let rules = OutputRule::of(spec.node_type);
+        let declared = spec.node_type;
+        let node_type = spec.group.as_ref().map_or(declared, |group| group.proxy(declared));
+        let rules = OutputRule::of(declared);
         let stats = NodeStats::default();
         let time = Arc::clone(&stats.time);
-        let exec = Exec::new(spec.node_type, &rules, spec.ranges.clone(), Arc::clone(&snapshot), time);
+        let exec = Exec::new(node_type, &rules, spec.ranges.clone(), Arc::clone(&snapshot), time);
         let this = Self {
-            who: NodeNames::of(&spec.id, spec.node_type),
+            who: NodeNames::of(&spec.id, declared),
             id: spec.id,
-            node_type: spec.node_type,
+            node_type,
+            declared,
+            group: spec.group,
             kind: spec.kind,
             source: spec.source,
-            exclusive: spec.node_type.flags & abi::NODE_EXCLUSIVE != 0,
-            side_effects: spec.node_type.flags & abi::NODE_SIDE_EFFECTS != 0,
+            exclusive: declared.flags & abi::NODE_EXCLUSIVE != 0,
+            side_effects: declared.flags & abi::NODE_SIDE_EFFECTS != 0,
             cpu: spec.cpu,
             output_names: rules.iter().map(|rule| rule.name.clone()).collect(),
             rules,
@@ -229,13 +242,18 @@ impl NodeRuntime {
             stats,
             hear_number: OnceLock::new(),
             outputs_read: AtomicU64::new(spec.outputs_read),
-            subscribers: Subscribers::new(spec.node_type.outputs_len),
+            subscribers: Subscribers::new(declared.outputs_len),
             done_ticks: AtomicU64::new(0),
             ranges: Mutex::new(spec.ranges),
             progress: Progress::default(),
         };
         this.set_policy(spec.on_fault, spec.budget_ms, spec.max_rate_hz);
         this
+    }
+
+    /// Number of the domain in which it makes frames; `None` for that of all nodes in this process.
+    pub fn domain(&self) -> Option<u32> {
+        self.group.as_ref().map(|group| group.domain())
     }
 
     /// Sets what the host does about faults, slow calls and frequent ticks; in force from the next tick on.

@@ -42,15 +42,14 @@ impl NodeRuntime {
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let mut raw = std::ptr::null_mut();
-        let status = match self.node_type.open {
-            Some(open) => {
-                current_node::opening(&self.who, || {
-                    // SAFETY: the plugin contract; everything the call points to outlives it.
-                    instance.retained.during(|| unsafe { open(&raw mut call, &raw mut raw) })
-                })
-            }
-            None => abi::STATUS_INVALID,
+        let open = || match (&self.group, self.node_type.open) {
+            // SAFETY: the plugin contract; everything the call points to outlives it, and the run outlives its instances.
+            (Some(group), _) => unsafe { group.open(self.declared, &raw mut call, &raw mut raw) },
+            // SAFETY: the plugin contract; everything the call points to outlives it.
+            (None, Some(open)) => unsafe { open(&raw mut call, &raw mut raw) },
+            (None, None) => abi::STATUS_INVALID,
         };
+        let status = current_node::opening(&self.who, || instance.retained.during(open));
         if status == abi::STATUS_OK {
             (instance.raw, instance.open) = (raw, true);
             return Ok(instance);

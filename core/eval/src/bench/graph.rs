@@ -37,6 +37,11 @@ pub fn chain(node: &str, count: usize, queue: Option<u32>, pace: Pace) -> String
     text
 }
 
+/// A graph text with one of its nodes in a process of its own.
+pub fn isolated(text: &str, node: &str) -> String {
+    text.replacen(&format!("[nodes.{node}]\n"), &format!("[nodes.{node}]\nisolate = \"bench\"\n"), 1)
+}
+
 /// `frames` -> `pass` -> as many `drain` nodes side by side.
 pub fn fan_out(readers: usize) -> String {
     let mut text = head(Pace::Saturated);

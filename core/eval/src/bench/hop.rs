@@ -65,6 +65,7 @@ pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     let mut figures = inline(session, quick, gst.as_ref())?;
     figures.extend(saturated(session, quick, gst.as_ref())?);
     figures.extend(paced(session, quick, gst.as_ref())?);
+    figures.extend(isolated(session, quick)?);
     figures.extend(copies(session, quick)?);
     Ok(figures)
 }
@@ -182,6 +183,27 @@ fn paced(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result<
             "8 threads at 200 Hz: waiting does not spin",
         ),
         Figure::new("hop_thread_paced/waits_per_frame", waits, "1/frame", "8 threads at 200 Hz"),
+    ])
+}
+
+/// A frame to a node in another process and back: the request, the call of `forward`, the result. Pixels are not copied.
+fn isolated(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
+    let (frames, rounds) = if quick { (200, 1) } else { (600, 3) };
+    let (mut busy_ns, mut paced_ns, mut late_ns) = (f64::INFINITY, f64::INFINITY, f64::INFINITY);
+    for _ in 0..rounds {
+        let chain = |pace| graph::isolated(&graph::chain("pass", 1, None, pace), "n0");
+        let saturated = graph::run(session, &chain(Pace::Saturated), frames * 20)?;
+        let paced = graph::run(session, &chain(Pace::Hz(PACED_HZ)), frames)?;
+        if let (Some(busy), Some(paced)) = (saturated.report.nodes.get("n0"), paced.report.nodes.get("n0")) {
+            busy_ns = busy_ns.min(busy.p50_ms * 1e6);
+            paced_ns = paced_ns.min(paced.p50_ms * 1e6);
+            late_ns = late_ns.min(paced.p99_ms * 1e6);
+        }
+    }
+    Ok(vec![
+        Figure::new("hop_isolated", busy_ns, "ns", "640x480 bgr8 to another process and back, saturated, p50"),
+        Figure::new("hop_isolated/paced", paced_ns, "ns", "640x480 bgr8 to another process and back at 200 Hz, p50"),
+        Figure::new("hop_isolated/paced_p99", late_ns, "ns", "640x480 bgr8 to another process and back at 200 Hz, p99"),
     ])
 }
 

@@ -3,6 +3,7 @@
 mod files;
 mod flow;
 mod inputs;
+mod isolate;
 mod nodes;
 mod params;
 mod preset;
@@ -71,6 +72,7 @@ pub fn check(text: &GraphText, catalog: &Catalog) -> Checked {
     let order = checker.flow();
     let pinned = checker.pins();
     checker.files(&params);
+    checker.isolation();
     checker.nodes(&params);
     checker.finish(params, order, pinned)
 }
@@ -187,6 +189,7 @@ impl<'a> Checker<'a> {
                 budget_ms: node.budget_ms,
                 max_rate_hz: node.max_rate_hz,
                 cpu: node.cpu,
+                isolate: self.text.group_of(node, &node_type.plugin).map(|group| group.value.clone()),
                 span: self.text.sources.of(&node.id.span).local(&node.id.span),
                 line: self.text.sources.line(&node.id.span),
             });

@@ -69,6 +69,9 @@ impl FileEdits<'_> {
             if let Some(graph) = item.get_mut("graph").and_then(Item::as_value_mut) {
                 rebase(graph, false, &from_dir, &to_dir);
             }
+            if let (Some(group), Some(table)) = (user.get("isolate"), item.as_table_like_mut()) {
+                table.insert("isolate", group.clone());
+            }
             if let Item::Table(table) = &mut item {
                 place_at(table, position);
                 if k == 0 {

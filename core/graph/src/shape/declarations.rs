@@ -1,6 +1,6 @@
 //! What a file declares for its users: arguments of a graph, the names that a part offers.
 
-use super::Reader;
+use super::{Reader, is_node_id};
 use crate::args::{ArgKind, ArgText};
 use crate::file::{Export, PartText};
 use crate::value::{Kind, Spanned, Value};
@@ -9,6 +9,28 @@ const ARG: [&str; 6] = ["type", "doc", "default", "range", "unit", "choices"];
 const PART: [&str; 3] = ["inputs", "outputs", "params"];
 
 impl Reader<'_> {
+    /// The table `[isolate]`: plugins and the groups of their nodes.
+    pub(super) fn isolate(&mut self, value: &Value) {
+        let Some(table) = self.table("`isolate`", "a table such as { tools = \"networks\" }", value) else { return };
+        for (plugin, value) in table {
+            if let Some(group) = self.group(value) {
+                self.file.isolate.push((plugin.clone(), group));
+            }
+        }
+    }
+
+    /// The name of a group of isolated nodes.
+    pub(super) fn group(&mut self, value: &Value) -> Option<Spanned<String>> {
+        let group = self.text("`isolate`", value)?;
+        if is_node_id(&group.value) && !group.value.contains('/') {
+            return Some(group);
+        }
+        self.error("bad-group", &group.span, format!("`{}` cannot name a group of nodes", group.value)).help(
+            "nodes with the same group share a process; its name has letters, digits, _ and -, as in isolate = \"networks\"",
+        );
+        None
+    }
+
     pub(super) fn args(&mut self, value: &Value) -> Vec<ArgText> {
         let Some(table) = self.table("`args`", "a table of arguments such as [args.left]", value) else {
             return Vec::new();

@@ -22,6 +22,10 @@ fn process<'f>(cx: &Context<'f>, input: &In<'f>, out: &mut Out<'f>, plan: &Plan)
     let harm = plan.at(cx.tick().seq);
     plan.suffer(cx, harm)?;
     let frame = input.image.frame();
+    if harm == Harm::WildWrite {
+        // SAFETY: none: the pixels are borrowed, and others read them. In a process of its own the node cannot write them.
+        unsafe { frame.data.write_bytes(0xEE, frame.len) };
+    }
     if harm == Harm::Leak {
         std::mem::forget(input.image.retain());
     }

@@ -57,6 +57,10 @@ pub enum Harm {
     Exit,
     /// The call calls `_exit`.
     ExitAtOnce,
+    /// The call writes to the pixels of its input, which belong to others.
+    WildWrite,
+    /// The call takes memory until there is none.
+    OutOfMemory,
 }
 
 /// When it goes wrong.
@@ -136,6 +140,9 @@ impl Plan {
             Harm::Exit => std::process::exit(3),
             // SAFETY: ends the process, which is what was asked for.
             Harm::ExitAtOnce => unsafe { _exit(0) },
+            Harm::OutOfMemory => loop {
+                std::mem::forget(std::hint::black_box(Vec::<u8>::with_capacity(16 << 20)));
+            },
             _ => {}
         }
         Ok(())

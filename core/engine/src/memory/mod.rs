@@ -2,40 +2,40 @@
 //!
 //! One pool per power of two. A pool reserves address space once and touches it slot by slot, so a buffer's address is its pool's base
 //! plus its offset, and never changes. A buffer returns to its pool's free list with its last reference.
+//!
+//! Pools belong to a *domain*. Domain 0 is private memory of this process. While a graph has isolated nodes, frames come from a domain
+//! that their processes map read-only, and each group of isolated nodes makes its outputs in a domain of its own, see [`Domain`].
 
+mod domain;
+mod pool;
+
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering, fence};
-use std::sync::{Mutex, OnceLock};
 
 use panoscope_abi::{BufferId, Frame};
 
-use crate::sync::lock;
+use self::domain::Shared;
+pub use self::domain::{Domain, DomainError, SharedFrames};
+pub use self::pool::PoolFile;
+use self::pool::{Backing, Pool};
 
 const SMALLEST_BITS: u32 = 8;
 const LARGEST_BITS: u32 = 30;
+/// Pools of a domain, one per power of two.
 const POOLS: usize = (LARGEST_BITS - SMALLEST_BITS + 1) as usize;
-const MAX_SLOTS: usize = 1 << 16;
-const RESERVE_BYTES: usize = 4 << 30;
-
-struct Pool {
-    base: *mut u8,
-    bits: u32,
-    references: Box<[AtomicU32]>,
-    free: Mutex<Free>,
-}
-
-struct Free {
-    slots: Vec<u32>,
-    untouched: u32,
-}
-
-// SAFETY: `base` is a mapping that is never removed; `free` and `references` hand out each slot to one owner at a time.
-unsafe impl Send for Pool {}
-// SAFETY: `base` never moves and `free` and `references` are only touched under their own synchronisation.
-unsafe impl Sync for Pool {}
+/// Domains of the process, the private one included.
+const DOMAINS: usize = 16;
+/// Numbers of pools are 1 to this.
+pub const MOST_POOLS: usize = POOLS * DOMAINS;
+/// The domain that only this process maps.
+const PRIVATE: u32 = 0;
 
 /// The frame memory of the process.
 pub struct Memory {
-    pools: [OnceLock<Option<Pool>>; POOLS],
+    pools: [OnceLock<Option<Pool>>; MOST_POOLS],
+    /// The domain of frames that belong to no group.
+    current: AtomicU32,
+    shared: Shared,
     in_use_bytes: AtomicI64,
     limit_bytes: AtomicI64,
     allocations: AtomicU64,
@@ -65,47 +65,14 @@ pub enum MemoryError {
 /// The frame memory of the process.
 pub fn memory() -> &'static Memory {
     static MEMORY: Memory = Memory {
-        pools: [const { OnceLock::new() }; POOLS],
+        pools: [const { OnceLock::new() }; MOST_POOLS],
+        current: AtomicU32::new(PRIVATE),
+        shared: Shared::new(),
         in_use_bytes: AtomicI64::new(0),
         limit_bytes: AtomicI64::new(2 << 30),
         allocations: AtomicU64::new(0),
     };
     &MEMORY
-}
-
-impl Pool {
-    fn reserve(bits: u32) -> Option<Pool> {
-        let slots = (RESERVE_BYTES >> bits).clamp(2, MAX_SLOTS);
-        // SAFETY: a fresh anonymous mapping; nothing is touched until a slot is used.
-        let base = unsafe {
-            libc::mmap(
-                std::ptr::null_mut(),
-                slots << bits,
-                libc::PROT_READ | libc::PROT_WRITE,
-                libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_NORESERVE,
-                -1,
-                0,
-            )
-        };
-        if base == libc::MAP_FAILED {
-            return None;
-        }
-        let references = (0..slots).map(|_| AtomicU32::new(0)).collect();
-        let free = Mutex::new(Free { slots: Vec::with_capacity(slots.min(1024)), untouched: 0 });
-        Some(Pool { base: base.cast(), bits, references, free })
-    }
-
-    fn take(&self) -> Option<u32> {
-        let mut free = lock(&self.free);
-        if let Some(slot) = free.slots.pop() {
-            return Some(slot);
-        }
-        if (free.untouched as usize) < self.references.len() {
-            free.untouched += 1;
-            return Some(free.untouched - 1);
-        }
-        None
-    }
 }
 
 impl Memory {
@@ -130,12 +97,21 @@ impl Memory {
 
     /// A buffer of at least `len` bytes with one reference; its contents are unspecified, but initialised.
     pub fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), MemoryError> {
+        match self.current.load(Ordering::Relaxed) {
+            PRIVATE => self.allocate_at(PRIVATE, len),
+            // The domain may have been closed meanwhile.
+            shared => self.allocate_at(shared, len).or_else(|_| self.allocate_at(PRIVATE, len)),
+        }
+    }
+
+    #[inline]
+    fn allocate_at(&self, domain: u32, len: usize) -> Result<(BufferId, *mut u8), MemoryError> {
         let bits = usize::BITS - len.max(1).saturating_sub(1).leading_zeros();
         let bits = bits.max(SMALLEST_BITS);
         if bits > LARGEST_BITS {
             return Err(MemoryError::TooLarge { wanted_bytes: len });
         }
-        let number = bits - SMALLEST_BITS;
+        let number = (domain as usize * POOLS) as u32 + bits - SMALLEST_BITS;
         let size = 1i64 << bits;
         let limit_bytes = self.limit_bytes.load(Ordering::Relaxed);
         let exhausted = |in_use_bytes| MemoryError::Exhausted { wanted_bytes: len, in_use_bytes, limit_bytes };
@@ -143,7 +119,9 @@ impl Memory {
         let slot = if before + size > limit_bytes {
             None
         } else {
-            self.pools[number as usize].get_or_init(|| Pool::reserve(bits)).as_ref().and_then(|p| Some((p, p.take()?)))
+            let place = &self.pools[number as usize];
+            let pool = place.get().or_else(|| self.make_pool(place, domain, bits)).and_then(Option::as_ref);
+            pool.and_then(|pool| Some((pool, pool.take()?)))
         };
         let Some((pool, slot)) = slot else {
             self.in_use_bytes.fetch_sub(size, Ordering::Relaxed);
@@ -155,6 +133,11 @@ impl Memory {
         let id = BufferId { pool: number + 1, reserved: 0, offset };
         // SAFETY: the slot lies inside the reserved mapping.
         Ok((id, unsafe { pool.base.add(offset as usize) }))
+    }
+
+    #[cold]
+    fn make_pool<'m>(&self, place: &'m OnceLock<Option<Pool>>, domain: u32, bits: u32) -> Option<&'m Option<Pool>> {
+        self.shared.with_backing(domain, |backing| place.get_or_init(|| Pool::reserve(bits, backing)))
     }
 
     /// Address of a buffer, null when there is no such buffer.
@@ -217,7 +200,7 @@ impl Memory {
         if pool.references[slot].fetch_sub(1, Ordering::Release) == 1 {
             fence(Ordering::Acquire);
             self.in_use_bytes.fetch_sub(1 << pool.bits, Ordering::Relaxed);
-            lock(&pool.free).slots.push(slot as u32);
+            pool.put_back(slot as u32);
         }
     }
 }

@@ -1,0 +1,183 @@
+//! One pool: slots of one size in one stretch of address space.
+
+use std::fs::File;
+use std::os::fd::{AsRawFd, FromRawFd};
+use std::sync::atomic::AtomicU32;
+use std::sync::{Arc, Mutex, Weak};
+
+use crate::sync::lock;
+
+const MAX_SLOTS: usize = 1 << 16;
+const RESERVE_BYTES: usize = 4 << 30;
+
+/// What the bytes of a pool are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Backing {
+    /// Anonymous memory of this process.
+    Private,
+    /// A file in memory that other processes can map, but not write.
+    ReadElsewhere,
+    /// A file in memory that another process writes.
+    WrittenElsewhere,
+}
+
+/// The file behind a pool, for another process to map.
+#[derive(Clone, Debug)]
+pub struct PoolFile {
+    /// The file in memory. Its size is sealed.
+    pub file: Arc<File>,
+    /// Its size in bytes.
+    pub len: usize,
+}
+
+pub(super) struct Pool {
+    pub base: *mut u8,
+    pub bits: u32,
+    pub references: Box<[AtomicU32]>,
+    free: Mutex<Free>,
+}
+
+struct Free {
+    slots: Vec<u32>,
+    untouched: u32,
+    /// Whether slots are handed out.
+    open: bool,
+    /// The file that is mapped; `None` for private memory, and for a closed pool whose slots have all come back.
+    file: Option<Arc<File>>,
+    /// The newest file, which other processes may still map after this one has given it back.
+    last: Weak<File>,
+}
+
+impl Free {
+    fn all_back(&self) -> bool {
+        self.slots.len() == self.untouched as usize
+    }
+}
+
+// SAFETY: `base` is a stretch of address space that is never given back; `free` and `references` hand out each slot to one owner at a time.
+unsafe impl Send for Pool {}
+// SAFETY: `base` never moves and `free` and `references` are only touched under their own synchronisation.
+unsafe impl Sync for Pool {}
+
+impl Pool {
+    /// Reserves the address space of a pool; nothing is touched until a slot is used.
+    pub fn reserve(bits: u32, backing: Backing) -> Option<Pool> {
+        let slots = (RESERVE_BYTES >> bits).clamp(2, MAX_SLOTS);
+        let len = slots << bits;
+        let protection = if backing == Backing::Private { libc::PROT_READ | libc::PROT_WRITE } else { libc::PROT_NONE };
+        let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_NORESERVE;
+        // SAFETY: a fresh anonymous mapping at an address that the system chooses.
+        let base = unsafe { libc::mmap(std::ptr::null_mut(), len, protection, flags, -1, 0) };
+        if base == libc::MAP_FAILED {
+            return None;
+        }
+        let references = (0..slots).map(|_| AtomicU32::new(0)).collect();
+        let slots = Vec::with_capacity(slots.min(1024));
+        let free = Free { slots, untouched: 0, open: backing == Backing::Private, file: None, last: Weak::new() };
+        let pool = Pool { base: base.cast(), bits, references, free: Mutex::new(free) };
+        (backing == Backing::Private || pool.open(backing)).then_some(pool)
+    }
+
+    fn len(&self) -> usize {
+        self.references.len() << self.bits
+    }
+
+    /// Takes a free slot; `None` if the pool is used up or closed.
+    pub fn take(&self) -> Option<u32> {
+        let mut free = lock(&self.free);
+        if !free.open {
+            return None;
+        }
+        if let Some(slot) = free.slots.pop() {
+            return Some(slot);
+        }
+        if (free.untouched as usize) < self.references.len() {
+            free.untouched += 1;
+            return Some(free.untouched - 1);
+        }
+        None
+    }
+
+    /// Puts a slot back that [`Self::take`] returned.
+    pub fn put_back(&self, slot: u32) {
+        let mut free = lock(&self.free);
+        free.slots.push(slot);
+        if !free.open {
+            self.unmap_if_unused(&mut free);
+        }
+    }
+
+    /// The file behind the pool, for another process; `None` for private memory.
+    pub fn file(&self) -> Option<PoolFile> {
+        let file = lock(&self.free).file.clone()?;
+        Some(PoolFile { file, len: self.len() })
+    }
+
+    /// Maps a new file in memory and hands out slots; `false` if the system refuses.
+    pub fn open(&self, backing: Backing) -> bool {
+        let mut free = lock(&self.free);
+        let Ok(file) = memory_file(self.len()) else { return false };
+        let flags = libc::MAP_SHARED | libc::MAP_NORESERVE | libc::MAP_FIXED;
+        let protection = libc::PROT_READ | libc::PROT_WRITE;
+        // SAFETY: the stretch from `base` belongs to this pool and none of its slots is in use: the pool is new, or closed and unmapped.
+        let mapped = unsafe { libc::mmap(self.base.cast(), self.len(), protection, flags, file.as_raw_fd(), 0) }
+            != libc::MAP_FAILED;
+        // The mapping above stays writable under the seal.
+        if !mapped || (backing == Backing::ReadElsewhere && seal(&file, libc::F_SEAL_FUTURE_WRITE).is_err()) {
+            return false;
+        }
+        let file = Arc::new(file);
+        (free.last, free.file, free.open) = (Arc::downgrade(&file), Some(file), true);
+        free.slots.clear();
+        free.untouched = 0;
+        true
+    }
+
+    /// Hands out no slot any more. The memory is given back as soon as all slots have come back.
+    pub fn close(&self) {
+        let mut free = lock(&self.free);
+        free.open = false;
+        self.unmap_if_unused(&mut free);
+    }
+
+    /// Whether the pool is closed, its memory was given back, and nobody keeps its file for another process.
+    pub fn is_unmapped(&self) -> bool {
+        let free = lock(&self.free);
+        !free.open && free.file.is_none() && free.last.strong_count() == 0
+    }
+
+    #[cold]
+    fn unmap_if_unused(&self, free: &mut Free) {
+        if !free.all_back() || free.file.is_none() {
+            return;
+        }
+        let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_NORESERVE | libc::MAP_FIXED;
+        // SAFETY: replaces the pool's own mapping, of which no slot is in use, by nothing; the address space stays reserved.
+        unsafe { libc::mmap(self.base.cast(), self.len(), libc::PROT_NONE, flags, -1, 0) };
+        free.file = None;
+        free.slots.clear();
+        free.untouched = 0;
+    }
+}
+
+/// A file in memory of a fixed size: nobody can shorten it under the readers of a mapping.
+fn memory_file(len: usize) -> std::io::Result<File> {
+    // SAFETY: the name is a zero-terminated text.
+    let fd = unsafe { libc::memfd_create(c"panoscope-frames".as_ptr(), libc::MFD_CLOEXEC | libc::MFD_ALLOW_SEALING) };
+    if fd < 0 {
+        return Err(std::io::Error::last_os_error());
+    }
+    // SAFETY: `memfd_create` returned this file descriptor, and nothing else owns it.
+    let file = unsafe { File::from_raw_fd(fd) };
+    file.set_len(len as u64)?;
+    seal(&file, libc::F_SEAL_SHRINK | libc::F_SEAL_GROW)?;
+    Ok(file)
+}
+
+fn seal(file: &File, seals: libc::c_int) -> std::io::Result<()> {
+    // SAFETY: a plain system call on a file that is open.
+    match unsafe { libc::fcntl(file.as_raw_fd(), libc::F_ADD_SEALS, seals) } {
+        0 => Ok(()),
+        _ => Err(std::io::Error::last_os_error()),
+    }
+}

@@ -1,0 +1,51 @@
+//! Which nodes run in processes of their own, and which cannot.
+
+use super::Checker;
+use crate::catalog::NodeKind;
+use crate::file::NodeText;
+use crate::nearest::{list, nearest};
+use crate::text::GraphText;
+use crate::value::Spanned;
+
+impl GraphText {
+    /// The group that a node of a plugin runs in: its own, else that of its plugin.
+    pub(crate) fn group_of<'t>(&'t self, node: &'t NodeText, plugin: &str) -> Option<&'t Spanned<String>> {
+        let of_plugin = || self.isolate.iter().rev().find(|(name, _)| name.value == plugin).map(|(_, group)| group);
+        node.isolate.as_ref().or_else(of_plugin)
+    }
+}
+
+impl Checker<'_> {
+    pub(super) fn isolation(&mut self) {
+        let text = self.text;
+        let plugins = text.plugins();
+        for (plugin, _) in &text.isolate {
+            if plugins.contains(&plugin.value) || text.incomplete {
+                continue;
+            }
+            let near = nearest(&plugin.value, plugins.iter().map(String::as_str));
+            let help = format!("plugins of the graph: {}", list(plugins.iter().map(String::as_str), 12, "and"));
+            let message = format!("`isolate` names `{}`, which is no plugin of the graph", plugin.value);
+            self.error("unknown-isolated-plugin", &plugin.span, message)
+                .label(near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default())
+                .help(help);
+        }
+        for (index, node) in text.flat.nodes.iter().enumerate() {
+            let Some(node_type) = self.type_of(index) else { continue };
+            let Some(group) = text.group_of(node, &node_type.plugin) else { continue };
+            let id = self.id(index);
+            if node_type.kind == NodeKind::Realtime {
+                let message =
+                    format!("`{id}` ({}) is a control loop, which cannot run in another process", node_type.name);
+                self.error("isolated-realtime", &group.span, message)
+                    .label("its period would depend on that process")
+                    .help("isolate the nodes that it depends on, and leave out this one: write `isolate` at nodes, not for the plugin");
+            }
+            if node.cpu.is_some() {
+                let message =
+                    format!("`{id}` has `cpu` and `isolate`; the thread that works for it is in another process");
+                self.error("isolated-cpu", &group.span, message).help("remove one of the two");
+            }
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! One instance in the child: the requests of its lane, one after the other.
+
+use std::ffi::c_void;
+
+use panoscope_abi::{self as abi, Frame, NodeType, PortRange, Status, Str};
+use panoscope_engine::isolation::STATUS_DIED;
+
+use super::table::{self, CallFrame, ChildLane};
+use super::{Child, EXIT_PROTOCOL, leave, pools};
+use crate::lane::Side;
+use crate::wire::{BadMessage, Kind, Params, Reader, Writer};
+
+/// The instance of a lane.
+struct Instance<'c> {
+    child: &'c Child,
+    lane: &'c ChildLane,
+    /// `None` before it is open.
+    node_type: Option<&'static NodeType>,
+    raw: *mut c_void,
+    host: abi::Host,
+    node: String,
+    params: Params,
+    state: Vec<u8>,
+    inputs: Vec<Frame>,
+    ranges: Vec<PortRange>,
+    outputs: Vec<Frame>,
+    /// The tick of the last call as the node left it.
+    made_at: abi::Tick,
+}
+
+/// Serves the requests of a lane until its instance is closed.
+pub(super) fn serve(child: &Child, lane: &ChildLane) {
+    let _visit = child.pool.visit();
+    let mut this = Instance {
+        child,
+        lane,
+        node_type: None,
+        raw: std::ptr::null_mut(),
+        host: abi::Host { ..*child.host },
+        node: String::new(),
+        params: Params::default(),
+        state: Vec::new(),
+        inputs: Vec::new(),
+        ranges: Vec::new(),
+        outputs: Vec::new(),
+        made_at: abi::Tick::default(),
+    };
+    let (mut message, mut out) = (Vec::new(), Vec::new());
+    while let Ok(kind) = lane.lane.receive(Side::Child, &mut message) {
+        let served = table::within(lane, || this.request(kind, &message));
+        let Ok(status) = served else { leave(EXIT_PROTOCOL) };
+        table::within(lane, || lane.pass_on());
+        out.clear();
+        // A plugin's own status of this number would be taken for the end of the process.
+        Writer(&mut out).i32(if status == STATUS_DIED { abi::STATUS_ERROR } else { status });
+        if kind == Kind::Process {
+            this.write_outputs(&mut out);
+        }
+        let is_over = kind == Kind::Close || this.node_type.is_none();
+        lane.lane.post(Side::Child, Kind::Done, &out);
+        if is_over {
+            return;
+        }
+    }
+}
+
+impl<'c> Instance<'c> {
+    fn request(&mut self, kind: Kind, message: &[u8]) -> Result<Status, BadMessage> {
+        let mut reader = Reader(message);
+        if kind == Kind::Open {
+            return self.open(&mut reader);
+        }
+        let node_type = self.node_type.ok_or(BadMessage)?;
+        let (raw, host) = (self.raw, &raw const self.host);
+        Ok(match kind {
+            Kind::Process => return self.process(node_type, &mut reader),
+            Kind::Close => {
+                if let Some(close) = node_type.close {
+                    // SAFETY: opened by `open` and closed once.
+                    unsafe { close(raw) };
+                }
+                abi::STATUS_OK
+            }
+            Kind::SaveState => match node_type.save_state {
+                // SAFETY: an open instance that only this thread uses; the sink is this lane, which takes bytes through the table.
+                Some(save) => unsafe { save(raw, host, table::save_target(self.lane)) },
+                None => abi::STATUS_INVALID,
+            },
+            Kind::LoadPart => {
+                self.state.extend_from_slice(reader.bytes()?);
+                abi::STATUS_OK
+            }
+            Kind::LoadState => {
+                let state = std::mem::take(&mut self.state);
+                match node_type.load_state {
+                    // SAFETY: an open instance that only this thread uses; the bytes live until the call returns.
+                    Some(load) => unsafe { load(raw, state.as_ptr(), state.len()) },
+                    None => abi::STATUS_INVALID,
+                }
+            }
+            Kind::Finish => match node_type.finish_function() {
+                Some(finish) => {
+                    let mut call = self.call(abi::Tick::default());
+                    // SAFETY: an open instance that only this thread uses; table and handle live until the call returns.
+                    unsafe { finish(raw, host, (&raw mut call).cast()) }
+                }
+                None => abi::STATUS_OK,
+            },
+            _ => return Err(BadMessage),
+        })
+    }
+
+    /// The target of a call's handle, without inputs and outputs.
+    fn call(&self, tick: abi::Tick) -> CallFrame<'c> {
+        CallFrame {
+            lane: self.lane,
+            node: self.node.clone(),
+            tick,
+            outputs: std::ptr::null_mut(),
+            outputs_len: 0,
+            random: None,
+            file: String::new(),
+        }
+    }
+
+    fn open(&mut self, reader: &mut Reader<'_>) -> Result<Status, BadMessage> {
+        let (plugin, index, flags, threads) = (reader.u32()?, reader.u32()?, reader.u32()?, reader.u32()?);
+        let outputs_read = reader.u64()?;
+        self.node = reader.text()?.to_owned();
+        let graph_dir = reader.text()?;
+        self.params = reader.params()?;
+        self.host.threads = threads;
+        let found = self.child.node_type(plugin, index);
+        let node_type = match found {
+            Ok(node_type) => node_type,
+            Err(words) => {
+                let mut call = self.call(abi::Tick::default());
+                if let Some(fail) = self.host.fail {
+                    // SAFETY: the handle and the words live until the call returns.
+                    unsafe { fail((&raw mut call).cast(), Str::borrow(&words)) };
+                }
+                return Ok(abi::STATUS_ERROR);
+            }
+        };
+        let mut call = self.call(abi::Tick::default());
+        let mut open_call = abi::OpenCall {
+            struct_size: size_of::<abi::OpenCall>() as u32,
+            flags,
+            host: &raw const self.host,
+            call: (&raw mut call).cast(),
+            node_id: Str::borrow(&self.node),
+            params: self.params.values.as_ptr(),
+            params_len: self.params.values.len(),
+            graph_dir: Str::borrow(graph_dir),
+            outputs_read,
+        };
+        let mut raw = std::ptr::null_mut();
+        let status = match node_type.open {
+            // SAFETY: the plugin contract; everything that the call points to lives until it returns, the table as long as the instance.
+            Some(open) => unsafe { open(&raw mut open_call, &raw mut raw) },
+            None => abi::STATUS_INVALID,
+        };
+        if status == abi::STATUS_OK {
+            (self.raw, self.node_type) = (raw, Some(node_type));
+        }
+        Ok(status)
+    }
+
+    fn process(&mut self, node_type: &NodeType, reader: &mut Reader<'_>) -> Result<Status, BadMessage> {
+        let (flags, tick) = (reader.u32()?, reader.tick()?);
+        let (outputs_read, params_version) = (reader.u64()?, reader.u64()?);
+        if reader.u32()? == 1 {
+            self.params = reader.params()?;
+        }
+        self.ranges.clear();
+        for _ in 0..reader.count(8)? {
+            self.ranges.push(PortRange { first: reader.u32()?, count: reader.u32()? });
+        }
+        self.inputs.clear();
+        for _ in 0..reader.count(1)? {
+            let frame = reader.frame()?;
+            let data = if frame.is_empty() { std::ptr::null_mut() } else { pools::resolve(frame.buffer) };
+            if data.is_null() && !frame.is_empty() {
+                return Err(BadMessage);
+            }
+            self.inputs.push(Frame { data, ..frame });
+        }
+        let outputs_len = usize::try_from(reader.u64()?).map_err(|_| BadMessage)?;
+        self.outputs.clear();
+        self.outputs.resize(outputs_len, Frame::EMPTY);
+        let outputs = self.outputs.as_mut_ptr();
+        let node = std::mem::take(&mut self.node);
+        let mut frame =
+            CallFrame { lane: self.lane, node, tick, outputs, outputs_len, random: None, file: String::new() };
+        let mut call = abi::Call {
+            struct_size: size_of::<abi::Call>() as u32,
+            flags,
+            host: &raw const self.host,
+            call: (&raw mut frame).cast(),
+            tick,
+            inputs: self.inputs.as_ptr(),
+            inputs_len: self.inputs.len(),
+            input_ranges: self.ranges.as_ptr(),
+            input_ranges_len: self.ranges.len(),
+            outputs,
+            outputs_len,
+            params: self.params.values.as_ptr(),
+            params_len: self.params.values.len(),
+            params_version,
+            outputs_read,
+        };
+        let status = match node_type.process {
+            // SAFETY: the plugin contract: an open instance that only this thread uses, and a call whose parts outlive it.
+            Some(process) => unsafe { process(self.raw, &raw mut call) },
+            None => abi::STATUS_INVALID,
+        };
+        self.made_at = call.tick;
+        self.node = frame.node;
+        Ok(status)
+    }
+
+    /// The tick and the outputs as the node left them.
+    fn write_outputs(&self, out: &mut Vec<u8>) {
+        let mut out = Writer(out);
+        out.tick(&self.made_at).u64(self.outputs.len() as u64);
+        self.outputs.iter().for_each(|frame| _ = out.frame(frame));
+    }
+}

@@ -1,0 +1,134 @@
+//! The host's side: groups, their processes, and the instances that live there.
+
+mod process;
+mod remote;
+
+use std::collections::HashMap;
+use std::ffi::c_void;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
+
+use panoscope_abi::{self as abi, NodeType, Status};
+use panoscope_engine::isolation::{Group, GroupSettings, Isolator};
+use panoscope_engine::memory::{Domain, SharedFrames};
+
+use self::process::Process;
+
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The code of a plugin, as it was verified and mapped by the host.
+#[derive(Debug)]
+pub struct PluginImage {
+    /// Number in this process; another version of a plugin's file has another.
+    id: u32,
+    /// The bytes that were mapped: a path below `/proc/self/fd` that stays valid until the process ends.
+    image: PathBuf,
+    /// The plugin's file, for messages.
+    file: PathBuf,
+}
+
+type Images = HashMap<usize, (Arc<PluginImage>, u32)>;
+
+/// A node type's image and its position there, by the address of the type.
+static IMAGES: LazyLock<Mutex<Images>> = LazyLock::new(Mutex::default);
+/// The functions of isolated node types, by the address of the type.
+static PROXIES: LazyLock<Mutex<HashMap<usize, &'static NodeType>>> = LazyLock::new(Mutex::default);
+
+/// A plugin was loaded: processes of isolated nodes map the same bytes.
+///
+/// `image` is a path to them that stays valid until this process ends, `file` the plugin's file, `entries` its node types in order.
+pub fn remember(entries: &[&'static NodeType], image: &Path, file: &Path) {
+    static NEXT: AtomicU32 = AtomicU32::new(1);
+    let id = NEXT.fetch_add(1, Ordering::Relaxed);
+    let image = Arc::new(PluginImage { id, image: image.to_owned(), file: file.to_owned() });
+    let mut images = lock(&IMAGES);
+    for (index, entry) in entries.iter().enumerate() {
+        images.insert(std::ptr::from_ref(*entry).addr(), (Arc::clone(&image), index as u32));
+    }
+}
+
+/// Makes processes of this program for isolated nodes. Attaches to the engine.
+#[derive(Debug, Default)]
+pub struct Processes;
+
+impl Isolator for Processes {
+    fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, String> {
+        let frames = SharedFrames::begin().map_err(|error| error.to_string())?;
+        let domain = Domain::written_elsewhere().map_err(|error| error.to_string())?;
+        let program = process::program()?;
+        let settings = settings.clone();
+        Ok(Arc::new(Isolated { settings, program, process: Mutex::default(), domain, _frames: frames }))
+    }
+}
+
+/// A group. Its process lives as long as one of its instances is open.
+struct Isolated {
+    settings: GroupSettings,
+    program: PathBuf,
+    process: Mutex<Weak<Process>>,
+    domain: Domain,
+    _frames: SharedFrames,
+}
+
+impl Isolated {
+    /// The running process, or a new one.
+    fn process(&self) -> std::io::Result<Arc<Process>> {
+        let mut process = lock(&self.process);
+        if let Some(old) = process.upgrade() {
+            if !old.is_ending() {
+                return Ok(old);
+            }
+            // Both would write the same pools.
+            old.wait_for_end();
+        }
+        let new = Process::start(&self.program, &self.settings, self.domain.number())?;
+        *process = Arc::downgrade(&new);
+        Ok(new)
+    }
+}
+
+impl Group for Isolated {
+    fn proxy(&self, entry: &'static NodeType) -> &'static NodeType {
+        let mut proxies = lock(&PROXIES);
+        proxies.entry(std::ptr::from_ref(entry).addr()).or_insert_with(|| Box::leak(Box::new(remote::proxy_of(entry))))
+    }
+
+    unsafe fn open(&self, entry: &'static NodeType, call: *mut abi::OpenCall, instance: *mut *mut c_void) -> Status {
+        let refuse = |words: String| {
+            // SAFETY: the caller's promise: the call and its table live.
+            unsafe {
+                if let Some(fail) = (*(*call).host).fail {
+                    fail((*call).call, abi::Str::borrow(&words));
+                }
+            }
+            abi::STATUS_ERROR
+        };
+        let known = lock(&IMAGES).get(&std::ptr::from_ref(entry).addr()).cloned();
+        let Some((image, index)) = known else {
+            return refuse("its plugin was not loaded from a file, so that no other process can load it".to_owned());
+        };
+        let process = match self.process() {
+            Ok(process) => process,
+            Err(cause) => {
+                let (group, program) = (&self.settings.name, self.program.display());
+                return refuse(format!("the process of group `{group}` could not be started from {program}: {cause}"));
+            }
+        };
+        // SAFETY: the caller's promise.
+        unsafe { remote::open(process, &image, index, call, instance) }
+    }
+
+    fn domain(&self) -> u32 {
+        self.domain.number()
+    }
+
+    fn kill(&self, reason: &str) {
+        let process = lock(&self.process).upgrade();
+        if let Some(process) = process {
+            process.kill(reason);
+        }
+    }
+}

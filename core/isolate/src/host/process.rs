@@ -1,0 +1,335 @@
+//! A child process: its start, what it was given, and its end.
+
+use std::fs::File;
+use std::io;
+use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use panoscope_abi::BufferId;
+use panoscope_engine::isolation::GroupSettings;
+use panoscope_engine::memory::{MOST_POOLS, Memory, PoolFile, memory};
+
+use super::{PluginImage, lock};
+use crate::lane::Lane;
+use crate::socket::{self, Tag};
+use crate::wire::Writer;
+use crate::{COMMAND, PROTOCOL};
+
+/// How long a process may take to leave after its last instance closed, or to die after it was killed.
+const LONGEST_LEAVE: Duration = Duration::from_secs(1);
+/// Name of the program whose processes run isolated nodes.
+const PROGRAM: &str = "panoscope";
+
+/// The program to start: this one, or the one that is installed beside it.
+pub(super) fn program() -> Result<PathBuf, String> {
+    let me = std::env::current_exe().map_err(|cause| format!("this program's own file is unknown: {cause}"))?;
+    if me.file_name().is_some_and(|name| name == PROGRAM) {
+        // The running version, even if its file was replaced meanwhile.
+        return Ok(PathBuf::from("/proc/self/exe"));
+    }
+    let beside = me.with_file_name(PROGRAM);
+    // Test programs lie in a folder below.
+    let above = me.parent().and_then(Path::parent).map(|folder| folder.join(PROGRAM));
+    let found = [Some(beside.clone()), above].into_iter().flatten().find(|file| file.is_file());
+    found.ok_or_else(|| format!("the program {} is missing, whose processes run isolated nodes", beside.display()))
+}
+
+/// A lane and the node that uses it.
+pub(super) struct NodeLane {
+    pub lane: Lane,
+    pub node: String,
+    /// Whether the child has a request of it.
+    pub in_call: AtomicBool,
+}
+
+/// What the thread that waits for the end of the process shares with its owner.
+struct Life {
+    group: String,
+    pidfd: OwnedFd,
+    state: Mutex<LifeState>,
+    ended: Condvar,
+    /// Set before the lanes are closed.
+    is_dead: AtomicBool,
+    is_killed: AtomicBool,
+}
+
+#[derive(Default)]
+struct LifeState {
+    lanes: Vec<Arc<NodeLane>>,
+    /// Why the host ended it.
+    reason: Option<String>,
+    /// How it ended.
+    words: Option<String>,
+}
+
+impl Life {
+    /// Records the end and wakes all that wait for an answer.
+    fn end(&self, status: io::Result<ExitStatus>) {
+        let mut state = lock(&self.state);
+        state.words = Some(words(&self.group, &state, status));
+        self.is_dead.store(true, Ordering::SeqCst);
+        state.lanes.iter().for_each(|lane| lane.lane.close());
+        drop(state);
+        self.ended.notify_all();
+    }
+
+    fn kill(&self, reason: &str) {
+        lock(&self.state).reason.get_or_insert_with(|| reason.to_owned());
+        self.is_killed.store(true, Ordering::Release);
+        // SAFETY: a plain system call; the file descriptor names this process even after its end.
+        unsafe { libc::syscall(libc::SYS_pidfd_send_signal, self.pidfd.as_raw_fd(), libc::SIGKILL, 0, 0) };
+    }
+
+    /// Waits for the end; `false` if it does not come in time.
+    fn wait(&self, most: Duration) -> bool {
+        let until = Instant::now() + most;
+        let mut state = lock(&self.state);
+        while state.words.is_none() {
+            let Some(left) = until.checked_duration_since(Instant::now()) else { return false };
+            state = self.ended.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        true
+    }
+}
+
+/// How a process ended, and in which node.
+fn words(group: &str, state: &LifeState, status: io::Result<ExitStatus>) -> String {
+    if let Some(reason) = &state.reason {
+        return format!("the process of group `{group}` was ended: {reason}");
+    }
+    let crashed = state.lanes.iter().find(|lane| lane.lane.signal() != 0);
+    let nodes: Vec<String> = match crashed {
+        Some(lane) => vec![format!("`{}`", lane.node)],
+        None => {
+            let busy = state.lanes.iter().filter(|lane| lane.in_call.load(Ordering::Relaxed));
+            busy.map(|lane| format!("`{}`", lane.node)).collect()
+        }
+    };
+    let place = match nodes.len() {
+        0 => "outside of every call".to_owned(),
+        1 => format!("in node {}", nodes[0]),
+        _ => format!("in one of the nodes {}", nodes.join(", ")),
+    };
+    let how = match status {
+        Err(cause) => return format!("the process of group `{group}` is lost: {cause}"),
+        Ok(status) => match (status.signal(), status.code()) {
+            (Some(signal), _) => format!("crashed {place}: {}", signal_words(signal)),
+            (None, code) => format!("ended {place}: exit({})", code.unwrap_or(0)),
+        },
+    };
+    format!("the process of group `{group}` {how}")
+}
+
+fn signal_words(signal: i32) -> String {
+    let (name, meaning) = match signal {
+        libc::SIGSEGV => ("SIGSEGV", "invalid memory access, or a stack overflow"),
+        libc::SIGBUS => ("SIGBUS", "memory that could not be had"),
+        libc::SIGFPE => ("SIGFPE", "an impossible division"),
+        libc::SIGILL => ("SIGILL", "an instruction that this processor does not know"),
+        libc::SIGABRT => ("SIGABRT", "abort, or out of memory"),
+        libc::SIGKILL => ("SIGKILL", "killed from outside, possibly because the system ran out of memory"),
+        libc::SIGTERM => ("SIGTERM", "ended from outside"),
+        libc::SIGSYS => ("SIGSYS", "a system call that is not allowed"),
+        other => return format!("signal {other}"),
+    };
+    format!("{name} ({meaning})")
+}
+
+/// The process of a group. It ends when this is dropped.
+pub(super) struct Process {
+    life: Arc<Life>,
+    socket: Mutex<Option<OwnedFd>>,
+    /// Pools that the child knows, one bit each.
+    known_pools: [AtomicU64; MOST_POOLS / 64 + 1],
+    /// Their files: as long as they are kept, no other memory gets their numbers.
+    files: Mutex<Vec<PoolFile>>,
+    /// Plugins that the child was given.
+    plugins: Mutex<Vec<u32>>,
+    domain: u32,
+    watcher: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Process {
+    /// Starts a process. `domain` is that of its own pools.
+    pub fn start(program: &Path, settings: &GroupSettings, domain: u32) -> io::Result<Arc<Self>> {
+        let (ours, theirs) = socket::pair()?;
+        let mut child = Command::new(program).arg(COMMAND).arg(&settings.name).stdin(Stdio::from(theirs)).spawn()?;
+        let begun = pidfd(&child).and_then(|pidfd| {
+            let mut hello = Vec::new();
+            Writer(&mut hello).u32(Tag::Hello as u32).u32(PROTOCOL);
+            Writer(&mut hello).u32(settings.threads as u32).u64(settings.memory_bytes);
+            socket::send(ours.as_fd(), &hello, None)?;
+            Ok(pidfd)
+        });
+        let pidfd = begun.inspect_err(|_| end(&mut child))?;
+        let life = Arc::new(Life {
+            group: settings.name.clone(),
+            pidfd,
+            state: Mutex::default(),
+            ended: Condvar::new(),
+            is_dead: AtomicBool::new(false),
+            is_killed: AtomicBool::new(false),
+        });
+        let name: String = format!("group {}", settings.name).chars().take(15).collect();
+        let watched = Arc::clone(&life);
+        // Passed through a mutex, so that the child can be ended if no thread can be started.
+        let place = Arc::new(Mutex::new(Some(child)));
+        let theirs = Arc::clone(&place);
+        let watch = move || {
+            if let Some(mut child) = lock(&theirs).take() {
+                watched.end(child.wait());
+            }
+        };
+        let watcher = std::thread::Builder::new().name(name).spawn(watch).inspect_err(|_| {
+            if let Some(mut child) = lock(&place).take() {
+                end(&mut child);
+            }
+        })?;
+        Ok(Arc::new(Self {
+            life,
+            socket: Mutex::new(Some(ours)),
+            known_pools: [const { AtomicU64::new(0) }; MOST_POOLS / 64 + 1],
+            files: Mutex::default(),
+            plugins: Mutex::default(),
+            domain,
+            watcher: Mutex::new(Some(watcher)),
+        }))
+    }
+
+    /// Whether the process has ended.
+    pub fn is_dead(&self) -> bool {
+        self.life.is_dead.load(Ordering::SeqCst)
+    }
+
+    /// Whether the process has ended, or was told to.
+    pub fn is_ending(&self) -> bool {
+        self.is_dead() || self.life.is_killed.load(Ordering::Acquire)
+    }
+
+    /// Ends the process; its calls return.
+    pub fn kill(&self, reason: &str) {
+        self.life.kill(reason);
+    }
+
+    /// Waits until the process has ended.
+    pub fn wait_for_end(&self) {
+        self.life.wait(LONGEST_LEAVE);
+    }
+
+    /// How the process ended.
+    pub fn death(&self) -> String {
+        if !self.life.wait(LONGEST_LEAVE) {
+            self.life.kill("it did not answer");
+            self.life.wait(LONGEST_LEAVE);
+        }
+        let words = lock(&self.life.state).words.clone();
+        words.unwrap_or_else(|| format!("the process of group `{}` does not end", self.life.group))
+    }
+
+    fn send(&self, message: &[u8], file: &impl AsFd) -> io::Result<()> {
+        match &*lock(&self.socket) {
+            Some(socket) => socket::send(socket.as_fd(), message, Some(file.as_fd())),
+            None => Err(io::ErrorKind::NotConnected.into()),
+        }
+    }
+
+    /// A new lane for a node.
+    pub fn lane(&self, node: &str) -> io::Result<Arc<NodeLane>> {
+        let (lane, file) = Lane::create()?;
+        let lane = Arc::new(NodeLane { lane, node: node.to_owned(), in_call: AtomicBool::new(false) });
+        let mut state = lock(&self.life.state);
+        if state.words.is_some() {
+            lane.lane.close();
+        }
+        state.lanes.push(Arc::clone(&lane));
+        drop(state);
+        let mut message = Vec::new();
+        Writer(&mut message).u32(Tag::Lane as u32);
+        self.send(&message, &file).inspect_err(|_| self.drop_lane(&lane))?;
+        Ok(lane)
+    }
+
+    /// A lane is no longer used.
+    pub fn drop_lane(&self, lane: &Arc<NodeLane>) {
+        lock(&self.life.state).lanes.retain(|known| !Arc::ptr_eq(known, lane));
+    }
+
+    /// Gives the child a plugin's code, once.
+    pub fn give_plugin(&self, image: &PluginImage) -> io::Result<()> {
+        let mut plugins = lock(&self.plugins);
+        if plugins.contains(&image.id) {
+            return Ok(());
+        }
+        let file = File::open(&image.image)?;
+        let mut message = Vec::new();
+        let path = image.file.as_os_str().as_encoded_bytes();
+        Writer(&mut message).u32(Tag::Plugin as u32).u32(image.id).bytes(path);
+        self.send(&message, &file)?;
+        plugins.push(image.id);
+        Ok(())
+    }
+
+    /// Makes sure that the child can map the pool of a buffer.
+    #[inline]
+    pub fn give_pool(&self, buffer: BufferId) -> io::Result<()> {
+        let (word, bit) = (buffer.pool as usize / 64, 1_u64 << (buffer.pool % 64));
+        let known = self.known_pools.get(word).ok_or(io::ErrorKind::InvalidInput)?;
+        if known.load(Ordering::Acquire) & bit != 0 { Ok(()) } else { self.send_pool(buffer, known, bit) }
+    }
+
+    #[cold]
+    fn send_pool(&self, buffer: BufferId, known: &AtomicU64, bit: u64) -> io::Result<()> {
+        let mut files = lock(&self.files);
+        if known.load(Ordering::Acquire) & bit != 0 {
+            return Ok(());
+        }
+        let pool = memory().pool_file(buffer.pool).ok_or(io::ErrorKind::NotFound)?;
+        let is_own = Memory::domain_of(buffer) == self.domain;
+        let mut message = Vec::new();
+        Writer(&mut message).u32(Tag::Pool as u32).u32(buffer.pool).u64(pool.len as u64).u32(u32::from(is_own));
+        if is_own {
+            self.send(&message, &*pool.file)?;
+        } else {
+            // The pools of another group's process can be written; this process gets them for reading.
+            let path = format!("/proc/self/fd/{}", pool.file.as_raw_fd());
+            self.send(&message, &File::open(path)?)?;
+        }
+        files.push(pool);
+        known.fetch_or(bit, Ordering::Release);
+        Ok(())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // The child leaves when its socket ends.
+        drop(lock(&self.socket).take());
+        if !self.life.wait(LONGEST_LEAVE) {
+            self.life.kill("it did not leave");
+        }
+        if let Some(watcher) = lock(&self.watcher).take() {
+            let _ = watcher.join();
+        }
+    }
+}
+
+fn end(child: &mut Child) {
+    let _ = child.kill();
+    let _ = child.wait();
+}
+
+fn pidfd(child: &Child) -> io::Result<OwnedFd> {
+    // SAFETY: a plain system call; the process has not been waited for, so its number is its own.
+    let fd = unsafe { libc::syscall(libc::SYS_pidfd_open, child.id(), 0) };
+    match i32::try_from(fd) {
+        // SAFETY: the system returned this file descriptor, and nothing else owns it.
+        Ok(fd) if fd >= 0 => Ok(unsafe { OwnedFd::from_raw_fd(fd) }),
+        _ => Err(io::Error::last_os_error()),
+    }
+}

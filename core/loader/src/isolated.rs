@@ -1,0 +1,18 @@
+//! The process of a group of isolated nodes.
+
+use std::path::Path;
+
+use panoscope_abi::NodeType;
+pub use panoscope_isolate::COMMAND;
+
+use crate::map::load_image;
+
+/// Runs the nodes of another process's graph until that process is gone. A program calls this first thing in `main` when its first argument
+/// is [`COMMAND`].
+pub fn serve() -> ! {
+    panoscope_isolate::child::serve(load)
+}
+
+fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, String> {
+    load_image(image, file).map(|loaded| loaded.entries).map_err(|error| error.to_string())
+}
