@@ -5,6 +5,7 @@
 //! - [`View`], [`ViewMut`], [`Rect`]: borrowed images and rectangles in px.
 //! - [`Parallel`]: how a kernel splits its work without knowing whose threads run it.
 //! - [`Simd`]: which instruction set a kernel may use.
+//! - [`onnx`]: which files hold the weights of a model, where ONNX Runtime is.
 //! - [`gray`], [`random`], [`Report`]: gray conversion, reproducible random numbers, where algorithms report to.
 //!
 //! The crate sees only the contract. Unsafe code is confined to the two modules that opt in below.
@@ -13,6 +14,7 @@
 pub mod format;
 #[expect(unsafe_code, reason = "AVX2 loads and stores go through pointers")]
 pub mod gray;
+pub mod onnx;
 pub mod packet;
 pub mod parallel;
 pub mod random;

@@ -56,7 +56,7 @@ pub fn sink(verbose: bool, color: bool, show: impl Fn(&str) + Send + Sync + 'sta
         } else {
             seen.insert(format!("{node}\n{words}"), Seen { shown: now, left_out: 0 });
         }
-        show(&render(color, level, node, words, left_out));
+        show(&render(color, level, node, &panoscope_loader::sealed::readable(words), left_out));
     })
 }
 

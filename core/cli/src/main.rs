@@ -14,6 +14,7 @@ mod progress;
 mod session;
 mod summary;
 mod terminal;
+mod trust;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -39,8 +40,10 @@ enum Command {
     Edit(commands::edit::Arguments),
     /// Opens the surgeon's window: pictures full screen, and only the settings that the preset offers.
     Theatre(commands::edit::Arguments),
-    /// Writes fingerprints of a graph, its plugins, models and calibration, for the theatre to compare.
+    /// Writes fingerprints of a graph and of all that its run depends on, signed where wanted, for the theatre to compare.
     Lock(commands::lock::Arguments),
+    /// Shows the audit log of the theatre, and whether it is whole.
+    Audit(commands::audit::Arguments),
     /// Runs a graph and writes the run down, so that it can be repeated to the byte.
     Record(commands::record::Arguments),
     /// Plays a recording again, or runs another graph on its pictures.
@@ -148,6 +151,7 @@ fn main() {
         Command::Edit(arguments) => commands::edit::run(&arguments, false),
         Command::Theatre(arguments) => commands::edit::run(&arguments, true),
         Command::Lock(arguments) => commands::lock::run(&arguments),
+        Command::Audit(arguments) => commands::audit::run(&arguments),
         Command::Record(arguments) => commands::record::run(&arguments),
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),

@@ -14,8 +14,9 @@ use panoscope_graph::{Diagnostics, Graph, GraphOptions, GraphText, ParamKind, Pa
 use serde::{Deserialize, Serialize};
 
 use crate::given::Given;
+use crate::trust::OwnPlugins;
 use crate::{End, terminal};
-use panoscope_eval::graph_file::{self, Ready};
+use panoscope_eval::graph_file::Ready;
 
 /// Name of the hidden command.
 pub const COMMAND: &str = "probe-node";
@@ -33,6 +34,8 @@ pub struct Arguments {
     node: String,
     #[command(flatten)]
     given: Given,
+    #[command(flatten)]
+    own_plugins: OwnPlugins,
 }
 
 /// The child's result, as one line of JSON.
@@ -57,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     limit(libc::RLIMIT_CPU, 2 * PATIENCE.as_secs());
     limit(libc::RLIMIT_CORE, 0);
     let options = GraphOptions { allow_missing_args: true, ..arguments.given.options(&[]) };
-    let Ok(Ready { graph, catalog, loader, .. }) = graph_file::open(&arguments.graph, &options) else {
+    let Ok(Ready { graph, catalog, loader, .. }) = arguments.own_plugins.open(&arguments.graph, &options) else {
         return Ok(End::Wrong);
     };
     let position = graph.node(&arguments.node).context("no such node")?;
@@ -97,13 +100,14 @@ fn died(status: ExitStatus) -> String {
 }
 
 /// Why the node cannot be opened, if it cannot.
-fn ask(graph: &Path, node: &str, given: &Given) -> Result<Option<String>> {
+fn ask(graph: &Path, node: &str, given: &Given, own_plugins: OwnPlugins) -> Result<Option<String>> {
     let program = std::env::current_exe().context("this program's own file")?;
     let mut child = Command::new(program)
         .arg(COMMAND)
         .arg(graph)
         .arg(node)
         .args(given.words())
+        .args(own_plugins.words())
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
@@ -134,7 +138,7 @@ fn ask(graph: &Path, node: &str, given: &Given) -> Result<Option<String>> {
 }
 
 /// Opens, each in a child process, the nodes of a checked graph that read a network from a file.
-pub fn models(path: &Path, text: &GraphText, ready: &Ready, given: &Given) -> Diagnostics {
+pub fn models(path: &Path, text: &GraphText, ready: &Ready, given: &Given, own_plugins: OwnPlugins) -> Diagnostics {
     let mut all = Diagnostics::default();
     for node in &ready.graph.nodes {
         let node_type = node.node_type(&ready.catalog);
@@ -145,7 +149,7 @@ pub fn models(path: &Path, text: &GraphText, ready: &Ready, given: &Given) -> Di
             .zip(&node.params)
             .find(|(p, value)| matches!(p.kind, ParamKind::Path { .. }) && is_model(value));
         let Some((param, _)) = named else { continue };
-        let (severity, code, reason) = match ask(path, &node.id, given) {
+        let (severity, code, reason) = match ask(path, &node.id, given, own_plugins) {
             Ok(None) => continue,
             // The graph may be right where the library is.
             Ok(Some(reason)) if reason.starts_with("ONNX Runtime's shared library") => {

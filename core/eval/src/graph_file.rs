@@ -46,7 +46,11 @@ pub fn flattened(path: &Path, options: &GraphOptions) -> Result<String> {
 
 /// Loads the plugins of a graph and checks it.
 pub fn ready(text: &GraphText) -> Result<Ready, Diagnostics> {
-    let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
+    ready_with(text, Loader::search(&loader::search_path(&text.plugin_paths())))
+}
+
+/// As [`ready`], with the plugins that `loader` finds and may load.
+pub fn ready_with(text: &GraphText, loader: Loader) -> Result<Ready, Diagnostics> {
     let catalog = loader.catalog(&text.plugins());
     let (graph, warnings) = check(text, &catalog).into_result()?;
     Ok(Ready { text: text.clone(), graph, catalog, loader, warnings })

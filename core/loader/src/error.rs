@@ -43,6 +43,12 @@ pub enum LoadError {
         /// The dynamic linker's message.
         cause: String,
     },
+    /// It is another file than the one that was locked.
+    #[error("{file} was not loaded: it has changed since the graph was locked", file = file.display())]
+    NotLocked {
+        /// The plugin's file.
+        file: PathBuf,
+    },
     /// It was loaded, but its descriptor is invalid.
     #[error("the descriptor of {file} is invalid: {cause}", file = file.display())]
     BadDescriptor {
@@ -60,6 +66,7 @@ impl LoadError {
             | Self::BadFile { file, .. }
             | Self::AbiMismatch { file, .. }
             | Self::Link { file, .. }
+            | Self::NotLocked { file }
             | Self::BadDescriptor { file, .. } => file,
         }
     }
@@ -68,6 +75,7 @@ impl LoadError {
         match self {
             Self::AbiMismatch { .. } => "rebuild the plugin against this version of panoscope".to_owned(),
             Self::BadFile { .. } | Self::BadDescriptor { .. } => "build or copy the plugin again".to_owned(),
+            Self::NotLocked { .. } => "restore the file, or lock the graph again with `panoscope lock`".to_owned(),
             Self::Link { .. } => "install the library named above, or rebuild the plugin".to_owned(),
             Self::Unreadable { .. } => "check the path and its permissions".to_owned(),
         }

@@ -1,17 +1,23 @@
 //! Finds, verifies and maps plugins.
 //!
 //! [`Loader`] reads the notes of the plugins in some folders, fills the graph crate's catalogue and maps the plugins that a graph lists.
-//! [`Live`] changes a running graph by editing its text, and swaps rebuilt plugins. [`lock`] compares files with recorded fingerprints.
+//! [`Live`] changes a running graph by editing its text, and swaps rebuilt plugins. [`lock`] records the fingerprints of all files that a run
+//! depends on, [`keys`] signs them, and [`verify`] opens a graph only as it was locked.
 
+pub mod depends;
 pub mod elf;
 mod error;
 pub mod isolated;
+pub mod keys;
 pub mod live;
 pub mod lock;
 mod map;
+pub mod needed;
+pub mod sealed;
 mod search;
+pub mod verify;
 
 pub use error::LoadError;
 pub use live::Live;
-pub use map::{Loaded, PluginFile, inspect, load};
+pub use map::{Loaded, PluginFile, inspect, load, load_verified};
 pub use search::{Loader, PLUGIN_PATH_VARIABLE, Stamp, search_path};

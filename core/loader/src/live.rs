@@ -11,6 +11,7 @@ use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Diagnostics, GraphText, check};
 
 use crate::search::{self, Loader, Stamp};
+use crate::verify::{NotLocked, Seal};
 
 /// Why an edit failed; text and graph are unchanged.
 #[derive(Debug, thiserror::Error)]
@@ -21,6 +22,9 @@ pub enum LiveError {
     /// The new text has mistakes.
     #[error("the new graph has mistakes, the old one keeps running:\n{}", .0.render(false))]
     Check(Diagnostics),
+    /// The graph runs under its lock, and the new one reads another file.
+    #[error("{0}; the old graph keeps running")]
+    NotLocked(#[from] NotLocked),
     /// The engine could not apply the new graph.
     #[error(transparent)]
     Apply(#[from] ApplyError),
@@ -33,12 +37,19 @@ pub struct Live<E> {
     text: String,
     settings: Vec<String>,
     loader: Arc<Loader>,
+    seal: Option<Arc<Seal>>,
 }
 
 impl<E: Deref<Target = Engine>> Live<E> {
     /// Takes over a graph that was started from `text`, read at `path`. `settings` (`node.param=value`) override the text.
     pub fn new(engine: E, path: &Path, text: String, settings: Vec<String>, loader: impl Into<Arc<Loader>>) -> Self {
-        Self { engine, path: path.to_owned(), text, settings, loader: loader.into() }
+        Self { engine, path: path.to_owned(), text, settings, loader: loader.into(), seal: None }
+    }
+
+    /// From here on the graph runs under a lock: its nodes read the sealed copies of `seal`, and changes that need other files are refused.
+    /// `None` ends that.
+    pub fn set_seal(&mut self, seal: Option<Arc<Seal>>) {
+        self.seal = seal;
     }
 
     /// The engine.
@@ -65,7 +76,10 @@ impl<E: Deref<Target = Engine>> Live<E> {
     fn apply_with(&mut self, parsed: &GraphText, loader: Option<Loader>) -> Result<Applied, LiveError> {
         let used: &Loader = loader.as_ref().unwrap_or(&self.loader);
         let catalog = used.catalog(&parsed.plugins());
-        let (graph, _) = check(parsed, &catalog).into_result().map_err(LiveError::Check)?;
+        let (mut graph, _) = check(parsed, &catalog).into_result().map_err(LiveError::Check)?;
+        if let Some(seal) = &self.seal {
+            seal.apply(&mut graph, &catalog)?;
+        }
         let applied = self.engine.apply(graph, &catalog, used)?;
         self.text = parsed.flattened(&catalog).into_owned();
         if let Some(loader) = loader {

@@ -1,23 +1,27 @@
-//! Locks a graph: writes SHA-256 fingerprints of all files that its run depends on, and compares them before it starts.
+//! Locks a graph: writes SHA-256 fingerprints of all files that its run depends on, signed where wanted, and compares them.
 
 use std::fmt;
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use panoscope_graph::{Catalog, FileKind, Graph, GraphFile, GraphText, ParamKind, ParamValue};
+use panoscope_graph::{Catalog, Graph, GraphText};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
+use crate::depends;
+use crate::keys::{SecretKey, Trust};
 use crate::search::Loader;
 
 /// Plugins that a lock covers besides those of the graph: the theatre writes clips with them.
 pub const ALWAYS_LOCKED: [&str; 1] = ["sinks"];
 
 /// Version of the lock file's layout.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
-/// Why a lock was not written or read.
+/// Begins what is signed, so that a signature of something else cannot be taken for that of a lock.
+const SIGNED_AS: &[u8] = b"panoscope lock 2\n";
+
+/// Why a lock was not written, read or believed.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
     /// A file could not be read or written.
@@ -36,6 +40,38 @@ pub enum LockError {
         /// What is wrong with it.
         reason: String,
     },
+    /// There is no lock where one is needed.
+    #[error("{graph} was never locked: {file} does not exist; `panoscope lock` writes it", graph = graph.display(), file = file.display())]
+    Never {
+        /// The graph file.
+        graph: PathBuf,
+        /// The lock file.
+        file: PathBuf,
+    },
+    /// The installation trusts keys, and the lock has no signature.
+    #[error("{file} is not signed, and this installation accepts only locks that a trusted key signed; sign it with `panoscope lock --key FILE`", file = file.display())]
+    Unsigned {
+        /// The lock file.
+        file: PathBuf,
+    },
+    /// The key of the signature is not trusted.
+    #[error("{file} is signed with the key {key}, which this installation does not trust; to trust it, put its public key into {folder} or name it with --trust FILE", file = file.display())]
+    UnknownKey {
+        /// The lock file.
+        file: PathBuf,
+        /// The first digits of the public key.
+        key: String,
+        /// A folder of trusted keys.
+        folder: String,
+    },
+    /// The lock does not fit its signature.
+    #[error("{file} was altered after it was signed with the key {key}; restore it, or lock the graph again", file = file.display())]
+    Altered {
+        /// The lock file.
+        file: PathBuf,
+        /// The first digits of the public key.
+        key: String,
+    },
 }
 
 /// The role of a file in a graph.
@@ -50,22 +86,51 @@ pub enum Kind {
     Overlay,
     /// A plugin.
     Plugin,
-    /// A file that a parameter names and that must exist, such as a neural network.
+    /// A shared library that a plugin needs, or a library that it needs in turn.
+    Library,
+    /// A program of the installation.
+    Program,
+    /// A neural network.
     Model,
+    /// Weights of a neural network in a file beside it.
+    Weights,
+    /// ONNX Runtime, which runs neural networks.
+    Runtime,
     /// A calibration file of a camera.
     Calibration,
+    /// Another file that a node reads, such as the description of an arm or the names of classes.
+    File,
+    /// Recorded pictures that a source reads instead of a camera.
+    Input,
 }
 
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
+impl Kind {
+    const fn word(self) -> &'static str {
+        match self {
             Self::Graph => "graph",
             Self::Part => "part",
             Self::Overlay => "overlay",
             Self::Plugin => "plugin",
+            Self::Library => "library",
+            Self::Program => "program",
             Self::Model => "model",
+            Self::Weights => "weights",
+            Self::Runtime => "runtime",
             Self::Calibration => "calibration",
-        })
+            Self::File => "file",
+            Self::Input => "input",
+        }
+    }
+
+    /// Whether files of this role are known, and compared, before any code of a plugin runs.
+    pub fn is_code(self) -> bool {
+        matches!(self, Self::Graph | Self::Part | Self::Overlay | Self::Plugin | Self::Library | Self::Program)
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.word())
     }
 }
 
@@ -74,12 +139,21 @@ impl fmt::Display for Kind {
 pub struct LockedFile {
     /// Its role.
     pub kind: Kind,
-    /// Name of the plugin or of the graph file; `node.param` for a model or calibration.
+    /// Name of the plugin, library, program or graph file; `node.param` for a file that a node reads.
     pub name: String,
     /// Length in bytes.
     pub bytes: u64,
     /// SHA-256 as hexadecimal digits; empty when the file cannot be read.
     pub sha256: String,
+}
+
+/// Who vouches for a lock.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Signature {
+    /// The public key, as hexadecimal digits.
+    key: String,
+    /// The Ed25519 signature, as hexadecimal digits.
+    ed25519: String,
 }
 
 /// Fingerprints of all files that a graph's run depends on.
@@ -89,9 +163,11 @@ pub struct Lock {
     version: u32,
     /// Version of the program that wrote it.
     pub program: String,
-    /// The files: the graph first, then plugins, then models and calibrations in the order of the nodes.
+    /// The files: the graph first, then code, then what nodes read in the order of the nodes.
     #[serde(rename = "file")]
     pub files: Vec<LockedFile>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    signature: Option<Signature>,
 }
 
 /// One difference between a lock and the files now.
@@ -134,75 +210,13 @@ pub fn lock_path(graph: &Path) -> PathBuf {
     name.into()
 }
 
-fn hex(digest: &[u8]) -> String {
-    digest.iter().map(|b| format!("{b:02x}")).collect()
-}
-
-fn fingerprint(file: &Path) -> std::io::Result<(u64, String)> {
-    let (mut file, mut hash, mut buffer, mut bytes) = (File::open(file)?, Sha256::new(), vec![0; 1 << 16], 0);
-    loop {
-        match file.read(&mut buffer)? {
-            0 => return Ok((bytes, hex(&hash.finalize()))),
-            n => {
-                hash.update(&buffer[..n]);
-                bytes += n as u64;
-            }
-        }
-    }
-}
-
-fn locked(kind: Kind, name: String, file: &Path) -> LockedFile {
-    let (bytes, sha256) = fingerprint(file).unwrap_or_default();
-    LockedFile { kind, name, bytes, sha256 }
-}
-
-/// The calibration files that a text names, separated by semicolons.
-fn calibration_files<'t>(text: &'t str, folder: &'t Path) -> impl Iterator<Item = PathBuf> + 't {
-    text.split(';').map(str::trim).filter(|part| !part.is_empty()).map(move |part| folder.join(part))
-}
-
 impl Lock {
     /// Fingerprints of a graph that was read as `text`, as all is now. `extra_plugins` are used besides those that the graph lists.
     pub fn of(graph: &Graph, catalog: &Catalog, loader: &Loader, text: &GraphText, extra_plugins: &[&str]) -> Self {
         let folder = text.path().parent().unwrap_or(Path::new(""));
-        let graph_file = |file: GraphFile<'_>| {
-            let kind = match file.kind {
-                FileKind::Graph => Kind::Graph,
-                FileKind::Part => Kind::Part,
-                FileKind::Overlay => Kind::Overlay,
-            };
-            let path = Path::new(file.path);
-            let name = path.strip_prefix(folder).unwrap_or(path).display().to_string();
-            let sha256 = hex(&Sha256::digest(file.text.as_bytes()));
-            LockedFile { kind, name, bytes: file.text.len() as u64, sha256 }
-        };
-        let mut files: Vec<LockedFile> = text.files().into_iter().map(graph_file).collect();
-        let used = |name: &String| graph.plugins.contains(name) || extra_plugins.contains(&name.as_str());
-        let plugins = loader.found().filter(|found| used(&found.note.name));
-        files.extend(plugins.map(|found| locked(Kind::Plugin, found.note.name.clone(), &found.file)));
-        for node in &graph.nodes {
-            for (param, value) in node.node_type(catalog).params.iter().zip(&node.params) {
-                let name = format!("{}.{}", node.id, param.name);
-                let calibrates = param.name.contains("calibration");
-                match (&param.kind, value) {
-                    (ParamKind::Path { must_exist, .. }, ParamValue::Path(file))
-                        if (*must_exist || calibrates) && !file.as_os_str().is_empty() =>
-                    {
-                        let kind = if calibrates { Kind::Calibration } else { Kind::Model };
-                        files.push(locked(kind, name, file));
-                    }
-                    (_, ParamValue::Text(text)) if calibrates => {
-                        let each = calibration_files(text, folder).enumerate();
-                        files.extend(each.map(|(k, file)| {
-                            let name = if k == 0 { name.clone() } else { format!("{name};{}", k + 1) };
-                            locked(Kind::Calibration, name, &file)
-                        }));
-                    }
-                    _ => {}
-                }
-            }
-        }
-        Self { version: VERSION, program: env!("CARGO_PKG_VERSION").to_owned(), files }
+        let mut files = depends::code(text, loader, extra_plugins);
+        files.extend(depends::locked(&depends::data(graph, catalog, folder)));
+        Self { version: VERSION, program: env!("CARGO_PKG_VERSION").to_owned(), files, signature: None }
     }
 
     /// Reads the lock of the graph file `graph`; `None` when it was never locked.
@@ -216,12 +230,67 @@ impl Lock {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(cause) => return Err(LockError::File { file, cause }),
         };
-        let damaged = |reason: String| LockError::Damaged { file: file.clone(), reason };
-        let lock: Self = toml::from_str(&text).map_err(|e| damaged(e.message().to_owned()))?;
-        if lock.version != VERSION {
-            return Err(damaged(format!("its layout is version {}, known is {VERSION}", lock.version)));
+        Self::parse(&text).map(Some).map_err(|reason| LockError::Damaged { file, reason })
+    }
+
+    /// A lock from the text of its file.
+    ///
+    /// # Errors
+    /// What is wrong with the text.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        #[derive(Deserialize)]
+        struct Head {
+            version: u32,
         }
-        Ok(Some(lock))
+        // Another layout may lack what this one has, so its number is read first.
+        let head: Head = toml::from_str(text).map_err(|e| e.message().to_owned())?;
+        if head.version != VERSION {
+            return Err(format!("its layout is version {}, known is {VERSION}", head.version));
+        }
+        toml::from_str(text).map_err(|e| e.message().to_owned())
+    }
+
+    /// What a signature covers: everything but itself, with the lengths of all texts, so that no two locks have the same bytes.
+    fn message(&self) -> Vec<u8> {
+        let mut out = SIGNED_AS.to_vec();
+        let mut push = |text: &str| {
+            out.extend_from_slice(&(text.len() as u64).to_le_bytes());
+            out.extend_from_slice(text.as_bytes());
+        };
+        push(&self.program);
+        for file in &self.files {
+            push(file.kind.word());
+            push(&file.name);
+            push(&file.bytes.to_string());
+            push(&file.sha256);
+        }
+        out
+    }
+
+    /// Signs the lock as it is now; an older signature is replaced.
+    pub fn sign(&mut self, key: &SecretKey) {
+        let ed25519 = key.sign(&self.message());
+        self.signature = Some(Signature { key: key.public().hex(), ed25519 });
+    }
+
+    /// Whether the lock of the graph file `graph` may be believed: a trusted key signed it, or nobody did and no key is trusted here. Returns
+    /// the name of the key.
+    ///
+    /// # Errors
+    /// [`LockError::Unsigned`], [`LockError::UnknownKey`] or [`LockError::Altered`].
+    pub fn check_signature(&self, graph: &Path, trust: &Trust) -> Result<Option<String>, LockError> {
+        let file = lock_path(graph);
+        let Some(signature) = &self.signature else {
+            return if trust.is_empty() { Ok(None) } else { Err(LockError::Unsigned { file }) };
+        };
+        let short = signature.key.chars().take(16).collect::<String>();
+        let Some(key) = trust.find(&signature.key) else {
+            return Err(LockError::UnknownKey { file, key: short, folder: Trust::folder_to_use() });
+        };
+        match key.verifies(&self.message(), &signature.ed25519) {
+            true => Ok(Some(key.name().to_owned())),
+            false => Err(LockError::Altered { file, key: short }),
+        }
     }
 
     /// Writes the lock beside the graph file, completely or not at all, and returns its path.
@@ -248,22 +317,32 @@ impl Lock {
         Ok(file)
     }
 
+    /// SHA-256 of what the lock says, as hexadecimal digits, for logs.
+    pub fn digest(&self) -> String {
+        crate::sealed::Fingerprint::of(&self.message()).sha256
+    }
+
     /// The differences between this lock and `now`.
     pub fn differences(&self, now: &Self) -> Vec<Difference> {
+        self.differences_among(&now.files, |_| true)
+    }
+
+    /// The differences between the files of this lock whose role `is_among` accepts, and `now`, which has all files of these roles.
+    pub(crate) fn differences_among(&self, now: &[LockedFile], is_among: impl Fn(Kind) -> bool) -> Vec<Difference> {
         let find = |list: &'_ [LockedFile], file: &LockedFile| {
             list.iter().find(|f| (f.kind, &f.name) == (file.kind, &file.name)).cloned()
         };
         let mut found = Vec::new();
-        for file in &self.files {
-            let change = match find(&now.files, file) {
+        for file in self.files.iter().filter(|file| is_among(file.kind)) {
+            let change = match find(now, file) {
                 None => Change::Missing,
-                Some(other) if other == *file => continue,
+                Some(other) if other == *file && !other.sha256.is_empty() => continue,
                 Some(other) if other.sha256.is_empty() => Change::Missing,
                 Some(_) => Change::Changed,
             };
             found.push(Difference { kind: file.kind, name: file.name.clone(), change });
         }
-        let new = now.files.iter().filter(|file| find(&self.files, file).is_none());
+        let new = now.iter().filter(|file| find(&self.files, file).is_none());
         found.extend(new.map(|file| Difference { kind: file.kind, name: file.name.clone(), change: Change::Added }));
         found
     }
@@ -280,7 +359,15 @@ mod tests {
             bytes: 3,
             sha256: (*sha256).to_owned(),
         };
-        Lock { version: VERSION, program: "1".to_owned(), files: files.iter().map(file).collect() }
+        let files = files.iter().map(file).collect();
+        Lock { version: VERSION, program: "1".to_owned(), files, signature: None }
+    }
+
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("panoscope_lock_{name}_{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).unwrap();
+        folder
     }
 
     #[test]
@@ -303,14 +390,13 @@ mod tests {
 
     #[test]
     fn a_lock_is_read_back_and_a_damaged_one_is_an_error() {
-        let folder = std::env::temp_dir().join(format!("panoscope_lock_{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
+        let folder = folder("read");
         let graph = folder.join("g.toml");
         assert_eq!(Lock::read(&graph).unwrap(), None);
         let written = lock(&[(Kind::Graph, "g.toml", "a"), (Kind::Calibration, "scope.calibration;2", "b")]);
         let file = written.write(&graph).unwrap();
         assert_eq!(Lock::read(&graph).unwrap(), Some(written));
-        std::fs::write(&file, "version = 1\n[[file]]\nkind = ").unwrap();
+        std::fs::write(&file, "version = 2\n[[file]]\nkind = ").unwrap();
         assert!(matches!(Lock::read(&graph), Err(LockError::Damaged { .. })));
         std::fs::write(&file, "version = 7\nprogram = \"1\"\nfile = []\n").unwrap();
         assert!(Lock::read(&graph).unwrap_err().to_string().contains("version 7"));
@@ -318,13 +404,47 @@ mod tests {
     }
 
     #[test]
-    fn a_fingerprint_is_sha256() {
-        let file = std::env::temp_dir().join(format!("panoscope_sha_{}", std::process::id()));
-        std::fs::write(&file, "abc").unwrap();
-        let (bytes, sha256) = fingerprint(&file).unwrap();
-        assert_eq!(bytes, 3);
-        assert_eq!(sha256, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
-        std::fs::remove_file(file).unwrap();
-        assert_eq!(calibration_files("a.yml; b.yml;", Path::new("f")).count(), 2);
+    fn a_signature_names_its_key_and_every_alteration_is_found() {
+        let folder = folder("sign");
+        let graph = folder.join("g.toml");
+        let public = SecretKey::create(&folder.join("ward")).unwrap();
+        let secret = SecretKey::read(&folder.join("ward")).unwrap();
+        let mut signed = lock(&[(Kind::Graph, "g.toml", "a"), (Kind::Plugin, "stitch", "b")]);
+        let (nobody, mut trust) = (Trust::default(), Trust::default());
+        trust.add(public);
+        // Without a signature.
+        assert_eq!(signed.check_signature(&graph, &nobody).unwrap(), None);
+        assert!(matches!(signed.check_signature(&graph, &trust), Err(LockError::Unsigned { .. })));
+        // With one, read back from its file.
+        signed.sign(&secret);
+        signed.write(&graph).unwrap();
+        let read = Lock::read(&graph).unwrap().unwrap();
+        assert_eq!(read.check_signature(&graph, &trust).unwrap().as_deref(), Some("ward"));
+        let unknown = read.check_signature(&graph, &nobody).unwrap_err();
+        assert!(
+            matches!(unknown, LockError::UnknownKey { .. }) && unknown.to_string().contains("--trust"),
+            "{unknown}"
+        );
+        // Any change of the content.
+        let alterations: [fn(&mut Lock); 6] = [
+            |lock| lock.files[0].sha256 = "x".to_owned(),
+            |lock| lock.files[1].name = "other".to_owned(),
+            |lock| lock.files[1].kind = Kind::Model,
+            |lock| lock.files[0].bytes = 4,
+            |lock| lock.program = "2".to_owned(),
+            |lock| _ = lock.files.pop(),
+        ];
+        for alter in alterations {
+            let mut altered = read.clone();
+            alter(&mut altered);
+            assert!(matches!(altered.check_signature(&graph, &trust), Err(LockError::Altered { .. })), "{altered:?}");
+        }
+        // The signature itself.
+        let mut altered = read;
+        altered.signature.as_mut().unwrap().ed25519 = "00".repeat(64);
+        assert!(matches!(altered.check_signature(&graph, &trust), Err(LockError::Altered { .. })));
+        altered.signature.as_mut().unwrap().ed25519 = "no digits".to_owned();
+        assert!(matches!(altered.check_signature(&graph, &trust), Err(LockError::Altered { .. })));
+        std::fs::remove_dir_all(folder).unwrap();
     }
 }

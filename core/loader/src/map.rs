@@ -1,7 +1,7 @@
 //! Maps a plugin's file into the process and reads its descriptor.
 
-use std::ffi::OsStr;
 use std::fs::File;
+use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 
 use panoscope_abi as abi;
@@ -10,6 +10,7 @@ use panoscope_graph::NodeType;
 
 use crate::elf::{self, Note};
 use crate::error::LoadError;
+use crate::sealed::SealedWriter;
 
 /// A plugin's file and its note.
 #[derive(Clone, Debug)]
@@ -44,10 +45,20 @@ pub fn inspect(file: &Path) -> Result<PluginFile, LoadError> {
 
 /// Loads a plugin from a private copy of its file, so that a rebuild does not change mapped memory.
 pub fn load(plugin: &PluginFile) -> Result<Loaded, LoadError> {
+    load_verified(plugin, None)
+}
+
+/// As [`load`], but only if the copy has this SHA-256. The copy is sealed and then mapped: the bytes that were compared are those that run.
+pub fn load_verified(plugin: &PluginFile, sha256: Option<&str>) -> Result<Loaded, LoadError> {
     let file = &plugin.file;
     let link = |cause: String| LoadError::Link { file: file.clone(), cause };
     let mut whole = File::open(file).map_err(|cause| LoadError::Unreadable { file: file.clone(), cause })?;
-    let copy = private_copy(file, &mut whole).map_err(|e| link(format!("a private copy could not be made: {e}")))?;
+    let copy = private_copy(file, &mut whole, sha256.is_some())
+        .map_err(|e| link(format!("a private copy could not be made: {e}")))?;
+    // Before anything of it is mapped: its constructors run as soon as it is.
+    if sha256 != copy.sha256.as_deref() {
+        return Err(LoadError::NotLocked { file: file.clone() });
+    }
     // The copy is checked again, because the file may have changed since it was found.
     elf::read_note(&copy.parts).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
     match map(plugin, &copy.path) {
@@ -126,23 +137,20 @@ struct PrivateCopy {
     path: PathBuf,
     /// The copy's bytes, for reading.
     parts: elf::OnDisk,
+    /// Its SHA-256 where that was wanted.
+    sha256: Option<String>,
 }
 
-/// Copies a file to an anonymous file in memory.
-fn private_copy(file: &Path, whole: &mut File) -> std::io::Result<PrivateCopy> {
-    use std::os::fd::{AsRawFd, FromRawFd};
-    let name = file.file_name().unwrap_or(OsStr::new("plugin")).to_string_lossy();
-    let c_name = std::ffi::CString::new(name.as_bytes()).map_err(std::io::Error::other)?;
-    // SAFETY: `c_name` is a zero-terminated text that lives until the call returns.
-    let fd = unsafe { libc::memfd_create(c_name.as_ptr(), libc::MFD_CLOEXEC) };
-    if fd < 0 {
-        return Err(std::io::Error::last_os_error());
-    }
-    // SAFETY: `memfd_create` returned this file descriptor, and nothing else owns it.
-    let mut copy = unsafe { File::from_raw_fd(fd) };
-    std::io::copy(whole, &mut copy)?;
+/// Copies a file to an anonymous file in memory that nobody can change.
+fn private_copy(file: &Path, whole: &mut File, hashed: bool) -> std::io::Result<PrivateCopy> {
+    let mut writer = SealedWriter::new(file)?;
+    let sha256 = match hashed {
+        true => Some(writer.append_from(whole)?.sha256),
+        false => writer.append_unhashed(whole).map(|()| None)?,
+    };
+    let copy = writer.seal()?;
     let path = PathBuf::from(format!("/proc/self/fd/{}", copy.as_raw_fd()));
-    Ok(PrivateCopy { path, parts: elf::OnDisk::over(copy)? })
+    Ok(PrivateCopy { path, parts: elf::OnDisk::over(copy)?, sha256 })
 }
 
 /// The dynamic linker's message, with the file's path instead of the copy's.

@@ -11,9 +11,11 @@ use panoscope_engine::isolation::Isolator;
 use panoscope_graph::{Catalog, Offer, PluginProblem};
 use panoscope_isolate::Processes;
 
+use crate::depends;
 use crate::elf::ElfError;
 use crate::error::LoadError;
-use crate::map::{Loaded, PluginFile, inspect, load};
+use crate::lock::Lock;
+use crate::map::{Loaded, PluginFile, inspect, load_verified};
 
 /// Environment variable with additional plugin folders, separated by colons.
 pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";
@@ -39,6 +41,10 @@ pub struct Loader {
     stamps: BTreeMap<PathBuf, Stamp>,
     found: BTreeMap<String, PluginFile>,
     problems: Vec<PluginProblem>,
+    /// SHA-256 of the plugins that may be loaded, by name; `None` where every plugin may.
+    pins: Option<Arc<BTreeMap<String, String>>>,
+    /// Folders whose plugins are found but not loaded.
+    untrusted: Vec<PathBuf>,
     loaded: Mutex<BTreeMap<String, Result<Loaded, PluginProblem>>>,
 }
 
@@ -93,6 +99,46 @@ impl Loader {
         this
     }
 
+    /// As [`Self::search`] in the folders of [`search_path`] for a graph that names the folders `own`. Plugins in them are found, but not loaded,
+    /// unless the user's own search path has them too: whoever wrote the graph chose them.
+    pub fn search_without_loading(own: &[PathBuf]) -> Self {
+        let mut this = Self::search(&search_path(own));
+        let real = |folder: &PathBuf| folder.canonicalize().unwrap_or_else(|_| folder.clone());
+        let trusted: Vec<PathBuf> = search_path(&[]).iter().map(real).collect();
+        this.untrusted = own.iter().filter(|folder| !trusted.contains(&real(folder))).cloned().collect();
+        this
+    }
+
+    /// From here on only the plugins of a lock are loaded, and only from the bytes that were locked. Holds after [`Self::rescan`] too.
+    #[must_use]
+    pub fn pinned(mut self, lock: &Lock) -> Self {
+        self.pins = Some(Arc::new(depends::plugins_of(&lock.files)));
+        self
+    }
+
+    /// The SHA-256 that a plugin must have; `None` where any will do.
+    fn pin_of(&self, found: &PluginFile) -> Result<Option<&str>, PluginProblem> {
+        let problem = |message: String, help: &str| PluginProblem {
+            plugin: found.note.name.clone(),
+            file: found.file.display().to_string(),
+            message,
+            help: help.to_owned(),
+        };
+        if let Some(folder) = self.untrusted.iter().find(|folder| found.file.parent() == Some(folder.as_path())) {
+            let message = format!("the graph brings it in its own folder {}, and it was not loaded", folder.display());
+            let help = "loading it runs its code; if you trust whoever wrote it, add --trust-plugins";
+            return Err(problem(message, help));
+        }
+        let Some(pins) = &self.pins else { return Ok(None) };
+        match pins.get(&found.note.name) {
+            Some(sha256) => Ok(Some(sha256.as_str())),
+            None => {
+                let message = "the lock of the graph does not have it".to_owned();
+                Err(problem(message, "lock the graph again with `panoscope lock`"))
+            }
+        }
+    }
+
     /// Searches the same folders again. Plugins whose files are unchanged stay loaded; the others are loaded again when they are needed,
     /// beside their predecessors.
     pub fn rescan(&self) -> Self {
@@ -102,6 +148,8 @@ impl Loader {
     /// Searches other folders, otherwise as [`Self::rescan`].
     pub fn rescan_in(&self, folders: &[PathBuf]) -> Self {
         let mut new = Self::search(folders);
+        new.pins.clone_from(&self.pins);
+        new.untrusted.clone_from(&self.untrusted);
         let loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
         // A plugin whose file is now damaged is not replaced by one of the same name from another folder: the loaded one keeps running.
         for (plugin, found) in self.found.iter().filter(|(plugin, _)| loaded.contains_key(*plugin)) {
@@ -155,7 +203,7 @@ impl Loader {
             return done.clone();
         }
         let result = match self.found.get(plugin) {
-            Some(found) => load(found).map_err(|e| e.problem(plugin)),
+            Some(found) => self.pin_of(found).and_then(|pin| load_verified(found, pin).map_err(|e| e.problem(plugin))),
             None => match self.problems.iter().find(|p| p.plugin == plugin) {
                 Some(problem) => Err(problem.clone()),
                 None => return Err(missing(plugin)),

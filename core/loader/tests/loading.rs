@@ -163,3 +163,34 @@ fn all_plugins_that_offer_a_type_are_named() {
     assert_eq!(offering, ["duct", "flow"]);
     assert!(inspect(&folder.join("libduct.so")).is_ok());
 }
+
+/// A lock with only this plugin.
+fn lock_of(plugin: &str, file: &Path) -> panoscope_loader::lock::Lock {
+    let sha256 = panoscope_loader::sealed::Fingerprint::of_file(file).expect("it is there").sha256;
+    let bytes = std::fs::metadata(file).expect("it is there").len();
+    let text = format!(
+        "version = 2\nprogram = \"1\"\n[[file]]\nkind = \"plugin\"\nname = \"{plugin}\"\nbytes = {bytes}\nsha256 = \"{sha256}\"\n"
+    );
+    panoscope_loader::lock::Lock::parse(&text).expect("a lock")
+}
+
+#[test]
+fn a_plugin_that_is_swapped_after_it_was_found_is_not_mapped() {
+    let folder = folder_with("pinned", "libflow.so", &flow_bytes());
+    let file = folder.join("libflow.so");
+    let lock = lock_of("flow", &file);
+    assert!(Loader::search(std::slice::from_ref(&folder)).pinned(&lock).load("flow").is_ok(), "as it was locked");
+    let loader = Loader::search(std::slice::from_ref(&folder)).pinned(&lock);
+    // Between the search and the loading.
+    let mut other = flow_bytes();
+    other.push(0);
+    std::fs::write(&file, &other).expect("written");
+    let problem = loader.load("flow").err().expect("refused");
+    assert!(problem.message.contains("has changed since the graph was locked"), "{}", problem.message);
+    // A search of the same folders keeps to the lock.
+    assert!(loader.rescan().load("flow").is_err());
+    assert!(Loader::search(std::slice::from_ref(&folder)).load("flow").is_ok(), "without a lock it loads");
+    // A plugin that the lock does not have.
+    let problem = Loader::search(&[folder]).pinned(&lock_of("other", &file)).load("flow").err().expect("refused");
+    assert!(problem.message.contains("the lock of the graph does not have it"), "{}", problem.message);
+}

@@ -12,6 +12,8 @@ use panoscope_engine::sync::lock;
 use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
 use panoscope_graph::{GraphText, check};
 use panoscope_loader::live::LiveError;
+use panoscope_loader::sealed::readable;
+use panoscope_loader::verify::Seal;
 use panoscope_loader::{self as loader, Live, Loader};
 
 /// Maximum time for nodes to finish their files.
@@ -88,6 +90,8 @@ struct Shared {
     changed: Condvar,
     engine: Mutex<Option<Arc<Engine>>>,
     loader: Mutex<Arc<Loader>>,
+    /// The files that the graph may read; `None` while it does not run under a lock.
+    seal: Mutex<Option<Arc<Seal>>>,
     wake: Mutex<Option<Arc<Wake>>>,
 }
 
@@ -139,6 +143,7 @@ impl Session {
             changed: Condvar::new(),
             engine: Mutex::default(),
             loader: Mutex::new(Arc::new(Loader::search(&loader::search_path(plugin_paths)))),
+            seal: Mutex::default(),
             wake: Mutex::default(),
         });
         let for_worker = Arc::clone(&shared);
@@ -151,6 +156,16 @@ impl Session {
     /// Sets the function that is called when the window should draw again.
     pub fn set_wake(&self, wake: Arc<Wake>) {
         *lock(&self.shared.wake) = Some(wake);
+    }
+
+    /// The loader for graphs that are started from here on, such as one that loads only the plugins of a lock.
+    pub fn set_loader(&self, loader: Arc<Loader>) {
+        *lock(&self.shared.loader) = loader;
+    }
+
+    /// Makes the texts of later requests read only the files of a lock. `None` ends that.
+    pub fn set_seal(&self, seal: Option<Arc<Seal>>) {
+        *lock(&self.shared.seal) = seal;
     }
 
     /// A handle for other threads.
@@ -311,6 +326,7 @@ impl Worker {
         if !self.done
             && let Some(live) = &mut self.live
         {
+            live.set_seal(lock(&self.shared.seal).clone());
             let result = live.apply_text(text);
             *lock(&self.shared.loader) = Arc::clone(live.loader());
             return self.report(result.map(|applied| applied.to_string()).map_err(|e| problem(&e)), text);
@@ -350,19 +366,27 @@ impl Worker {
             *lock(&self.shared.loader) = Arc::clone(&loader);
         }
         let catalog = loader.catalog(&parsed.plugins());
-        let plain = |message: String| RunProblem { node: None, message };
-        let (graph, _) = check(&parsed, &catalog).into_result().map_err(|d| plain(d.render(false)))?;
+        let plain = |message: String| RunProblem { node: None, message: readable(&message) };
+        let (mut graph, _) = check(&parsed, &catalog).into_result().map_err(|d| plain(d.render(false)))?;
+        let seal = lock(&self.shared.seal).clone();
+        if let Some(seal) = &seal {
+            seal.apply(&mut graph, &catalog).map_err(|error| plain(error.to_string()))?;
+        }
         let options = Options {
             frames: self.shared.frames,
             graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
             ..Options::default()
         };
         let engine = Engine::start(graph, &catalog, &loader, options).map_err(|error| match &error {
-            StartError::Open { node, .. } => RunProblem { node: Some(node.clone()), message: error.to_string() },
+            StartError::Open { node, .. } => {
+                RunProblem { node: Some(node.clone()), message: readable(&error.to_string()) }
+            }
             _ => plain(error.to_string()),
         })?;
         let engine = Arc::new(engine);
-        Ok((Arc::clone(&engine), Live::new(engine, path, text.to_owned(), Vec::new(), loader)))
+        let mut live = Live::new(Arc::clone(&engine), path, text.to_owned(), Vec::new(), loader);
+        live.set_seal(seal);
+        Ok((engine, live))
     }
 
     fn reload(&mut self) {
@@ -399,5 +423,5 @@ fn problem(error: &LiveError) -> RunProblem {
         ) => Some(node.clone()),
         _ => None,
     };
-    RunProblem { node, message: error.to_string() }
+    RunProblem { node, message: readable(&error.to_string()) }
 }

@@ -6,6 +6,7 @@ use eframe::egui::{
     Align2, Color32, Context, FontId, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo,
     WidgetType, pos2, vec2,
 };
+use panoscope_audit::Event;
 use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
 
@@ -48,6 +49,7 @@ impl Theatre {
             Ok(text) => self.run(text),
             Err(error) => self.notify(error.to_string(), true),
         }
+        self.audit.log(Event::EmergencyStop { stopped: on });
         if !failed.is_empty() {
             self.notify(format!("{} did not accept the stop: switch the arm off", failed.join(", ")), true);
         }

@@ -8,6 +8,7 @@
 mod actions;
 mod arm;
 mod arrange;
+mod audit;
 mod bars;
 mod measure;
 mod notices;
@@ -27,6 +28,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
+use panoscope_audit::Event;
 use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
 
@@ -37,6 +39,7 @@ use panoscope_editor_model::surface::Viewpoint;
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{Costs, Shot};
+use panoscope_loader::verify::Seal;
 
 pub use actions::{Action, key_name};
 pub use arrange::Layout;
@@ -48,6 +51,7 @@ pub use opening::Opening;
 pub use plan::{Pane, Plan, Setting};
 pub use storage::{free_bytes, with_clip, without_clip, write_still};
 
+use audit::Audit;
 use measure::Measure;
 use notices::{Facts, Stages};
 use previews::LastPacket;
@@ -100,6 +104,9 @@ pub struct Theatre {
     /// Since when the stop is held to release the arm.
     releasing: Option<Instant>,
     verified: Verified,
+    audit: Audit,
+    /// The files that the graph may read, where it runs under its lock.
+    seal: Option<Arc<Seal>>,
     scale: f32,
     closing: bool,
     shot: Shot,
@@ -107,12 +114,12 @@ pub struct Theatre {
 }
 
 impl Theatre {
-    /// Opens a window on the graph file at `path` with its text: compares it with its lock and starts it.
+    /// Opens a window on the graph file at `path` with its text: compares it with its lock and starts it. A refusal is logged, too.
     ///
     /// # Errors
     /// See [`OpenError`]; nothing is started.
     pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
-        let ready = Ready::check(path, text, options.unlocked)?;
+        let ready = Ready::check(path, text, &options).inspect_err(|error| options.log_refusal(path, error))?;
         Self::of(ctx, path, options, ready)
     }
 
@@ -123,7 +130,11 @@ impl Theatre {
     pub fn of(ctx: &Context, path: &Path, options: Options, ready: Ready) -> Result<Self, OpenError> {
         theme::apply(ctx);
         theme::apply_theatre(ctx);
-        let session = Session::new(path, &ready.plugin_paths, options.frames)?;
+        let mut audit = Audit::new(options.audit.as_deref())?;
+        audit.opened(path, &ready);
+        let session = Session::new(path, &[], options.frames)?;
+        session.set_loader(ready.loader);
+        session.set_seal(ready.seal.clone());
         let for_wake = ctx.clone();
         session.set_wake(Arc::new(move || for_wake.request_repaint()));
         let observer = Observer::new(session.handle())?;
@@ -154,6 +165,8 @@ impl Theatre {
             leaving: None,
             releasing: None,
             verified: ready.verified,
+            audit,
+            seal: ready.seal,
             scale: options.scale,
             closing: false,
             shot: options.shot,
@@ -224,7 +237,7 @@ impl Theatre {
     /// Changes the running graph to another one of the same file, with the settings that were changed in this window.
     ///
     /// # Errors
-    /// Why not, in words: a clip is recorded, or the arm is stopped; nothing is changed.
+    /// Why not, in words: a clip is recorded, the arm is stopped, or the graph was locked meanwhile; nothing is changed.
     pub fn exchange(&mut self, ready: Ready) -> Result<(), &'static str> {
         if self.emergency {
             return Err("the arm is stopped: release it first");
@@ -232,6 +245,13 @@ impl Theatre {
         if self.clip.is_some() {
             return Err("a clip is being recorded: end it first");
         }
+        if ready.seal.is_some() && self.seal.is_none() {
+            // What runs was loaded without being compared.
+            return Err("the graph was locked meanwhile: close the theatre and open it again");
+        }
+        self.audit.opened(self.session.path(), &ready);
+        self.seal.clone_from(&ready.seal);
+        self.session.set_seal(ready.seal);
         let mut text = ready.text;
         for ((node, param), value) in &self.chosen {
             let Some(value) = toml_of(value) else { continue };
@@ -265,6 +285,7 @@ impl Theatre {
         let facts = self.facts(&status, &counters);
         self.notices = notices::notices(&facts);
         self.update_recordings(&status, &counters);
+        self.audit.update(&counters);
         // These keys press the focused button, or choose a point while measuring.
         let reserved: &[Key] = match ctx.memory(|m| m.focused().is_some()) {
             true => &[Key::Space, Key::Enter],
@@ -379,6 +400,7 @@ impl Theatre {
         let ended = matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
         if self.raw_only.take().is_some() || ended {
             self.last_packets.clear();
+            self.audit.log(Event::Restarted);
             self.session.restart(&self.text);
         }
     }
@@ -409,6 +431,7 @@ impl Theatre {
         });
         match text {
             Ok(text) => {
+                self.audit.setting(node, param, &value);
                 self.chosen.insert((node.to_owned(), param.to_owned()), value);
                 self.run(text);
             }
@@ -476,6 +499,7 @@ impl eframe::App for Theatre {
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {
         panoscope_engine::ending::signals::notice();
         self.session.close();
+        self.audit.close();
     }
 
     fn persist_egui_memory(&self) -> bool {

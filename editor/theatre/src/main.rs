@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::Parser;
 use panoscope_editor_widgets::window;
 use panoscope_graph::{GraphText, installed};
+use panoscope_loader::keys::{KeyError, PublicKey, Trust};
 use panoscope_theatre::{OpenFailed, Opening, Options, Ready};
 
 /// The surgeon's window: full-screen images, and only the settings that the preset offers.
@@ -19,6 +20,9 @@ struct Arguments {
     /// Opens the graph even if it, a plugin, a model or the calibration differs from its lock.
     #[arg(long)]
     unlocked: bool,
+    /// Accepts locks signed by this public key, besides those in the folders of trusted keys. May be given again.
+    #[arg(long, value_name = "FILE")]
+    trust: Vec<PathBuf>,
     /// Folder for stills and clips; without it `out` in the current folder, or where an installed graph writes its files.
     #[arg(long, value_name = "DIR")]
     into: Option<PathBuf>,
@@ -40,6 +44,15 @@ fn main() {
     window::leave(code)
 }
 
+/// The keys of the installation, and those of the command line.
+fn trusted(files: &[PathBuf]) -> Result<Trust, KeyError> {
+    let mut trust = Trust::installed()?;
+    for file in files {
+        trust.add(PublicKey::read(file)?);
+    }
+    Ok(trust)
+}
+
 fn run(arguments: &Arguments) -> i32 {
     let text = match GraphText::load_with(&arguments.graph, &arguments.given.options()) {
         Ok(text) => text,
@@ -54,14 +67,10 @@ fn run(arguments: &Arguments) -> i32 {
         .with_decorations(arguments.windowed);
     let path = arguments.graph.clone();
     let given = arguments.given.options();
-    // A graph that lacks arguments asks for them in its window.
-    let ready = match Ready::of(&text, arguments.unlocked) {
-        Ok(ready) => Some(ready),
-        Err(_) if !text.missing_args().is_empty() => None,
+    let trust = match trusted(&arguments.trust) {
+        Ok(trust) => trust,
         Err(error) => {
-            // Reported on the terminal, and in a window if there is a screen.
-            eprintln!("{}", error.terminal_text());
-            let _ = window::show(viewport, move |cc| Ok(Box::new(OpenFailed::new(&cc.egui_ctx, &path, &error, shot))));
+            eprintln!("error: {error}");
             return 2;
         }
     };
@@ -74,9 +83,24 @@ fn run(arguments: &Arguments) -> i32 {
         folder: arguments.into.clone().unwrap_or(folder),
         label: arguments.label.clone(),
         unlocked: arguments.unlocked,
+        trust,
+        audit: Some(panoscope_audit::folder().unwrap_or_else(|| PathBuf::from(panoscope_audit::SYSTEM_FOLDER))),
         frames: arguments.window.frames,
         scale: arguments.window.scale,
         shot,
+    };
+    // A graph that lacks arguments asks for them in its window.
+    let ready = match Ready::of(&text, &options) {
+        Ok(ready) => Some(ready),
+        Err(_) if !text.missing_args().is_empty() => None,
+        Err(error) => {
+            // Reported on the terminal, and in a window if there is a screen.
+            eprintln!("{}", error.terminal_text());
+            options.log_refusal(&path, &error);
+            let shot = options.shot;
+            let _ = window::show(viewport, move |cc| Ok(Box::new(OpenFailed::new(&cc.egui_ctx, &path, &error, shot))));
+            return 2;
+        }
     };
     let config = panoscope_editor_model::arguments::config_folder();
     window::open(viewport, move |cc| Ok(Box::new(Opening::new(&cc.egui_ctx, &text, given, ready, config, options)?)))

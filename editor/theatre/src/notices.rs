@@ -65,6 +65,8 @@ pub struct Facts {
     pub stages: Vec<String>,
     /// Free space for recordings, in bytes.
     pub free_bytes: Option<u64>,
+    /// Why the audit log cannot be written.
+    pub audit_problem: Option<String>,
     /// Whether a clip is being recorded.
     pub recording: bool,
     /// Whether the calibration does not fit the views any more.
@@ -154,6 +156,9 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
             notify(Warning, format!("The disk is nearly full: {} free", format_bytes(free)));
         }
         _ => {}
+    }
+    if let Some(problem) = &facts.audit_problem {
+        notify(Warning, format!("The audit log is not written: {problem}"));
     }
     if facts.drifted {
         notify(Warning, "The calibration does not fit any more: distances may be wrong, calibrate again".to_owned());

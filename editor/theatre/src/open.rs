@@ -1,12 +1,17 @@
 //! Opens the theatre: checks the graph and compares it with its lock.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use panoscope_graph::{Diagnostics, GraphText, check};
-use panoscope_loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError};
+use panoscope_audit::LockFacts;
+use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, check};
+use panoscope_loader::keys::Trust;
+use panoscope_loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError, lock_path};
+use panoscope_loader::verify::{self, Seal, VerifyError};
 use panoscope_loader::{self as loader, Loader};
 
 use super::Plan;
+use super::audit;
 use panoscope_editor_widgets::Shot;
 
 /// Options of the theatre.
@@ -18,6 +23,10 @@ pub struct Options {
     pub label: Option<String>,
     /// Whether to open the graph even if it differs from its lock.
     pub unlocked: bool,
+    /// Keys whose locks are accepted; with none, locks need no signature.
+    pub trust: Trust,
+    /// Folder of the audit log; `None` for no log.
+    pub audit: Option<PathBuf>,
     /// Maximum number of ticks of each source.
     pub frames: Option<u64>,
     /// Scale in addition to the one that follows the screen.
@@ -26,12 +35,23 @@ pub struct Options {
     pub shot: Shot,
 }
 
+impl Options {
+    /// Writes into the audit log that a graph was not opened.
+    pub fn log_refusal(&self, path: &Path, error: &OpenError) {
+        if let Some(folder) = &self.audit {
+            audit::refused(folder, path, error);
+        }
+    }
+}
+
 impl Default for Options {
     fn default() -> Self {
         Self {
             folder: PathBuf::from("out"),
             label: None,
             unlocked: false,
+            trust: Trust::default(),
+            audit: None,
             frames: None,
             scale: 1.0,
             shot: Shot::default(),
@@ -49,9 +69,12 @@ pub enum OpenError {
     #[error("the graph differs from its lock:\n{}\n  help: restore the files, lock the graph again with `panoscope lock`, or open it with --unlocked",
         .0.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n"))]
     Locked(Vec<Difference>),
-    /// The lock cannot be read.
+    /// The lock cannot be read, or is not to be believed.
     #[error("{0}\n  help: or open it with --unlocked")]
     Lock(#[from] LockError),
+    /// ONNX Runtime cannot be loaded.
+    #[error("ONNX Runtime is as it was locked, but cannot be loaded: {0}")]
+    Runtime(String),
     /// The graph has no image.
     #[error("the graph has no image that the theatre can show")]
     NoPicture,
@@ -73,7 +96,9 @@ impl OpenError {
 /// Whether the running graph was verified.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verified {
-    /// All files are as they were locked.
+    /// All files are as they were locked, and this key signed that.
+    Signed(String),
+    /// All files are as they were locked. The lock has no signature.
     AsLocked,
     /// The graph was never locked.
     Never,
@@ -85,16 +110,11 @@ impl Verified {
     /// The mark that is shown as long as an unverified graph runs: heading and line. `None` when the graph is as locked.
     pub fn mark(&self) -> Option<(&'static str, &'static str)> {
         match self {
-            Self::AsLocked => None,
+            Self::AsLocked | Self::Signed(_) => None,
             Self::Never => Some(("NOT LOCKED", "this graph was not verified")),
             Self::Differs(_) => Some(("UNLOCKED", "changed since it was verified")),
         }
     }
-}
-
-/// The differences between the lock and the current files; `None` when the graph was never locked.
-fn compare(path: &Path, now: &Lock) -> Result<Option<Vec<Difference>>, LockError> {
-    Ok(Lock::read(path)?.map(|was| was.differences(now)))
 }
 
 /// A graph that was checked and can be opened in the theatre.
@@ -103,7 +123,51 @@ pub struct Ready {
     pub(super) verified: Verified,
     /// One text of the graph file with its parts, overlays and arguments: what runs.
     pub(super) text: String,
-    pub(super) plugin_paths: Vec<PathBuf>,
+    pub(super) loader: Arc<Loader>,
+    /// The files that the graph may read, where it runs under its lock.
+    pub(super) seal: Option<Arc<Seal>>,
+    /// The lock that it agrees with, for the audit log.
+    pub(super) lock: Option<LockFacts>,
+    /// Why it would not have opened without `--unlocked`, for the audit log.
+    pub(super) overridden: Option<String>,
+}
+
+/// A checked graph and where it comes from.
+struct Checked {
+    graph: Graph,
+    catalog: Catalog,
+    loader: Loader,
+    seal: Option<Arc<Seal>>,
+    lock: Option<LockFacts>,
+}
+
+/// Opens a graph under its lock; `None` when it was never locked and need not be. Nothing of it has run where this is an error of the lock.
+fn under_lock(parsed: &GraphText, trust: &Trust) -> Result<Option<Checked>, OpenError> {
+    let path = parsed.path();
+    let Some(lock) = Lock::read(path)? else {
+        // Who trusts keys accepts only what they signed.
+        return match trust.is_empty() {
+            true => Ok(None),
+            false => Err(LockError::Never { graph: path.to_owned(), file: lock_path(path) }.into()),
+        };
+    };
+    let signed_by = lock.check_signature(path, trust)?;
+    let verify::Verified { graph, catalog, loader, seal, .. } =
+        verify::open(parsed, &lock, &ALWAYS_LOCKED).map_err(|error| match error {
+            VerifyError::Differs(differences) => OpenError::Locked(differences),
+            VerifyError::Check(diagnostics) => OpenError::Graph(diagnostics),
+            VerifyError::Runtime(reason) => OpenError::Runtime(reason),
+        })?;
+    let facts = LockFacts { sha256: lock.digest(), signed_by };
+    Ok(Some(Checked { graph, catalog, loader, seal: Some(seal), lock: Some(facts) }))
+}
+
+/// Checks a graph without a lock.
+fn without_lock(parsed: &GraphText) -> Result<Checked, OpenError> {
+    let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
+    let catalog = loader.catalog(&parsed.plugins());
+    let (graph, _) = check(parsed, &catalog).into_result().map_err(OpenError::Graph)?;
+    Ok(Checked { graph, catalog, loader, seal: None, lock: None })
 }
 
 impl Ready {
@@ -111,35 +175,41 @@ impl Ready {
     ///
     /// # Errors
     /// See [`OpenError`].
-    pub fn check(path: &Path, text: &str, unlocked: bool) -> Result<Self, OpenError> {
-        Self::of(&GraphText::parse(path, text), unlocked)
+    pub fn check(path: &Path, text: &str, options: &Options) -> Result<Self, OpenError> {
+        Self::of(&GraphText::parse(path, text), options)
     }
 
     /// As [`Self::check`], of a graph that was read with its parts, overlays and arguments.
     ///
     /// # Errors
     /// See [`OpenError`].
-    pub fn of(parsed: &GraphText, unlocked: bool) -> Result<Self, OpenError> {
-        let path = parsed.path();
-        let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
-        let catalog = loader.catalog(&parsed.plugins());
-        let (graph, _) = check(parsed, &catalog).into_result().map_err(OpenError::Graph)?;
-        let now = Lock::of(&graph, &catalog, &loader, parsed, &ALWAYS_LOCKED);
-        let verified = match compare(path, &now) {
-            Ok(None) => Verified::Never,
-            Ok(Some(differences)) => match differences.first() {
-                None => Verified::AsLocked,
-                Some(first) if unlocked => Verified::Differs(first.to_string()),
-                Some(_) => return Err(OpenError::Locked(differences)),
-            },
-            Err(error) if unlocked => Verified::Differs(error.to_string()),
-            Err(error) => return Err(error.into()),
+    pub fn of(parsed: &GraphText, options: &Options) -> Result<Self, OpenError> {
+        let mut overridden = None;
+        let (checked, verified) = match under_lock(parsed, &options.trust) {
+            Ok(Some(checked)) => {
+                let signed_by = checked.lock.as_ref().and_then(|lock| lock.signed_by.clone());
+                let verified = signed_by.map_or(Verified::AsLocked, Verified::Signed);
+                (checked, verified)
+            }
+            Ok(None) => (without_lock(parsed)?, Verified::Never),
+            // Mistakes of the graph are no difference that can be overridden.
+            Err(error @ OpenError::Graph(_)) => return Err(error),
+            Err(error) if options.unlocked => {
+                overridden = Some(audit::reason(&error));
+                let first = match &error {
+                    OpenError::Locked(differences) => differences.first().map(ToString::to_string),
+                    _ => None,
+                };
+                (without_lock(parsed)?, Verified::Differs(first.unwrap_or_else(|| error.to_string())))
+            }
+            Err(error) => return Err(error),
         };
+        let Checked { graph, catalog, loader, seal, lock } = checked;
         let plan = Plan::of(&graph, &catalog);
         if plan.views.is_empty() {
             return Err(OpenError::NoPicture);
         }
         let text = parsed.flattened(&catalog).into_owned();
-        Ok(Self { plan, verified, text, plugin_paths: parsed.plugin_paths() })
+        Ok(Self { plan, verified, text, loader: Arc::new(loader), seal, lock, overridden })
     }
 }

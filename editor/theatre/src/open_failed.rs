@@ -43,7 +43,7 @@ impl OpenFailed {
                 ],
             ),
             OpenError::Lock(error) => (
-                format!("The lock of {name} cannot be read"),
+                format!("The lock of {name} is not valid"),
                 vec![error.to_string()],
                 vec![("Verify the graph, and lock it again:", Some(lock)), (UNVERIFIED, Some(unlocked))],
             ),
@@ -51,6 +51,11 @@ impl OpenFailed {
                 format!("{name} has mistakes"),
                 vec![diagnostics.render(false).trim_end().to_owned()],
                 vec![("Correct them in the editor:", Some(format!("panoscope edit {file}")))],
+            ),
+            OpenError::Runtime(_) => (
+                format!("{name} could not be started"),
+                vec![error.to_string()],
+                vec![("Install Panoscope again, then verify the graph and lock it:", Some(lock))],
             ),
             OpenError::NoPicture => (
                 format!("{name} has no image"),

@@ -7,6 +7,8 @@ use panoscope_editor_model::arguments::{self, Form};
 use panoscope_editor_widgets::arguments_form::{self, FormRequest, FormStyle};
 use panoscope_editor_widgets::theme;
 use panoscope_graph::{GraphOptions, GraphText};
+use panoscope_loader::lock::{ALWAYS_LOCKED, Lock};
+use panoscope_loader::verify;
 use panoscope_loader::{self as loader, Loader};
 
 use super::{OpenError, OpenFailed, Options, Ready, Theatre};
@@ -59,7 +61,7 @@ impl Opening {
         };
         let mut this = Self { path, text, options, given, config, form: None, stage };
         if matches!(this.stage, Stage::Asking) {
-            let loader = Loader::search(&loader::search_path(&graph.plugin_paths()));
+            let loader = this.options.loader_for(graph);
             this.form = Some(this.new_form(&loader));
         }
         Ok(this)
@@ -165,7 +167,7 @@ impl Opening {
         let Some(form) = &mut self.form else { return };
         let Ok(given) = form.finish() else { return };
         let parsed = GraphText::parse_with(&self.path, &self.text, &given);
-        let ready = Ready::of(&parsed, self.options.unlocked);
+        let ready = Ready::of(&parsed, &self.options);
         match (&mut self.stage, ready) {
             (Stage::Running(theatre), Ok(ready)) => {
                 if let Err(refused) = theatre.exchange(ready) {
@@ -201,8 +203,23 @@ impl Opening {
 }
 
 impl Options {
+    /// The plugins that the form may load to find the overlays that fit: those of the lock, where there is one.
+    fn loader_for(&self, graph: &GraphText) -> Loader {
+        let all = || Loader::search(&loader::search_path(&graph.plugin_paths()));
+        match Lock::read(graph.path()) {
+            _ if self.unlocked => all(),
+            Ok(None) if self.trust.is_empty() => all(),
+            Ok(Some(lock)) if lock.check_signature(graph.path(), &self.trust).is_ok() => {
+                verify::loader_before_opening(graph, &lock, &ALWAYS_LOCKED)
+            }
+            // What is wrong with the lock is said when the graph is opened; until then nothing is loaded.
+            _ => Loader::default(),
+        }
+    }
+
     fn failed(&self, ctx: &Context, path: &Path, error: &OpenError) -> Stage {
         eprintln!("{}", error.terminal_text());
+        self.log_refusal(path, error);
         Stage::Failed(Box::new(OpenFailed::new(ctx, path, error, self.shot.clone())))
     }
 }

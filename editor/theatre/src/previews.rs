@@ -9,6 +9,7 @@ use panoscope_engine::clock;
 use super::measure::Measure;
 use super::notices::{Facts, STOPPED, metric_is_on};
 use super::{Pane, Theatre, Verified};
+use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::content::Content;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::session::{Phase, Status};
@@ -77,7 +78,8 @@ impl Theatre {
             (Phase::Idle | Phase::Ended, Some(problem)) => problem.message.clone(),
             _ => return,
         };
-        self.take_clip();
+        self.take_clip(ClipState::Failed);
+        self.audit.log(Event::CamerasOnly);
         match self.plan.raw_only(&self.text) {
             Ok(text) => self.session.restart(&text),
             Err(error) => self.notify(error.to_string(), true),
@@ -124,12 +126,13 @@ impl Theatre {
             age_ms,
             stages: self.stages.update(counters, Instant::now()),
             free_bytes: self.storage.free_bytes(),
+            audit_problem: self.audit.problem(),
             recording: self.clip.is_some(),
             drifted: calibrated("drifted"),
             swapped: calibrated("views_swapped"),
             unlocked: match &self.verified {
                 Verified::Differs(how) => Some(how.clone()),
-                Verified::AsLocked | Verified::Never => None,
+                Verified::Signed(_) | Verified::AsLocked | Verified::Never => None,
             },
         }
     }

@@ -3,6 +3,7 @@
 use super::notices::{FULL_BYTES, STOPPED};
 use super::storage::{self, Clip};
 use super::{Pane, Theatre};
+use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::disk::is_full;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::Status;
@@ -22,7 +23,7 @@ impl Theatre {
         };
         let result = pixels.map(|pixels| self.storage.still(pixels));
         match result {
-            Some(Ok(())) => {}
+            Some(Ok(number)) => self.audit.log(Event::Still { number }),
             Some(Err(error)) => self.notify(error.to_string(), true),
             None => self.notify("there is no image yet", true),
         }
@@ -39,7 +40,7 @@ impl Theatre {
     /// Starts or ends a clip.
     pub(super) fn record(&mut self) {
         if self.clip.is_some() {
-            self.end_clip();
+            self.end_clip(ClipState::Ended);
             return;
         }
         if self.raw_only.is_some() {
@@ -66,6 +67,7 @@ impl Theatre {
         }
         match self.storage.start_clip(&self.text, &pane.output) {
             Ok((text, clip)) => {
+                self.audit.log(Event::Clip { number: clip.number, state: ClipState::Started });
                 self.clip = Some(clip);
                 self.run(text);
                 if let Some(message) = instead {
@@ -77,16 +79,17 @@ impl Theatre {
     }
 
     /// Removes the clip from the graph's text and returns it.
-    pub(super) fn take_clip(&mut self) -> Option<Clip> {
+    pub(super) fn take_clip(&mut self, state: ClipState) -> Option<Clip> {
         let clip = self.clip.take()?;
+        self.audit.log(Event::Clip { number: clip.number, state });
         if let Ok(text) = storage::without_clip(&self.text, &clip.node) {
             self.text = text;
         }
         Some(clip)
     }
 
-    fn end_clip(&mut self) {
-        if let Some(clip) = self.take_clip() {
+    fn end_clip(&mut self, state: ClipState) {
+        if let Some(clip) = self.take_clip(state) {
             self.run(self.text.clone());
             self.notify(format!("{} is saved", clip.file.file_name().unwrap_or_default().to_string_lossy()), false);
         }
@@ -107,11 +110,11 @@ impl Theatre {
         let full = self.storage.free_bytes().is_some_and(|free| free < FULL_BYTES);
         if let Some(problem) = refused {
             let message = format!("the clip could not be started: {}", problem.message);
-            self.take_clip();
+            self.take_clip(ClipState::Failed);
             self.run(self.text.clone());
             self.notify(message, true);
         } else if full || fault.is_some() {
-            self.end_clip();
+            self.end_clip(ClipState::Failed);
             let full = full || fault.as_ref().is_some_and(|f| is_full(f));
             let why = if full { "the disk is full".to_owned() } else { fault.unwrap_or_default() };
             self.notify(format!("{name} ended early: {why}; the part recorded so far is saved"), true);

@@ -66,7 +66,8 @@ fn origin(setting: &Setting) -> f64 {
     }
 }
 
-fn message(value: &ParamValue, unit: &str) -> String {
+/// A value as text, with its unit.
+pub(super) fn message(value: &ParamValue, unit: &str) -> String {
     let with_unit = |text: String| if unit.is_empty() { text } else { format!("{text} {unit}") };
     match value {
         ParamValue::Bool(on) => if *on { "on" } else { "off" }.to_owned(),

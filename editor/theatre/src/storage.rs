@@ -109,6 +109,8 @@ pub struct Clip {
     pub node: String,
     /// Its file.
     pub file: PathBuf,
+    /// Its number.
+    pub number: u32,
     /// When it was started.
     pub since: Instant,
 }
@@ -199,14 +201,15 @@ impl Storage {
         Ok(file)
     }
 
-    /// Queues a still for writing; [`Self::finished`] returns the result.
+    /// Queues a still for writing and returns its number; [`Self::finished`] returns the result.
     ///
     /// # Errors
     /// The folder cannot be created, or the writing thread has ended.
-    pub fn still(&mut self, pixels: Pixels) -> Result<(), StillError> {
+    pub fn still(&mut self, pixels: Pixels) -> Result<u32, StillError> {
+        let number = self.next;
         let file = self.next_file("still", "png")?;
         let sent = self.jobs.as_ref().map(|jobs| jobs.send(StillJob { file, pixels }));
-        if matches!(sent, Some(Ok(()))) { Ok(()) } else { Err(StillError::NoThread) }
+        if matches!(sent, Some(Ok(()))) { Ok(number) } else { Err(StillError::NoThread) }
     }
 
     /// Adds the node that records `output` to a graph's text; returns the new text and the clip.
@@ -214,9 +217,10 @@ impl Storage {
     /// # Errors
     /// The folder cannot be created, or the edit does not fit the text.
     pub fn start_clip(&mut self, text: &str, output: &Output) -> Result<(String, Clip), ClipError> {
+        let number = self.next;
         let file = self.next_file("clip", "mkv")?;
         let (text, node) = with_clip(text, output, &file)?;
-        Ok((text, Clip { node, file, since: Instant::now() }))
+        Ok((text, Clip { node, file, number, since: Instant::now() }))
     }
 
     /// Names of the stills written since the last call, and errors.

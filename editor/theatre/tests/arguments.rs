@@ -49,7 +49,7 @@ impl Window {
         let draw = move |ui: &mut Ui, opening: &mut Option<Opening>| {
             let open = || {
                 let graph = GraphText::load_with(&path, &given).expect("it is there");
-                let ready = Ready::of(&graph, false).ok();
+                let ready = Ready::of(&graph, &options).ok();
                 Opening::new(ui.ctx(), &graph, given.clone(), ready, Some(config.clone()), options.clone())
                     .expect("threads")
             };

@@ -316,7 +316,7 @@ fn a_difference_from_the_lock_is_shown_in_the_window() {
     let path = folder.write("g.toml", GRAPH);
     lock(&path);
     let other = GRAPH.replace("rate_hz = 30.0", "rate_hz = 25.0");
-    let error = Ready::check(&path, &other, false).err().expect("it differs");
+    let error = Ready::check(&path, &other, &options(&folder)).err().expect("it differs");
     let draw = {
         let path = path.clone();
         move |ui: &mut Ui, refused: &mut Option<OpenFailed>| {

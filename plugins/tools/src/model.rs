@@ -121,6 +121,10 @@ impl Model {
         let builder =
             builder.with_config_entry("session.force_spinning_stop", "1").map_err(|e| refused(e.to_string()))?;
         let mut builder = builder.with_inter_op_spinning(false).map_err(|e| refused(e.to_string()))?;
+        for (name, bytes) in file.weights {
+            builder =
+                builder.with_external_initializer_file_in_memory(name, bytes).map_err(|e| refused(e.to_string()))?;
+        }
         // From what was looked through; only weights beside the model need its path.
         let session = if file.has_weights_beside {
             builder.commit_from_file(path)

@@ -1,13 +1,14 @@
 //! A look into an ONNX file before ONNX Runtime sees it: what it would read outside itself, how deep it nests.
 //!
-//! An ONNX file may name other files for its weights. Only files in the model's own folder are accepted. Field numbers are those of
-//! `onnx.proto3`.
+//! An ONNX file may name other files for its weights. Only files in the model's own folder are accepted, or those that a host appended to the
+//! model itself ([`panoscope_base::onnx::bundle_header`]).
 
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
-/// Depth of nested graphs; deeper files are attacks on the reader.
-const MAX_DEPTH: usize = 16;
-/// Kinds of protobuf messages in an ONNX file.
+use panoscope_base::onnx;
+
+/// Largest file that the format allows, bytes.
 const MAX_BYTES: u64 = 2 << 30;
 
 /// Why a model file is refused.
@@ -57,118 +58,13 @@ pub enum OnnxFileError {
     },
 }
 
-#[derive(Clone, Copy, PartialEq)]
-enum Message {
-    Model,
-    Graph,
-    Node,
-    Attribute,
-    Tensor,
-    SparseTensor,
-    Entry,
-    Function,
-    Training,
-}
-
-impl Message {
-    /// Kind of the message in a length-delimited field, where it matters.
-    fn child(self, field: u64) -> Option<Self> {
-        Some(match (self, field) {
-            (Self::Model, 7) => Self::Graph,
-            (Self::Model, 20) => Self::Training,
-            (Self::Model, 25) => Self::Function,
-            (Self::Training, 1 | 2) => Self::Graph,
-            (Self::Graph, 1) | (Self::Function, 7) => Self::Node,
-            (Self::Graph, 5) => Self::Tensor,
-            (Self::Graph, 15) => Self::SparseTensor,
-            (Self::Function, 11) | (Self::Node, 5) => Self::Attribute,
-            (Self::Attribute, 5 | 10) => Self::Tensor,
-            (Self::Attribute, 6 | 11) => Self::Graph,
-            (Self::Attribute, 22 | 23) => Self::SparseTensor,
-            (Self::SparseTensor, 1 | 2) => Self::Tensor,
-            (Self::Tensor, 13) => Self::Entry,
-            _ => return None,
-        })
-    }
-}
-
-type Fault = (&'static str, usize);
-
-struct MessageReader<'a> {
-    data: &'a [u8],
-    locations: Vec<String>,
-    has_graph: bool,
-}
-
-impl MessageReader<'_> {
-    fn varint(&self, at: &mut usize, end: usize) -> Result<u64, Fault> {
-        let (mut value, mut shift) = (0u64, 0);
-        loop {
-            if *at >= end {
-                return Err(("it ends inside a number", *at));
-            }
-            let byte = self.data[*at];
-            *at += 1;
-            value |= u64::from(byte & 0x7f) << shift;
-            if byte & 0x80 == 0 {
-                return Ok(value);
-            }
-            shift += 7;
-            if shift > 63 {
-                return Err(("a number has too many bytes", *at));
-            }
-        }
-    }
-
-    fn message(&mut self, kind: Message, start: usize, end: usize, depth: usize) -> Result<(), Fault> {
-        if depth > 4 * MAX_DEPTH {
-            return Err(("graphs stand in graphs more than 16 deep", start));
-        }
-        let mut at = start;
-        let (mut key, mut value) = (0..0, 0..0);
-        while at < end {
-            let tag = self.varint(&mut at, end)?;
-            let field = tag >> 3;
-            match tag & 7 {
-                0 => drop(self.varint(&mut at, end)?),
-                1 => at += 8,
-                5 => at += 4,
-                2 => {
-                    let length = usize::try_from(self.varint(&mut at, end)?).unwrap_or(usize::MAX);
-                    let Some(stop) = at.checked_add(length).filter(|&s| s <= end) else {
-                        return Err(("a part reaches past the end", at));
-                    };
-                    self.has_graph |= kind == Message::Model && field == 7;
-                    if let Some(child) = kind.child(field) {
-                        self.message(child, at, stop, depth + 1)?;
-                    }
-                    if kind == Message::Entry {
-                        match field {
-                            1 => key = at..stop,
-                            2 => value = at..stop,
-                            _ => {}
-                        }
-                    }
-                    at = stop;
-                }
-                _ => return Err(("an unknown kind of field", at)),
-            }
-            if at > end {
-                return Err(("a number reaches past the end", at));
-            }
-        }
-        if kind == Message::Entry && &self.data[key] == b"location" {
-            self.locations.push(String::from_utf8_lossy(&self.data[value]).into_owned());
-        }
-        Ok(())
-    }
-}
-
 /// A checked model file.
 #[derive(Debug)]
 pub struct OnnxFile {
-    /// The whole file.
+    /// The model itself.
     pub bytes: Vec<u8>,
+    /// Name and bytes of the weight files that were appended to it.
+    pub weights: Vec<(String, Arc<[u8]>)>,
     /// Whether part of its weights is in files beside it.
     pub has_weights_beside: bool,
 }
@@ -185,17 +81,20 @@ pub fn read(path: &Path) -> Result<OnnxFile, OnnxFileError> {
     if bytes > MAX_BYTES {
         return Err(OnnxFileError::TooLarge { path: path.to_owned(), bytes });
     }
-    let data = std::fs::read(path).map_err(failed)?;
-    let mut walk = MessageReader { data: &data, locations: Vec::new(), has_graph: false };
-    let malformed = |reason, offset| OnnxFileError::Malformed { path: path.to_owned(), reason, offset };
-    walk.message(Message::Model, 0, data.len(), 0).map_err(|(reason, offset)| malformed(reason, offset))?;
-    if !walk.has_graph {
-        return Err(malformed("it holds no graph", data.len()));
-    }
-    walk.locations.sort();
-    walk.locations.dedup();
-    let has_weights_beside = !walk.locations.is_empty();
-    for location in walk.locations {
+    let mut data = std::fs::read(path).map_err(failed)?;
+    let malformed =
+        |onnx::Malformed { reason, offset }| OnnxFileError::Malformed { path: path.to_owned(), reason, offset };
+    let bundle = onnx::unbundle(&data).map_err(malformed)?;
+    let locations = onnx::weight_files(&data[..bundle.model_len]).map_err(malformed)?;
+    let weights: Vec<(String, Arc<[u8]>)> =
+        bundle.weights.into_iter().map(|(name, range)| (name, Arc::from(&data[range]))).collect();
+    data.truncate(bundle.model_len);
+    let mut has_weights_beside = false;
+    for location in locations {
+        if weights.iter().any(|(name, _)| *name == location) {
+            continue;
+        }
+        has_weights_beside = true;
         let folder = path.parent().unwrap_or(Path::new(""));
         let inside =
             !location.is_empty() && Path::new(&location).components().all(|c| matches!(c, Component::Normal(_)));
@@ -210,5 +109,5 @@ pub fn read(path: &Path) -> Result<OnnxFile, OnnxFileError> {
             return Err(OnnxFileError::Outside { path: path.to_owned(), location });
         }
     }
-    Ok(OnnxFile { bytes: data, has_weights_beside })
+    Ok(OnnxFile { bytes: data, weights, has_weights_beside })
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use ort::environment::Environment;
+use panoscope_base::onnx;
 
 /// No file is a usable ONNX Runtime.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -43,29 +44,17 @@ pub enum FileError {
     },
 }
 
-fn libraries_in(folder: &Path) -> Vec<PathBuf> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
-    let is_library = |p: &PathBuf| {
-        p.file_name().is_some_and(|n| n.to_string_lossy().starts_with("libonnxruntime.so")) && !p.is_symlink()
-    };
-    let mut found: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(is_library).collect();
-    found.sort();
-    found
+/// Whether this process has loaded an ONNX Runtime already: a host that compares it with a lock does so before any node opens.
+fn is_loaded() -> bool {
+    const RTLD_NOLOAD: i32 = 4;
+    let flags = libloading::os::unix::RTLD_NOW | RTLD_NOLOAD;
+    // SAFETY: with this flag nothing is loaded, so no code of a library runs.
+    unsafe { libloading::os::unix::Library::open(Some(onnx::RUNTIME_SONAME), flags) }.map(std::mem::forget).is_ok()
 }
 
-/// Files to try: the variable's first, then those beside the program, then the system's.
+/// Files to try: the one that is loaded already, or else those of [`onnx::runtime_candidates`].
 fn candidates() -> Vec<PathBuf> {
-    if let Some(named) = std::env::var_os("ORT_DYLIB_PATH").filter(|p| !p.is_empty()) {
-        return vec![named.into()];
-    }
-    let mut files = Vec::new();
-    if let Ok(program) = std::env::current_exe() {
-        for folder in program.ancestors().skip(1).take(4) {
-            files.extend(libraries_in(&folder.join("onnxruntime")));
-        }
-    }
-    files.push("libonnxruntime.so".into());
-    files
+    if is_loaded() { vec![onnx::RUNTIME_SONAME.into()] } else { onnx::runtime_candidates() }
 }
 
 /// Checks that a file is an ONNX Runtime, because `ort` ends the process when it is not.

@@ -4,12 +4,14 @@ mod tiny_onnx;
 
 use std::path::Path;
 
+use panoscope_base::onnx;
 use panoscope_node::Bgr8;
 use panoscope_node::harness::Harness;
 use panoscope_node::random::SplitMix64;
+use panoscope_tools::model::Model;
 use panoscope_tools::onnx_file::{self, OnnxFileError};
 use panoscope_tools::yolo::Yolo;
-use tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, wrap};
+use tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, value_info, wrap};
 
 fn good() -> TinyModel {
     TinyModel {
@@ -141,4 +143,59 @@ fn a_model_that_takes_no_picture_is_named() {
     std::fs::write(home.join("w.onnx"), wrap(&Message::default().text(2, "g").message(5, &held), &[]))
         .expect("written");
     assert!(opens_or_says(&home.join("w.onnx")).is_err());
+}
+
+/// A model whose output is a tensor with weights in the file `w.bin`.
+fn with_output_at(values: usize) -> Vec<u8> {
+    let entry = |key: &str, value: &str| Message::default().text(1, key).text(2, value);
+    let length = (4 * values).to_string();
+    let held = Message::default()
+        .int(1, values as i64)
+        .int(2, 1)
+        .text(8, "held")
+        .message(13, &entry("location", "w.bin"))
+        .message(13, &entry("offset", "0"))
+        .message(13, &entry("length", &length))
+        .int(14, 1);
+    let node = Message::default().text(1, "held").text(2, "output").text(4, "Identity");
+    let graph = Message::default()
+        .message(1, &node)
+        .text(2, "tiny")
+        .message(5, &held)
+        .message(11, &value_info("images", 1, &[1, 3, 64, 64]))
+        .message(12, &value_info("output", 1, &[values as i64]));
+    wrap(&graph, &[])
+}
+
+#[test]
+fn weights_that_a_host_appended_to_a_model_are_used() {
+    if !runtime_is_there() {
+        return;
+    }
+    let values = 300;
+    let weights = |first: f32| -> Vec<u8> { (0..values).flat_map(|k| (first + k as f32).to_le_bytes()).collect() };
+    let home = folder("appended");
+    let first_value = |path: &Path| {
+        let mut model = Model::open(path, 1, (64, 64)).unwrap_or_else(|error| panic!("{error}"));
+        let picture = vec![0.0; 3 * 64 * 64];
+        let read = |tensors: &[panoscope_tools::model::Tensor<'_>]| {
+            tensors.first().and_then(|tensor| tensor.data.floats().map(|floats| (floats.len(), floats[0])))
+        };
+        model.run(&picture, read).expect("it runs")
+    };
+    // Beside the model.
+    let plain = home.join("plain.onnx");
+    std::fs::write(&plain, with_output_at(values)).expect("written");
+    std::fs::write(home.join("w.bin"), weights(5.0)).expect("written");
+    assert_eq!(first_value(&plain), Some((values, 5.0)));
+    // Appended: they count, and not those beside it.
+    let mut bytes = with_output_at(values);
+    bytes.extend(onnx::bundle_header("w.bin", 4 * values as u64));
+    bytes.extend(weights(7.0));
+    let bundled = home.join("bundled.onnx");
+    std::fs::write(&bundled, &bytes).expect("written");
+    assert_eq!(first_value(&bundled), Some((values, 7.0)));
+    std::fs::remove_file(home.join("w.bin")).expect("removed");
+    assert_eq!(first_value(&bundled), Some((values, 7.0)));
+    assert!(Model::open(&plain, 1, (64, 64)).is_err());
 }

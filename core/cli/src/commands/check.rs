@@ -8,8 +8,9 @@ use serde_json::json;
 
 use crate::given::Given;
 use crate::terminal::{out, raw, stdout_color};
+use crate::trust::OwnPlugins;
 use crate::{End, probe};
-use panoscope_eval::graph_file::{self, Ready};
+use panoscope_eval::graph_file::Ready;
 
 /// Arguments of `check`.
 #[derive(clap::Args)]
@@ -19,6 +20,8 @@ pub struct Arguments {
     graphs: Vec<PathBuf>,
     #[command(flatten)]
     given: Given,
+    #[command(flatten)]
+    own_plugins: OwnPlugins,
     /// One JSON object per file: its name, whether it is fine, and all diagnostics.
     #[arg(long)]
     json: bool,
@@ -50,10 +53,10 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         let name = path.display();
         let options = GraphOptions { allow_missing_args: true, ..arguments.given.options(&[]) };
         let checked = GraphText::load_with(path, &options).and_then(|text| {
-            let ready = graph_file::ready(&text)?;
+            let ready = arguments.own_plugins.ready(&text)?;
             // A model can only be judged by opening it.
             let mut diagnostics = ready.warnings.clone();
-            diagnostics.extend(probe::models(path, &text, &ready, &arguments.given));
+            diagnostics.extend(probe::models(path, &text, &ready, &arguments.given, arguments.own_plugins));
             if diagnostics.has_errors() { Err(diagnostics) } else { Ok((ready, diagnostics)) }
         });
         let (facts, diagnostics) = match checked {

@@ -8,7 +8,7 @@ use panoscope_graph::GraphOptions;
 use crate::End;
 use crate::given::Given;
 use crate::terminal::{raw, stderr_color};
-use panoscope_eval::graph_file;
+use crate::trust::OwnPlugins;
 
 /// Arguments of `dot`.
 #[derive(clap::Args)]
@@ -17,12 +17,14 @@ pub struct Arguments {
     graph: PathBuf,
     #[command(flatten)]
     given: Given,
+    #[command(flatten)]
+    own_plugins: OwnPlugins,
 }
 
 /// Writes a graph for Graphviz: `panoscope dot graph.toml | dot -Tsvg > graph.svg`.
 pub fn run(arguments: &Arguments) -> Result<End> {
     let options = GraphOptions { allow_missing_args: true, ..arguments.given.options(&[]) };
-    match graph_file::open(&arguments.graph, &options) {
+    match arguments.own_plugins.open(&arguments.graph, &options) {
         Ok(ready) => {
             raw(&panoscope_graph::to_dot(&ready.graph, &ready.catalog));
             Ok(End::Done)

@@ -1,11 +1,12 @@
 //! `panoscope replay`: a recording played again, to the byte, or another graph on its pictures.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Result;
 use panoscope_engine::Options;
 use panoscope_engine::ending::signals;
+use panoscope_graph::GraphText;
 use panoscope_record::{RecordOptions, Recording, Replay, ReplayError, ReplayOptions};
 
 use super::record::{Ports, told, write_digests};
@@ -15,7 +16,7 @@ use crate::given::Given;
 use crate::judge::Weight;
 use crate::progress::Progress;
 use crate::terminal::{log, out, stderr_color};
-use panoscope_eval::graph_file;
+use crate::trust::OwnPlugins;
 
 /// Arguments of `replay`.
 #[derive(clap::Args)]
@@ -27,6 +28,8 @@ pub struct Arguments {
     graph: Option<PathBuf>,
     #[command(flatten)]
     given: Given,
+    #[command(flatten)]
+    own_plugins: OwnPlugins,
     /// Sets a parameter; wins over the graph and over recorded changes. May be given again.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
@@ -76,7 +79,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     };
     let mut settings = arguments.set.clone();
     let graph = match &arguments.graph {
-        Some(path) => match graph_file::open(path, &arguments.given.options(&arguments.set)) {
+        Some(path) => match arguments.own_plugins.open(path, &arguments.given.options(&arguments.set)) {
             Ok(ready) => {
                 settings = ready.text.settings();
                 Some((path.clone(), ready.text.flattened(&ready.catalog).into_owned()))
@@ -94,6 +97,11 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             return Ok(End::Wrong);
         }
     };
+    let own_folders = match &graph {
+        Some((path, text)) => GraphText::parse(path, text).plugin_paths(),
+        None => GraphText::parse(Path::new(&recording.head.graph_path), &recording.head.text).plugin_paths(),
+    };
+    let loader = arguments.own_plugins.loader(&own_folders);
     let longest = recording.sources.values().map(Vec::len).max().unwrap_or(0) as u64;
     let wanted = arguments.frames.map_or(longest, |n| n.min(longest));
     let name = arguments.recording.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -102,7 +110,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         graph,
         settings,
         act: arguments.act,
-        loader: None,
+        loader: Some(Arc::new(loader)),
         record: (arguments.output.is_some() || arguments.ports.digests.is_some()).then(|| RecordOptions {
             file: arguments.output.clone(),
             digests: arguments.ports.digests.is_some(),

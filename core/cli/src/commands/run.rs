@@ -2,23 +2,28 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
-use panoscope_graph::{GraphOptions, GraphText, OnFault, installed};
+use panoscope_graph::{Diagnostics, GraphOptions, GraphText, OnFault, installed};
 use panoscope_loader::Live;
 use panoscope_loader::live::FileWatch;
+use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, LockError, lock_path};
+use panoscope_loader::sealed::readable;
+use panoscope_loader::verify::{self, Seal, VerifyError};
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 
 use crate::given::Given;
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::progress::Progress;
 use crate::terminal::{log, out, raw, stderr_color};
+use crate::trust::Keys;
 use crate::{End, allocations, interrupt, summary};
-use panoscope_eval::graph_file;
+use panoscope_eval::graph_file::{self, Ready};
 
 /// How long nodes may take to finish after the end of a run was asked for.
 pub const PATIENCE: Duration = Duration::from_secs(30);
@@ -48,6 +53,12 @@ pub struct Arguments {
     /// Applies what changes on disk while the graph runs: the graph file, or a rebuilt plugin. What is wrong is shown, and the old graph runs on.
     #[arg(long)]
     watch: bool,
+    /// Runs only what the lock beside the graph file has: files are compared before anything of them is used, and nodes read copies that nobody
+    /// can change.
+    #[arg(long, conflicts_with = "watch")]
+    lock: bool,
+    #[command(flatten)]
+    keys: Keys,
     /// Writes counters and times as JSON at the end.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
@@ -80,14 +91,46 @@ pub enum RunEnd {
     },
 }
 
+/// A checked graph, with the files that it may read where it runs under its lock.
+type Opened = (Ready, Option<Arc<Seal>>);
+
+/// Reads and checks the graph, under its lock where that is wanted; or what is wrong, in words.
+fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, String>> {
+    let path = &arguments.graph;
+    let rendered = |diagnostics: Diagnostics| diagnostics.render(stderr_color());
+    if !arguments.lock {
+        return Ok(graph_file::open(path, given).map(|ready| (ready, None)).map_err(rendered));
+    }
+    let text = match GraphText::load_with(path, given) {
+        Ok(text) => text,
+        Err(diagnostics) => return Ok(Err(rendered(diagnostics))),
+    };
+    let never = || LockError::Never { graph: path.clone(), file: lock_path(path) };
+    let lock = Lock::read(path).and_then(|lock| lock.ok_or_else(never));
+    let trust = arguments.keys.trusted()?;
+    let lock = match lock.and_then(|lock| lock.check_signature(path, &trust).map(|_| lock)) {
+        Ok(lock) => lock,
+        Err(error) => return Ok(Err(format!("error: {error}"))),
+    };
+    Ok(match verify::open(&text, &lock, &ALWAYS_LOCKED) {
+        Ok(verify::Verified { graph, catalog, loader, warnings, seal }) => {
+            Ok((Ready { text, graph, catalog, loader, warnings }, Some(seal)))
+        }
+        Err(VerifyError::Check(diagnostics)) => Err(rendered(diagnostics)),
+        Err(error) => {
+            Err(format!("error: {error}\n  help: restore the files, or lock the graph again with `panoscope lock`"))
+        }
+    })
+}
+
 /// Runs a graph to its end, recorded where wanted, with a look at the engine ten times a second.
 pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: impl FnMut(&Engine)) -> Result<RunEnd> {
     let on_duty = signals::opening();
     let given = arguments.given.options(&arguments.set);
-    let ready = match graph_file::open(&arguments.graph, &given) {
-        Ok(ready) => ready,
-        Err(diagnostics) => {
-            log!("{}", diagnostics.render(stderr_color()).trim_end());
+    let (mut ready, seal) = match open(arguments, &given)? {
+        Ok(opened) => opened,
+        Err(message) => {
+            log!("{}", message.trim_end());
             return Ok(RunEnd::Not(End::Wrong));
         }
     };
@@ -126,11 +169,15 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
         faults,
         ..Options::default()
     };
+    // Not before the recording's head has the names of the files.
+    if let Some(seal) = &seal {
+        seal.apply(&mut ready.graph, &ready.catalog)?;
+    }
     let engine = match Engine::start(ready.graph, &ready.catalog, &ready.loader, options) {
         Ok(engine) => engine,
         Err(error) => {
             progress.finish();
-            log!("error: {error}");
+            log!("error: {}", readable(&error.to_string()));
             out!("failed: the graph did not start");
             return Ok(RunEnd::Not(End::Failed));
         }

@@ -54,7 +54,8 @@ pub struct TinyModel {
 const FLOAT: i64 = 1;
 const INT64: i64 = 7;
 
-fn value_info(name: &str, kind: i64, dims: &[i64]) -> Message {
+/// Name, element type and shape of an input or output.
+pub fn value_info(name: &str, kind: i64, dims: &[i64]) -> Message {
     let dim = |&d: &i64| if d < 0 { Message::default().text(2, "any") } else { Message::default().int(1, d) };
     let shape = dims.iter().fold(Message::default(), |m, d| m.message(1, &dim(d)));
     let tensor = Message::default().int(1, kind).message(2, &shape);

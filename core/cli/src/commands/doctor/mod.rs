@@ -10,6 +10,7 @@ use anyhow::Result;
 use panoscope_engine::Machine;
 use panoscope_graph::{NodeType, ParamKind, installed};
 use panoscope_loader as loader;
+use panoscope_loader::keys::Trust;
 
 use super::devices;
 use crate::End;
@@ -80,6 +81,41 @@ impl Doctor {
                     self.say(state, program, &how);
                 }
             }
+        }
+    }
+
+    /// Keys whose locks are accepted, and the audit log.
+    fn trust(&mut self) {
+        out!("trust");
+        let folders = Trust::folders().iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ");
+        match Trust::installed() {
+            Ok(trust) if trust.is_empty() => {
+                let about =
+                    format!("none: locks need no signature. Public keys (*.pub) in one of {folders} change that");
+                self.say(State::Optional, "trusted keys", &about);
+            }
+            Ok(trust) => {
+                for key in trust.keys() {
+                    self.say(
+                        State::Fine,
+                        &format!("key {}", key.name()),
+                        &format!("{}, its locks are accepted", key.short()),
+                    );
+                }
+            }
+            Err(error) => self.say(State::Bad, "trusted keys", &error.to_string()),
+        }
+        let Some(folder) = panoscope_audit::folder() else { return };
+        match panoscope_audit::read(&folder) {
+            Ok(report) if report.problems.is_empty() => {
+                let about = format!("{} lines in {}, unbroken", report.entries.len(), folder.display());
+                self.say(State::Fine, "audit log", &about);
+            }
+            Ok(report) => {
+                let about = format!("damaged in {} places; `panoscope audit` shows them", report.problems.len());
+                self.say(State::Bad, "audit log", &about);
+            }
+            Err(error) => self.say(State::Bad, "audit log", &format!("{}: {error}", folder.display())),
         }
     }
 
@@ -296,6 +332,7 @@ impl Doctor {
 pub fn run() -> Result<End> {
     let mut doctor = Doctor { color: stdout_color(), bad: 0, installation: Installation::current() };
     doctor.installation();
+    doctor.trust();
     doctor.machine();
     doctor.plugins();
     doctor.programs();

@@ -1,0 +1,63 @@
+//! Whom a command believes: keys that sign locks, and folders with plugins.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use panoscope_graph::{Diagnostics, GraphOptions, GraphText};
+use panoscope_loader::keys::{PublicKey, Trust};
+use panoscope_loader::{self as loader, Loader};
+
+use panoscope_eval::graph_file::{self, Ready};
+
+/// Keys that a command line adds to those of the installation.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct Keys {
+    /// Accepts locks signed by this public key, besides those in the folders of trusted keys. May be given again.
+    #[arg(long, value_name = "FILE")]
+    trust: Vec<PathBuf>,
+}
+
+impl Keys {
+    /// All keys whose locks are accepted.
+    pub fn trusted(&self) -> Result<Trust> {
+        let mut trust = Trust::installed()?;
+        for file in &self.trust {
+            trust.add(PublicKey::read(file)?);
+        }
+        Ok(trust)
+    }
+}
+
+/// Whether a command that only looks at a graph may run code that the graph brings.
+#[derive(clap::Args, Clone, Copy, Debug, Default)]
+pub struct OwnPlugins {
+    /// Loads plugins from the folders that the graph itself names, which runs their code. Without it only plugins of the installation and of
+    /// PANOSCOPE_PLUGIN_PATH are loaded.
+    #[arg(long)]
+    trust_plugins: bool,
+}
+
+impl OwnPlugins {
+    /// The plugins for a graph that names the folders `own`.
+    pub fn loader(self, own: &[PathBuf]) -> Loader {
+        match self.trust_plugins {
+            true => Loader::search(&loader::search_path(own)),
+            false => Loader::search_without_loading(own),
+        }
+    }
+
+    /// Checks a graph that was read.
+    pub fn ready(self, text: &GraphText) -> Result<Ready, Diagnostics> {
+        graph_file::ready_with(text, self.loader(&text.plugin_paths()))
+    }
+
+    /// Reads and checks a graph file.
+    pub fn open(self, path: &std::path::Path, options: &GraphOptions) -> Result<Ready, Diagnostics> {
+        self.ready(&GraphText::load_with(path, options)?)
+    }
+
+    /// The same as a word of a command line.
+    pub fn words(self) -> Option<String> {
+        self.trust_plugins.then(|| "--trust-plugins".to_owned())
+    }
+}
