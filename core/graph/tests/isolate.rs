@@ -97,7 +97,8 @@ fn a_dissolved_part_leaves_its_group_to_its_nodes() {
     let after = checked(&GraphText::parse(&path("graph.toml"), new));
     let mut after: Vec<Option<String>> = after.nodes.into_iter().map(|n| n.isolate).collect();
     let mut before = before;
-    (before.sort(), after.sort());
+    before.sort();
+    after.sort();
     assert_eq!(before, after, "{new}");
 }
 
