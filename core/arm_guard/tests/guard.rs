@@ -281,7 +281,7 @@ fn an_arm_left_at_rest_is_remembered_as_such() {
             let mut reset = 0;
             moving(&mut guard, &firmware, &mut reset);
             let still = || Request { demand: Some((clock::now_ns(), [0.0; 8], 6)), ..request(reset) };
-            let rested = drive(&mut guard, &mut Vec::new(), still, |status| status.set_point.1.amax() == 0.0);
+            let rested = drive(&mut guard, &mut Vec::new(), still, |status| status.set_point.1.amax() < 1e-15);
             assert!(rested.is_some(), "it comes to rest");
             drop(guard);
             let mut guard = start(&firmware, &folder).expect("started");

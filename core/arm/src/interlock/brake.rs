@@ -7,6 +7,9 @@
 use super::caps::{Caps, STEP_S, share};
 use crate::chain::JointVector;
 
+/// Speeds in rad/s and accelerations in rad/s^2 below which a joint is at rest.
+const REST: f64 = 1e-12;
+
 /// Angles, speeds and accelerations of the joints: one set-point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SetPoint {
@@ -24,9 +27,9 @@ impl SetPoint {
         Self { position, velocity: JointVector::zeros(), acceleration: JointVector::zeros() }
     }
 
-    /// Whether speeds and accelerations are 0.
+    /// Whether speeds and accelerations are 0, but for rounding: a demand of 0 is followed ever more slowly, and never to the last bit.
     pub fn is_at_rest(&self) -> bool {
-        self.velocity == JointVector::zeros() && self.acceleration == JointVector::zeros()
+        self.velocity.iter().chain(&self.acceleration).all(|value| value.abs() < REST)
     }
 }
 

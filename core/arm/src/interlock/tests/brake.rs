@@ -104,4 +104,6 @@ fn rest_is_no_speed_and_no_acceleration() {
     assert!(rest.is_at_rest() && rest.position == joint(0, 0.3));
     assert!(!SetPoint { velocity: joint(3, 1e-9), ..rest }.is_at_rest());
     assert!(!SetPoint { acceleration: joint(3, 1e-9), ..rest }.is_at_rest());
+    assert!(SetPoint { velocity: joint(3, -1e-13), acceleration: joint(3, 1e-13), ..rest }.is_at_rest());
+    assert!(!SetPoint { velocity: joint(3, f64::NAN), ..rest }.is_at_rest());
 }
