@@ -170,5 +170,5 @@ fn settings_cannot_lift_the_ceilings() {
         lock.demand(ms * MS, &roll());
     }
     assert_eq!(lock.stop(), Some(Cause::OldTip));
-    assert!(caps::TIP_AGE.as_millis() == 300 && caps::DEMAND_AGE.as_millis() == 30);
+    assert!(caps::TIP_AGE.as_millis() == 300 && caps::DEMAND_AGE.as_millis() == 24);
 }

@@ -1,6 +1,7 @@
 //! `cargo xtask test`: everything that must hold before a change goes in.
 
-use std::process::ExitCode;
+use std::path::Path;
+use std::process::{Command, ExitCode};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
@@ -14,6 +15,9 @@ use crate::process;
 use crate::setup;
 use crate::tally::Tally;
 use crate::workspace::Workspace;
+
+/// With less free space after a failure, the full disk is the probable reason: compilers do not say so.
+const LEAST_FREE_MIB: u64 = 2048;
 
 /// A named part of the tests.
 struct Suite {
@@ -118,6 +122,9 @@ pub fn test(workspace: &Workspace, args: &[String]) -> Result<ExitCode> {
     let mut tally = Tally::default();
     if let Err(error) = steps(workspace, &request, &mut tally) {
         eprintln!("error: {error:#}");
+        if let Some(mib) = free_mib(&workspace.target).filter(|mib| *mib < LEAST_FREE_MIB) {
+            eprintln!("only {mib} MiB are free in {}: the build needs 25 GiB", workspace.target.display());
+        }
         if tally.failed() == 0 {
             // The outermost context is the step's name.
             tally.count_failed_step(&error.to_string());
@@ -162,6 +169,12 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
     Ok(())
 }
 
+/// Free space of the disk with a folder, MiB. None where it cannot be told.
+fn free_mib(folder: &Path) -> Option<u64> {
+    let text = process::capture(Command::new("df").args(["--block-size=1M", "--output=avail"]).arg(folder)).ok()?;
+    text.lines().nth(1)?.trim().parse().ok()
+}
+
 /// Runs a step, prints how long it took and puts its name before its error.
 fn timed<T>(step: &'static str, run: impl FnOnce() -> Result<T>) -> Result<T> {
     let start = Instant::now();
@@ -187,6 +200,12 @@ mod tests {
         assert_eq!(request.test_args, words("--nocapture"));
         assert!(request.names_packages());
         assert_eq!(Request::parse(&[]).unwrap().suite.name, "all");
+    }
+
+    #[test]
+    fn free_space_is_told() {
+        assert!(free_mib(Path::new("/")).is_some());
+        assert_eq!(free_mib(Path::new("/no/such/folder")), None);
     }
 
     #[test]

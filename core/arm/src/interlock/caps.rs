@@ -22,8 +22,8 @@ pub const PIVOT_MM: f64 = 1.0;
 pub const TILT_RAD: f64 = 0.6;
 /// Smallest and largest depth of the tube's end beyond the trocar, mm.
 pub const DEPTH_MM: (f64, f64) = (20.0, 190.0);
-/// Age up to which a demand is followed: a dead loop stops the arm after this time.
-pub const DEMAND_AGE: Duration = Duration::from_millis(30);
+/// Age up to which a demand is followed. The arm shall brake within 30 ms after the last one: 6 ms are left for the next set-point and its way to the arm.
+pub const DEMAND_AGE: Duration = Duration::from_millis(24);
 /// Largest age of a tip that a setting can allow.
 pub const TIP_AGE: Duration = Duration::from_millis(300);
 /// Longest time between two calls that still counts as running.

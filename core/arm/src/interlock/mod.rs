@@ -37,7 +37,7 @@ const CHUNK_STEPS: u32 = 10;
 /// Shares of a demand that are tried in turn.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// Shorter gaps in the demands (a late tick) are not reported as stops.
-const NOTED_AFTER_STEPS: u32 = 25;
+const NOTED_AFTER_STEPS: u32 = 31;
 /// Most events that wait to be taken.
 const MOST_EVENTS: usize = 32;
 
@@ -176,7 +176,7 @@ impl Interlock {
         self.demand_of_light(now_ns, now_ns, velocity_rad_s);
     }
 
-    /// Requests joint velocities, rad/s, at `made_ns`, computed from light that arrived at `light_ns`. The demand expires 30 ms after it was made,
+    /// Requests joint velocities, rad/s, at `made_ns`, computed from light that arrived at `light_ns`. The demand expires 24 ms after it was made,
     /// and is not followed when its light is older than a tip may be. Anything but six finite numbers is an invalid demand, which stops the arm.
     pub fn demand_of_light(&mut self, made_ns: i64, light_ns: i64, velocity_rad_s: &[f64]) {
         let sound = velocity_rad_s.len() == JOINTS && velocity_rad_s.iter().all(|v| v.is_finite());
@@ -214,8 +214,8 @@ impl Interlock {
         self.noted
     }
 
-    /// Cause for which the newest set-point brakes; none where it follows. A demand expires after 30 ms, so at 30 ticks per second this is set in the
-    /// last 3 ms of each tick: see [`Interlock::stopped`].
+    /// Cause for which the newest set-point brakes; none where it follows. A demand expires after 24 ms, so at 30 ticks per second this is set in the
+    /// last 9 ms of each tick, in which limited jerk changes a speed by 1.2 mrad/s at most: see [`Interlock::stopped`].
     pub fn stop(&self) -> Option<Cause> {
         self.stop
     }

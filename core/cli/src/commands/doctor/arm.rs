@@ -7,6 +7,9 @@ use panoscope_arm_guard::{client, latch, realtime};
 
 use super::State;
 
+/// The highest real-time priority that a part of Panoscope asks for.
+pub const PRIORITY: i32 = realtime::PRIORITY;
+
 /// One line per thing: how it stands, its name, and what to do.
 pub type Lines = Vec<(State, &'static str, String)>;
 

@@ -151,8 +151,11 @@ impl Doctor {
         if realtime_allowed() {
             self.say(State::Fine, "real-time priority", "allowed (SCHED_FIFO)");
         } else {
-            let how = "not allowed: control nodes run at normal priority. For a user `me`: `me - rtprio 50` in /etc/security/limits.conf, then log in again";
-            self.say(State::Optional, "real-time priority", how);
+            let how = format!(
+                "not allowed: control nodes run at normal priority. For a user `me`: `me - rtprio {}` in /etc/security/limits.d/panoscope.conf, then log in again",
+                arm::PRIORITY
+            );
+            self.say(State::Optional, "real-time priority", &how);
         }
         for (state, what, about) in arm::lines() {
             self.say(state, what, &about);
