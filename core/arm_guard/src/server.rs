@@ -39,6 +39,10 @@ const CLEAR_WITHIN: Duration = Duration::from_millis(250);
 const LEAVE_WITHIN: Duration = Duration::from_secs(2);
 /// Bits per second from which a line has room for a set-point between two periods.
 const FAST_BAUD: u32 = 230_400;
+/// Bits per second from which it has room for two more.
+const FASTER_BAUD: u32 = 460_800;
+/// Time between the turns that follow the expiry of a demand.
+const SOON: Duration = Duration::from_millis(2);
 
 /// Errors at the start.
 #[derive(Debug, Error)]
@@ -103,6 +107,8 @@ struct Server {
     has_host: bool,
     /// Whether the last line was a set-point of a moving arm.
     was_moving: bool,
+    /// Turns that follow soon, because a demand has just expired or the program has ended: the first steps of braking are less than a line can say.
+    soon: u8,
 }
 
 impl Server {
@@ -129,6 +135,7 @@ impl Server {
             refused: 0,
             has_host: true,
             was_moving: false,
+            soon: 0,
         };
         let granted = (granted.locked_memory, granted.real_time);
         server.report(&Report::Ready { serial: identity.serial, watchdog_ms: identity.watchdog_ms, granted });
@@ -155,15 +162,23 @@ impl Server {
     }
 
     /// Sleeps until `next`, or until the demand expires or the program ends, so that braking is sent at once. True when it woke early.
-    fn wait(&self, next: Instant) -> bool {
+    fn wait(&mut self, next: Instant) -> bool {
         let left = next.saturating_duration_since(Instant::now());
         let mut sleep = left;
-        if matches!(&self.options.target, Target::Serial(line) if line.baud >= FAST_BAUD)
+        if self.soon > 0 {
+            self.soon -= 1;
+            sleep = sleep.min(SOON);
+        } else if let Target::Serial(line) = &self.options.target
+            && line.baud >= FAST_BAUD
             && let Some(expires_ns) = self.lock.expires_ns()
         {
             // Two steps later the first set-point that brakes exists, wherever the expiry lies between two steps.
             let until_ns = expires_ns.saturating_add(2 * STEP_NS).saturating_sub(clock::now_ns());
-            sleep = sleep.min(Duration::from_nanos(until_ns.max(STEP_NS).unsigned_abs()));
+            let until = Duration::from_nanos(until_ns.max(STEP_NS).unsigned_abs());
+            if until < sleep {
+                sleep = until;
+                self.soon = if line.baud >= FASTER_BAUD { 2 } else { 0 };
+            }
         }
         if !self.has_host {
             std::thread::sleep(sleep);
@@ -172,6 +187,9 @@ impl Server {
         let timeout = Timespec { tv_sec: 0, tv_nsec: sleep.subsec_nanos().into() };
         let mut host = [PollFd::new(&self.socket, PollFlags::RDHUP)];
         let has_ended = poll(&mut host, Some(&timeout)).is_ok_and(|count| count > 0);
+        if has_ended {
+            self.soon = 2;
+        }
         has_ended || sleep < left
     }
 

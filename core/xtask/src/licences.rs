@@ -40,6 +40,7 @@ pub fn notices(workspace: &Workspace) -> Result<String> {
             texts.entry(text).or_default().push(&one.name);
         }
     }
+    list.push_str("\nThey contain the font Roboto Medium 2.138, reduced to Latin letters: Copyright 2011 Google Inc., Apache License 2.0.\n");
     for (text, users) in texts {
         let _ = write!(list, "\n{}\n{}\n\n{text}\n", "-".repeat(80), users.join(", "));
     }

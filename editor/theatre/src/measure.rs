@@ -185,7 +185,7 @@ impl Measure {
             draw::line(&mut out, a.at_px, b.at_px, 2.0, color);
             if let Some(length) = self.distance() {
                 let (x, y) = ((a.at_px.0 + b.at_px.0) / 2.0 + 8.0, (a.at_px.1 + b.at_px.1) / 2.0 + 8.0);
-                draw::text(&mut out, x, y, &ascii_text(&length), height as f32 / 240.0, color);
+                draw::text(&mut out, x, y, &length.to_string(), height as f32 / 240.0, color);
             }
         }
         for point in &on.points {
@@ -194,11 +194,6 @@ impl Measure {
         pixels.rgba = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
         Some(pixels)
     }
-}
-
-/// The length as drawn on a still, whose font has ASCII only.
-fn ascii_text(length: &Length) -> String {
-    length.to_string().replace('±', "+-")
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 
 pub mod colorize;
 pub mod fit;
+pub mod layout;
 pub mod marks;
 pub mod nearness;
 pub mod overlay;

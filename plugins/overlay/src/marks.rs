@@ -197,12 +197,16 @@ pub fn registration(out: &mut ViewMut<'_, u8>, value: &Homography, size: (f32, f
     draw::polygon(out, &corners, pen.line_px, color);
 }
 
-/// The state of the registration as text.
-pub fn registration_words(value: &Homography, words: &mut String) {
+/// The state of the registration as text, with its numbers if wanted; without them one that is fresh says nothing.
+pub fn registration_words(value: &Homography, with_numbers: bool, words: &mut String) {
     let state = match value.state {
         abi::STATE_FRESH => "registered",
         abi::STATE_HELD => "registration held",
         _ => "registration lost",
     };
-    let _ = writeln!(words, "{state}: {} points, {:.2} px", value.inliers, value.rms_px);
+    if with_numbers {
+        let _ = writeln!(words, "{state}: {} points, {:.2} px", value.inliers, value.rms_px);
+    } else if value.state != abi::STATE_FRESH {
+        let _ = writeln!(words, "{state}");
+    }
 }

@@ -83,9 +83,12 @@ pub struct Out<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// Draws the outline of the right view and the state of the registration.
+    /// Draws the state of the registration.
     #[param(default = true)]
     pub show_registration: bool,
+    /// Draws the outline of the right view and the registration's numbers too. Without it only a registration that is held or lost is named.
+    #[param(default = true)]
+    pub show_outline: bool,
     /// Draws the rectangle of `roi`.
     #[param(default = true)]
     pub show_roi: bool,
@@ -140,6 +143,28 @@ pub struct Settings {
     pub offset_px: Vec<f64>,
 }
 
+/// Width of text in a corner, as a share of the picture's: longer lines are wrapped and leave the middle free.
+const WORDS_SHARE: f32 = 0.45;
+
+/// Breaks lines that are wider than `width_px` at spaces.
+fn wrap(words: &mut String, width_px: f32, scale: f32) {
+    let mut start = 0;
+    while start < words.len() {
+        let end = words[start..].find('\n').map_or(words.len(), |at| start + at);
+        let mut line_end = end;
+        while draw::text_size(&words[start..line_end], scale).0 > width_px {
+            match words[start..line_end].trim_end().rfind(' ') {
+                Some(at) if at > 0 => line_end = start + at,
+                _ => break,
+            }
+        }
+        if line_end < end {
+            words.replace_range(line_end..=line_end, "\n");
+        }
+        start = line_end + 1;
+    }
+}
+
 /// Draws onto pictures.
 #[derive(Default)]
 pub struct Overlay {
@@ -159,7 +184,7 @@ impl Overlay {
             let _ = writeln!(words, "{}", params.label);
         }
         if let Some(value) = input.homography.as_ref().filter(|_| params.show_registration) {
-            marks::registration_words(value, words);
+            marks::registration_words(value, params.show_outline, words);
         }
         if !params.show_numbers {
             return;
@@ -244,8 +269,9 @@ impl Node for Overlay {
         let nearness = input.nearness.filter(|_| params.show_tip);
         let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view())).filter(|_| params.show_inset);
         self.write_words(&input, params);
+        wrap(&mut self.words, frame.0 as f32 * WORDS_SHARE, params.text_scale);
         let is_sure = |item: &Detection| item.score >= params.min_score;
-        let something = homography.is_some()
+        let something = homography.is_some_and(|_| params.show_outline)
             || roi.is_some()
             || boxes.is_some_and(|b| b.items().iter().any(is_sure))
             || instances.is_some_and(|i| i.detections().items().iter().any(is_sure))
@@ -287,7 +313,7 @@ impl Node for Overlay {
         if let Some(instances) = &instances {
             marks::masks(&mut picture, instances, &pen);
         }
-        if let Some(value) = &homography {
+        if let Some(value) = homography.as_ref().filter(|_| params.show_outline) {
             marks::registration(&mut picture, value, (frame.0 as f32, frame.1 as f32), &pen);
         }
         if let Some(roi) = &roi {

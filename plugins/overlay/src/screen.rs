@@ -6,13 +6,14 @@ use panoscope_node::{
 };
 
 use crate::fit::{Fit, bytes, fitted_size};
+use crate::layout::{self, Cell, Frame, Size};
 
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The large picture: bgr8, gray8 or rgba8.
     pub main: AnyImage<'f>,
-    /// Smaller pictures, shown one below the other.
+    /// Smaller pictures, beside the large one and below it.
     pub side: Option<List<'f, AnyImage<'f>>>,
 }
 
@@ -32,8 +33,9 @@ pub struct Settings {
     /// Height of the screen.
     #[param(default = 720, range = 64..=4320, unit = "px")]
     pub height: usize,
-    /// Width of the smaller pictures, as a share of the screen's width.
-    #[param(default = 0.28, range = 0.1..=0.5, step = 0.01, unit = "ratio")]
+    /// Width of a column with all smaller pictures, as a share of the screen's width. 0 finds the arrangement that fills the screen: a column
+    /// beside the large picture, a row below it, or both.
+    #[param(default = 0.0, range = 0.0..=0.5, step = 0.01, unit = "ratio")]
     pub side_share: f32,
     /// Margin around pictures.
     #[param(default = 8, range = 0..=64, unit = "px")]
@@ -46,44 +48,47 @@ pub struct Settings {
     pub text_scale: f32,
 }
 
-/// A place on the screen, px.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Cell {
-    x: usize,
-    y: usize,
-    width: usize,
-    height: usize,
-}
-
-impl Settings {
-    fn main_cell(&self, side: usize) -> Cell {
-        let gap = self.gap_px;
-        let used = if side == 0 { 2 * gap } else { self.side_width() + 3 * gap };
-        Cell { x: gap, y: gap, width: self.width.saturating_sub(used), height: self.height.saturating_sub(2 * gap) }
-    }
-
-    fn side_width(&self) -> usize {
-        (self.width as f32 * self.side_share) as usize
-    }
-
-    fn side_cell(&self, index: usize, count: usize) -> Cell {
-        let (gap, width) = (self.gap_px, self.side_width());
-        let height = self.height.saturating_sub(gap) / count;
-        Cell {
-            x: self.width.saturating_sub(width + gap),
-            y: gap + index * height,
-            width,
-            height: height.saturating_sub(gap),
-        }
-    }
-}
-
 const BACKGROUND: u8 = 16;
+
+/// Proportions of a smaller picture that has not arrived.
+const USUAL: Size = (4, 3);
+/// A picture whose proportions change less does not move the others.
+const LEAST_CHANGE: f64 = 0.03;
 
 /// Composes the screen. A smaller picture that has not arrived leaves its cell dark.
 #[derive(Default)]
 pub struct Screen {
     fit: Fit,
+    /// Frame and proportions for which `cells` were arranged.
+    arranged: Option<(Frame, Vec<Size>)>,
+    cells: Vec<Cell>,
+}
+
+impl Screen {
+    /// Arranges the cells anew when frame or pictures have changed.
+    fn arrange(&mut self, params: &Settings, input: &In<'_>) {
+        let frame =
+            Frame { width: params.width, height: params.height, gap: params.gap_px, side_share: params.side_share };
+        let sides = input.side.as_ref().map_or(0, List::len);
+        let held = self.arranged.take().filter(|(old, sizes)| *old == frame && sizes.len() == sides + 1);
+        let (is_new, mut sizes) = match held {
+            Some((_, sizes)) => (false, sizes),
+            None => (true, vec![USUAL; sides + 1]),
+        };
+        let mut has_changed = is_new;
+        let pictures = std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
+        for (size, picture) in sizes.iter_mut().zip(pictures) {
+            let Some(new) = picture.as_ref().and_then(bytes).map(|pixels| (pixels.width, pixels.height)) else { continue };
+            let ratio = (new.0 * size.1) as f64 / (new.1 * size.0).max(1) as f64;
+            if (ratio - 1.0).abs() > LEAST_CHANGE {
+                (*size, has_changed) = (new, true);
+            }
+        }
+        if has_changed && let Some((main, others)) = sizes.split_first() {
+            layout::arrange(&frame, *main, others, &mut self.cells);
+        }
+        self.arranged = Some((frame, sizes));
+    }
 }
 
 /// Draws a picture in the middle of its cell; returns the rectangle that it covers.
@@ -115,7 +120,7 @@ impl Node for Screen {
     }
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
-        let count = input.side.as_ref().map_or(0, List::len);
+        self.arrange(params, &input);
         let mut screen = out.image.alloc(params.width, params.height)?;
         (0..params.height).for_each(|y| screen.row_mut(y).fill(BACKGROUND));
         let mut titles = params.titles.split(';').map(str::trim);
@@ -128,11 +133,11 @@ impl Node for Screen {
                 draw::text(screen, x.max(0.0), y, words, params.text_scale, [255; 3]);
             }
         };
-        let cell = params.main_cell(count);
+        let mut cells = self.cells.iter().copied();
+        let cell = cells.next().unwrap_or_default();
         let shown = show(&mut self.fit, &mut screen, &input.main, cell, format_args!("`main`"))?;
         title(&mut screen, shown);
-        for (index, picture) in input.side.iter().flat_map(List::iter).enumerate() {
-            let cell = params.side_cell(index, count);
+        for ((index, picture), cell) in input.side.iter().flat_map(List::iter).enumerate().zip(cells) {
             let shown = match picture {
                 Some(picture) => {
                     show(&mut self.fit, &mut screen, &picture, cell, format_args!("picture {index} of `side`"))?

@@ -3,9 +3,11 @@
 use std::collections::VecDeque;
 use std::fmt::Write;
 
-use panoscope_imaging::draw::{self, Color};
+use panoscope_imaging::draw::{self, Area, Color};
 use panoscope_node::abi::{Calibration, Pose, Tip};
-use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, ViewMut, error};
+use panoscope_node::{
+    Bgr8, Context, Detections, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, ViewMut, error,
+};
 
 /// Inputs.
 #[derive(Ports)]
@@ -18,6 +20,8 @@ pub struct In<'f> {
     camera_pose: Option<Value<'f, Pose>>,
     /// Calibration of the rectified views, to project positions to pixels.
     calibration: Option<Value<'f, Calibration>>,
+    /// Instruments that the box stays off.
+    detections: Option<Detections<'f>>,
 }
 
 /// Outputs.
@@ -57,7 +61,14 @@ pub struct Trajectory {
     /// Positions in the scene, mm, oldest first; none where the tip was lost.
     positions: VecDeque<Option<Point>>,
     words: String,
+    /// Corner in which the box stands.
+    corner: usize,
 }
+
+/// Corners in which the box may stand, best first: whether it stands right, and below. Words stand in the others.
+const CORNERS: [(bool, bool); 3] = [(true, true), (false, true), (true, false)];
+/// Distance that a tip keeps from the box, px.
+const TIP_ROOM_PX: f32 = 24.0;
 
 /// A pose as rows of a rotation, and a translation, mm.
 struct Frame {
@@ -92,6 +103,13 @@ impl Frame {
     }
 }
 
+/// Upper left corner of a box of `size` px in a corner of a picture of `frame`.
+fn place_of(corner: usize, frame: (f32, f32), size: f32) -> (f32, f32) {
+    let (is_right, is_below) = CORNERS[corner % CORNERS.len()];
+    let at = |is_far: bool, length: f32| if is_far { length - size - 6.0 } else { 6.0 };
+    (at(is_right, frame.0), at(is_below, frame.1))
+}
+
 /// Colours from blue (oldest) to yellow (newest).
 fn color(age: f32) -> Color {
     let new = 1.0 - age.clamp(0.0, 1.0);
@@ -113,6 +131,21 @@ impl Trajectory {
         two.filter_map(move |(index, (a, b))| Some(((*a)?, (*b)?, 1.0 - (index + 1) as f32 / (count - 1.0))))
     }
 
+    /// Chooses the corner in which a box of `size` px covers least of what is `taken` in a picture of `frame`. It moves only when it covers
+    /// something and another corner has much less of it.
+    fn choose_corner(&mut self, frame: (f32, f32), size: f32, taken: &[Area]) {
+        let covered = |corner: usize| -> f32 {
+            let (x, y) = place_of(corner, frame, size);
+            let overlap = |a: f32, length: f32, b: f32, other: f32| ((a + length).min(b + other) - a.max(b)).max(0.0);
+            taken.iter().map(|t| overlap(x, size, t.x, t.width) * overlap(y, size, t.y, t.height)).sum()
+        };
+        let now = covered(self.corner);
+        let best = (0..CORNERS.len()).min_by(|a, b| covered(*a).total_cmp(&covered(*b))).unwrap_or(0);
+        if now > 0.02 * size * size && covered(best) < 0.5 * now {
+            self.corner = best;
+        }
+    }
+
     /// The trajectory in a box of whole centimetres, seen from above and from the side, with its shadow on the floor.
     fn draw_box(&mut self, out: &mut ViewMut<'_, u8>, settings: &Settings) {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
@@ -126,8 +159,8 @@ impl Trajectory {
         let side_mm = (side_mm / 10.0).ceil() * 10.0;
         let middle: Point = std::array::from_fn(|k| (low[k] + high[k]) / 2.0);
         let size = out.width as f32 * settings.box_share;
-        let (left, top) = (out.width as f32 - size - 6.0, out.height as f32 - size - 6.0);
-        if top < 0.0 {
+        let (left, top) = place_of(self.corner, (out.width as f32, out.height as f32), size);
+        if top < 0.0 || left < 0.0 {
             return;
         }
         draw::fill_rectangle(out, left as i32, top as i32, size as i32, size as i32, [0; 3], 0.55);
@@ -165,7 +198,7 @@ impl Node for Trajectory {
     type Params = Settings;
 
     fn open(_: &Open<'_>, settings: &Settings) -> Result<Self> {
-        Ok(Self { positions: VecDeque::with_capacity(settings.length), words: String::with_capacity(64) })
+        Ok(Self { positions: VecDeque::with_capacity(settings.length), words: String::with_capacity(64), corner: 0 })
     }
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, settings: &Settings) -> Result<()> {
@@ -197,8 +230,46 @@ impl Node for Trajectory {
             }
         }
         if settings.show_box {
+            let mut taken = [Area::default(); 17];
+            let mut count = 0;
+            let tip_px = input.tip.as_ref().map(|tip| (tip.u_px as f32, tip.v_px as f32));
+            if let Some((u, v)) = tip_px.filter(|(u, v)| u.is_finite() && v.is_finite()) {
+                let (x, y, length) = (u - TIP_ROOM_PX, v - TIP_ROOM_PX, 2.0 * TIP_ROOM_PX);
+                taken[0] = Area { x, y, width: length, height: length };
+                count = 1;
+            }
+            let boxes = input.detections.iter().flat_map(|d| d.items());
+            for (place, item) in taken[count..].iter_mut().zip(boxes) {
+                *place = Area { x: item.x_px, y: item.y_px, width: item.width_px, height: item.height_px };
+                count += 1;
+            }
+            let frame = (picture.width as f32, picture.height as f32);
+            self.choose_corner(frame, frame.0 * settings.box_share, &taken[..count]);
             self.draw_box(&mut picture, settings);
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_box_leaves_what_it_covers_and_stays_where_it_covers_nothing() {
+        let mut drawn = Trajectory { positions: VecDeque::new(), words: String::new(), corner: 0 };
+        let (frame, size) = ((640.0, 480.0), 192.0);
+        let area = |x: f32, y: f32, width: f32, height: f32| Area { x, y, width, height };
+        drawn.choose_corner(frame, size, &[area(100.0, 100.0, 200.0, 100.0)]);
+        assert_eq!(drawn.corner, 0, "nothing is covered");
+        drawn.choose_corner(frame, size, &[area(400.0, 250.0, 240.0, 230.0)]);
+        assert_eq!(CORNERS[drawn.corner], (false, true), "an instrument comes from the lower right");
+        drawn.choose_corner(frame, size, &[area(100.0, 100.0, 50.0, 50.0)]);
+        assert_eq!(CORNERS[drawn.corner], (false, true), "it does not jump back");
+        drawn.choose_corner(frame, size, &[area(0.0, 250.0, 640.0, 230.0)]);
+        assert_eq!(CORNERS[drawn.corner], (true, false));
+        // Not a number.
+        drawn.choose_corner(frame, size, &[area(f32::NAN, 0.0, f32::NAN, 9.0)]);
+        assert_eq!(CORNERS[drawn.corner], (true, false));
     }
 }

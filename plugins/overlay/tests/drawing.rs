@@ -168,6 +168,28 @@ fn the_outline_of_the_right_view_vanishes_when_lost() {
 }
 
 #[test]
+fn without_its_outline_only_a_registration_that_is_not_fresh_is_named() {
+    let bounds = |state| {
+        let out = overlay("show_outline = false").input_value("homography", shift(150.0, state)).process().unwrap();
+        changed(&out.plane::<Bgr8>("image").unwrap())
+    };
+    assert_eq!(bounds(STATE_FRESH), None);
+    let (_, _, right, bottom) = bounds(STATE_LOST).expect("it says that it is lost");
+    assert!(right < SIZE.0 / 2 + 40 && bottom < SIZE.1 / 4, "{right} {bottom}");
+}
+
+#[test]
+fn long_words_leave_the_middle_free() {
+    let words = "the arm follows the tip of the instrument at a distance of 66 mm from the camera";
+    let out = overlay("text_scale = 1.0").input_text("text", words).process().unwrap();
+    let (_, _, right, bottom) = changed(&out.plane::<Bgr8>("image").unwrap()).expect("it writes them");
+    assert!(right < SIZE.0 / 2 && bottom > 30, "{right} {bottom}");
+    // A word without a space stays whole.
+    let out = overlay("text_scale = 1.0").input_text("text", &"m".repeat(60)).process().unwrap();
+    assert!(changed(&out.plane::<Bgr8>("image").unwrap()).unwrap().2 > SIZE.0 / 2);
+}
+
+#[test]
 fn words_stand_in_their_corner() {
     let scalar = Scalar { value: 12.5, name: name32("distance"), unit: name16("mm") };
     for (corner, right, bottom) in [

@@ -7,6 +7,7 @@ mod colormap;
 mod font;
 mod labels;
 mod overlay;
+mod rims;
 mod shapes;
 mod surface;
 mod text;

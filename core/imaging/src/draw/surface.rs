@@ -2,6 +2,7 @@
 //!
 //! Angles go through the platform's sine: unlike the rest of this module, bytes may differ between machines.
 
+use super::rims::{self, Rims};
 use super::{Color, line, text};
 use crate::ViewMut;
 
@@ -91,18 +92,22 @@ pub struct SurfacePainter {
     corners: Vec<Corner>,
     depth: Vec<f32>,
     sorted: Vec<f32>,
+    rims: Rims,
 }
 
+/// A point of the surface.
 #[derive(Clone, Copy)]
-struct Corner {
+pub struct Corner {
     /// Pixel and depth from the viewer; NaN where unknown.
-    place: [f32; 3],
+    pub place: [f32; 3],
     /// Place in the camera's frame, mm.
-    world: [f32; 3],
-    color: Color,
+    pub world: [f32; 3],
+    pub color: Color,
+    /// Brightness, 0 to 1.
+    pub light: f32,
 }
 
-const NOWHERE: Corner = Corner { place: [f32::NAN; 3], world: [f32::NAN; 3], color: [0; 3] };
+pub const NOWHERE: Corner = Corner { place: [f32::NAN; 3], world: [f32::NAN; 3], color: [0; 3], light: 1.0 };
 const BACKGROUND: u8 = 18;
 
 /// Median of what is known, sampled.
@@ -163,17 +168,20 @@ impl SurfacePainter {
             for i in 0..w {
                 if let Some((p, color)) = points.at(i * step, j * step) {
                     let place = projection.project(p);
-                    self.corners[j * w + i] = Corner { place, world: p, color };
+                    self.corners[j * w + i] = Corner { place, world: p, color, light: 1.0 };
                 }
             }
         }
+        self.rims.clean(&mut self.corners, w, orbit.max_slope);
+        let [(sy, cy), (sp, cp)] = turn;
+        rims::light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
         self.depth.resize(out.width * out.height, f32::INFINITY);
         for j in 0..h - 1 {
             for i in 0..w - 1 {
                 let at = j * w + i;
                 let [a, b, c, d] = [at, at + 1, at + w, at + w + 1].map(|k| self.corners[k]);
-                self.triangle(out, orbit, turn, [a, b, c]);
-                self.triangle(out, orbit, turn, [b, d, c]);
+                self.triangle(out, orbit.max_slope, [a, b, c]);
+                self.triangle(out, orbit.max_slope, [b, d, c]);
             }
         }
         let length = ruler_mm(out.width as f32 / scale);
@@ -198,22 +206,14 @@ impl SurfacePainter {
         self.sorted.get(self.sorted.len() * 98 / 100).copied().unwrap_or(1.0)
     }
 
-    /// `turn` is sine and cosine of yaw and of pitch.
-    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, orbit: &Orbit, turn: [(f32, f32); 2], t: [Corner; 3]) {
+    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, max_slope: f32, t: [Corner; 3]) {
         if t.iter().any(|c| c.place[0].is_nan()) {
             return;
         }
-        let edge = |a: [f32; 3], b: [f32; 3]| [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
-        let (e1, e2) = (edge(t[0].world, t[1].world), edge(t[0].world, t[2].world));
-        let steep = |e: [f32; 3]| e[2].abs() > orbit.max_slope * (e[0].hypot(e[1])).max(1e-6);
-        if steep(e1) || steep(e2) || steep(edge(t[1].world, t[2].world)) {
+        let is_steep = |a: usize, b: usize| rims::is_steep(t[a].world, t[b].world, max_slope);
+        if is_steep(0, 1) || is_steep(0, 2) || is_steep(1, 2) {
             return;
         }
-        let normal = [e1[1] * e2[2] - e1[2] * e2[1], e1[2] * e2[0] - e1[0] * e2[2], e1[0] * e2[1] - e1[1] * e2[0]];
-        let norm = (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]).sqrt().max(1e-12);
-        let [(sy, cy), (sp, cp)] = turn;
-        let facing = ((cp * (cy * normal[2] - sy * normal[0]) + sp * normal[1]) / norm).abs();
-        let light = 1.0 - orbit.shading + orbit.shading * facing;
         let [p, q, r] = [t[0].place, t[1].place, t[2].place];
         let area = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
         if area.abs() < 1e-6 {
@@ -237,6 +237,7 @@ impl SurfacePainter {
                 let held = &mut self.depth[y * out.width + x];
                 if z < *held {
                     *held = z;
+                    let light = t[0].light + u * (t[1].light - t[0].light) + v * (t[2].light - t[0].light);
                     let pixel = &mut out.row_mut(y)[3 * x..3 * x + 3];
                     for (k, value) in pixel.iter_mut().enumerate() {
                         let [a, b, c] = [t[0].color[k], t[1].color[k], t[2].color[k]].map(f32::from);
