@@ -78,7 +78,9 @@ impl Screen {
         let mut has_changed = is_new;
         let pictures = std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
         for (size, picture) in sizes.iter_mut().zip(pictures) {
-            let Some(new) = picture.as_ref().and_then(bytes).map(|pixels| (pixels.width, pixels.height)) else { continue };
+            let Some(new) = picture.as_ref().and_then(bytes).map(|pixels| (pixels.width, pixels.height)) else {
+                continue;
+            };
             let ratio = (new.0 * size.1) as f64 / (new.1 * size.0).max(1) as f64;
             if (ratio - 1.0).abs() > LEAST_CHANGE {
                 (*size, has_changed) = (new, true);

@@ -129,7 +129,7 @@ fn labels_of_two_boxes_and_a_tip_do_not_cover_each_other() {
     };
     let (box_alone, _) = inked(&[outer], false);
     let (_, tip_alone) = inked(&[], true);
-    assert!(box_alone > 1000 && tip_alone > 100, "{box_alone} {tip_alone}");
+    assert!(box_alone > 800 && tip_alone > 100, "{box_alone} {tip_alone}");
     assert_eq!(inked(&[outer, inner], false).0, box_alone, "the other label lies on it");
     assert_eq!(inked(&[outer, inner], true), (box_alone, tip_alone), "labels and tip lie on each other");
 }

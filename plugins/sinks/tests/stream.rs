@@ -59,7 +59,8 @@ impl Source {
     fn show_until(&mut self, what: &str, mut done: impl FnMut(&mut Self) -> bool) {
         let end = Instant::now() + PATIENCE;
         while !done(self) {
-            assert!(Instant::now() < end, "{what}");
+            let counts = ["consumers", "frames", "held_back"].map(|name| self.metric(name));
+            assert!(Instant::now() < end, "{what}: consumers, frames, held back: {counts:?}");
             self.show();
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -108,6 +109,14 @@ impl Client {
             self.numbers.extend(picture.number());
         }
         self.numbers.len()
+    }
+
+    /// What the pipeline says of itself.
+    fn state(&self) -> String {
+        let bus = self.pipeline.bus().unwrap();
+        let said = bus.iter_filtered(&[gstreamer::MessageType::Error, gstreamer::MessageType::Warning]);
+        let words: Vec<String> = said.map(|message| format!("{:?}", message.view())).collect();
+        format!("{:?}, {} pictures, {words:?}", self.pipeline.state(ClockTime::ZERO).1, self.numbers.len())
     }
 
     fn ended(&self) -> bool {
@@ -188,7 +197,11 @@ fn a_stalled_client_holds_up_neither_the_graph_nor_others() {
     // Asks for the stream and reads nothing more.
     let stalled = Client::connect(port, "/live", "tcp");
     let mut good = Client::connect(port, "/live", "tcp");
-    source.show_until("both play", |source| good.look() >= 10 && source.metric("consumers") == 2);
+    let begin = Instant::now();
+    source.show_until("both play", |source| {
+        assert!(begin.elapsed() < PATIENCE / 2, "good: {}; stalled: {}", good.state(), stalled.state());
+        good.look() >= 10 && source.metric("consumers") == 2
+    });
     stalled.pipeline.set_state(State::Paused).unwrap();
     source.longest_call = Duration::ZERO;
     let before = good.look();

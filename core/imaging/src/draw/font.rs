@@ -98,7 +98,12 @@ fn draw(key: Key) -> Letter {
         }
     });
     let outline = widened(&ink, width, height, radius);
-    Letter { at: [bounds.min.x as i32 - room as i32, bounds.min.y as i32 - room as i32], size: [width, height], ink, outline }
+    Letter {
+        at: [bounds.min.x as i32 - room as i32, bounds.min.y as i32 - room as i32],
+        size: [width, height],
+        ink,
+        outline,
+    }
 }
 
 /// Each pixel's largest neighbour within `radius`, its edge smooth.

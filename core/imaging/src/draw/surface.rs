@@ -110,6 +110,24 @@ pub struct Corner {
 pub const NOWHERE: Corner = Corner { place: [f32::NAN; 3], world: [f32::NAN; 3], color: [0; 3], light: 1.0 };
 const BACKGROUND: u8 = 18;
 
+/// The known point nearest to a column and row, at most `reach` away in each direction: a single point that is unknown is no hole.
+fn nearest(points: &dyn SurfacePoints, (x, y): (usize, usize), reach: usize) -> Option<([f32; 3], Color)> {
+    if let Some(point) = points.at(x, y) {
+        return Some(point);
+    }
+    let (width, height) = points.size();
+    for r in 1..=reach {
+        let (left, right) = (x.saturating_sub(r), (x + r).min(width - 1));
+        let (top, bottom) = (y.saturating_sub(r), (y + r).min(height - 1));
+        let places =
+            [(x, top), (left, y), (right, y), (x, bottom), (left, top), (right, top), (left, bottom), (right, bottom)];
+        if let Some(point) = places.into_iter().find_map(|(x, y)| points.at(x, y)) {
+            return Some(point);
+        }
+    }
+    None
+}
+
 /// Median of what is known, sampled.
 fn median(points: &dyn SurfacePoints, axis: usize, sorted: &mut Vec<f32>) -> Option<f32> {
     let (width, height) = points.size();
@@ -166,7 +184,7 @@ impl SurfacePainter {
         self.corners.resize(w * h, NOWHERE);
         for j in 0..h {
             for i in 0..w {
-                if let Some((p, color)) = points.at(i * step, j * step) {
+                if let Some((p, color)) = nearest(points, (i * step, j * step), step / 2) {
                     let place = projection.project(p);
                     self.corners[j * w + i] = Corner { place, world: p, color, light: 1.0 };
                 }

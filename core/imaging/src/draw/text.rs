@@ -94,7 +94,8 @@ mod tests {
     #[test]
     fn text_beyond_the_picture_is_cut() {
         let (w, h) = (40, 20);
-        for (x, y) in [(-12.5, 4.0), (30.2, 4.0), (3.0, -9.0), (3.0, 15.0), (1e9, 0.0), (f32::NAN, 0.0), (-900.0, 3.0)] {
+        for (x, y) in [(-12.5, 4.0), (30.2, 4.0), (3.0, -9.0), (3.0, 15.0), (1e9, 0.0), (f32::NAN, 0.0), (-900.0, 3.0)]
+        {
             let mut data = vec![128u8; w * h * 3];
             text(&mut ViewMut::new(&mut data, w, h, 3), x, y, "Wide 12.5 ±0.3 mm\nand more", 2.0, [255; 3]);
         }

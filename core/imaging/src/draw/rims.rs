@@ -1,0 +1,245 @@
+//! Where a surface ends: corners that lie between two surfaces, islands and ragged rims are taken out; and the light on what is left.
+
+use super::surface::{Corner, NOWHERE};
+
+/// Corners over which a slope and a normal are measured, to each side.
+const REACH: usize = 2;
+/// Steepest rise over that distance, as a share of the largest slope between neighbours: smoothing draws a step out into a ramp.
+const RAMP_SHARE: f32 = 0.4;
+/// Smallest piece of a surface, as a share of all corners.
+const LEAST_PIECE: f32 = 0.004;
+/// Neighbours of eight that a corner of a rim has.
+const LEAST_NEIGHBOURS: usize = 4;
+/// Corners along the picture's edge that need a known one further in.
+const EDGE: usize = 2;
+/// How often rims are smoothed.
+const ROUNDS: usize = 3;
+
+/// Cleans rims; keeps its memory.
+#[derive(Default)]
+pub struct Rims {
+    is_out: Vec<bool>,
+    piece: Vec<u32>,
+    open: Vec<usize>,
+}
+
+fn is_known(corner: &Corner) -> bool {
+    !corner.place[0].is_nan()
+}
+
+/// Whether two corners rise more steeply than `slope`.
+pub fn is_steep(a: [f32; 3], b: [f32; 3], slope: f32) -> bool {
+    (b[2] - a[2]).abs() > slope * (b[0] - a[0]).hypot(b[1] - a[1]).max(1e-6)
+}
+
+impl Rims {
+    /// Takes corners out of a grid of `width` that do not belong to a surface: those on a ramp between two depths, pieces that are too small, and
+    /// teeth of rims. Holes stay holes.
+    pub fn clean(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
+        self.cut_edges(corners, width);
+        self.cut_ramps(corners, width, max_slope);
+        for _ in 0..ROUNDS {
+            self.cut_teeth(corners, width);
+        }
+        self.cut_islands(corners, width, max_slope);
+    }
+
+    fn take_out(&mut self, corners: &mut [Corner]) {
+        corners.iter_mut().zip(&self.is_out).filter(|(_, out)| **out).for_each(|(corner, _)| *corner = NOWHERE);
+    }
+
+    /// Takes out what is known along the picture's edge only: a filter spreads depths there.
+    fn cut_edges(&mut self, corners: &mut [Corner], width: usize) {
+        let height = corners.len() / width;
+        if width <= 2 * EDGE || height <= 2 * EDGE {
+            return;
+        }
+        self.is_out.clear();
+        self.is_out.extend((0..corners.len()).map(|at| {
+            let inward = |at: usize, end: usize| at.clamp(EDGE, end - 1 - EDGE);
+            let inner = inward(at / width, height) * width + inward(at % width, width);
+            !is_known(&corners[inner])
+        }));
+        self.take_out(corners);
+    }
+
+    fn cut_ramps(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
+        let height = corners.len() / width;
+        self.is_out.clear();
+        self.is_out.resize(corners.len(), false);
+        let slope = RAMP_SHARE * max_slope;
+        for at in 0..corners.len() {
+            let (x, y) = (at % width, at / width);
+            let pair = |before: Option<usize>, after: Option<usize>| {
+                let (Some(a), Some(b)) = (before, after) else { return false };
+                let (a, b) = (&corners[a], &corners[b]);
+                is_known(a) && is_known(b) && is_steep(a.world, b.world, slope)
+            };
+            let across = pair(x.checked_sub(REACH).map(|_| at - REACH), (x + REACH < width).then_some(at + REACH));
+            let down = pair(
+                y.checked_sub(REACH).map(|_| at - REACH * width),
+                (y + REACH < height).then_some(at + REACH * width),
+            );
+            self.is_out[at] = across || down;
+        }
+        self.take_out(corners);
+    }
+
+    fn cut_teeth(&mut self, corners: &mut [Corner], width: usize) {
+        let height = corners.len() / width;
+        self.is_out.clear();
+        self.is_out.resize(corners.len(), false);
+        for at in (0..corners.len()).filter(|at| is_known(&corners[*at])) {
+            let (x, y) = ((at % width) as isize, (at / width) as isize);
+            let mut count = 0;
+            for (dx, dy) in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)] {
+                // The picture's own edge is no rim: what lies beyond it is like what lies opposite.
+                let mirrored = |at: isize, step: isize, end: usize| {
+                    if (0..end as isize).contains(&(at + step)) { at + step } else { at - step }
+                };
+                let (x, y) = (mirrored(x, dx, width), mirrored(y, dy, height));
+                count += usize::from(is_known(&corners[y as usize * width + x as usize]));
+            }
+            self.is_out[at] = count < LEAST_NEIGHBOURS;
+        }
+        self.take_out(corners);
+    }
+
+    fn cut_islands(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
+        let height = corners.len() / width;
+        let least = (corners.len() as f32 * LEAST_PIECE) as usize;
+        self.piece.clear();
+        self.piece.resize(corners.len(), 0);
+        self.is_out.clear();
+        self.is_out.resize(corners.len(), false);
+        for start in 0..corners.len() {
+            if self.piece[start] != 0 || !is_known(&corners[start]) {
+                continue;
+            }
+            self.open.clear();
+            self.open.push(start);
+            self.piece[start] = 1;
+            let mut next = 0;
+            while let Some(&at) = self.open.get(next) {
+                next += 1;
+                let (x, y) = (at % width, at / width);
+                let near = [
+                    (x > 0).then(|| at - 1),
+                    (x + 1 < width).then(|| at + 1),
+                    (y > 0).then(|| at - width),
+                    (y + 1 < height).then(|| at + width),
+                ];
+                for to in near.into_iter().flatten() {
+                    let is_linked =
+                        is_known(&corners[to]) && !is_steep(corners[at].world, corners[to].world, max_slope);
+                    if self.piece[to] == 0 && is_linked {
+                        self.piece[to] = 1;
+                        self.open.push(to);
+                    }
+                }
+            }
+            if self.open.len() < least {
+                self.open.iter().for_each(|at| self.is_out[*at] = true);
+            }
+        }
+        self.take_out(corners);
+    }
+}
+
+/// Lights each corner by the normal of what is around it: `shading` darkens what turns away from a viewer along `view` (a unit vector).
+pub fn light(corners: &mut [Corner], width: usize, view: [f32; 3], shading: f32) {
+    let height = corners.len() / width;
+    for at in 0..corners.len() {
+        if !is_known(&corners[at]) {
+            continue;
+        }
+        let (x, y) = (at % width, at / width);
+        // From the farthest known corner on one side to that on the other.
+        let span = |step: usize, before: usize, after: usize| {
+            let known = |side: &dyn Fn(usize) -> usize, most: usize| {
+                let reach = (1..=most).take_while(|k| is_known(&corners[side(*k)])).last();
+                reach.map_or(at, side)
+            };
+            let a = corners[known(&|k| at - k * step, before.min(REACH))].world;
+            let b = corners[known(&|k| at + k * step, after.min(REACH))].world;
+            [b[0] - a[0], b[1] - a[1], b[2] - a[2]]
+        };
+        let (across, down) = (span(1, x, width - 1 - x), span(width, y, height - 1 - y));
+        let normal = [
+            across[1] * down[2] - across[2] * down[1],
+            across[2] * down[0] - across[0] * down[2],
+            across[0] * down[1] - across[1] * down[0],
+        ];
+        let length = normal.iter().map(|v| v * v).sum::<f32>().sqrt();
+        let facing = normal.iter().zip(view).map(|(n, v)| n * v).sum::<f32>().abs() / length;
+        corners[at].light = if length > 1e-12 { 1.0 - shading + shading * facing } else { 1.0 };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIDE: usize = 40;
+
+    /// Corners 0.5 mm apart with the given depths, mm; NaN where unknown.
+    fn grid(depth: impl Fn(usize, usize) -> f32) -> Vec<Corner> {
+        (0..SIDE * SIDE)
+            .map(|at| {
+                let (x, y) = (at % SIDE, at / SIDE);
+                let world = [x as f32 * 0.5, y as f32 * 0.5, depth(x, y)];
+                if world[2].is_nan() { NOWHERE } else { Corner { place: world, world, color: [9; 3], light: 1.0 } }
+            })
+            .collect()
+    }
+
+    fn known(corners: &[Corner], x: usize, y: usize) -> bool {
+        is_known(&corners[y * SIDE + x])
+    }
+
+    #[test]
+    fn the_ramp_between_two_depths_is_cut_and_both_stay() {
+        // 20 mm in 8 corners: each step alone is no steeper than a surface may be.
+        let mut corners = grid(|x, _| 50.0 + 2.5 * (x as f32 - 16.0).clamp(0.0, 8.0));
+        assert!(!is_steep(corners[17].world, corners[18].world, 6.0));
+        Rims::default().clean(&mut corners, SIDE, 6.0);
+        assert!((17..24).all(|x| !known(&corners, x, 20)), "the ramp");
+        assert!((0..13).all(|x| known(&corners, x, 20)) && (28..SIDE).all(|x| known(&corners, x, 20)));
+    }
+
+    #[test]
+    fn a_slanted_surface_stays_whole() {
+        let mut corners = grid(|x, y| 40.0 + 0.8 * x as f32 + 0.3 * y as f32);
+        Rims::default().clean(&mut corners, SIDE, 6.0);
+        assert!(corners.iter().all(is_known));
+    }
+
+    #[test]
+    fn islands_and_teeth_go_and_holes_stay() {
+        let is_tooth = |x: usize, y: usize| x == 30 && (4..20).contains(&y) || x >= SIDE - 2;
+        let is_island = |x: usize, y: usize| (34..36).contains(&x) && (30..32).contains(&y);
+        let is_hole = |x: usize, y: usize| (8..16).contains(&x) && (8..16).contains(&y);
+        let mut corners = grid(|x, y| {
+            let is_there = (x < 28 && !is_hole(x, y)) || is_tooth(x, y) || is_island(x, y);
+            if is_there { 50.0 } else { f32::NAN }
+        });
+        Rims::default().clean(&mut corners, SIDE, 6.0);
+        assert!(!known(&corners, SIDE - 1, 12), "a thread along the picture's edge");
+        assert!(!known(&corners, 30, 10) && !known(&corners, 34, 30) && !known(&corners, 12, 12));
+        assert!(known(&corners, 2, 2) && known(&corners, 27, 20) && known(&corners, 18, 12));
+    }
+
+    #[test]
+    fn what_turns_away_is_darker_and_terraces_are_not_seen() {
+        let lit = |slope: f32| {
+            // Depths in terraces of two corners.
+            let mut corners = grid(|x, _| 50.0 + slope * (x / 2) as f32);
+            light(&mut corners, SIDE, [0.0, 0.0, 1.0], 0.6);
+            corners.iter().skip(20 * SIDE + 4).take(SIDE - 8).map(|c| c.light).collect::<Vec<f32>>()
+        };
+        assert!(lit(0.0).iter().all(|l| (l - 1.0).abs() < 1e-3));
+        let slanted = lit(1.0);
+        assert!(slanted.iter().all(|l| (0.75..0.9).contains(l)), "{slanted:?}");
+        assert!(slanted.iter().all(|l| (l - slanted[0]).abs() < 0.01), "{slanted:?}");
+    }
+}
