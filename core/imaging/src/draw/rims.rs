@@ -11,7 +11,7 @@ const LEAST_PIECE: f32 = 0.004;
 /// Neighbours of eight that a corner of a rim has.
 const LEAST_NEIGHBOURS: usize = 4;
 /// Corners along the picture's edge that need a known one further in.
-const EDGE: usize = 2;
+const EDGE: usize = 4;
 /// How often rims are smoothed.
 const ROUNDS: usize = 3;
 
