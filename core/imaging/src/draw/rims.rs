@@ -10,8 +10,8 @@ const RAMP_SHARE: f32 = 0.4;
 const LEAST_PIECE: f32 = 0.004;
 /// Neighbours of eight that a corner of a rim has.
 const LEAST_NEIGHBOURS: usize = 4;
-/// Corners along the picture's edge that need a known one further in.
-const EDGE: usize = 4;
+/// Corners in a row, from the picture's edge inward, that a surface has at least.
+const EDGE: usize = 6;
 /// How often rims are smoothed.
 const ROUNDS: usize = 3;
 
@@ -36,7 +36,7 @@ impl Rims {
     /// Takes corners out of a grid of `width` that do not belong to a surface: those on a ramp between two depths, pieces that are too small, and
     /// teeth of rims. Holes stay holes.
     pub fn clean(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
-        self.cut_edges(corners, width);
+        self.cut_edges(corners, width, max_slope);
         self.cut_ramps(corners, width, max_slope);
         for _ in 0..ROUNDS {
             self.cut_teeth(corners, width);
@@ -48,18 +48,31 @@ impl Rims {
         corners.iter_mut().zip(&self.is_out).filter(|(_, out)| **out).for_each(|(corner, _)| *corner = NOWHERE);
     }
 
-    /// Takes out what is known along the picture's edge only: a filter spreads depths there.
-    fn cut_edges(&mut self, corners: &mut [Corner], width: usize) {
+    /// Takes out narrow strips along the picture's edge: a filter spreads depths there.
+    fn cut_edges(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
         let height = corners.len() / width;
-        if width <= 2 * EDGE || height <= 2 * EDGE {
-            return;
-        }
         self.is_out.clear();
-        self.is_out.extend((0..corners.len()).map(|at| {
-            let inward = |at: usize, end: usize| at.clamp(EDGE, end - 1 - EDGE);
-            let inner = inward(at / width, height) * width + inward(at % width, width);
-            !is_known(&corners[inner])
-        }));
+        self.is_out.resize(corners.len(), false);
+        // From the edge inward: `start`, a step and the number of corners.
+        let mut cut = |start: usize, step: isize, count: usize| {
+            let at = |k: usize| start.wrapping_add_signed(step * k as isize);
+            let is_linked = |k: usize| {
+                let (a, b) = (&corners[at(k - 1)], &corners[at(k)]);
+                is_known(a) && is_known(b) && !is_steep(a.world, b.world, max_slope)
+            };
+            let run = 1 + (1..count).take_while(|k| is_linked(*k)).count();
+            if run < EDGE.min(count) {
+                (0..run).for_each(|k| self.is_out[at(k)] = true);
+            }
+        };
+        for y in 0..height {
+            cut(y * width, 1, width);
+            cut(y * width + width - 1, -1, width);
+        }
+        for x in 0..width {
+            cut(x, width as isize, height);
+            cut((height - 1) * width + x, -(width as isize), height);
+        }
         self.take_out(corners);
     }
 
@@ -216,7 +229,7 @@ mod tests {
 
     #[test]
     fn islands_and_teeth_go_and_holes_stay() {
-        let is_tooth = |x: usize, y: usize| x == 30 && (4..20).contains(&y) || x >= SIDE - 2;
+        let is_tooth = |x: usize, y: usize| x == 30 && (4..20).contains(&y);
         let is_island = |x: usize, y: usize| (34..36).contains(&x) && (30..32).contains(&y);
         let is_hole = |x: usize, y: usize| (8..16).contains(&x) && (8..16).contains(&y);
         let mut corners = grid(|x, y| {
@@ -224,9 +237,23 @@ mod tests {
             if is_there { 50.0 } else { f32::NAN }
         });
         Rims::default().clean(&mut corners, SIDE, 6.0);
-        assert!(!known(&corners, SIDE - 1, 12), "a thread along the picture's edge");
         assert!(!known(&corners, 30, 10) && !known(&corners, 34, 30) && !known(&corners, 12, 12));
         assert!(known(&corners, 2, 2) && known(&corners, 27, 20) && known(&corners, 18, 12));
+    }
+
+    #[test]
+    fn a_strip_along_the_edge_goes_though_it_hangs_on_the_surface() {
+        // An instrument leaves the picture; beside it, along the edge, depths fade from the tissue's to its own.
+        let is_instrument = |y: usize| (14..26).contains(&y);
+        let mut corners = grid(|x, y| match (x, y) {
+            (36.., 14..20) => 70.0 - 0.5 * (y - 14) as f32,
+            (36.., 20..26) => 70.0 - 0.5 * (26 - y) as f32,
+            (20.., y) if is_instrument(y) => 40.0,
+            _ => 70.0,
+        });
+        Rims::default().clean(&mut corners, SIDE, 6.0);
+        assert!((17..23).all(|y| !known(&corners, SIDE - 1, y)), "the strip");
+        assert!(known(&corners, 28, 20) && known(&corners, SIDE - 1, 5) && known(&corners, SIDE - 1, 34));
     }
 
     #[test]
