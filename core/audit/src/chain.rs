@@ -42,7 +42,7 @@ pub(crate) struct Line {
 impl Line {
     /// The line after `end`.
     pub fn after(end: &End, unix_ms: i64, event: Event) -> Self {
-        Self { number: end.number + 1, unix_ms, before: end.hash.clone(), event }
+        Self { number: end.number.saturating_add(1), unix_ms, before: end.hash.clone(), event }
     }
 
     /// The text with its hash and a line feed, and the end of the chain that it makes.
@@ -70,7 +70,7 @@ impl Line {
 
     /// Whether the line follows `end`.
     pub fn follows(&self, end: &End) -> bool {
-        self.before == end.hash && self.number == end.number + 1
+        self.before == end.hash && end.number.checked_add(1) == Some(self.number)
     }
 }
 

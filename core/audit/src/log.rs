@@ -67,7 +67,9 @@ impl Head {
 
     /// The head of the log in `folder`; `None` where there is none, or it is damaged.
     pub fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_slice(&fs::read(folder.join(HEAD)).ok()?).ok()
+        let head: Self = serde_json::from_slice(&fs::read(folder.join(HEAD)).ok()?).ok()?;
+        // A name that leads elsewhere would make the log go on in a file of somebody else.
+        read::is_log(&head.file).then_some(head)
     }
 }
 

@@ -21,8 +21,15 @@ pub struct Entry {
 }
 
 impl fmt::Display for Entry {
+    /// One line: control characters of names and reasons, which somebody may have put into the log, are escaped.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:>6}  {} UTC  {}", self.number, date_and_time(self.unix_ms), self.event)
+        let event: String = self
+            .event
+            .to_string()
+            .chars()
+            .map(|c| if c.is_control() { c.escape_default().to_string() } else { c.to_string() })
+            .collect();
+        write!(f, "{:>6}  {} UTC  {event}", self.number, date_and_time(self.unix_ms))
     }
 }
 
@@ -57,6 +64,11 @@ pub struct Report {
     pub last: Option<(u64, String)>,
 }
 
+/// Whether this is the name of a file of a log, without a folder.
+pub(crate) fn is_log(name: &str) -> bool {
+    name.starts_with("audit-") && name.ends_with(".jsonl") && !name.contains('/')
+}
+
 /// The files of a log in their order.
 pub(crate) fn files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let entries = match fs::read_dir(folder) {
@@ -67,7 +79,7 @@ pub(crate) fn files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     files.retain(|file| {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
-        name.starts_with("audit-") && name.ends_with(".jsonl") && file.is_file()
+        is_log(&name) && file.is_file()
     });
     files.sort();
     Ok(files)
@@ -110,7 +122,7 @@ impl Checker {
         self.give_up_broken();
         if let Some(before) = self.end.take().filter(|before| !line.follows(before)) {
             let message = match line.number {
-                n if n > before.number + 1 => {
+                n if n > before.number.saturating_add(1) => {
                     format!("lines {} to {} are missing before this one", before.number + 1, n - 1)
                 }
                 n if n <= before.number => format!("line {n} follows line {}", before.number),

@@ -20,9 +20,8 @@ impl Given {
         command_line::options(&self.with, &self.graph_args, settings)
     }
 
-    /// The same as words of a command line.
-    pub fn words(&self) -> Vec<String> {
-        let with = self.with.iter().map(|file| format!("--with={}", file.display()));
-        with.chain(self.graph_args.iter().map(|arg| format!("--graph-arg={arg}"))).collect()
+    /// Whether the command line gives nothing.
+    pub fn is_empty(&self) -> bool {
+        self.with.is_empty() && self.graph_args.is_empty()
     }
 }

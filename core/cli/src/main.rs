@@ -8,8 +8,8 @@ mod installation;
 mod interrupt;
 mod judge;
 mod log_lines;
+mod models;
 mod numbers;
-mod probe;
 mod progress;
 mod session;
 mod summary;
@@ -83,9 +83,6 @@ enum Command {
     /// Writes manual pages and shell completions, for packages.
     #[command(hide = true)]
     Generate(commands::generate::Arguments),
-    /// Opens one node of a graph, for `check`.
-    #[command(name = probe::COMMAND, hide = true)]
-    ProbeNode(probe::Arguments),
 }
 
 /// How a command ended.
@@ -168,7 +165,6 @@ fn main() {
         Command::Bench(bench) => commands::bench::run(&bench),
         Command::Eval(eval) => commands::eval::run(&eval),
         Command::Calibrate(arguments) => commands::calibrate::run(&arguments),
-        Command::ProbeNode(arguments) => probe::run(&arguments),
         Command::Generate(arguments) => commands::generate::run(&arguments, Arguments::command()),
         Command::Devices(arguments) => commands::devices::run(&arguments),
     };

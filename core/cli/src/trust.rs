@@ -55,9 +55,4 @@ impl OwnPlugins {
     pub fn open(self, path: &std::path::Path, options: &GraphOptions) -> Result<Ready, Diagnostics> {
         self.ready(&GraphText::load_with(path, options)?)
     }
-
-    /// The same as a word of a command line.
-    pub fn words(self) -> Option<String> {
-        self.trust_plugins.then(|| "--trust-plugins".to_owned())
-    }
 }

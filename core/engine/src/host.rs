@@ -51,6 +51,8 @@ pub(crate) struct CallContext<'a> {
     pub times: Option<&'a mut CallTimes>,
     /// Whether `times` was used in this call.
     pub has_times: bool,
+    /// Whether the call opens a node on trial, whose log lines are left out.
+    pub is_trial: bool,
 }
 
 /// See [`CallContext::lent`].
@@ -92,6 +94,7 @@ impl<'a> CallContext<'a> {
             sources: None,
             times: None,
             has_times: false,
+            is_trial: false,
         }
     }
 }
@@ -296,7 +299,7 @@ unsafe fn words<'a>(text: Str) -> std::borrow::Cow<'a, str> {
 
 unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
     // SAFETY: plugins pass back the handle of the running call (the contract).
-    if let Some(call_context) = unsafe { call_context(call) } {
+    if let Some(call_context) = unsafe { call_context(call) }.filter(|call_context| !call_context.is_trial) {
         let level = match level {
             abi::LOG_ERROR => Level::Error,
             abi::LOG_WARN => Level::Warn,

@@ -84,6 +84,15 @@ impl Groups {
         }
     }
 
+    /// A group for one node that is tried in a process of its own.
+    pub fn for_trial(&self, node: &str, memory_bytes: u64) -> Result<Arc<dyn Group>, String> {
+        let settings = GroupSettings { name: format!("trial of {node}"), threads: self.threads, memory_bytes };
+        match &*lock(&self.isolator) {
+            Some(isolator) => isolator.group(&settings),
+            None => Err("this program runs no processes for nodes".to_owned()),
+        }
+    }
+
     /// The group that a node runs in, if it is isolated. It exists as long as one of its nodes does.
     pub fn of(&self, node: &Node) -> Result<Option<Arc<dyn Group>>, NotIsolated> {
         let Some(name) = &node.isolate else { return Ok(None) };

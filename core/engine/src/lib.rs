@@ -43,6 +43,7 @@ pub mod sync;
 mod thread_id;
 mod threads;
 mod times;
+pub mod vet;
 mod watch;
 
 pub use apply::{Applied, ApplyError};

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use panoscope_abi as abi;
 
 use crate::isolation::Isolator;
+use crate::vet::Vet;
 
 /// Loaded plugins.
 pub trait Plugins {
@@ -14,6 +15,11 @@ pub trait Plugins {
 
     /// Makes the processes of isolated nodes; `None` where there are none.
     fn isolator(&self) -> Option<Arc<dyn Isolator>> {
+        None
+    }
+
+    /// Decides which nodes are tried in a process of their own before they open; `None` where none is.
+    fn vet(&self) -> Option<Arc<dyn Vet>> {
         None
     }
 
@@ -28,6 +34,10 @@ impl<P: Plugins + ?Sized> Plugins for Arc<P> {
 
     fn isolator(&self) -> Option<Arc<dyn Isolator>> {
         (**self).isolator()
+    }
+
+    fn vet(&self) -> Option<Arc<dyn Vet>> {
+        (**self).vet()
     }
 
     fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)> {

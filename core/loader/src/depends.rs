@@ -212,7 +212,11 @@ pub fn data(graph: &Graph, catalog: &Catalog, folder: &Path) -> Vec<DataFile> {
 }
 
 /// Names of the files of a model's weights that are beside it. A model that cannot be read has none: its node says why.
-fn weights_of(model: &Path) -> Vec<String> {
+pub(crate) fn weights_of(model: &Path) -> Vec<String> {
+    // A device or a pipe need not end.
+    if !model.is_file() {
+        return Vec::new();
+    }
     let Ok(bytes) = std::fs::read(model) else { return Vec::new() };
     let mut names = onnx::weight_files(&bytes).unwrap_or_default();
     // Names that lead elsewhere are refused by the node that opens the model.

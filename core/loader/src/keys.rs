@@ -64,7 +64,8 @@ fn in_file(file: &Path) -> impl Fn(std::io::Error) -> KeyError {
 
 fn digits<const N: usize>(text: &str) -> Option<[u8; N]> {
     let mut out = [0; N];
-    if text.len() != 2 * N || !text.is_ascii() {
+    // A sign would be a digit to `from_str_radix`.
+    if text.len() != 2 * N || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return None;
     }
     for (k, byte) in out.iter_mut().enumerate() {

@@ -15,6 +15,7 @@ mod map;
 pub mod needed;
 pub mod sealed;
 mod search;
+pub mod trial;
 pub mod verify;
 
 pub use error::LoadError;

@@ -153,6 +153,12 @@ pub(crate) fn keep(contents: String, sealed: File, original: &Path) -> PathBuf {
     entry.path.clone()
 }
 
+/// Whether a path is that of a sealed copy.
+pub(crate) fn is_copy(path: &Path) -> bool {
+    let kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
+    kept.values().any(|kept| kept.path == path)
+}
+
 /// A message with the names of files in place of the paths of their sealed copies, which tell a reader nothing.
 pub fn readable(message: &str) -> String {
     let kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);

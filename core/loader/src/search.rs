@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use panoscope_abi as abi;
 use panoscope_engine::Plugins;
 use panoscope_engine::isolation::Isolator;
+use panoscope_engine::vet::Vet;
 use panoscope_graph::{Catalog, Offer, PluginProblem};
 use panoscope_isolate::Processes;
 
@@ -251,13 +252,17 @@ impl Plugins for Loader {
         Some(Arc::new(Processes))
     }
 
+    fn vet(&self) -> Option<Arc<dyn Vet>> {
+        Some(crate::trial::vet())
+    }
+
     fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)> {
         let used = self.found().filter(|found| plugins.contains(&found.note.name));
         used.map(|found| (found.note.name.clone(), found.file.clone())).collect()
     }
 }
 
-fn stem(file: &Path) -> String {
+pub(crate) fn stem(file: &Path) -> String {
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     let stem = stem.strip_prefix("lib").unwrap_or(&stem);
     stem.strip_prefix("panoscope_").unwrap_or(stem).to_owned()

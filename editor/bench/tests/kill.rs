@@ -177,3 +177,38 @@ fn a_graph_in_which_everything_fails_takes_no_window_down() {
     assert!(report.nodes["camera"].count > 20 && !engine.is_finished());
     assert!(report.nodes["f0"].faults > 0 && report.nodes["f1"].faults > 0);
 }
+
+#[test]
+fn a_model_that_ends_its_reader_takes_no_window_down() {
+    if !has_plugin("flow") || !has_plugin("fixtures") {
+        return;
+    }
+    let folder = Folder::new("bad_model");
+    for text in ["good", "abort"] {
+        std::fs::write(folder.0.join(format!("{text}.onnx")), text).expect("temporary files can be written");
+    }
+    let graph = |model: &str| {
+        format!(
+            "plugins = [\"flow\", \"fixtures\"]\n[nodes.camera]\ntype = \"frames\"\nparams = {{ width_px = 32, height_px = 24, rate_hz = 50.0 }}\n\
+             [nodes.net]\ntype = \"model_reader\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ model = \"{model}.onnx\" }}\n\
+             [nodes.end]\ntype = \"drain\"\ninputs = {{ image = \"net.image\" }}\n"
+        )
+    };
+    let session = Session::new(&folder.0.join("g.toml"), &[], None).expect("threads");
+    let settled = |session: &Session| {
+        let until = Instant::now() + common::PATIENCE;
+        while session.status().busy && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        session.status()
+    };
+    for running in [false, true] {
+        session.run(&graph("abort"));
+        let problem = settled(&session).problem.expect("the model is refused");
+        assert!(problem.message.contains("abort.onnx") && problem.message.contains("SIGABRT"), "{problem:?}");
+        assert_eq!(problem.node.as_deref(), Some("net"));
+        assert_eq!(session.status().running.contains("good.onnx"), running, "the old graph keeps running");
+        session.run(&graph("good"));
+        assert_eq!(settled(&session).problem, None);
+    }
+}

@@ -9,7 +9,7 @@ use serde_json::json;
 use crate::given::Given;
 use crate::terminal::{out, raw, stdout_color};
 use crate::trust::OwnPlugins;
-use crate::{End, probe};
+use crate::{End, models};
 use panoscope_eval::graph_file::Ready;
 
 /// Arguments of `check`.
@@ -56,7 +56,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             let ready = arguments.own_plugins.ready(&text)?;
             // A model can only be judged by opening it.
             let mut diagnostics = ready.warnings.clone();
-            diagnostics.extend(probe::models(path, &text, &ready, &arguments.given, arguments.own_plugins));
+            diagnostics.extend(models::check(path, &text, &ready));
             if diagnostics.has_errors() { Err(diagnostics) } else { Ok((ready, diagnostics)) }
         });
         let (facts, diagnostics) = match checked {

@@ -89,7 +89,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
                 return Ok(End::Wrong);
             }
         },
-        None if arguments.given.words().is_empty() => None,
+        None if arguments.given.is_empty() => None,
         None => {
             log!(
                 "error: --with and arguments belong to a graph: name one with --graph, or change the recorded one with --set"

@@ -117,6 +117,7 @@ impl Engine {
             close_limit: options.close_limit,
             claims: Arc::default(),
             groups,
+            vet: plugins.vet(),
             stopped: Mutex::default(),
         };
         let hurried = !context.ignores_wall_clock();

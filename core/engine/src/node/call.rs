@@ -284,6 +284,7 @@ impl NodeRuntime {
             sources: Some(ports.sources),
             times: Some(&mut exec.times),
             has_times: false,
+            is_trial: false,
         };
         let mut call = abi::Call {
             struct_size: size_of::<abi::Call>() as u32,

@@ -10,6 +10,7 @@ mod progress;
 mod recovery;
 mod runner;
 mod ticks;
+mod trial;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -46,6 +47,7 @@ use crate::preview::{HearNumberFn, Subscribers};
 use crate::scratch::CallOutputs;
 use crate::stats::NodeStats;
 use crate::sync::lock;
+use crate::vet::Vet;
 
 /// Frames that a node may retain between calls.
 pub(crate) const MAX_RETAINED_FRAMES: usize = 128;
@@ -75,6 +77,8 @@ pub(crate) struct RunContext {
     pub claims: Arc<Claims>,
     /// Groups of isolated nodes.
     pub groups: Groups,
+    /// Decides which nodes are tried in a process of their own before they open.
+    pub vet: Option<Arc<dyn Vet>>,
     /// Nodes that lost data for good, with the reason.
     pub stopped: Mutex<BTreeMap<String, String>>,
 }

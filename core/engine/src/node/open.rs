@@ -1,5 +1,6 @@
 //! Opening an instance of a node.
 
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use panoscope_abi::{self as abi, Str};
@@ -9,6 +10,7 @@ use crate::claims::Holds;
 use crate::ending::current_node;
 use crate::host::CallContext;
 use crate::instance::Instance;
+use crate::isolation::Group;
 use crate::params::Snapshot;
 
 /// A node did not open.
@@ -25,11 +27,28 @@ impl NodeRuntime {
         if context.decider.as_ref().is_some_and(|d| d.closes(self.source, self.side_effects)) {
             return Ok(Instance::none(self.node_type));
         }
-        let mut instance = Instance::none(self.node_type);
+        // A trial must neither touch a device nor act.
+        if let Some(vet) = context.vet.as_ref().filter(|_| !self.exclusive && !self.side_effects) {
+            self.pass(&**vet, context, snapshot)?;
+        }
+        self.open_in(context, snapshot, self.group.as_ref(), false)
+    }
+
+    /// Opens an instance in the process of `group`, or in this one. The log lines of a trial are left out: the instance that opens next writes them.
+    pub(super) fn open_in(
+        &self,
+        context: &RunContext,
+        snapshot: &Snapshot,
+        group: Option<&Arc<dyn Group>>,
+        is_trial: bool,
+    ) -> Result<Instance, NotOpened> {
+        let node_type = group.map_or(self.declared, |group| group.proxy(self.declared));
+        let mut instance = Instance::none(node_type);
         *instance.holds = Holds::new(&context.claims);
         instance.retained.belongs_to(&self.who);
         let mut failure = String::new();
         let mut call_context = CallContext::without_tick(self, context, &instance.holds, &mut failure);
+        call_context.is_trial = is_trial;
         let mut call = abi::OpenCall {
             struct_size: size_of::<abi::OpenCall>() as u32,
             flags: if context.batch { abi::CALL_BATCH } else { 0 },
@@ -42,7 +61,7 @@ impl NodeRuntime {
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let mut raw = std::ptr::null_mut();
-        let open = || match (&self.group, self.node_type.open) {
+        let open = || match (group, node_type.open) {
             // SAFETY: the plugin contract; everything the call points to outlives it, and the run outlives its instances.
             (Some(group), _) => unsafe { group.open(self.declared, &raw mut call, &raw mut raw) },
             // SAFETY: the plugin contract; everything the call points to outlives it.

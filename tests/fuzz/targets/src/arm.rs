@@ -6,6 +6,7 @@ use panoscope_arm_core::line::{LONGEST, Line, Reader, Received};
 use panoscope_arm_core::{Chain, JointVector};
 use panoscope_arm_guard::latch::{LatchStore, Record};
 use panoscope_arm_guard::message::{self, Report, Request, Status};
+use panoscope_arm_guard::rtde;
 
 use crate::scratch;
 
@@ -169,4 +170,45 @@ pub fn urdf_seeds() -> Vec<Vec<u8>> {
         "<!DOCTYPE a [<!ENTITY b \"&c;&c;\">]><robot name=\"&b;\"/>".to_owned(),
     ];
     texts.into_iter().map(String::into_bytes).collect()
+}
+
+/// The stream of a robot's controller.
+pub fn rtde(bytes: &[u8]) {
+    let mut whole = Vec::new();
+    rtde::Reader::new().take(bytes, |received| {
+        if let rtde::Received::Package(rtde::Package::Data(_, values)) = received {
+            // Thirteen numbers of 8 bytes and eight of 4.
+            assert!(rtde::State::read(values).is_none() || values.len() == 13 * 8 + 8 * 4, "{} bytes", values.len());
+        }
+        whole.push(format!("{received:?}"));
+    });
+    assert!(whole.len() <= bytes.len() / 3 + 1, "{} packages of {} bytes", whole.len(), bytes.len());
+    // A stream that is broken stays so.
+    let broken = whole.iter().position(|received| received == "Broken");
+    assert!(broken.is_none_or(|at| at + 1 == whole.len()), "{whole:?}");
+    for pieces in [1, 5, 100] {
+        let (mut reader, mut parts) = (rtde::Reader::new(), Vec::new());
+        bytes.chunks(pieces).for_each(|piece| reader.take(piece, |received| parts.push(format!("{received:?}"))));
+        assert_eq!(parts, whole, "in pieces of {pieces}");
+    }
+}
+
+pub fn rtde_seeds() -> Vec<Vec<u8>> {
+    let package = |kind: u8, payload: &[u8]| {
+        [&u16::try_from(payload.len() + 3).expect("short").to_be_bytes()[..], &[kind], payload].concat()
+    };
+    let mut values = vec![1];
+    (0..13).for_each(|k| values.extend((f64::from(k) * 0.5).to_be_bytes()));
+    [7, 1, 2, 41, 3, 0, 1, 30].iter().for_each(|value: &i32| values.extend(value.to_be_bytes()));
+    let all = [
+        package(b'V', &[1]),
+        package(b'v', &[0, 0, 0, 5, 0, 0, 0, 12, 0, 0, 0, 0, 0, 1, 0, 0]),
+        package(b'M', b"\x05hello\x03urc\x02"),
+        package(b'O', b"\x01DOUBLE,INT32"),
+        package(b'I', b"\x02IN_USE"),
+        package(b'S', &[1]),
+        package(b'P', &[0]),
+        package(b'U', &values),
+    ];
+    vec![all.concat(), package(b'U', &values), all.concat()[..40].to_vec(), vec![0, 2, b'V'], vec![0xff; 8]]
 }

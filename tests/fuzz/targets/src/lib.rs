@@ -5,10 +5,12 @@
 //! lie inside the file, and the work must be in proportion to the bytes. The callers add limits of memory and time.
 
 mod arm;
+mod audit;
 mod calibration;
 mod descriptor;
 mod draw;
 mod graph;
+mod keys;
 mod labels;
 mod model;
 mod numbers;
@@ -33,6 +35,7 @@ pub struct Target {
 /// All targets, by name.
 pub const TARGETS: &[Target] = &[
     Target { name: "arm_line", run: arm::line, seeds: arm::line_seeds },
+    Target { name: "audit", run: audit::run, seeds: audit::seeds },
     Target { name: "board", run: calibration::board, seeds: calibration::board_seeds },
     Target { name: "calibration", run: calibration::file, seeds: calibration::file_seeds },
     Target { name: "coco", run: labels::coco, seeds: labels::coco_seeds },
@@ -42,6 +45,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "float_image", run: numbers::float_image, seeds: numbers::float_image_seeds },
     Target { name: "graph", run: graph::run, seeds: graph::seeds },
     Target { name: "guard_message", run: arm::message, seeds: arm::message_seeds },
+    Target { name: "keys", run: keys::run, seeds: keys::seeds },
     Target { name: "labelme", run: labels::labelme, seeds: labels::labelme_seeds },
     Target { name: "latch", run: arm::latch, seeds: arm::latch_seeds },
     Target { name: "lock", run: plugin::lock, seeds: plugin::lock_seeds },
@@ -50,6 +54,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "picture", run: picture::run, seeds: picture::seeds },
     Target { name: "plugin_note", run: plugin::note, seeds: plugin::note_seeds },
     Target { name: "recording", run: recording::file, seeds: recording::file_seeds },
+    Target { name: "rtde", run: arm::rtde, seeds: arm::rtde_seeds },
     Target { name: "truth_file", run: numbers::truth_file, seeds: numbers::truth_file_seeds },
     Target { name: "urdf", run: arm::urdf, seeds: arm::urdf_seeds },
     Target { name: "via", run: labels::via, seeds: labels::via_seeds },

@@ -1,0 +1,35 @@
+//! `panoscope check` opens models, each in a process of its own, see [`panoscope_loader::trial`].
+
+use std::path::Path;
+
+use panoscope_eval::graph_file::Ready;
+use panoscope_graph::{Diagnostics, GraphText, Severity};
+use panoscope_loader::trial::{is_model, try_node};
+
+/// Start of the message of a node that found no ONNX Runtime.
+const NO_RUNTIME: &str = "ONNX Runtime's shared library";
+
+/// Opens the nodes of a checked graph that read a network from a file.
+pub fn check(path: &Path, text: &GraphText, ready: &Ready) -> Diagnostics {
+    let mut all = Diagnostics::default();
+    let folder = path.parent().unwrap_or(Path::new(""));
+    for (index, node) in ready.graph.nodes.iter().enumerate() {
+        let params = node.node_type(&ready.catalog).params.iter().zip(&node.params);
+        let mut models = params.filter(|(param, value)| is_model(&param.name, value));
+        let Some((param, _)) = models.next() else { continue };
+        let (severity, code, reason) = match try_node(&ready.graph, index, &ready.catalog, &ready.loader, folder) {
+            Ok(()) => continue,
+            // The graph may be right where the library is.
+            Err(reason) if reason.starts_with(NO_RUNTIME) => (Severity::Warning, "model-unchecked", reason),
+            Err(reason) => (Severity::Error, "model-refused", reason),
+        };
+        let message = format!("`{}` of `{}` ({}) cannot be used: {reason}", param.name, node.id, node.type_name);
+        let help = if severity == Severity::Error {
+            "name a model that this node reads; see `panoscope describe`"
+        } else {
+            "the model was not looked at"
+        };
+        all.extend(text.about_param(severity, code, (&node.id, &param.name), message, help));
+    }
+    all
+}

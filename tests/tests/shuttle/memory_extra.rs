@@ -1,0 +1,33 @@
+/// The model has private memory only.
+mod domain {
+    use super::Backing;
+
+    pub struct Domain;
+    pub struct DomainError;
+    pub struct SharedFrames;
+    pub(super) struct Shared;
+
+    impl Shared {
+        pub const fn new() -> Self {
+            Self
+        }
+
+        pub fn with_backing<R>(&self, _: u32, work: impl FnOnce(Backing) -> R) -> Option<R> {
+            Some(work(Backing::Private))
+        }
+    }
+}
+
+impl Memory {
+    /// A memory of its own for every order that is tried.
+    pub fn fresh(limit_bytes: i64) -> Self {
+        Memory {
+            pools: [const { OnceLock::new() }; MOST_POOLS],
+            current: AtomicU32::new(PRIVATE),
+            shared: Shared::new(),
+            in_use_bytes: AtomicI64::new(0),
+            limit_bytes: AtomicI64::new(limit_bytes),
+            allocations: AtomicU64::new(0),
+        }
+    }
+}
