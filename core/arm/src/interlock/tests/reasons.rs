@@ -44,12 +44,12 @@ fn a_tip_is_followed_up_to_its_age_into_both_directions_of_time() {
 }
 
 #[test]
-fn a_demand_expires_after_30_ms() {
+fn a_demand_expires_after_24_ms() {
     for (made_ns, cause) in [
-        (NOW - 30 * MS + 1, None),
-        (NOW - 30 * MS, Some(Cause::LoopStalled)),
-        (NOW + 30 * MS - 1, None),
-        (NOW + 30 * MS, Some(Cause::LoopStalled)),
+        (NOW - 24 * MS + 1, None),
+        (NOW - 24 * MS, Some(Cause::LoopStalled)),
+        (NOW + 24 * MS - 1, None),
+        (NOW + 24 * MS, Some(Cause::LoopStalled)),
         (i64::MIN, Some(Cause::LoopStalled)),
         (i64::MAX, Some(Cause::LoopStalled)),
     ] {
@@ -63,10 +63,10 @@ fn a_demand_expires_after_30_ms() {
         lock.demand(NOW - early_ns, joint(5, 0.1).as_slice());
         assert_eq!(lock.expires_ns(), None, "it does not follow yet");
         lock.advance(NOW + 10 * MS, &mut |_| {});
-        assert_eq!(lock.expires_ns(), Some(NOW - early_ns + 30 * MS));
-        lock.advance(NOW + 30 * MS, &mut |_| {});
+        assert_eq!(lock.expires_ns(), Some(NOW - early_ns + 24 * MS));
+        lock.advance(NOW + 24 * MS, &mut |_| {});
         assert_eq!(lock.stop(), None, "{early_ns}");
-        lock.advance(NOW + 31 * MS, &mut |_| {});
+        lock.advance(NOW + 25 * MS, &mut |_| {});
         assert_eq!((lock.stop(), lock.expires_ns()), (Some(Cause::LoopStalled), None), "{early_ns}");
     }
 }
@@ -75,7 +75,7 @@ fn a_demand_expires_after_30_ms() {
 fn a_demand_that_expires_within_a_call_is_followed_up_to_then() {
     for left in [1, 4, 9] {
         let mut lock = asked();
-        lock.demand(NOW - (30 - left) * MS, joint(5, 0.1).as_slice());
+        lock.demand(NOW - (24 - left) * MS, joint(5, 0.1).as_slice());
         let mut points = Vec::new();
         lock.advance(NOW + 40 * MS, &mut |point| points.push(*point));
         let turn = points.windows(2).position(|two| two[1].acceleration[5] < two[0].acceleration[5]);
