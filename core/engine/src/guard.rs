@@ -197,7 +197,7 @@ impl Shared {
                     drop(state);
                     // Workers that are stuck in its loops are replaced too.
                     if let Err(cause) = self.pool.give_up(number) {
-                        self.fail(format!("no thread could be started in place of one that hangs: {cause}"));
+                        self.fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
                     }
                     state = line.state();
                     continue;

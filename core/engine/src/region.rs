@@ -116,7 +116,9 @@ impl Region {
     /// tick that was dropped.
     pub fn admit_or_keep(&self, outputs: Vec<FrameRef>) -> (Option<Vec<FrameRef>>, Option<Vec<FrameRef>>) {
         let mut state = self.state();
-        if state.pause_before != u64::MAX && state.pause_before <= first_seq(&outputs) {
+        let is_after = state.pause_before != u64::MAX && state.pause_before <= first_seq(&outputs);
+        // Ticks that wait and come before the pause enter first: the pause begins when they have.
+        if is_after && state.pending.is_empty() {
             state.paused = true;
         }
         if self.open(&state) && state.pending.is_empty() && !state.handing {
@@ -124,7 +126,7 @@ impl Region {
             return (Some(outputs), None);
         }
         let mut dropped = None;
-        if state.paused {
+        if state.paused || is_after {
             if state.pending.len() >= MAX_PAUSED {
                 dropped = state.pending.pop_front();
             }
@@ -310,5 +312,21 @@ mod tests {
         assert!(matches!(region.leaf_done(0), Freed::Pending(list) if seq(&list) == 3));
         assert!(region.handed_over().is_none());
         assert!(matches!(region.leaf_done(1), Freed::Pending(list) if seq(&list) == 5));
+    }
+
+    /// A change that is to be made before a tick is made before no earlier one.
+    #[test]
+    fn ticks_before_a_named_one_enter_before_the_pause() {
+        let region = Region::new(0, 1, 1);
+        assert!(region.admit_or_keep(tick(0)).0.is_some());
+        assert_eq!(region.pause_before(2, 1), Ok(()));
+        assert!(region.admit_or_keep(tick(1)).0.is_none(), "the region is full");
+        let (now, dropped) = region.admit_or_keep(tick(2));
+        assert!(now.is_none() && dropped.is_none(), "both wait");
+        assert!(!region.is_paused(), "tick 1 comes first");
+        assert!(matches!(region.leaf_done(0), Freed::Pending(list) if seq(&list) == 1));
+        assert!(region.handed_over().is_none());
+        assert!(matches!(region.leaf_done(1), Freed::Nothing));
+        assert!(region.is_paused() && region.first_pending() == Some(2));
     }
 }

@@ -177,7 +177,7 @@ impl Shared {
             replaced = replaced.and(me.start_thread(own.node, &own.runtime));
         }
         if let Err(cause) = replaced {
-            self.fail(format!("no thread could be started in place of one that hangs: {cause}"));
+            self.fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
         }
         if again {
             self.dispatch(plan, head);
@@ -234,10 +234,7 @@ impl Shared {
     pub fn thread_panicked(&self, name: &str, words: &str) {
         let words = format!("thread `{name}` of the engine panicked: {words}");
         self.context.log.write(Level::Error, "engine", &words);
-        self.fail(words);
-        self.broken.store(true, Ordering::Release);
-        let _guard = lock(&self.finished_lock);
-        self.finished.notify_all();
+        self.fail_for_good(words);
     }
 
     /// Closes failed instances and, if the graph says so, restarts the node, on a separate thread.
@@ -285,7 +282,7 @@ impl Shared {
                 Ok(instance) => {
                     bump(&runtime.stats.restarts);
                     self.context.log.write(Level::Info, &runtime.id, "opened again");
-                    let unused = runtime.replace_instance(instance, None);
+                    let unused = runtime.install_restarted(instance, mine);
                     self.close_guarded(runtime, unused.into_iter().collect());
                     if runtime.source {
                         runtime.runner.wake();

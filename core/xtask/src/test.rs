@@ -76,6 +76,14 @@ static SUITES: &[Suite] = &[
         only: &["-p", "panoscope-arm-guard", "--test", "campaign"],
         env: &[("PANOSCOPE_ARM_CASES", "10000")],
     },
+    // PANOSCOPE_SIM_CASES and PANOSCOPE_SIM_SEED choose how many cases of the simulator and the first seed.
+    Suite {
+        name: "sim",
+        lints: false,
+        tests: true,
+        only: &["-p", "panoscope-sim", "--test", "simulation"],
+        env: &[("PANOSCOPE_SIM_CASES", "10000")],
+    },
 ];
 
 /// What the command line asks for.
@@ -214,7 +222,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, kill, arm"
+            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, kill, arm, sim"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));

@@ -439,7 +439,7 @@ impl Engine {
 
     fn start_thread(&self, slot: usize, runtime: &Arc<NodeRuntime>) {
         if let Err(cause) = self.shared.start_thread(slot, runtime) {
-            self.shared.fail(format!("no thread could be started for node `{}`: {cause}", runtime.id));
+            self.shared.fail_for_good(format!("no thread could be started for node `{}`: {cause}", runtime.id));
         }
     }
 
@@ -476,7 +476,8 @@ impl Engine {
                 number.map(|number| threads.remove(&number));
                 drop(threads);
                 if let Some(Err(cause)) = number.map(|number| self.shared.pool.give_up(number)) {
-                    self.shared.fail(format!("no thread could be started in place of one that hangs: {cause}"));
+                    self.shared
+                        .fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
                 }
                 continue;
             }

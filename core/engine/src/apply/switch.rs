@@ -192,7 +192,10 @@ impl Switch<'_> {
         runtime.recovery.set_permanent(false);
         if change.is_reopened() {
             runtime.recovery.begin_restart();
+            // One that waited would take over at the next tick.
+            let unused = runtime.take_replacement();
             runtime.set_snapshot(snapshot);
+            return unused.map(|unused| (slot, unused));
         }
         None
     }

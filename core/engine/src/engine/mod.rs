@@ -172,7 +172,11 @@ impl Engine {
             _listening: listening,
         };
         ending::register(&engine.shared);
-        engine.start_threads().map_err(|cause| StartError::Thread { cause })?;
+        if let Err(cause) = engine.start_threads() {
+            // Nodes without a thread never finish: close without waiting for them.
+            engine.shared.fail_for_good(format!("no thread could be started: {cause}"));
+            return Err(StartError::Thread { cause });
+        }
         Ok(engine)
     }
 
@@ -270,11 +274,13 @@ impl Engine {
                 watch.thread().unpark();
                 pool::join_until(watch, leave);
             }
-            if self.all_finished() {
-                let threads = std::mem::take(&mut *lock(&self.shared.own_threads));
-                threads.into_values().for_each(|thread| thread.join_until(leave));
-                self.shared.pool.stop(leave);
+            let threads = std::mem::take(&mut *lock(&self.shared.own_threads));
+            if !self.all_finished() {
+                // Threads that wait for ticks leave now, those that hang when they return.
+                threads.values().for_each(|thread| thread.runtime.runner.ask_to_leave());
             }
+            threads.into_values().for_each(|thread| thread.join_until(leave));
+            self.shared.pool.stop(leave);
             let (plan, current) = (self.shared.plan.load(), self.current.load());
             // In graph order, so that readers finish their files last.
             let runtimes = current.graph.order.iter().map(|&node| Arc::clone(&plan.runtimes[current.slots[node]]));

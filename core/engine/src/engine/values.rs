@@ -26,7 +26,7 @@ impl Engine {
             reason: reason.to_string(),
         })?;
         let runtime = Arc::clone(&self.shared.plan.load().runtimes[current.slots[index]]);
-        let old = runtime.snapshot();
+        let old = runtime.newest_snapshot();
         let mut values = old.owned().to_vec();
         values[position] = value;
         if let Some(validator) = &current.validators[index] {
@@ -82,7 +82,7 @@ impl Engine {
         let plan = self.shared.plan.load();
         let runtime = plan.runtimes.get(current.slots[index]).filter(|c| c.id == node);
         let runtime = runtime.ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
-        let mut values = runtime.snapshot().owned().to_vec();
+        let mut values = runtime.newest_snapshot().owned().to_vec();
         values[position] = ParamValue::Bool(on);
         runtime.set_snapshot(Snapshot::new(values));
         Ok(())

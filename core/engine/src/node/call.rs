@@ -1,6 +1,5 @@
 //! One call of a node: its inputs, its outputs, and what is recorded about it.
 
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use panoscope_abi::{self as abi, PortRange, Tick};
@@ -138,7 +137,7 @@ impl NodeRuntime {
     fn catch_up(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, led: bool) -> Result<(), Abandoned> {
         exec.config_epoch = self.config_epoch.get();
         if !led && self.config.has_replacement() {
-            self.take_replacement(exec, context, tick)?;
+            self.install_replacement(exec, context, tick)?;
         }
         if let Some(snapshot) = self.config.newer_values(exec.snapshot()) {
             let values = || snapshot.owned().to_vec();
@@ -174,16 +173,15 @@ impl NodeRuntime {
     }
 
     #[cold]
-    fn take_replacement(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<(), Abandoned> {
+    fn install_replacement(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<(), Abandoned> {
         let Some((mut instance, snapshot)) = self.config.take_replacement() else { return Ok(()) };
+        if let Some(snapshot) = snapshot {
+            exec.set_snapshot(snapshot);
+        }
         self.transfer_state(exec, &mut instance, context, tick)?;
         let old = std::mem::replace(&mut exec.instance, instance.begun());
         if old.is_open() {
             self.call_watched(CallKind::Close, tick, || self.end(context, old))?;
-        }
-        if let Some(snapshot) = snapshot {
-            self.set_snapshot(Arc::clone(&snapshot));
-            exec.set_snapshot(snapshot);
         }
         exec.bypassed = false;
         self.recovery.set_permanent(false);

@@ -3,7 +3,7 @@
 //! The fields are private: every writer advances the [`ConfigEpoch`] of the node, so that a running call cannot miss a change.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use panoscope_graph::OnFault;
 
@@ -94,17 +94,52 @@ impl Config {
         self.values.newer(known)
     }
 
-    /// Puts new values in force from the next tick on.
+    /// The values to change: those of the instance that waits, else those in force.
+    pub fn newest_values(&self) -> Arc<Snapshot> {
+        match &*lock(&self.replacement) {
+            Some((_, Some(values))) => Arc::clone(values),
+            _ => self.values.get(),
+        }
+    }
+
+    /// Puts new values in force from the next tick on, also for an instance that waits.
     pub fn set_values(&self, epoch: &ConfigEpoch, snapshot: Arc<Snapshot>) {
+        let mut replacement = lock(&self.replacement);
+        if let Some((_, Some(values))) = &mut *replacement {
+            *values = Arc::clone(&snapshot);
+        }
         self.values.set(snapshot);
+        drop(replacement);
         epoch.advance();
     }
 
     /// Hands over an instance that was opened beside the running one. Returns one that still waited; the caller closes it.
     pub fn put_replacement(&self, epoch: &ConfigEpoch, replacement: Replacement) -> Option<Instance> {
-        let old = lock(&self.replacement).replace(replacement);
-        self.has_replacement.store(true, Ordering::Relaxed);
+        let old = self.put(lock(&self.replacement), replacement);
         epoch.advance();
+        old
+    }
+
+    /// As [`Self::put_replacement`] for an instance that was opened again with the values in force. Returns that instance if it is
+    /// outdated, or if one with newer values waits.
+    pub fn put_restarted(
+        &self,
+        epoch: &ConfigEpoch,
+        instance: Instance,
+        is_outdated: impl FnOnce() -> bool,
+    ) -> Option<Instance> {
+        let replacement = lock(&self.replacement);
+        if matches!(&*replacement, Some((_, Some(_)))) || is_outdated() {
+            return Some(instance);
+        }
+        let old = self.put(replacement, (instance, None));
+        epoch.advance();
+        old
+    }
+
+    fn put(&self, mut place: MutexGuard<'_, Option<Replacement>>, replacement: Replacement) -> Option<Instance> {
+        let old = place.replace(replacement);
+        self.has_replacement.store(true, Ordering::Relaxed);
         old.map(|(instance, _)| instance)
     }
 
@@ -113,9 +148,14 @@ impl Config {
         self.has_replacement.load(Ordering::Relaxed)
     }
 
-    /// The instance that waits.
+    /// The instance that waits. Its values are in force from here on, whatever becomes of the instance.
     pub fn take_replacement(&self) -> Option<Replacement> {
+        let mut place = lock(&self.replacement);
         self.has_replacement.store(false, Ordering::Relaxed);
-        lock(&self.replacement).take()
+        let replacement = place.take()?;
+        if let (_, Some(values)) = &replacement {
+            self.values.set(Arc::clone(values));
+        }
+        Some(replacement)
     }
 }

@@ -326,6 +326,11 @@ impl NodeRuntime {
         self.config.values()
     }
 
+    /// The values that a change of some of them begins with: those of an instance that waits, else those in force.
+    pub fn newest_snapshot(&self) -> Arc<Snapshot> {
+        self.config.newest_values()
+    }
+
     /// Puts new values in force from the next tick on.
     pub fn set_snapshot(&self, snapshot: Arc<Snapshot>) {
         self.config.set_values(&self.config_epoch, snapshot);
@@ -338,11 +343,24 @@ impl NodeRuntime {
         self.config.put_replacement(&self.config_epoch, (instance, snapshot))
     }
 
+    /// Hands over an instance that a restart opened, unless the restart is outdated or an instance with newer values waits. Returns the
+    /// instance that the caller closes: the one given or one that waited.
+    #[must_use]
+    pub fn install_restarted(&self, instance: Instance, restart: u64) -> Option<Instance> {
+        self.config.put_restarted(&self.config_epoch, instance, || self.recovery.is_outdated(restart))
+    }
+
+    /// Takes an instance that was handed over and waits, for the caller to close.
+    #[must_use]
+    pub fn take_replacement(&self) -> Option<Instance> {
+        self.config.take_replacement().map(|(instance, _)| instance)
+    }
+
     /// Takes all instances, for the caller to close. Returns `false` if a thread runs the node, whose instance stays.
     #[must_use]
     pub fn take_instances(&self) -> (Vec<Instance>, bool) {
         let mut all = self.recovery.take_broken();
-        all.extend(self.config.take_replacement().map(|(instance, _)| instance));
+        all.extend(self.take_replacement());
         let Some(mut exec) = self.exec.take() else { return (all, false) };
         all.push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         self.exec.put(exec);

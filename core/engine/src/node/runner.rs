@@ -79,11 +79,16 @@ impl Runner {
         self.wake.store(false, Ordering::Release);
     }
 
+    /// Asks the node's thread to end; it does when its call has returned.
+    pub fn ask_to_leave(&self) {
+        self.leave.request();
+        self.wake();
+    }
+
     /// Takes the node out of the graph: its thread closes the instance and ends.
     pub fn retire(&self) {
         self.retired.store(true, Ordering::Release);
-        self.leave.request();
-        self.wake();
+        self.ask_to_leave();
     }
 
     /// Whether the node was taken out of the graph.

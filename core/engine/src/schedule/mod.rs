@@ -40,7 +40,7 @@ pub(crate) struct Shared {
     pub frames: Option<u64>,
     pub stopping: AtomicBool,
     pub failed: Mutex<Option<String>>,
-    /// Whether a thread of the host panicked, so that nodes may never finish.
+    /// Whether a thread of the host panicked or could not be started, so that nodes may never finish.
     pub broken: AtomicBool,
     /// Nodes that are not finished.
     pub unfinished: AtomicUsize,
@@ -520,6 +520,15 @@ impl Shared {
     pub fn fail(&self, reason: String) {
         lock(&self.failed).get_or_insert(reason);
         self.stop();
+    }
+
+    /// Ends the run with a reason, without waiting for nodes that can no longer finish.
+    #[cold]
+    pub fn fail_for_good(&self, reason: String) {
+        self.fail(reason);
+        self.broken.store(true, Ordering::Release);
+        let _guard = lock(&self.finished_lock);
+        self.finished.notify_all();
     }
 
     /// Asks the sources to end.
