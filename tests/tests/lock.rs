@@ -25,7 +25,7 @@ params = { path = "out.json" }
 fn run(program: &Path, folder: &Path, runtime: Option<&Path>, words: &str) -> (i32, String) {
     let mut command = Command::new(program);
     command.current_dir(folder).args(words.split_whitespace());
-    command.env("XDG_CONFIG_HOME", folder.join("config")).env("XDG_STATE_HOME", folder.join("state"));
+    panoscope_testing::own_settings(&mut command, folder);
     if let Some(runtime) = runtime {
         command.env("ORT_DYLIB_PATH", runtime);
     }
@@ -89,5 +89,35 @@ fn a_network_runs_under_a_lock_that_has_all_it_needs() {
     std::fs::write(folder.join("names.txt"), "b\na\nc\nd\ne\nf\ng\n").expect("written");
     let (code, said) = run(&program, &folder, Some(&own), locked_run);
     assert!(code == 2 && said.contains("file `find.labels` has changed"), "{said}");
+    let _ = std::fs::remove_dir_all(folder);
+}
+
+#[test]
+fn every_view_of_a_capture_is_locked() {
+    let Some(program) = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from) else {
+        return panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
+    };
+    let folder = scratch("lock_views");
+    let picture = |name: &str, level: u8| {
+        let header = b"P5 16 8 255\n".to_vec();
+        std::fs::write(folder.join(name), [header, vec![level; 128]].concat()).expect("written");
+    };
+    for (level, name) in ["a.pgm", "b.pgm", "c.pgm"].into_iter().enumerate() {
+        picture(name, level as u8);
+    }
+    let graph = "mode = \"batch\"\nplugins = [\"capture\", \"flow\"]\n[nodes.scope]\ntype = \"capture\"\nparams = { views = \"a.pgm; b.pgm; c.pgm\" }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"scope.left\" }\n";
+    std::fs::write(folder.join("g.toml"), graph).expect("written");
+    let (code, said) = run(&program, &folder, None, "lock g.toml");
+    assert_eq!(code, 0, "{said}");
+    let lock = std::fs::read_to_string(folder.join("g.toml.lock")).expect("the lock");
+    for name in ["scope.views", "scope.views;2", "scope.views;3"] {
+        assert!(lock.contains(&format!("kind = \"input\"\nname = \"{name}\"\n")), "{name}: {lock}");
+    }
+    let locked_run = "run g.toml --lock --headless";
+    let (code, said) = run(&program, &folder, None, locked_run);
+    assert_eq!(code, 0, "{said}");
+    picture("c.pgm", 9);
+    let (code, said) = run(&program, &folder, None, locked_run);
+    assert!(code == 2 && said.contains("input `scope.views;3` has changed since the graph was locked"), "{said}");
     let _ = std::fs::remove_dir_all(folder);
 }

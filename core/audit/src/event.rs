@@ -94,6 +94,11 @@ pub enum Event {
     },
     /// The graph could not run, and the cameras are shown alone.
     CamerasOnly,
+    /// The process that ran the graph ended; another one shows the cameras and starts the graph again.
+    ProcessEnded {
+        /// How it ended.
+        cause: String,
+    },
     /// The user started the whole graph again.
     Restarted,
     /// The window was closed.
@@ -150,6 +155,7 @@ impl fmt::Display for Event {
             Self::EmergencyStop { stopped: true } => write!(f, "emergency stop"),
             Self::EmergencyStop { stopped: false } => write!(f, "arm released"),
             Self::CamerasOnly => write!(f, "the graph does not run: cameras only"),
+            Self::ProcessEnded { cause } => write!(f, "the image processing {cause} and is restarted"),
             Self::Restarted => write!(f, "graph started again"),
             Self::Closed => write!(f, "closed"),
             Self::Lost { count } => write!(f, "{count} events could not be written and are lost"),

@@ -37,8 +37,7 @@ impl Bench {
         command.current_dir(&self.folder).args(words.split_whitespace());
         command.env("PANOSCOPE_PLUGIN_PATH", common::built_plugins(&["flow", "fixtures", "sinks"]));
         command.env("PANOSCOPE_TRAP", self.path("trap.txt")).env("LD_LIBRARY_PATH", self.path("libraries"));
-        // The keys and the log of who runs the tests do not count.
-        command.env("XDG_CONFIG_HOME", self.path("config")).env("XDG_STATE_HOME", self.path("state"));
+        panoscope_testing::own_settings(&mut command, &self.folder);
         command
     }
 

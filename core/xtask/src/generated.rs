@@ -1,8 +1,9 @@
 //! Files that tests compare with and can update: the C header and the expected outputs.
 
+use std::path::PathBuf;
 use std::process::Command;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 
 use crate::build::{BuiltForTests, Profile, build_for_tests};
 use crate::packages::Purpose;
@@ -40,8 +41,20 @@ pub fn test_environment(cargo: &mut Command, workspace: &Workspace, tests: &Buil
     cargo
         .env("PANOSCOPE_PLUGIN_PATH", plugin_path)
         .env("PANOSCOPE_BIN", &tests.built.program)
-        .env("PANOSCOPE_DATA", workspace.data_dir());
+        .env("PANOSCOPE_DATA", workspace.data_dir())
+        // What a test that starts a program without settings of its own writes: never the audit log of who runs it.
+        .env("XDG_STATE_HOME", fresh_state(workspace)?);
     Ok(())
+}
+
+/// An empty folder for the state of programs that tests start, see `panoscope_testing::own_settings`.
+fn fresh_state(workspace: &Workspace) -> Result<PathBuf> {
+    let folder = workspace.target.join("test_state");
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder).with_context(|| format!("cannot empty {}", folder.display()))?;
+    }
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    Ok(folder)
 }
 
 fn show_changes(workspace: &Workspace, path: &str) -> Result<()> {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Arg, ArgKind, GraphOptions, GraphText, check};
 use panoscope_loader::Loader;
+use serde::{Deserialize, Serialize};
 
 use crate::disk;
 use crate::folding::opening;
@@ -13,7 +14,7 @@ use crate::folding::opening;
 const FILE: &str = "arguments.toml";
 
 /// An overlay that fits a graph.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Overlay {
     /// Its file.
     pub path: PathBuf,
@@ -48,6 +49,13 @@ pub struct Form {
 impl Form {
     /// A form for the graph `text`, which lies at `graph`, with the values of `given`. The loader's plugins tell which overlays fit.
     pub fn new(graph: &Path, text: &str, given: &GraphOptions, loader: &Loader) -> Self {
+        let mut form = Self::with_overlays(graph, text, given, Vec::new());
+        form.overlays = form.find_overlays(loader);
+        form
+    }
+
+    /// As [`Self::new`], with overlays that are known to fit: it loads no plugin.
+    pub fn with_overlays(graph: &Path, text: &str, given: &GraphOptions, overlays: Vec<Overlay>) -> Self {
         let values = given.args.iter().cloned().collect();
         let mut form = Self {
             graph: graph.to_owned(),
@@ -57,11 +65,10 @@ impl Form {
             required: Vec::new(),
             values,
             with: given.with.clone(),
-            overlays: Vec::new(),
+            overlays,
             devices: devices(Path::new("/sys/class/video4linux")),
             problems: Vec::new(),
         };
-        form.overlays = form.find_overlays(loader);
         form.refresh();
         form
     }

@@ -4,7 +4,7 @@
 //! For each previewed output at most two frames are retained: the newest one, and the one being rendered.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use panoscope_engine::fault::{Action, Fault};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{NodeWindow, Preview, Window};
+use serde::{Deserialize, Serialize};
 
 use crate::picture::{self, Range, RenderedPacket};
 use crate::session::Handle;
@@ -27,7 +28,7 @@ const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
 const HISTORY: usize = 240;
 
 /// An output: node and port.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Output {
     /// The node.
     pub node: String,
@@ -60,7 +61,7 @@ pub struct WireEnd {
 }
 
 /// How an output is to be previewed.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PreviewRequest {
     /// Type of its packets.
     pub packet: String,
@@ -121,6 +122,7 @@ struct Mailbox {
 pub struct Observer {
     mailbox: Arc<Mutex<Mailbox>>,
     quit: Arc<AtomicBool>,
+    rounds: Arc<AtomicU64>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -131,10 +133,12 @@ impl Observer {
     /// The thread cannot be started.
     pub fn new(handle: Handle) -> std::io::Result<Self> {
         let (mailbox, quit) = (Arc::<Mutex<Mailbox>>::default(), Arc::new(AtomicBool::new(false)));
+        let rounds = Arc::new(AtomicU64::new(0));
         let worker = Worker {
             handle,
             mailbox: Arc::clone(&mailbox),
             quit: Arc::clone(&quit),
+            rounds: Arc::clone(&rounds),
             outputs: HashMap::new(),
             generation: 0,
             window: Window::default(),
@@ -142,7 +146,7 @@ impl Observer {
             faults_seen: 0,
         };
         let thread = std::thread::Builder::new().name("observer".to_owned()).spawn(move || worker.run())?;
-        Ok(Self { mailbox, quit, thread: Some(thread) })
+        Ok(Self { mailbox, quit, rounds, thread: Some(thread) })
     }
 
     /// Sets which outputs are previewed, and the minimum time between two previews.
@@ -163,6 +167,11 @@ impl Observer {
     /// The newest counters.
     pub fn counters(&self) -> Arc<Counters> {
         Arc::clone(&lock(&self.mailbox).counters)
+    }
+
+    /// How often its thread has looked at the run: a number that stands still belongs to a thread that is stuck.
+    pub fn rounds(&self) -> u64 {
+        self.rounds.load(Ordering::Relaxed)
     }
 }
 
@@ -227,6 +236,7 @@ struct Worker {
     handle: Handle,
     mailbox: Arc<Mutex<Mailbox>>,
     quit: Arc<AtomicBool>,
+    rounds: Arc<AtomicU64>,
     outputs: HashMap<Output, OutputPreview>,
     generation: u64,
     window: Window,
@@ -239,6 +249,7 @@ impl Worker {
         let mut count_at = Instant::now();
         while !self.quit.load(Ordering::Acquire) {
             let began = Instant::now();
+            self.rounds.fetch_add(1, Ordering::Relaxed);
             let mut changed = self.pictures();
             if began >= count_at {
                 count_at = began + COUNTERS_INTERVAL;

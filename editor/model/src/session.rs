@@ -15,12 +15,13 @@ use panoscope_loader::live::LiveError;
 use panoscope_loader::sealed::readable;
 use panoscope_loader::verify::Seal;
 use panoscope_loader::{self as loader, Live, Loader};
+use serde::{Deserialize, Serialize};
 
 /// Maximum time for nodes to finish their files.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// The phase of a run.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Phase {
     /// Nothing was started yet.
     #[default]
@@ -36,7 +37,7 @@ pub enum Phase {
 }
 
 /// Why the newest text does not run.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunProblem {
     /// The node that caused it, if there is one.
     pub node: Option<String>,

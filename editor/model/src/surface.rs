@@ -7,11 +7,12 @@ use panoscope_base::packet;
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{Color, Orbit, Projection, SurfacePainter, SurfacePoints};
 use panoscope_imaging::stereo::SurfacePoint;
+use serde::{Deserialize, Serialize};
 
 use crate::pixels::Pixels;
 
 /// The viewpoint on a surface, and the depth range that is shown.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Viewpoint {
     /// Rotation about the vertical axis, radians.
     pub yaw: f32,

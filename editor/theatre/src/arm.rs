@@ -22,16 +22,11 @@ impl Theatre {
             return;
         }
         self.emergency = on;
-        let engine = self.session.handle().engine();
-        let mut failed = Vec::new();
         let mut resets = Vec::new();
         for stop in &self.plan.stops {
             // Takes effect at once, even while a change of the graph is being applied.
-            let set = engine.as_ref().map(|e| e.set_bool_at_once(&stop.node, plan::EMERGENCY_STOP, on));
-            if !matches!(set, Some(Ok(()))) && self.raw_only.is_none() {
-                failed.push(stop.node.clone());
-            }
-            let values = engine.as_ref().and_then(|e| e.param_values(&stop.node));
+            self.runner.set_at_once(&stop.node, plan::EMERGENCY_STOP, on);
+            let values = self.runner.values(&stop.node);
             if let Some(ParamValue::Int(number)) = stop.reset.and_then(|at| values?.into_iter().nth(at))
                 && !on
             {
@@ -50,9 +45,7 @@ impl Theatre {
             Err(error) => self.notify(error.to_string(), true),
         }
         self.audit.log(Event::EmergencyStop { stopped: on });
-        if !failed.is_empty() {
-            self.notify(format!("{} did not accept the stop: switch the arm off", failed.join(", ")), true);
-        }
+        self.see_refused_stops();
     }
 
     /// Releases the arm once the button or the key was held long enough.

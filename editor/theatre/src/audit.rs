@@ -8,7 +8,7 @@ use panoscope_audit::{Auditor, Event};
 use panoscope_editor_model::observe::Counters;
 
 use super::settings;
-use super::{OpenError, Ready, Verified};
+use super::{Opened, Verified};
 use panoscope_graph::ParamValue;
 
 /// A setting that does not change for this long is logged: a dragged slider gives one line.
@@ -39,26 +39,11 @@ fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Why a graph was refused or is overridden. The names of files that a user chose are left out.
-pub(super) fn reason(error: &OpenError) -> String {
-    match error {
-        OpenError::Locked(differences) => {
-            let kinds: Vec<String> = differences.iter().map(|d| d.kind.to_string()).collect();
-            format!("{} files differ from the lock: {}", kinds.len(), kinds.join(", "))
-        }
-        OpenError::Lock(_) => "the lock is not valid".to_owned(),
-        OpenError::Graph(_) => "the graph has mistakes".to_owned(),
-        OpenError::NoPicture => "the graph has no image".to_owned(),
-        OpenError::Runtime(_) => "ONNX Runtime cannot be loaded".to_owned(),
-        OpenError::Thread(_) => "a thread could not be started".to_owned(),
-    }
-}
-
 /// Logs that a graph was not opened.
-pub(super) fn refused(folder: &Path, path: &Path, error: &OpenError) {
+pub(super) fn refused(folder: &Path, path: &Path, reason: &str) {
     // Without a thread for the log there is none for a theatre either.
     if let Ok(auditor) = Auditor::new(folder) {
-        auditor.log(Event::Refused { graph: name_of(path), reason: reason(error) });
+        auditor.log(Event::Refused { graph: name_of(path), reason: reason.to_owned() });
     }
 }
 
@@ -88,15 +73,15 @@ impl Audit {
     }
 
     /// A graph was opened, or exchanged for another one.
-    pub fn opened(&mut self, path: &Path, ready: &Ready) {
-        if let (Verified::Differs(_), Some(reason)) = (&ready.verified, &ready.overridden) {
+    pub fn opened(&mut self, path: &Path, graph: &Opened) {
+        if let (Verified::Differs(_), Some(reason)) = (&graph.verified, &graph.overridden) {
             self.log(Event::Override { by: "--unlocked".to_owned(), reason: reason.clone() });
         }
         self.log(Event::Opened {
             program: env!("CARGO_PKG_VERSION").to_owned(),
             graph: name_of(path),
-            graph_sha256: panoscope_loader::sealed::Fingerprint::of(ready.text.as_bytes()).sha256,
-            lock: ready.lock.clone(),
+            graph_sha256: panoscope_loader::sealed::Fingerprint::of(graph.text.as_bytes()).sha256,
+            lock: graph.lock.clone(),
         });
     }
 

@@ -9,7 +9,7 @@ use eframe::egui::{
 
 use super::arm::STOP_RED;
 use super::notices::{Facts, OLD_MS, Urgency, format_bytes};
-use super::{Action, EDGE, HOLD, REMARK, Theatre, key_name, settings};
+use super::{Action, EDGE, HOLD, Outage, OutageStage, REMARK, Theatre, key_name, settings};
 use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_widgets::theme;
 
@@ -40,6 +40,7 @@ impl Theatre {
             right = rect.left() - 10.0;
         };
         let (message, fill, color) = match (&status.phase, self.frozen) {
+            _ if facts.is_dark() => ("RESTARTING".to_owned(), theme::FAULT, theme::BLACK),
             _ if facts.why_dark.is_some() => ("NO PICTURE".to_owned(), theme::FAULT, theme::BLACK),
             (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::RAISED, theme::MUTED),
             (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::FAULT, theme::BLACK),
@@ -139,9 +140,12 @@ impl Theatre {
             self.stop_button(ui, rect);
             right = rect.left() - 24.0;
         }
-        let over = self.raw_only.is_some() || matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
+        let is_waiting = matches!(self.runner.outage(), Some(Outage { stage: OutageStage::Cameras(_), .. }));
+        let over = is_waiting
+            || self.raw_only.is_some()
+            || matches!(self.runner.status().phase, Phase::Ended | Phase::Failed(_));
         let frozen = self.frozen.is_some() && !self.measure.is_on();
-        let whole = self.raw_only.is_none();
+        let whole = !self.shows_raw();
         let buttons = [
             (Action::Next, "Layout", false, whole && self.plan.views.len() > 1),
             (Action::Freeze, if frozen { "Continue" } else { "Freeze" }, frozen, whole),
@@ -167,7 +171,7 @@ impl Theatre {
     /// Draws the pinned settings; when there is no room for all, with a button for the next page.
     fn settings(&mut self, ui: &mut Ui, room: Rect) {
         // While only the sources run, there is nothing to set.
-        let settings = if self.raw_only.is_some() { Vec::new() } else { self.plan.settings.clone() };
+        let settings = if self.shows_raw() { Vec::new() } else { self.plan.settings.clone() };
         let across = |width: f32| (((width + SETTING_GAP) / (SETTING + SETTING_GAP)).max(0.0) as usize).max(1);
         let mut room = room;
         let mut fit = across(room.width());

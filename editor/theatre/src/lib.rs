@@ -10,51 +10,61 @@ mod arm;
 mod arrange;
 mod audit;
 mod bars;
+mod guard;
+mod link;
 mod measure;
 mod notices;
 mod open;
 mod open_failed;
 mod opening;
+mod outage;
 mod plan;
 mod previews;
 mod recording;
+mod refusal;
+mod runner;
 mod settings;
 mod stage;
 mod storage;
+pub mod worker;
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
 use panoscope_audit::Event;
-use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
+use panoscope_graph::{GraphOptions, ParamValue};
 
 use panoscope_editor_model::content::Rig;
-use panoscope_editor_model::observe::{Observer, Output};
+use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::session::{Phase, Session};
 use panoscope_editor_model::surface::Viewpoint;
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{Costs, Shot};
-use panoscope_loader::verify::Seal;
 
 pub use actions::{Action, key_name};
 pub use arrange::Layout;
+pub use guard::{Guard, Program};
 pub use measure::Length;
 pub use notices::{Notice, Urgency};
-pub use open::{OpenError, Options, Ready, Verified};
+pub use open::{OpenError, Opened, Options, Ready, Verified};
 pub use open_failed::OpenFailed;
 pub use opening::Opening;
 pub use plan::{Pane, Plan, Setting};
+pub use refusal::Refusal;
+pub use runner::{Outage, OutageStage};
 pub use storage::{free_bytes, with_clip, without_clip, write_still};
 
 use audit::Audit;
 use measure::Measure;
 use notices::{Facts, Stages};
+use outage::Resuming;
 use previews::LastPacket;
+use runner::{Local, Runner};
 use storage::{Clip, Storage};
 
 /// How long Esc must be held to close the window, and the stop to release the arm.
@@ -72,8 +82,8 @@ const MIN_WIDTH_PT: f32 = 1180.0;
 /// The window.
 pub struct Theatre {
     plan: Plan,
-    session: Session,
-    observer: Observer,
+    path: PathBuf,
+    runner: Box<dyn Runner>,
     /// Text of the whole graph: the file's, with the current settings and clip.
     text: String,
     /// The reason why only the sources run; `None` while the whole graph runs.
@@ -105,8 +115,9 @@ pub struct Theatre {
     releasing: Option<Instant>,
     verified: Verified,
     audit: Audit,
-    /// The files that the graph may read, where it runs under its lock.
-    seal: Option<Arc<Seal>>,
+    /// Whether the graph may read only the files of its lock.
+    sealed: bool,
+    resuming: Resuming,
     scale: f32,
     closing: bool,
     shot: Shot,
@@ -114,12 +125,14 @@ pub struct Theatre {
 }
 
 impl Theatre {
-    /// Opens a window on the graph file at `path` with its text: compares it with its lock and starts it. A refusal is logged, too.
+    /// Opens a window on the graph file at `path` with its text: compares it with its lock and starts it in this process. A refusal is logged,
+    /// too.
     ///
     /// # Errors
     /// See [`OpenError`]; nothing is started.
     pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
-        let ready = Ready::check(path, text, &options).inspect_err(|error| options.log_refusal(path, error))?;
+        let ready = Ready::check(path, text, &options)
+            .inspect_err(|error| options.log_refusal(path, &Refusal::of(path, error)))?;
         Self::of(ctx, path, options, ready)
     }
 
@@ -128,22 +141,46 @@ impl Theatre {
     /// # Errors
     /// A thread cannot be started.
     pub fn of(ctx: &Context, path: &Path, options: Options, ready: Ready) -> Result<Self, OpenError> {
+        let for_wake = ctx.clone();
+        let wake = Arc::new(move || for_wake.request_repaint());
+        let local = Local::new(path, ready.loader, ready.seal, options.frames, wake)?;
+        Self::show(ctx, path, options, ready.opened, Box::new(local))
+    }
+
+    /// Opens a window on a graph that a guarded process has prepared from the text `file` of the graph file, with the arguments `given`.
+    ///
+    /// # Errors
+    /// A thread cannot be started.
+    pub fn guarded(
+        ctx: &Context,
+        path: &Path,
+        (file, given): (&str, &GraphOptions),
+        options: Options,
+        opened: Opened,
+        guard: Guard,
+    ) -> Result<Self, OpenError> {
+        let for_wake = ctx.clone();
+        guard.set_wake(Arc::new(move || for_wake.request_repaint()));
+        guard.begin(file, given, &opened);
+        Self::show(ctx, path, options, opened, Box::new(guard))
+    }
+
+    fn show(
+        ctx: &Context,
+        path: &Path,
+        options: Options,
+        opened: Opened,
+        runner: Box<dyn Runner>,
+    ) -> Result<Self, OpenError> {
         theme::apply(ctx);
         theme::apply_theatre(ctx);
         let mut audit = Audit::new(options.audit.as_deref())?;
-        audit.opened(path, &ready);
-        let session = Session::new(path, &[], options.frames)?;
-        session.set_loader(ready.loader);
-        session.set_seal(ready.seal.clone());
-        let for_wake = ctx.clone();
-        session.set_wake(Arc::new(move || for_wake.request_repaint()));
-        let observer = Observer::new(session.handle())?;
-        session.run(&ready.text);
-        Ok(Self {
-            plan: ready.plan,
-            observer,
-            session,
-            text: ready.text,
+        audit.opened(path, &opened);
+        let mut this = Self {
+            plan: opened.plan,
+            path: path.to_owned(),
+            runner,
+            text: String::new(),
             raw_only: None,
             shown: OutputCache::default(),
             live: OutputCache::default(),
@@ -164,14 +201,17 @@ impl Theatre {
             remark: None,
             leaving: None,
             releasing: None,
-            verified: ready.verified,
+            verified: opened.verified,
             audit,
-            seal: ready.seal,
+            sealed: opened.sealed,
+            resuming: Resuming::default(),
             scale: options.scale,
             closing: false,
             shot: options.shot,
             costs: Costs::default(),
-        })
+        };
+        this.run(opened.text);
+        Ok(this)
     }
 
     /// Views and settings of the graph.
@@ -184,9 +224,24 @@ impl Theatre {
         &self.verified
     }
 
-    /// The session that runs the graph.
-    pub fn session(&self) -> &Session {
-        &self.session
+    /// The session that runs the graph, where it runs in this process.
+    pub fn session(&self) -> Option<&Session> {
+        self.runner.session()
+    }
+
+    /// The crash that the run has not recovered from.
+    pub fn outage(&self) -> Option<Outage> {
+        self.runner.outage()
+    }
+
+    /// Age of the camera's own image, ms; `None` before the first one.
+    pub fn camera_age_ms(&self) -> Option<f64> {
+        self.age_ms(&self.plan.raw.as_ref()?.output)
+    }
+
+    /// Values of a node's parameters in the running graph.
+    pub fn param_values(&self, node: &str) -> Option<Vec<ParamValue>> {
+        self.runner.values(node)
     }
 
     /// The current notices, the most urgent first.
@@ -234,25 +289,29 @@ impl Theatre {
         self.remark = Some((message.into(), wrong, Instant::now()));
     }
 
-    /// Changes the running graph to another one of the same file, with the settings that were changed in this window.
+    /// Changes the running graph to another one of the same file, with the settings that were changed in this window. `take` makes the runner use
+    /// what was prepared for it.
     ///
     /// # Errors
-    /// Why not, in words: a clip is recorded, the arm is stopped, or the graph was locked meanwhile; nothing is changed.
-    pub fn exchange(&mut self, ready: Ready) -> Result<(), &'static str> {
+    /// Why not, in words: a clip is recorded, the arm is stopped, the graph was locked meanwhile, or it is being restarted; nothing is changed.
+    pub(crate) fn exchange(&mut self, opened: Opened, take: impl FnOnce(&dyn Runner)) -> Result<(), &'static str> {
         if self.emergency {
             return Err("the arm is stopped: release it first");
         }
         if self.clip.is_some() {
             return Err("a clip is being recorded: end it first");
         }
-        if ready.seal.is_some() && self.seal.is_none() {
+        if self.runner.outage().is_some() {
+            return Err("the image processing is being restarted: try again in a moment");
+        }
+        if opened.sealed && !self.sealed {
             // What runs was loaded without being compared.
             return Err("the graph was locked meanwhile: close the theatre and open it again");
         }
-        self.audit.opened(self.session.path(), &ready);
-        self.seal.clone_from(&ready.seal);
-        self.session.set_seal(ready.seal);
-        let mut text = ready.text;
+        self.audit.opened(&self.path, &opened);
+        self.sealed = opened.sealed;
+        take(self.runner.as_ref());
+        let mut text = opened.text;
         for ((node, param), value) in &self.chosen {
             let Some(value) = toml_of(value) else { continue };
             let edited = GraphEdit::parse(&text).and_then(|mut edit| {
@@ -262,7 +321,7 @@ impl Theatre {
             // A node that the new graph does not have needs no setting.
             text = edited.unwrap_or(text);
         }
-        (self.plan, self.verified) = (ready.plan, ready.verified);
+        (self.plan, self.verified) = (opened.plan, opened.verified);
         (self.layout, self.frozen, self.measure, self.rig) = (Layout::All, None, Measure::default(), None);
         self.last_packets.clear();
         self.run(text);
@@ -278,13 +337,15 @@ impl Theatre {
     pub(crate) fn ui_with_keys(&mut self, ui: &mut Ui, keys: bool) {
         self.costs.count_frame();
         let ctx = ui.ctx().clone();
-        let counters = self.observer.counters();
+        let counters = self.runner.counters();
         self.take_previews(&ctx);
-        self.fall_back(&self.session.status());
-        let status = self.session.status();
+        self.follow_outage();
+        self.fall_back(&self.runner.status());
+        let status = self.runner.status();
         let facts = self.facts(&status, &counters);
         self.notices = notices::notices(&facts);
         self.update_recordings(&status, &counters);
+        self.see_refused_stops();
         self.audit.update(&counters);
         // These keys press the focused button, or choose a point while measuring.
         let reserved: &[Key] = match ctx.memory(|m| m.focused().is_some()) {
@@ -316,7 +377,7 @@ impl Theatre {
         ctx.request_repaint_after(Duration::from_millis(100));
         self.play_script(&ctx);
         self.shot.take(&ctx);
-        self.shot.measure(&ctx, &self.costs, &self.session);
+        self.shot.measure_with(&ctx, &self.costs, || self.runner.report());
     }
 
     /// Scales the window with the screen's height, limited by the width that the buttons need.
@@ -341,7 +402,7 @@ impl Theatre {
 
     /// Whether the raw view replaces a view, because it has stopped.
     fn replaced(&self, pane: &Pane, facts: &Facts) -> bool {
-        self.raw_only.is_some() || facts.stopped.contains(&pane.label)
+        self.shows_raw() || facts.stopped.contains(&pane.label)
     }
 
     /// Performs an action.
@@ -354,7 +415,7 @@ impl Theatre {
                 self.layout = if self.layout == Layout::One(n) { Layout::All } else { Layout::One(n) };
             }
             Action::One(_) => {}
-            Action::Freeze if self.raw_only.is_some() => self.notify("the camera's own image is never frozen", false),
+            Action::Freeze if self.shows_raw() => self.notify("the camera's own image is never frozen", false),
             Action::Freeze if self.frozen.is_none() && !self.has_picture() => {
                 self.notify("there is no image yet", true)
             }
@@ -387,7 +448,7 @@ impl Theatre {
         if self.measure.is_on() {
             self.measure = Measure::default();
             self.frozen = None;
-        } else if self.plan.cloud.is_none() || self.raw_only.is_some() {
+        } else if self.plan.cloud.is_none() || self.shows_raw() {
             self.notify("this graph has no point cloud to measure in", true);
         } else {
             self.frozen = None;
@@ -397,20 +458,39 @@ impl Theatre {
 
     /// Starts the whole graph again, after it has stopped.
     fn again(&mut self) {
-        let ended = matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
-        if self.raw_only.take().is_some() || ended {
+        let ended = matches!(self.runner.status().phase, Phase::Ended | Phase::Failed(_));
+        let has_fallen_back = self.raw_only.take().is_some();
+        self.keep();
+        if self.runner.outage().is_some() {
+            self.audit.log(Event::Restarted);
+            self.runner.resume();
+        } else if has_fallen_back || ended {
             self.last_packets.clear();
             self.audit.log(Event::Restarted);
-            self.session.restart(&self.text);
+            self.runner.restart(&self.text);
         }
     }
 
     /// Sets the text of the whole graph and runs it.
     fn run(&mut self, text: String) {
-        self.text = text;
+        self.set_text(text);
         if self.raw_only.is_none() {
-            self.session.run(&self.text);
+            self.runner.run(&self.text);
         }
+    }
+
+    /// Sets the text of the whole graph.
+    fn set_text(&mut self, text: String) {
+        self.text = text;
+        self.keep();
+    }
+
+    /// Tells the runner what to start after a crash.
+    fn keep(&self) {
+        let cameras = self.plan.raw_only(&self.text).unwrap_or_else(|_| self.text.clone());
+        // What did not run before the crash is not started after it, unless the user asks for it.
+        let whole = if self.raw_only.is_some() { &cameras } else { &self.text };
+        self.runner.keep(whole, &cameras);
     }
 
     /// Current value of a setting: the one chosen in this window, else the running node's.
@@ -418,8 +498,7 @@ impl Theatre {
         if let Some(chosen) = self.chosen.get(&(setting.node.clone(), setting.param.name.clone())) {
             return Some(chosen.clone());
         }
-        let engine = self.session.handle().engine()?;
-        engine.param_values(&setting.node)?.into_iter().nth(setting.index)
+        self.runner.values(&setting.node)?.into_iter().nth(setting.index)
     }
 
     /// Sets the value of a setting in the running graph; the file is not changed.
@@ -498,7 +577,7 @@ impl eframe::App for Theatre {
 
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {
         panoscope_engine::ending::signals::notice();
-        self.session.close();
+        self.runner.close();
         self.audit.close();
     }
 

@@ -1,13 +1,16 @@
 //! `panoscope-theatre GRAPH`, started by `panoscope theatre GRAPH`. Exit codes: 0 success, 1 the window could not be opened, 2 the file cannot
 //! be read or was refused.
+//!
+//! The program runs twice: this process owns the window, and starts another one, with the first argument [`worker::COMMAND`], for the graph.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::Parser;
 use panoscope_editor_widgets::window;
 use panoscope_graph::{GraphText, installed};
 use panoscope_loader::keys::{KeyError, PublicKey, Trust};
-use panoscope_theatre::{OpenFailed, Opening, Options, Ready};
+use panoscope_theatre::{Guard, OpenError, OpenFailed, Opening, Options, Program, Refusal, worker};
 
 /// The surgeon's window: full-screen images, and only the settings that the preset offers.
 #[derive(Parser)]
@@ -40,7 +43,14 @@ panoscope_engine::guard_exits!();
 
 fn main() {
     window::listen_to_signals();
-    let code = run(&window::parse());
+    let mut words: Vec<OsString> = std::env::args_os().collect();
+    let code = match words.get(1).is_some_and(|word| word == worker::COMMAND) {
+        true => {
+            let own: Vec<OsString> = words.drain(1..words.len().min(3)).collect();
+            work(&own, &window::parse_words(words))
+        }
+        false => run(&window::parse()),
+    };
     window::leave(code)
 }
 
@@ -53,33 +63,12 @@ fn trusted(files: &[PathBuf]) -> Result<Trust, KeyError> {
     Ok(trust)
 }
 
-fn run(arguments: &Arguments) -> i32 {
-    let text = match GraphText::load_with(&arguments.graph, &arguments.given.options()) {
-        Ok(text) => text,
-        Err(diagnostics) => {
-            eprintln!("{}", diagnostics.render(false).trim_end());
-            return 2;
-        }
-    };
-    let shot = arguments.window.shot();
-    let viewport = window::viewport(&arguments.graph, "panoscope-theatre", arguments.window.size)
-        .with_fullscreen(!arguments.windowed)
-        .with_decorations(arguments.windowed);
-    let path = arguments.graph.clone();
-    let given = arguments.given.options();
-    let trust = match trusted(&arguments.trust) {
-        Ok(trust) => trust,
-        Err(error) => {
-            eprintln!("error: {error}");
-            return 2;
-        }
-    };
-    let notice = installed::notice(&arguments.graph);
-    if let Some(notice) = &notice {
-        eprintln!("note: {notice}");
-    }
-    let folder = if notice.is_some() { installed::output_dir().join("out") } else { PathBuf::from("out") };
-    let options = Options {
+/// What the arguments ask for.
+fn options(arguments: &Arguments) -> Result<Options, KeyError> {
+    let trust = trusted(&arguments.trust)?;
+    let is_installed = installed::notice(&arguments.graph).is_some();
+    let folder = if is_installed { installed::output_dir().join("out") } else { PathBuf::from("out") };
+    Ok(Options {
         folder: arguments.into.clone().unwrap_or(folder),
         label: arguments.label.clone(),
         unlocked: arguments.unlocked,
@@ -87,21 +76,78 @@ fn run(arguments: &Arguments) -> i32 {
         audit: Some(panoscope_audit::folder().unwrap_or_else(|| PathBuf::from(panoscope_audit::SYSTEM_FOLDER))),
         frames: arguments.window.frames,
         scale: arguments.window.scale,
-        shot,
-    };
-    // A graph that lacks arguments asks for them in its window.
-    let ready = match Ready::of(&text, &options) {
-        Ok(ready) => Some(ready),
-        Err(_) if !text.missing_args().is_empty() => None,
+        shot: arguments.window.shot(),
+    })
+}
+
+/// Runs the graph for the window that started this process.
+fn work(own: &[OsString], arguments: &Arguments) -> i32 {
+    let options = match options(arguments) {
+        Ok(options) => options,
         Err(error) => {
+            eprintln!("error: {error}");
+            return 2;
+        }
+    };
+    let memory = own.get(1).map(OsString::as_os_str).unwrap_or_default();
+    match worker::serve(memory, arguments.graph.clone(), options) {
+        Ok(()) => 0,
+        Err(error) => {
+            eprintln!("error: `{}` is started by the theatre only: {error}", worker::COMMAND);
+            2
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> i32 {
+    let given = arguments.given.options();
+    let text = match GraphText::load_with(&arguments.graph, &given) {
+        Ok(text) => text,
+        Err(diagnostics) => {
+            eprintln!("{}", diagnostics.render(false).trim_end());
+            return 2;
+        }
+    };
+    let viewport = window::viewport(&arguments.graph, "panoscope-theatre", arguments.window.size)
+        .with_fullscreen(!arguments.windowed)
+        .with_decorations(arguments.windowed);
+    let path = arguments.graph.clone();
+    let options = match options(arguments) {
+        Ok(options) => options,
+        Err(error) => {
+            eprintln!("error: {error}");
+            return 2;
+        }
+    };
+    if let Some(notice) = installed::notice(&arguments.graph) {
+        eprintln!("note: {notice}");
+    }
+    // The running version, even if its file was replaced meanwhile.
+    let program = Program { file: PathBuf::from("/proc/self/exe"), arguments: std::env::args_os().skip(1).collect() };
+    let guard = Guard::new(program, path.clone()).map_err(|error| Refusal::of(&path, &OpenError::Thread(error)));
+    // A graph that lacks arguments asks for them in its window.
+    let asks = !text.missing_args().is_empty();
+    let opened = guard.and_then(|guard| match asks {
+        true => Ok((guard, None)),
+        false => {
+            guard.prepare(text.text(), &given);
+            let opened = guard.wait_prepared()?;
+            Ok((guard, Some(opened)))
+        }
+    });
+    let (guard, opened) = match opened {
+        Ok(opened) => opened,
+        Err(refusal) => {
             // Reported on the terminal, and in a window if there is a screen.
-            eprintln!("{}", error.terminal_text());
-            options.log_refusal(&path, &error);
+            eprintln!("{}", refusal.terminal_text());
+            options.log_refusal(&path, &refusal);
             let shot = options.shot;
-            let _ = window::show(viewport, move |cc| Ok(Box::new(OpenFailed::new(&cc.egui_ctx, &path, &error, shot))));
+            let _ = window::show(viewport, move |cc| Ok(Box::new(OpenFailed::of(&cc.egui_ctx, refusal, shot))));
             return 2;
         }
     };
     let config = panoscope_editor_model::arguments::config_folder();
-    window::open(viewport, move |cc| Ok(Box::new(Opening::new(&cc.egui_ctx, &text, given, ready, config, options)?)))
+    window::open(viewport, move |cc| {
+        Ok(Box::new(Opening::guarded(&cc.egui_ctx, &text, given, opened, config, options, guard)?))
+    })
 }

@@ -9,6 +9,9 @@ use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::Phase;
 
+use super::outage::OutageFacts;
+use super::runner::OutageStage;
+
 /// Age from which an image gets a notice, ms.
 pub const OLD_MS: f64 = 200.0;
 /// Time without a new image after which a camera or view counts as stopped.
@@ -49,6 +52,8 @@ pub struct Facts {
     pub problem: Option<String>,
     /// Why only the sources run.
     pub raw_only: Option<String>,
+    /// The process that runs the graph has ended, and the views are not shown again yet.
+    pub outage: Option<OutageFacts>,
     /// Why nothing runs, so that there is no image at all.
     pub why_dark: Option<String>,
     /// The last error message of each source, by node.
@@ -92,6 +97,11 @@ pub enum NoPicture {
 }
 
 impl Facts {
+    /// Whether the process that runs the graph has ended, and the cameras are not shown again yet.
+    pub fn is_dark(&self) -> bool {
+        self.outage.as_ref().is_some_and(|outage| outage.stage == OutageStage::Dark)
+    }
+
     /// What to show in place of the image of `node`, which has not arrived yet.
     pub fn no_picture(&self, node: &str, stopped: bool) -> NoPicture {
         const AGAIN: &str = "Correct this, then press Enter to start again. For a camera: check its cable and power, and close other programs that use it.";
@@ -121,6 +131,8 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     }
     if let Some(why) = &facts.why_dark {
         notify(Alarm, format!("No image: {why}"));
+    } else if let Some(outage) = &facts.outage {
+        notify(Alarm, outage.message());
     } else if let Some(why) = &facts.raw_only {
         notify(Alarm, format!("Camera image only: {why}"));
     } else if let Phase::Failed(why) = &facts.phase {

@@ -10,8 +10,11 @@ use panoscope_loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError, lock_pa
 use panoscope_loader::verify::{self, Seal, VerifyError};
 use panoscope_loader::{self as loader, Loader};
 
-use super::Plan;
+use serde::{Deserialize, Serialize};
+
 use super::audit;
+use super::refusal;
+use super::{Plan, Refusal};
 use panoscope_editor_widgets::Shot;
 
 /// Options of the theatre.
@@ -37,9 +40,9 @@ pub struct Options {
 
 impl Options {
     /// Writes into the audit log that a graph was not opened.
-    pub fn log_refusal(&self, path: &Path, error: &OpenError) {
+    pub fn log_refusal(&self, path: &Path, refusal: &Refusal) {
         if let Some(folder) = &self.audit {
-            audit::refused(folder, path, error);
+            audit::refused(folder, path, &refusal.reason);
         }
     }
 }
@@ -81,20 +84,13 @@ pub enum OpenError {
     /// A thread cannot be started.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] std::io::Error),
-}
-
-impl OpenError {
-    /// The error as shown on a terminal.
-    pub fn terminal_text(&self) -> String {
-        match self {
-            Self::Graph(diagnostics) => diagnostics.render(false).trim_end().to_owned(),
-            other => format!("error: {other}"),
-        }
-    }
+    /// The process that runs the graph ended before the graph was opened.
+    #[error("the process that runs the graph {0}")]
+    Worker(String),
 }
 
 /// Whether the running graph was verified.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Verified {
     /// All files are as they were locked, and this key signed that.
     Signed(String),
@@ -117,19 +113,27 @@ impl Verified {
     }
 }
 
-/// A graph that was checked and can be opened in the theatre.
-pub struct Ready {
+/// What the window needs to know of a graph that was checked. It can be sent to another process.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Opened {
     pub(super) plan: Plan,
     pub(super) verified: Verified,
     /// One text of the graph file with its parts, overlays and arguments: what runs.
     pub(super) text: String,
-    pub(super) loader: Arc<Loader>,
-    /// The files that the graph may read, where it runs under its lock.
-    pub(super) seal: Option<Arc<Seal>>,
     /// The lock that it agrees with, for the audit log.
     pub(super) lock: Option<LockFacts>,
     /// Why it would not have opened without `--unlocked`, for the audit log.
     pub(super) overridden: Option<String>,
+    /// Whether it may read only the files of its lock.
+    pub(super) sealed: bool,
+}
+
+/// A graph that was checked and can be run in this process.
+pub struct Ready {
+    pub(super) opened: Opened,
+    pub(super) loader: Arc<Loader>,
+    /// The files that the graph may read, where it runs under its lock.
+    pub(super) seal: Option<Arc<Seal>>,
 }
 
 /// A checked graph and where it comes from.
@@ -195,7 +199,7 @@ impl Ready {
             // Mistakes of the graph are no difference that can be overridden.
             Err(error @ OpenError::Graph(_)) => return Err(error),
             Err(error) if options.unlocked => {
-                overridden = Some(audit::reason(&error));
+                overridden = Some(refusal::reason(&error));
                 let first = match &error {
                     OpenError::Locked(differences) => differences.first().map(ToString::to_string),
                     _ => None,
@@ -210,6 +214,7 @@ impl Ready {
             return Err(OpenError::NoPicture);
         }
         let text = parsed.flattened(&catalog).into_owned();
-        Ok(Self { plan, verified, text, loader: Arc::new(loader), seal, lock, overridden })
+        let opened = Opened { plan, verified, text, lock, overridden, sealed: seal.is_some() };
+        Ok(Self { opened, loader: Arc::new(loader), seal })
     }
 }

@@ -4,23 +4,16 @@ use std::path::Path;
 
 use eframe::egui::{self, Align, Button, Context, Frame, Key, Layout, Margin, RichText, ScrollArea, Ui, vec2};
 
-use super::{EDGE, OpenError};
+use super::{EDGE, OpenError, Refusal};
 use panoscope_editor_widgets::Shot;
 use panoscope_editor_widgets::theme;
 
 /// Width of the text in points.
 const WIDTH: f32 = 860.0;
 
-/// The last remedy for a difference from the lock.
-const UNVERIFIED: &str = "Or open it unverified; a mark on the screen will show this:";
-
 /// The window of a theatre that could not open.
 pub struct OpenFailed {
-    heading: String,
-    /// The causes, each a line or a listing.
-    causes: Vec<String>,
-    /// The remedies, the best one first, each with the command for it.
-    remedies: Vec<(&'static str, Option<String>)>,
+    refusal: Refusal,
     closing: bool,
     shot: Shot,
 }
@@ -28,47 +21,14 @@ pub struct OpenFailed {
 impl OpenFailed {
     /// The window for the graph file at `path` and the error of opening it.
     pub fn new(ctx: &Context, path: &Path, error: &OpenError, shot: Shot) -> Self {
+        Self::of(ctx, Refusal::of(path, error), shot)
+    }
+
+    /// The window for a refusal.
+    pub fn of(ctx: &Context, refusal: Refusal, shot: Shot) -> Self {
         theme::apply(ctx);
         theme::apply_theatre(ctx);
-        let (name, file) = (path.file_name().unwrap_or(path.as_os_str()).to_string_lossy(), path.display());
-        let (lock, unlocked) = (format!("panoscope lock {file}"), format!("panoscope theatre {file} --unlocked"));
-        let (heading, causes, remedies) = match error {
-            OpenError::Locked(differences) => (
-                format!("{name} differs from its lock"),
-                differences.iter().map(ToString::to_string).collect(),
-                vec![
-                    ("Restore the changed files.", None),
-                    ("Or verify the graph as it is now, and lock it again:", Some(lock)),
-                    (UNVERIFIED, Some(unlocked)),
-                ],
-            ),
-            OpenError::Lock(error) => (
-                format!("The lock of {name} is not valid"),
-                vec![error.to_string()],
-                vec![("Verify the graph, and lock it again:", Some(lock)), (UNVERIFIED, Some(unlocked))],
-            ),
-            OpenError::Graph(diagnostics) => (
-                format!("{name} has mistakes"),
-                vec![diagnostics.render(false).trim_end().to_owned()],
-                vec![("Correct them in the editor:", Some(format!("panoscope edit {file}")))],
-            ),
-            OpenError::Runtime(_) => (
-                format!("{name} could not be started"),
-                vec![error.to_string()],
-                vec![("Install Panoscope again, then verify the graph and lock it:", Some(lock))],
-            ),
-            OpenError::NoPicture => (
-                format!("{name} has no image"),
-                vec![error.to_string()],
-                vec![("Name outputs with images in `views` of `[preset]`.", None)],
-            ),
-            OpenError::Thread(_) => (
-                format!("{name} could not be started"),
-                vec![error.to_string()],
-                vec![("Close other programs, then open it again.", None)],
-            ),
-        };
-        Self { heading, causes, remedies, closing: false, shot }
+        Self { refusal, closing: false, shot }
     }
 
     /// Whether the window was asked to close.
@@ -90,14 +50,14 @@ impl OpenFailed {
             ui.spacing_mut().item_spacing.y = 10.0;
             ui.add_space(room.height() * 0.12);
             ui.add(text("The theatre could not be opened", 18.0, theme::MUTED));
-            ui.add(text(&self.heading, 34.0, theme::FAULT));
+            ui.add(text(&self.refusal.heading, 34.0, theme::FAULT));
             ui.add_space(14.0);
             let most = (ui.available_height() - 340.0).max(120.0);
             let frame = Frame::new().fill(theme::PANEL).corner_radius(8.0).inner_margin(Margin::same(18));
             frame.show(ui, |ui| {
                 ui.set_width(ui.available_width());
                 ScrollArea::vertical().max_height(most).auto_shrink([false, true]).show(ui, |ui| {
-                    for cause in &self.causes {
+                    for cause in &self.refusal.causes {
                         // A listing needs a monospaced font.
                         let message = RichText::new(cause).size(17.0).color(theme::TEXT);
                         let message = if cause.contains('\n') { message.monospace().size(14.0) } else { message };
@@ -107,7 +67,7 @@ impl OpenFailed {
             });
             ui.add_space(14.0);
             ui.add(text("What to do", 18.0, theme::MUTED));
-            for (remedy, command) in &self.remedies {
+            for (remedy, command) in &self.refusal.remedies {
                 ui.add(text(remedy, 17.0, theme::TEXT));
                 if let Some(command) = command {
                     let message = RichText::new(command).monospace().size(16.0).color(theme::ACCENT);

@@ -11,7 +11,8 @@ use panoscope_loader::lock::{ALWAYS_LOCKED, Lock};
 use panoscope_loader::verify;
 use panoscope_loader::{self as loader, Loader};
 
-use super::{OpenError, OpenFailed, Options, Ready, Theatre};
+use super::runner::Runner;
+use super::{Guard, OpenError, OpenFailed, Opened, Options, Ready, Refusal, Theatre};
 
 /// The key that shows and hides the panel of arguments.
 const KEY: Key = Key::A;
@@ -24,6 +25,20 @@ enum Stage {
     Running(Box<Theatre>),
 }
 
+/// Where the graph is checked and run.
+enum Place {
+    /// In this process.
+    Here,
+    /// In a process that this one guards.
+    Guarded(Guard),
+}
+
+/// A graph that was checked, and where.
+enum Found {
+    Here(Ready),
+    Guarded(Guard, Opened),
+}
+
 /// The window of a graph with its arguments.
 pub struct Opening {
     path: PathBuf,
@@ -33,12 +48,17 @@ pub struct Opening {
     config: Option<PathBuf>,
     /// The form, while it is shown.
     form: Option<Form>,
+    /// The values that are being checked.
+    checking: Option<GraphOptions>,
+    /// Whether the overlays of a form are being found.
+    is_searching: bool,
     stage: Stage,
+    place: Place,
 }
 
 impl Opening {
-    /// Opens a window on a graph that was read with `given`. Where it is not `ready` because arguments lack values, the window asks for them first;
-    /// values that are remembered in the folder `config` are offered.
+    /// Opens a window on a graph that was read with `given`, and runs it in this process. Where it is not `ready` because arguments lack values,
+    /// the window asks for them first; values that are remembered in the folder `config` are offered.
     ///
     /// # Errors
     /// A thread cannot be started.
@@ -50,21 +70,76 @@ impl Opening {
         config: Option<PathBuf>,
         options: Options,
     ) -> Result<Self, OpenError> {
+        Self::begin(ctx, graph, given, ready.map(Found::Here), config, options, Place::Here)
+    }
+
+    /// As [`Self::new`], with a graph that runs in a guarded process. It was `opened` there, unless it lacks arguments.
+    ///
+    /// # Errors
+    /// A thread cannot be started.
+    pub fn guarded(
+        ctx: &Context,
+        graph: &GraphText,
+        given: GraphOptions,
+        opened: Option<Opened>,
+        config: Option<PathBuf>,
+        options: Options,
+        guard: Guard,
+    ) -> Result<Self, OpenError> {
+        let found = opened.map(|opened| Found::Guarded(guard.clone(), opened));
+        let for_wake = ctx.clone();
+        guard.set_wake(std::sync::Arc::new(move || for_wake.request_repaint()));
+        Self::begin(ctx, graph, given, found, config, options, Place::Guarded(guard))
+    }
+
+    fn begin(
+        ctx: &Context,
+        graph: &GraphText,
+        given: GraphOptions,
+        found: Option<Found>,
+        config: Option<PathBuf>,
+        options: Options,
+        place: Place,
+    ) -> Result<Self, OpenError> {
         let (path, text) = (graph.path().to_owned(), graph.text().to_owned());
-        let stage = match ready {
-            Some(ready) => Stage::Running(Box::new(Theatre::of(ctx, &path, options.clone(), ready)?)),
+        let asks = found.is_none();
+        let (form, checking, is_searching) = (None, None, false);
+        let mut this =
+            Self { path, text, options, given, config, form, checking, is_searching, stage: Stage::Asking, place };
+        match found {
+            Some(found) => {
+                let given = this.given.clone();
+                this.stage = Stage::Running(Box::new(this.open(ctx, found, &given)?));
+            }
             None => {
                 theme::apply(ctx);
                 theme::apply_theatre(ctx);
-                Stage::Asking
             }
-        };
-        let mut this = Self { path, text, options, given, config, form: None, stage };
-        if matches!(this.stage, Stage::Asking) {
-            let loader = this.options.loader_for(graph);
-            this.form = Some(this.new_form(&loader));
+        }
+        if asks {
+            match &this.place {
+                Place::Here => {
+                    let loader = this.options.loader_for(graph);
+                    let form = Form::new(&this.path, &this.text, &this.given, &loader);
+                    this.show_remembered(form);
+                }
+                Place::Guarded(guard) => {
+                    guard.find_overlays(&this.text, &this.given);
+                    this.is_searching = true;
+                }
+            }
         }
         Ok(this)
+    }
+
+    /// The theatre of a graph that was checked.
+    fn open(&self, ctx: &Context, found: Found, given: &GraphOptions) -> Result<Theatre, OpenError> {
+        match found {
+            Found::Here(ready) => Theatre::of(ctx, &self.path, self.options.clone(), ready),
+            Found::Guarded(guard, opened) => {
+                Theatre::guarded(ctx, &self.path, (&self.text, given), self.options.clone(), opened, guard)
+            }
+        }
     }
 
     /// The theatre, once the graph runs.
@@ -80,22 +155,77 @@ impl Opening {
         self.form.as_ref()
     }
 
-    fn new_form(&self, loader: &Loader) -> Form {
-        let mut form = Form::new(&self.path, &self.text, &self.given, loader);
+    /// Shows a form with the values that were given last time.
+    fn show_remembered(&mut self, mut form: Form) {
         if let Some(remembered) = self.config.as_deref().and_then(|folder| arguments::recall(folder, &self.path)) {
             form.recall(remembered);
         }
-        form
+        self.form = Some(form);
+    }
+
+    /// Shows the panel of arguments, or hides it.
+    fn toggle_form(&mut self) {
+        if self.form.take().is_some() || self.is_searching {
+            return;
+        }
+        match &self.place {
+            Place::Here => {
+                let session = self.theatre().and_then(Theatre::session);
+                let loader = session.map(panoscope_editor_model::session::Session::loader).unwrap_or_default();
+                self.show_panel(Form::new(&self.path, &self.text, &self.given, &loader));
+            }
+            Place::Guarded(guard) => {
+                guard.find_overlays(&self.text, &self.given);
+                self.is_searching = true;
+            }
+        }
+    }
+
+    fn show_panel(&mut self, form: Form) {
+        if !form.is_empty() {
+            self.form = Some(form);
+        } else if let Stage::Running(theatre) = &mut self.stage {
+            theatre.notify("the graph has no arguments", false);
+        }
+    }
+
+    /// Takes the answers of the guarded process.
+    fn take_answers(&mut self, ctx: &Context) {
+        let Place::Guarded(guard) = &self.place else { return };
+        let guard = guard.clone();
+        if self.is_searching
+            && let Some(overlays) = guard.take_overlays()
+        {
+            self.is_searching = false;
+            let form = Form::with_overlays(&self.path, &self.text, &self.given, overlays);
+            match self.stage {
+                Stage::Asking => self.show_remembered(form),
+                Stage::Running(_) => self.show_panel(form),
+                Stage::Failed(_) => {}
+            }
+        }
+        if let Some(given) = self.checking.take() {
+            match guard.take_prepared() {
+                Some(answer) => self.take_checked(ctx, given, answer.map(|opened| Found::Guarded(guard, opened))),
+                None => self.checking = Some(given),
+            }
+        }
     }
 
     /// Draws a frame.
     pub fn ui(&mut self, ui: &mut Ui) {
         let ctx = ui.ctx().clone();
+        self.take_answers(&ctx);
         let dropped: Vec<PathBuf> = ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
         if let Some(form) = &mut self.form {
             form.drop_files(dropped);
         }
         let mut request = None;
+        let typing = ctx.text_edit_focused();
+        let is_running = matches!(self.stage, Stage::Running(_));
+        if is_running && !typing && ctx.input_mut(|i| i.consume_key(Modifiers::NONE, KEY)) {
+            self.toggle_form();
+        }
         match &mut self.stage {
             Stage::Failed(failed) => failed.ui(ui),
             Stage::Asking => {
@@ -109,18 +239,6 @@ impl Opening {
                 self.options.shot.take(&ctx);
             }
             Stage::Running(theatre) => {
-                let typing = ctx.text_edit_focused();
-                if !typing && ctx.input_mut(|i| i.consume_key(Modifiers::NONE, KEY)) {
-                    let loader = theatre.session().loader();
-                    self.form = match self.form {
-                        Some(_) => None,
-                        None => Some(Form::new(&self.path, &self.text, &self.given, &loader)),
-                    };
-                    if self.form.as_ref().is_some_and(Form::is_empty) {
-                        self.form = None;
-                        theatre.notify("the graph has no arguments", false);
-                    }
-                }
                 if self.form.is_some() {
                     // Beside the pictures: nothing covers them.
                     let frame = Frame::new().fill(theme::PANEL).inner_margin(Margin::same(20));
@@ -162,34 +280,60 @@ impl Opening {
         request.or(enter.then_some(FormRequest::Apply))
     }
 
-    /// Takes the values of the form: starts the theatre, or changes its running graph.
+    /// Takes the values of the form: the graph is checked with them.
     fn apply(&mut self, ctx: &Context) {
         let Some(form) = &mut self.form else { return };
+        if self.checking.is_some() {
+            return;
+        }
         let Ok(given) = form.finish() else { return };
-        let parsed = GraphText::parse_with(&self.path, &self.text, &given);
-        let ready = Ready::of(&parsed, &self.options);
-        match (&mut self.stage, ready) {
-            (Stage::Running(theatre), Ok(ready)) => {
-                if let Err(refused) = theatre.exchange(ready) {
-                    form.problems = vec![refused.to_owned()];
-                    return;
+        match &self.place {
+            Place::Here => {
+                let parsed = GraphText::parse_with(&self.path, &self.text, &given);
+                let ready = Ready::of(&parsed, &self.options);
+                let found = ready.map(Found::Here).map_err(|error| Refusal::of(&self.path, &error));
+                self.take_checked(ctx, given, found);
+            }
+            Place::Guarded(guard) => {
+                guard.prepare(&self.text, &given);
+                self.checking = Some(given);
+            }
+        }
+    }
+
+    /// Starts the theatre with values that were checked, or changes its running graph.
+    fn take_checked(&mut self, ctx: &Context, given: GraphOptions, found: Result<Found, Refusal>) {
+        let report = |form: &mut Option<Form>, problem: String| {
+            if let Some(form) = form {
+                form.problems = vec![problem];
+            }
+        };
+        match (&mut self.stage, found) {
+            (Stage::Running(theatre), Ok(found)) => {
+                let changed = match found {
+                    Found::Here(ready) => theatre.exchange(ready.opened, |runner| runner.seal(ready.seal)),
+                    Found::Guarded(guard, opened) => {
+                        theatre.exchange(opened.clone(), |_| guard.begin(&self.text, &given, &opened))
+                    }
+                };
+                if let Err(refused) = changed {
+                    return report(&mut self.form, refused.to_owned());
                 }
             }
             // The running graph goes on, and the form says what is wrong.
-            (Stage::Running(_), Err(error)) => {
-                form.problems = vec![error.to_string()];
-                return;
+            (Stage::Running(_), Err(refusal)) => return report(&mut self.form, refusal.message),
+            (_, Ok(found)) => {
+                let theatre = self.open(ctx, found, &given);
+                self.stage = match theatre {
+                    Ok(theatre) => Stage::Running(Box::new(theatre)),
+                    Err(error) => self.options.failed(ctx, &self.path, Refusal::of(&self.path, &error)),
+                };
             }
-            (stage, Ok(ready)) => match Theatre::of(ctx, &self.path, self.options.clone(), ready) {
-                Ok(theatre) => *stage = Stage::Running(Box::new(theatre)),
-                Err(error) => *stage = self.options.failed(ctx, &self.path, &error),
-            },
             // Wrong values can be put right here.
-            (Stage::Asking | Stage::Failed(_), Err(error @ OpenError::Graph(_))) => {
-                form.problems = vec![error.to_string()];
-                return;
+            (Stage::Asking | Stage::Failed(_), Err(refusal)) if refusal.is_mistake => {
+                return report(&mut self.form, refusal.message);
             }
-            (stage, Err(error)) => *stage = self.options.failed(ctx, &self.path, &error),
+            (stage, Err(refusal)) => *stage = self.options.failed(ctx, &self.path, refusal),
         }
         if let Some(folder) = &self.config
             && let Err(error) = arguments::remember(folder, &self.path, &given)
@@ -204,7 +348,7 @@ impl Opening {
 
 impl Options {
     /// The plugins that the form may load to find the overlays that fit: those of the lock, where there is one.
-    fn loader_for(&self, graph: &GraphText) -> Loader {
+    pub(super) fn loader_for(&self, graph: &GraphText) -> Loader {
         let all = || Loader::search(&loader::search_path(&graph.plugin_paths()));
         match Lock::read(graph.path()) {
             _ if self.unlocked => all(),
@@ -217,10 +361,10 @@ impl Options {
         }
     }
 
-    fn failed(&self, ctx: &Context, path: &Path, error: &OpenError) -> Stage {
-        eprintln!("{}", error.terminal_text());
-        self.log_refusal(path, error);
-        Stage::Failed(Box::new(OpenFailed::new(ctx, path, error, self.shot.clone())))
+    fn failed(&self, ctx: &Context, path: &Path, refusal: Refusal) -> Stage {
+        eprintln!("{}", refusal.terminal_text());
+        self.log_refusal(path, &refusal);
+        Stage::Failed(Box::new(OpenFailed::of(ctx, refusal, self.shot.clone())))
     }
 }
 
@@ -234,8 +378,10 @@ impl eframe::App for Opening {
     }
 
     fn on_exit(&mut self, gl: Option<&eframe::glow::Context>) {
-        if let Stage::Running(theatre) = &mut self.stage {
-            eframe::App::on_exit(theatre.as_mut(), gl);
+        match (&mut self.stage, &mut self.place) {
+            (Stage::Running(theatre), _) => eframe::App::on_exit(theatre.as_mut(), gl),
+            (_, Place::Guarded(guard)) => guard.close(),
+            _ => {}
         }
     }
 

@@ -3,6 +3,7 @@
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView};
 use panoscope_imaging::stereo::length::Noise;
+use serde::{Deserialize, Serialize};
 
 use panoscope_editor_model::observe::Output;
 
@@ -14,7 +15,7 @@ pub const RESET: &str = "reset";
 const MAX_DEFAULT_VIEWS: usize = 4;
 
 /// A view of the theatre.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pane {
     /// The output.
     pub output: Output,
@@ -25,7 +26,7 @@ pub struct Pane {
 }
 
 /// A setting that the preset pins.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Setting {
     /// The node.
     pub node: String,
@@ -40,7 +41,7 @@ pub struct Setting {
 }
 
 /// A node that the emergency stop stops.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stop {
     /// The node.
     pub node: String,
@@ -49,16 +50,33 @@ pub struct Stop {
 }
 
 /// The source of the stereo geometry, for the errors of distances.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RigSource {
     /// The output with the calibration of the points.
     pub calibration: Output,
     /// The uncertainty of the geometry: from a measuring node of the graph, else the usual values.
+    #[serde(with = "noise")]
     pub noise: Noise,
 }
 
+/// [`Noise`] as numbers: its crate knows no format.
+mod noise {
+    use panoscope_imaging::stereo::length::Noise;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub fn serialize<S: Serializer>(noise: &Noise, to: S) -> Result<S::Ok, S::Error> {
+        let Noise { disparity_px, offset_px, baseline_mm, focal_percent } = *noise;
+        [disparity_px, offset_px, baseline_mm, focal_percent].serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Noise, D::Error> {
+        let [disparity_px, offset_px, baseline_mm, focal_percent] = Deserialize::deserialize(from)?;
+        Ok(Noise { disparity_px, offset_px, baseline_mm, focal_percent })
+    }
+}
+
 /// What the theatre shows of a graph.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// Name of the graph.
     pub name: String,

@@ -17,7 +17,7 @@ use panoscope_editor_model::session::{Phase, Status};
 /// Minimum time between two previews.
 const INTERVAL: Duration = Duration::from_millis(33);
 /// How long a view may take for its first image before it counts as stopped.
-const FIRST: Duration = Duration::from_secs(5);
+pub(super) const FIRST: Duration = Duration::from_secs(5);
 /// Maximum width of a view, px.
 const MAX_WIDTH: usize = 4096;
 /// Width of the preview of a camera that is only monitored, px.
@@ -26,14 +26,14 @@ const WATCHED_WIDTH: usize = 64;
 /// When the last packet of an output was received, and when its light arrived.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LastPacket {
-    at: Instant,
+    pub at: Instant,
     arrived_ns: Option<i64>,
 }
 
 impl Theatre {
     /// Takes the previews received since the last frame.
     pub(super) fn take_previews(&mut self, ctx: &Context) {
-        let mut previews = self.observer.take();
+        let mut previews = self.runner.take_previews();
         let now = Instant::now();
         for (output, packet) in &previews {
             self.last_packets.insert(output.clone(), LastPacket { at: now, arrived_ns: packet.arrived_ns });
@@ -70,7 +70,7 @@ impl Theatre {
             Phase::Running => {}
             _ => self.running_since = None,
         }
-        if self.raw_only.is_some() || status.busy {
+        if self.shows_raw() || status.busy {
             return;
         }
         let why = match (&status.phase, &status.problem) {
@@ -81,10 +81,11 @@ impl Theatre {
         self.take_clip(ClipState::Failed);
         self.audit.log(Event::CamerasOnly);
         match self.plan.raw_only(&self.text) {
-            Ok(text) => self.session.restart(&text),
+            Ok(text) => self.runner.restart(&text),
             Err(error) => self.notify(error.to_string(), true),
         }
         self.raw_only = Some(why);
+        self.keep();
         self.frozen = None;
         self.measure = Measure::default();
     }
@@ -99,12 +100,15 @@ impl Theatre {
         let lost = self.plan.cameras.iter().filter(|c| running && has_stopped(&c.output));
         let lost: Vec<_> = lost.map(|c| (c.label.clone(), silent(&c.output))).collect();
         let raw_goes_on = self.plan.raw.as_ref().is_some_and(|raw| !has_stopped(&raw.output));
-        let looking = running && self.frozen.is_none() && self.raw_only.is_none();
+        let is_live = running && self.frozen.is_none();
+        let looking = is_live && !self.shows_raw();
         let stopped = self.displayed().into_iter().filter(|_| looking && raw_goes_on && !self.measure.is_waiting());
         let stopped = stopped.filter(|p| has_stopped(&p.output) && !self.plan.is_source(&p.output.node));
         let stopped: Vec<String> = stopped.map(|p| p.label.clone()).collect();
-        let main = self.plan.views.get(self.layout.main()).map(|v| v.output.clone());
-        let age_ms = main.filter(|_| looking).and_then(|main| self.age_ms(&main));
+        let main = self.plan.views.get(self.layout.main());
+        let main = if self.shows_raw() { self.plan.raw.as_ref() } else { main };
+        let main = main.map(|v| v.output.clone());
+        let age_ms = main.filter(|_| is_live).and_then(|main| self.age_ms(&main));
         let calibrated = |metric| metric_is_on(counters, metric);
         let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.message.clone());
         let nothing_runs = match &status.phase {
@@ -115,7 +119,8 @@ impl Theatre {
         let source_faults = counters.faults.iter().filter(|(node, _)| self.plan.is_source(node));
         Facts {
             // Set only when the sources alone do not run either.
-            why_dark: nothing_runs.filter(|_| !status.busy && self.raw_only.is_some()),
+            why_dark: nothing_runs.filter(|_| !status.busy && self.shows_raw()),
+            outage: self.outage_facts(),
             source_faults: source_faults.map(|(node, fault)| (node.clone(), fault.words.clone())).collect(),
             phase: status.phase.clone(),
             problem,
@@ -174,6 +179,6 @@ impl Theatre {
                 requests.insert(cloud.clone(), points);
             }
         }
-        self.observer.set_requests(requests, INTERVAL);
+        self.runner.request_previews(requests, INTERVAL);
     }
 }

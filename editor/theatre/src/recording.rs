@@ -15,7 +15,7 @@ impl Theatre {
             self.measure.pixels()
         } else {
             let main = self.plan.views.get(self.layout.main());
-            let raw = self.plan.raw.as_ref().filter(|_| self.raw_only.is_some());
+            let raw = self.plan.raw.as_ref().filter(|_| self.shows_raw());
             match raw {
                 Some(raw) => self.live.pixels(&raw.output).cloned(),
                 None => main.and_then(|m| self.shown.pixels(&m.output).cloned()),
@@ -31,7 +31,7 @@ impl Theatre {
 
     /// The view to record: the main view if it is an image, else the first image.
     fn clip_view(&self) -> Option<Pane> {
-        let raw = self.plan.raw.as_ref().filter(|_| self.raw_only.is_some());
+        let raw = self.plan.raw.as_ref().filter(|_| self.shows_raw());
         let main = self.plan.views.get(self.layout.main());
         let others = self.plan.views.iter().chain(&self.plan.raw);
         raw.into_iter().chain(main).chain(others).find(|p| p.packet == "image").cloned()
@@ -43,7 +43,7 @@ impl Theatre {
             self.end_clip(ClipState::Ended);
             return;
         }
-        if self.raw_only.is_some() {
+        if self.shows_raw() {
             self.notify("a clip needs the whole graph; only stills can be saved now", true);
             return;
         }
@@ -58,7 +58,7 @@ impl Theatre {
             };
             return self.notify(message, true);
         };
-        let main = self.plan.views.get(self.layout.main()).filter(|_| self.raw_only.is_none());
+        let main = self.plan.views.get(self.layout.main()).filter(|_| !self.shows_raw());
         let instead = main
             .filter(|m| m.output != pane.output)
             .map(|m| format!("{} is not an image: the clip shows {}", m.label, pane.label));
@@ -83,7 +83,7 @@ impl Theatre {
         let clip = self.clip.take()?;
         self.audit.log(Event::Clip { number: clip.number, state });
         if let Ok(text) = storage::without_clip(&self.text, &clip.node) {
-            self.text = text;
+            self.set_text(text);
         }
         Some(clip)
     }

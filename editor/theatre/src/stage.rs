@@ -7,7 +7,7 @@ use eframe::egui::{
 };
 
 use super::arrange::{GAP, TITLE, fit, inset, level};
-use super::notices::{Facts, NoPicture, OLD_MS};
+use super::notices::{Facts, NoPicture, OLD_MS, STOPPED};
 use super::{Layout, Pane, Theatre};
 use panoscope_editor_widgets::surface;
 use panoscope_editor_widgets::theme;
@@ -36,7 +36,7 @@ impl Theatre {
             self.measured(ui, rect);
             return self.live_beside(ui, side, facts);
         }
-        if self.raw_only.is_some() {
+        if self.shows_raw() {
             match self.plan.raw.clone() {
                 Some(raw) => {
                     self.picture(ui, room, &raw, None, true, facts);
@@ -155,7 +155,9 @@ impl Theatre {
         );
         match texture {
             Some((texture, _)) => {
-                // A stopped view is darkened so that it is not mistaken for live.
+                // An image that is not live is darkened so that it is not mistaken for one that is.
+                let is_old = live && age.is_some_and(|age| age > STOPPED.as_secs_f64() * 1e3);
+                let stopped = stopped || is_old;
                 let tint = if stopped { Color32::from_gray(90) } else { Color32::WHITE };
                 image(ui, texture, inner, tint);
                 if stopped {

@@ -26,10 +26,10 @@ fn a_view_of_a_stream_that_buffers_says_how_old_it_is() {
     }
     let mut window = Window::open("ages", GRAPH);
     window.until("a fresh picture needs no notice", |t| t.has_picture() && t.notices().is_empty());
-    let engine = window.theatre().session().handle().engine().expect("it runs");
+    let engine = window.theatre().session().expect("it runs here").handle().engine().expect("it runs");
     engine.set_param("scope", "age_ms", ParamValue::Float(2000.0)).expect("it is in range");
     window.until_notice("Image is 2.");
-    assert_eq!(window.theatre().session().status().phase, Phase::Running);
+    assert_eq!(window.theatre().session().expect("it runs here").status().phase, Phase::Running);
     engine.set_param("scope", "age_ms", ParamValue::Float(0.0)).expect("it is in range");
     window.until("the notice goes with its cause", |t| t.notices().is_empty());
 }

@@ -10,9 +10,8 @@ use eframe::egui::{Key, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_model::arguments;
-use panoscope_editor_model::session::Phase;
 use panoscope_graph::{GraphOptions, GraphText, ParamValue};
-use panoscope_theatre::{Opening, Options, Ready};
+use panoscope_theatre::{Guard, Opening, Options, Program, Ready};
 
 const GRAPH: &str = r#"name = "asked"
 plugins = ["flow", "fixtures"]
@@ -37,18 +36,30 @@ inputs = { image = "mean.image" }
 
 [preset]
 views = ["mean.image"]
+pinned = [{ param = "mean.past_weight", range = [0, 255], label = "weight" }]
 "#;
 
 struct Window(Harness<'static, Option<Opening>>);
 
 impl Window {
-    fn open(path: &Path, given: &GraphOptions, folder: &Folder) -> Self {
+    fn open(path: &Path, given: &GraphOptions, folder: &Folder, guarded: bool) -> Self {
         let (path, given) = (path.to_owned(), given.clone());
         let options = Options { folder: folder.0.join("kept"), ..Options::default() };
         let config = folder.0.join("config");
+        let program =
+            Program { file: env!("CARGO_BIN_EXE_panoscope-theatre").into(), arguments: vec![path.clone().into()] };
         let draw = move |ui: &mut Ui, opening: &mut Option<Opening>| {
             let open = || {
                 let graph = GraphText::load_with(&path, &given).expect("it is there");
+                if guarded {
+                    let guard = Guard::new(program.clone(), path.clone()).expect("a thread");
+                    let opened = graph.missing_args().is_empty().then(|| {
+                        guard.prepare(graph.text(), &given);
+                        guard.wait_prepared().expect("it opens")
+                    });
+                    let (given, config, options) = (given.clone(), Some(config.clone()), options.clone());
+                    return Opening::guarded(ui.ctx(), &graph, given, opened, config, options, guard).expect("threads");
+                }
                 let ready = Ready::of(&graph, &options).ok();
                 Opening::new(ui.ctx(), &graph, given.clone(), ready, Some(config.clone()), options.clone())
                     .expect("threads")
@@ -75,18 +86,27 @@ impl Window {
     }
 
     fn weight(&self) -> Option<ParamValue> {
-        self.opening().theatre()?.session().handle().engine()?.param_values("mean")?.first().cloned()
+        self.opening().theatre()?.param_values("mean")?.first().cloned()
     }
 }
 
 #[test]
 fn the_theatre_asks_for_arguments_and_a_panel_changes_them() {
+    ask("theatre_form", false);
+}
+
+#[test]
+fn a_guarded_graph_asks_for_its_arguments_too() {
+    ask("theatre_form_guarded", true);
+}
+
+fn ask(name: &str, guarded: bool) {
     if !has_plugin("flow") {
         return;
     }
-    let folder = Folder::new("theatre_form");
+    let folder = Folder::new(name);
     let path = folder.write("g.toml", GRAPH);
-    let mut window = Window::open(&path, &GraphOptions::default(), &folder);
+    let mut window = Window::open(&path, &GraphOptions::default(), &folder, guarded);
     window.until("the form", |o| o.form().is_some());
     assert!(window.opening().theatre().is_none());
     window.0.get_by_label("Start").click();
@@ -98,7 +118,7 @@ fn the_theatre_asks_for_arguments_and_a_panel_changes_them() {
     window.0.step();
     let first = window.opening().form().expect("the form").values["calm"].clone();
     window.0.get_by_label("Start").click();
-    let runs = |o: &Opening| o.theatre().is_some_and(|t| t.session().status().phase == Phase::Running);
+    let runs = |o: &Opening| o.theatre().is_some_and(|t| t.param_values("mean").is_some());
     window.until("it runs", runs);
     assert_eq!(window.weight(), Some(ParamValue::Int(first.parse().expect("a number"))));
     assert_eq!(
@@ -131,7 +151,7 @@ fn the_theatre_asks_for_arguments_and_a_panel_changes_them() {
     drop(window);
 
     let given = GraphOptions { args: vec![("calm".to_owned(), "7".to_owned())], ..GraphOptions::default() };
-    let mut window = Window::open(&path, &given, &folder);
+    let mut window = Window::open(&path, &given, &folder, guarded);
     window.until("it runs without a question", runs);
     assert_eq!(window.weight(), Some(ParamValue::Int(7)));
 }

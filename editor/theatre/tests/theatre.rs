@@ -33,7 +33,7 @@ views = ["scope.left", "points.cloud"]
 "#;
 
 fn past_weight(window: &Window) -> Option<ParamValue> {
-    let engine = window.theatre().session().handle().engine()?;
+    let engine = window.theatre().session().expect("it runs here").handle().engine()?;
     engine.param_values("calm")?.first().cloned()
 }
 
@@ -64,7 +64,7 @@ fn only_pinned_settings_can_be_touched_and_only_within_their_range() {
         return;
     }
     let mut window = Window::open("settings", GRAPH);
-    window.until("the value is known", |t| t.session().handle().engine().is_some());
+    window.until("the value is known", |t| t.session().expect("it runs here").handle().engine().is_some());
     window.until_shown("Calmness");
     let slider = window.harness.get_by_role_and_label(Role::Slider, "Calmness");
     let rect = slider.rect();
@@ -82,7 +82,7 @@ fn only_pinned_settings_can_be_touched_and_only_within_their_range() {
     for key in [Key::Delete, Key::A, Key::B, Key::W] {
         window.key(key);
     }
-    let engine = window.theatre().session().handle().engine().expect("it runs");
+    let engine = window.theatre().session().expect("it runs here").handle().engine().expect("it runs");
     assert_eq!(engine.graph().nodes.len(), 3);
 }
 
@@ -124,17 +124,21 @@ fn stills_and_clips_are_kept_under_numbers() {
     window.key(Key::R);
     let node = "theatre_clip";
     window.until("the clip runs", |t| {
-        let engine = t.session().handle().engine().expect("it runs");
+        let engine = t.session().expect("it runs here").handle().engine().expect("it runs");
         engine.report().nodes.get(node).is_some_and(|n| n.count > 10)
     });
     assert!(window.theatre().clip_file().is_some_and(|f| f.ends_with("clip_0002.mkv")));
-    let before = window.theatre().session().handle().engine().expect("it runs").report().nodes["calm"].dropped;
+    let before =
+        window.theatre().session().expect("it runs here").handle().engine().expect("it runs").report().nodes["calm"]
+            .dropped;
     window.click("End clip");
     window.until("the clip is over", |t| {
-        let engine = t.session().handle().engine().expect("it runs");
+        let engine = t.session().expect("it runs here").handle().engine().expect("it runs");
         t.clip_file().is_none() && engine.graph().node(node).is_none()
     });
-    let after = window.theatre().session().handle().engine().expect("it runs").report().nodes["calm"].dropped;
+    let after =
+        window.theatre().session().expect("it runs here").handle().engine().expect("it runs").report().nodes["calm"]
+            .dropped;
     assert_eq!(before, after, "recording loses no frame");
     assert_eq!(window.kept(), ["clip_0002.mkv", "still_0001.png"]);
     let still = image::open(window.folder.0.join("kept/still_0001.png")).expect("a picture");
@@ -172,13 +176,13 @@ fn where_the_graph_stops_its_camera_goes_on_alone_and_it_can_be_started_again() 
     let mut window = Window::open("stops", &text);
     window.until("only the camera runs", |t| t.notices().iter().any(|n| n.message.starts_with("Camera image only")));
     window.until("it runs again", |t| {
-        let engine = t.session().handle().engine().expect("it runs");
-        t.session().status().phase == Phase::Running && engine.graph().nodes.len() == 1
+        let engine = t.session().expect("it runs here").handle().engine().expect("it runs");
+        t.session().expect("it runs here").status().phase == Phase::Running && engine.graph().nodes.len() == 1
     });
     window.until_shown("View Image camera");
     window.click("Start again");
     window.until("the whole graph is there", |t| {
-        t.session().handle().engine().is_some_and(|e| e.graph().nodes.len() == 3)
+        t.session().expect("it runs here").handle().engine().is_some_and(|e| e.graph().nodes.len() == 3)
     });
 }
 
@@ -215,7 +219,7 @@ fn a_stream_that_buffers_has_a_notice_of_its_age_at_once() {
     let mut window = Window::open("buffers", STREAM);
     window.until("fresh pictures", |t| t.has_picture() && t.notices().is_empty());
     let set_age = |window: &Window, age_ms: f64| {
-        let engine = window.theatre().session().handle().engine().expect("it runs");
+        let engine = window.theatre().session().expect("it runs here").handle().engine().expect("it runs");
         engine.set_param("stream", "age_ms", ParamValue::Float(age_ms)).expect("a good value");
         Instant::now()
     };
@@ -393,7 +397,7 @@ fn the_emergency_stop_is_shown_for_an_arm_and_outlasts_changes() {
     let mut window = Window::open("arm", &text);
     window.until_shown("Emergency stop of the arm");
     let stopped = |t: &Theatre| {
-        let values = t.session().handle().engine().and_then(|e| e.param_values("sink"));
+        let values = t.session().expect("it runs here").handle().engine().and_then(|e| e.param_values("sink"));
         values.is_some_and(|v| v.contains(&ParamValue::Bool(true)))
     };
     let centre = window.harness.get_by_label("Emergency stop of the arm").rect().center();
@@ -409,7 +413,7 @@ fn the_emergency_stop_is_shown_for_an_arm_and_outlasts_changes() {
     // Neither a change of the graph nor another press releases it.
     window.key(Key::R);
     window.until("the clip runs", |t| {
-        t.session().handle().engine().is_some_and(|e| e.graph().node("theatre_clip").is_some())
+        t.session().expect("it runs here").handle().engine().is_some_and(|e| e.graph().node("theatre_clip").is_some())
     });
     window.key(Key::E);
     assert!(window.theatre().is_stopped() && stopped(window.theatre()));
@@ -555,7 +559,7 @@ fn settings_are_set_by_keys_and_all_can_be_reached() {
     }
     assert_eq!(input::focused(&window.harness).as_deref(), Some("Weight 0"));
     window.until("the value is applied", |t| {
-        let values = t.session().handle().engine().and_then(|e| e.param_values("more0"));
+        let values = t.session().expect("it runs here").handle().engine().and_then(|e| e.param_values("more0"));
         values.is_some_and(|v| v[0] == ParamValue::Int(103))
     });
     window.key(Key::Escape);
@@ -609,7 +613,8 @@ fn a_sink_on_a_full_disk_keeps_its_notice_and_a_clip_ends() {
     let text = GRAPH.replace("\"fixtures\"]", "\"fixtures\", \"sinks\"]") + &sink;
     let mut window = Window::open("no_room", &text);
     window.until_notice("The disk is full: `kept` cannot write");
-    let faults = |t: &Theatre| t.session().handle().engine().map(|e| e.report().nodes["kept"].faults);
+    let faults =
+        |t: &Theatre| t.session().expect("it runs here").handle().engine().map(|e| e.report().nodes["kept"].faults);
     let kept = window.folder.0.join("kept");
     std::fs::create_dir_all(&kept).expect("a folder");
     std::os::unix::fs::symlink("/dev/full", kept.join("clip_0001.mkv")).expect("a link");

@@ -108,7 +108,7 @@ fn what_happens_in_the_theatre_is_logged_without_names() {
     window.until("the still is saved", |t| t.remark().is_some_and(|r| r.contains("is saved")));
     window.key(Key::R);
     window.until("the clip runs", |t| {
-        t.session().handle().engine().is_some_and(|e| e.graph().node("theatre_clip").is_some())
+        t.session().expect("it runs here").handle().engine().is_some_and(|e| e.graph().node("theatre_clip").is_some())
     });
     window.key(Key::R);
     window.key(Key::E);
@@ -155,7 +155,11 @@ fn overrides_refusals_and_faults_are_logged() {
     let options = Options { unlocked: true, ..audited };
     let mut window = Window::open_with(folder, &path, options);
     window.until("the node has failed", |t| {
-        t.session().handle().engine().is_some_and(|e| e.recent_faults().iter().any(|f| f.node == "calm"))
+        t.session()
+            .expect("it runs here")
+            .handle()
+            .engine()
+            .is_some_and(|e| e.recent_faults().iter().any(|f| f.node == "calm"))
     });
     window.until_notice("Stage `calm`");
     drop(window);

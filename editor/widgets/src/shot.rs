@@ -51,6 +51,14 @@ impl Shot {
 
     /// Writes the window's costs and the graph's report, when they are due.
     pub fn measure(&mut self, ctx: &Context, costs: &Costs, session: &Session) {
+        self.measure_with(ctx, costs, || {
+            let report = session.handle().engine()?.report();
+            serde_json::to_value(report).ok()
+        });
+    }
+
+    /// As [`Self::measure`], with the graph's report as `report` gives it.
+    pub fn measure_with(&mut self, ctx: &Context, costs: &Costs, report: impl FnOnce() -> Option<serde_json::Value>) {
         let Some((file, after)) = self.measure.clone() else { return };
         let seconds = self.start.elapsed().as_secs_f64();
         if seconds < after {
@@ -58,7 +66,7 @@ impl Shot {
         }
         let (ui_ms, frames) = costs.mean();
         let measured = (seconds - Costs::WARM_UP.as_secs_f64()).max(1e-3);
-        let report = session.handle().engine().map(|engine| engine.report());
+        let report = report();
         let json = serde_json::json!({
             "ui_ms": ui_ms,
             "ui_fps": frames as f64 / measured,

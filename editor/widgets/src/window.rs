@@ -1,5 +1,6 @@
 //! Opens a program's window and ends the program: arguments, size, signals, exit code.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use eframe::egui::{ViewportBuilder, vec2};
@@ -65,7 +66,12 @@ impl Given {
 
 /// Parses the command line of a program that opens a graph. Options that the graph declares are known to it, and its help shows them.
 pub fn parse<T: clap::Parser>() -> T {
-    let CommandLine { words, help, problem } = command_line::rewrite(std::env::args_os().collect());
+    parse_words(std::env::args_os().collect())
+}
+
+/// As [`parse`], for words of which the first is the program.
+pub fn parse_words<T: clap::Parser>(words: Vec<OsString>) -> T {
+    let CommandLine { words, help, problem } = command_line::rewrite(words);
     if let Some(problem) = problem {
         eprintln!("error: {problem}");
         leave(2);

@@ -54,7 +54,7 @@ pub struct Settings {
     #[param(default = "", reopen, file)]
     pub right: String,
     /// Up to four views instead of `left` and `right`, separated by semicolons.
-    #[param(default = "", reopen)]
+    #[param(default = "", reopen, file)]
     pub views: String,
     /// Splits one picture into both views; give `left` only.
     #[param(default = "none", reopen)]

@@ -5,6 +5,7 @@
 use std::fmt::Arguments;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// Reports that the current test was skipped, with the reason as in `println!`. The test returns afterwards.
 ///
@@ -29,6 +30,12 @@ pub fn report_skip(reason: Arguments<'_>) {
     let test = thread.name().unwrap_or("a test");
     // A closed standard error hides the line; the test is skipped all the same.
     let _ = writeln!(std::io::stderr(), "skipped: {test}: {reason}");
+}
+
+/// Gives a program settings and state of its own, in `config` and `state` of a folder: the keys, the audit log and the latches of who runs the
+/// tests do not count, and are not changed. Every test that starts a program that may write them calls it.
+pub fn own_settings(command: &mut Command, folder: &Path) {
+    command.env("XDG_CONFIG_HOME", folder.join("config")).env("XDG_STATE_HOME", folder.join("state"));
 }
 
 /// A fresh folder for the files of one test, removed at the end.

@@ -3,6 +3,7 @@
 
 pub mod golden;
 pub mod input;
+pub mod program;
 mod shared;
 pub mod window;
 

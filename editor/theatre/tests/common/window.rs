@@ -7,7 +7,8 @@ use eframe::egui::{Key, Modifiers, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_model::session::Phase;
-use panoscope_theatre::{Options, Theatre};
+use panoscope_graph::GraphOptions;
+use panoscope_theatre::{Guard, Options, Program, Theatre};
 
 use super::golden::Textures;
 use super::{Folder, PATIENCE};
@@ -40,6 +41,7 @@ pub struct Window {
     pub harness: Harness<'static, Option<Theatre>>,
     pub folder: Folder,
     pub textures: Textures,
+    pub guard: Option<Guard>,
 }
 
 /// Options that write stills and clips to the test's folder.
@@ -54,7 +56,7 @@ impl Window {
         let path = folder.write("g.toml", text);
         let options = options(&folder);
         let mut window = Self::open_with(folder, &path, options);
-        window.until("it runs", |t| t.session().status().phase == Phase::Running);
+        window.until("it runs", |t| t.session().expect("it runs here").status().phase == Phase::Running);
         window
     }
 
@@ -68,7 +70,54 @@ impl Window {
         };
         let textures = Textures::default();
         let builder = Harness::builder().with_size(vec2(1440.0, 960.0)).renderer(textures.clone());
-        Self { harness: builder.build_ui_state(draw, None), folder, textures }
+        Self { harness: builder.build_ui_state(draw, None), folder, textures, guard: None }
+    }
+
+    /// Writes a graph and opens it in a process that the window guards; waits until a picture is there.
+    pub fn guarded(name: &str, text: &str) -> Self {
+        let folder = Folder::new(name);
+        let options = options(&folder);
+        Self::guarded_with(folder, text, options)
+    }
+
+    /// As [`Self::guarded`], with options.
+    pub fn guarded_with(folder: Folder, text: &str, options: Options) -> Self {
+        let path = folder.write("g.toml", text);
+        let program = Program {
+            file: env!("CARGO_BIN_EXE_panoscope-theatre").into(),
+            arguments: vec![path.clone().into(), "--into".into(), folder.0.join("kept").into()],
+        };
+        let guard = Guard::new(program, path.clone()).expect("a thread");
+        let given = GraphOptions::default();
+        guard.prepare(text, &given);
+        let opened = guard.wait_prepared().unwrap_or_else(|refusal| panic!("{}", refusal.terminal_text()));
+        let (handle, text) = (guard.clone(), text.to_owned());
+        let mut opened = Some(opened);
+        let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
+            let open = || {
+                let opened = opened.take().expect("it is opened once");
+                let (guard, options) = (handle.clone(), options.clone());
+                Theatre::guarded(ui.ctx(), &path, (&text, &given), options, opened, guard).expect("threads")
+            };
+            theatre.get_or_insert_with(open).ui(ui);
+        };
+        let textures = Textures::default();
+        let builder = Harness::builder().with_size(vec2(1440.0, 960.0)).renderer(textures.clone());
+        let mut window = Self { harness: builder.build_ui_state(draw, None), folder, textures, guard: Some(guard) };
+        window.until("a picture", Theatre::has_picture);
+        window
+    }
+
+    /// Number of the process that runs the graph.
+    pub fn worker(&self) -> i32 {
+        self.guard.as_ref().and_then(|guard| guard.processes().0).expect("it runs")
+    }
+
+    /// Waits until a second process is ready to take over; returns its number.
+    pub fn until_spare(&mut self) -> i32 {
+        let guard = self.guard.clone().expect("it is guarded");
+        self.until("a second process waits", |_| guard.processes().1.is_some());
+        guard.processes().1.expect("it waits")
     }
 
     pub fn theatre(&self) -> &Theatre {

@@ -1,0 +1,133 @@
+//! What the window does when the process that runs the graph has ended: the camera's own image until the views are there again.
+
+use std::time::{Duration, Instant};
+
+use panoscope_audit::{ClipState, Event};
+
+use super::previews::FIRST;
+use super::runner::OutageStage;
+use super::{Measure, OutputCache, Theatre};
+
+/// How far this window has followed an outage.
+#[derive(Default)]
+pub(super) struct Resuming {
+    /// Number of the last crash that was seen.
+    number: u64,
+    /// Since when the whole graph runs again; its views may not have an image yet.
+    since: Option<Instant>,
+}
+
+/// An outage as the notices tell of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OutageFacts {
+    /// What happened: continues a sentence about the image processing.
+    pub why: String,
+    /// How far the recovery is.
+    pub stage: OutageStage,
+    /// Time since the last image of the camera; `None` when there never was one.
+    pub without_image: Option<Duration>,
+}
+
+impl OutageFacts {
+    /// The notice, one sentence.
+    pub fn message(&self) -> String {
+        let why = format!("the image processing {}", self.why);
+        match self.stage {
+            OutageStage::Dark => {
+                let seconds = self.without_image.map_or(0, |time| time.as_secs());
+                let time = if seconds > 0 { format!(" for {seconds} s") } else { String::new() };
+                format!("No image{time}, restarting: {why}")
+            }
+            OutageStage::Cameras(Some(after)) => {
+                format!("Camera image only, all views in {} s: {why}", after.as_secs() + 1)
+            }
+            OutageStage::Cameras(None) => {
+                format!("Camera image only, press Enter for all views: {why} again and again")
+            }
+            OutageStage::Starting | OutageStage::Running => {
+                format!("Camera image only, all views are starting: {why}")
+            }
+        }
+    }
+}
+
+impl Theatre {
+    /// Follows crashes of the process that runs the graph.
+    pub(super) fn follow_outage(&mut self) {
+        let Some(outage) = self.runner.outage() else { return };
+        if outage.number != self.resuming.number {
+            self.resuming = Resuming { number: outage.number, since: None };
+            // What follows a colon may name files.
+            let cause = outage.why.split(": ").next().unwrap_or_default().to_owned();
+            self.audit.log(Event::ProcessEnded { cause });
+            if let Some(clip) = self.take_clip(ClipState::Failed) {
+                let name = clip.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let message = format!(
+                    "{name} ended early: the image processing {}; the part recorded so far is saved",
+                    outage.why
+                );
+                self.notify(message, true);
+            }
+            // No view of before may be taken for a present one.
+            (self.shown, self.frozen, self.measure) = (OutputCache::default(), None, Measure::default());
+            self.running_since = None;
+        }
+        if outage.stage != OutageStage::Running {
+            self.resuming.since = None;
+            return;
+        }
+        let since = *self.resuming.since.get_or_insert_with(Instant::now);
+        let main = self.plan.views.get(self.layout.main());
+        let packet = main.and_then(|main| self.last_packets.get(&main.output));
+        // A view that stays without an image has its own notice.
+        if packet.is_some_and(|packet| packet.at >= since) || since.elapsed() > FIRST {
+            self.runner.end_outage();
+            self.running_since = None;
+        }
+    }
+
+    /// Whether the camera's own image is shown in place of all views.
+    pub(super) fn shows_raw(&self) -> bool {
+        self.raw_only.is_some() || self.runner.outage().is_some()
+    }
+
+    /// The outage, for notices.
+    pub(super) fn outage_facts(&self) -> Option<OutageFacts> {
+        let outage = self.runner.outage()?;
+        let raw = self.plan.raw.as_ref();
+        let last = raw.and_then(|raw| self.last_packets.get(&raw.output));
+        Some(OutageFacts { why: outage.why, stage: outage.stage, without_image: last.map(|last| last.at.elapsed()) })
+    }
+
+    /// Reports stops that did not reach their node.
+    pub(super) fn see_refused_stops(&mut self) {
+        let failed = self.runner.take_refusals();
+        if !failed.is_empty() && self.raw_only.is_none() {
+            self.notify(format!("{} did not accept the stop: switch the arm off", failed.join(", ")), true);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_notice_says_what_happened_and_what_comes() {
+        let facts = |stage, ms| OutageFacts {
+            why: "crashed in node `wide` (SIGSEGV)".to_owned(),
+            stage,
+            without_image: Some(Duration::from_millis(ms)),
+        };
+        let crashed = "the image processing crashed in node `wide` (SIGSEGV)";
+        assert_eq!(facts(OutageStage::Dark, 300).message(), format!("No image, restarting: {crashed}"));
+        assert_eq!(facts(OutageStage::Dark, 2300).message(), format!("No image for 2 s, restarting: {crashed}"));
+        let soon = OutageStage::Cameras(Some(Duration::from_millis(1500)));
+        assert_eq!(facts(soon, 0).message(), format!("Camera image only, all views in 2 s: {crashed}"));
+        assert!(
+            facts(OutageStage::Cameras(None), 0)
+                .message()
+                .starts_with("Camera image only, press Enter for all views: ")
+        );
+    }
+}

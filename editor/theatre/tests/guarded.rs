@@ -1,0 +1,237 @@
+//! The graph runs in a process of its own: whatever becomes of it, the window stays and shows the camera.
+
+mod common;
+
+use std::time::{Duration, Instant};
+
+use common::program::{is_alive, signal, until_gone};
+use common::window::{GRAPH, Window, options};
+use common::{Folder, has_plugin};
+use eframe::egui::Key;
+use egui_kittest::kittest::Queryable;
+use panoscope_audit::{ClipState, Event, read};
+use panoscope_graph::ParamValue;
+use panoscope_theatre::{Options, OutageStage, Theatre};
+
+/// From the end of a process until the camera is shown, at best of some tries on a loaded machine.
+const RAW_WITHIN: Duration = Duration::from_secs(1);
+
+/// Draws until the camera's image is newer than `began`, when the process was ended; checks meanwhile that no older image counts as fresh. Returns the time since `began`.
+fn until_camera(window: &mut Window, began: Instant) -> Duration {
+    loop {
+        window.harness.step();
+        let theatre = window.theatre();
+        let (age_ms, waited_ms) =
+            (theatre.camera_age_ms().expect("there was one"), began.elapsed().as_secs_f64() * 1e3);
+        let notices = window.notices();
+        let first = notices.iter().find(|n| n.contains("the image processing")).map_or("", String::as_str);
+        if first.starts_with("No image") {
+            assert!(age_ms >= waited_ms - 1.0, "{age_ms} ms old, {waited_ms} ms without a process");
+        }
+        if first.starts_with("Camera image only") && age_ms < waited_ms {
+            return began.elapsed();
+        }
+        assert!(began.elapsed() < common::PATIENCE, "no image of the camera: {notices:?}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Draws until all views are there again.
+fn until_whole(window: &mut Window) {
+    window.until("all views are back", |t| t.outage().is_none() && t.has_picture());
+    window.until_shown("View Calm view");
+    window.until("nothing is wrong", |t| t.notices().is_empty());
+}
+
+#[test]
+fn a_killed_process_is_replaced_and_settings_stay() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::guarded("guard_killed", GRAPH);
+    let set = |t: &Theatre| t.param_values("calm").is_some_and(|values| values[0] == ParamValue::Int(77));
+    window.harness.state_mut().as_mut().expect("it is open").choose("calm", "past_weight", ParamValue::Int(77));
+    window.until("the setting is applied", set);
+    let (mut best, mut last) = (Duration::MAX, 0);
+    for _ in 0..3 {
+        let spare = window.until_spare();
+        let worker = window.worker();
+        signal(worker, "KILL");
+        let began = Instant::now();
+        let took = until_camera(&mut window, began);
+        best = best.min(took);
+        println!("from SIGKILL to the camera's image: {took:?}");
+        assert!(window.notices()[0].contains("was killed (SIGKILL"), "{:?}", window.notices());
+        assert!(window.harness.query_by_label("View Image camera").is_some());
+        assert_eq!(window.worker(), spare, "the one that waited took over");
+        until_whole(&mut window);
+        window.until("the setting is there again", set);
+        assert_ne!(last, worker);
+        last = worker;
+    }
+    assert!(best < RAW_WITHIN, "the camera was shown after {best:?}");
+}
+
+#[test]
+fn a_stopped_process_is_ended_and_replaced() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::guarded("guard_stopped", GRAPH);
+    window.until_spare();
+    let worker = window.worker();
+    signal(worker, "STOP");
+    let began = Instant::now();
+    // Old images are called old before anything is known.
+    window.until_notice("Image is 0.");
+    assert!(window.theatre().outage().is_none());
+    println!("from SIGSTOP to the camera's image: {:?}", until_camera(&mut window, began));
+    assert!(window.notices()[0].contains("did not answer for one second"), "{:?}", window.notices());
+    until_gone(&[worker]);
+    until_whole(&mut window);
+}
+
+#[test]
+fn without_a_process_that_waits_the_camera_comes_too() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::guarded("guard_both", GRAPH);
+    let (spare, worker) = (window.until_spare(), window.worker());
+    signal(spare, "KILL");
+    signal(worker, "KILL");
+    let began = Instant::now();
+    println!("from two SIGKILLs to the camera's image: {:?}", until_camera(&mut window, began));
+    until_whole(&mut window);
+}
+
+#[test]
+fn a_clip_that_was_recorded_is_kept_and_all_is_logged() {
+    if !has_plugin("flow") || !has_plugin("sinks") {
+        return;
+    }
+    let (folder, log) = (Folder::new("guard_clip"), Folder::new("guard_clip_log"));
+    let options = Options { audit: Some(log.0.clone()), ..options(&folder) };
+    let mut window = Window::guarded_with(folder, GRAPH, options);
+    window.until_spare();
+    window.key(Key::S);
+    window.until("the still is saved", |t| t.remark().is_some_and(|r| r.contains("still_0001.png is saved")));
+    window.key(Key::R);
+    let clip = window.folder.0.join("kept/clip_0002.mkv");
+    window.until("the clip grows", |_| std::fs::metadata(&clip).is_ok_and(|file| file.len() > 4000));
+    signal(window.worker(), "KILL");
+    let began = Instant::now();
+    until_camera(&mut window, began);
+    let killed = "the image processing was killed (SIGKILL), perhaps because memory ran out";
+    let remark = format!("clip_0002.mkv ended early: {killed}; the part recorded so far is saved");
+    assert_eq!(window.theatre().remark(), Some(remark.as_str()));
+    assert!(window.notices()[0].contains(killed), "{:?}", window.notices());
+    assert_eq!(window.theatre().clip_file(), None);
+    // Only stills while the camera is alone.
+    window.key(Key::R);
+    assert_eq!(window.theatre().clip_file(), None);
+    until_whole(&mut window);
+    window.key(Key::R);
+    window.until("the next clip grows", |t| {
+        t.clip_file().is_some_and(|file| std::fs::metadata(file).is_ok_and(|file| file.len() > 4000))
+    });
+    window.key(Key::R);
+    window.until("it is over", |t| t.clip_file().is_none());
+    assert_eq!(window.kept(), ["clip_0002.mkv", "clip_0003.mkv", "still_0001.png"]);
+    let bytes = std::fs::read(&clip).expect("the clip");
+    assert!(bytes.starts_with(&[0x1A, 0x45, 0xDF, 0xA3]) && bytes.len() > 4000);
+    drop(window);
+    let report = read(&log.0).expect("the log");
+    assert!(report.problems.is_empty(), "{report:?}");
+    let events: Vec<Event> = report.entries.into_iter().map(|entry| entry.event).collect();
+    let ended = Event::ProcessEnded { cause: "was killed (SIGKILL), perhaps because memory ran out".to_owned() };
+    let expected = [
+        Event::Still { number: 1 },
+        Event::Clip { number: 2, state: ClipState::Started },
+        ended,
+        Event::Clip { number: 2, state: ClipState::Failed },
+        Event::Clip { number: 3, state: ClipState::Started },
+        Event::Clip { number: 3, state: ClipState::Ended },
+        Event::Closed,
+    ];
+    assert_eq!(events[1..], expected);
+}
+
+#[test]
+fn a_graph_that_crashes_again_and_again_leaves_the_camera() {
+    if !has_plugin("flow") || !has_plugin("chaos") {
+        return;
+    }
+    let text =
+        GRAPH.replace("plugins = [\"flow\", \"fixtures\"]", "plugins = [\"flow\", \"fixtures\", \"chaos\"]").replace(
+            "[preset]",
+            r#"[nodes.gray]
+type = "frames"
+params = { width_px = 64, height_px = 48, format = "gray8", rate_hz = 30.0 }
+[nodes.bad]
+type = "chaos"
+inputs = { image = "gray.image" }
+params = { harm = "segv", first = 30, ticks = 1000000000 }
+[nodes.end]
+type = "drain"
+inputs = { image = "bad.image" }
+[preset]"#,
+        );
+    let mut window = Window::guarded("guard_again", &text);
+    let mut pids = Vec::new();
+    for number in 1..=2 {
+        window.until("a crash", |t| t.outage().is_some_and(|outage| outage.number >= number));
+        window.until("the camera is shown", |t| {
+            let shows = |outage: panoscope_theatre::Outage| matches!(outage.stage, OutageStage::Cameras(_));
+            t.outage().is_some_and(shows) && t.camera_age_ms().is_some_and(|age| age < 500.0)
+        });
+        let notice = window.notices().swap_remove(0);
+        assert!(notice.contains("crashed in node `bad` (SIGSEGV"), "{notice}");
+        pids.push(window.worker());
+        // The user does not want to wait.
+        window.click("Start again");
+    }
+    assert_ne!(pids[0], pids[1]);
+}
+
+#[test]
+fn the_emergency_stop_reaches_the_process_and_outlasts_it() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::guarded("guard_arm", &GRAPH.replace("type = \"drain\"", "type = \"device\""));
+    let stopped = |t: &Theatre| t.param_values("sink").is_some_and(|values| values.contains(&ParamValue::Bool(true)));
+    window.until_spare();
+    window.until("the arm's state is known", |t| t.param_values("sink").is_some());
+    assert!(!stopped(window.theatre()));
+    window.key(Key::E);
+    window.until("it is stopped", stopped);
+    assert!(window.theatre().remark().is_none(), "{:?}", window.theatre().remark());
+    signal(window.worker(), "KILL");
+    let began = Instant::now();
+    until_camera(&mut window, began);
+    assert!(window.theatre().is_stopped());
+    window.until("the arm runs again, stopped", |t| t.outage().is_none() && stopped(t));
+    // A stop that reaches nobody is no secret.
+    window.harness.key_down(Key::E);
+    window.until("it is released", |t| !t.is_stopped() && !stopped(t));
+    window.harness.key_up(Key::E);
+    window.harness.step();
+    signal(window.worker(), "STOP");
+    window.key(Key::E);
+    window.until("the stop is refused", |t| {
+        t.remark().is_some_and(|r| r == "sink did not accept the stop: switch the arm off")
+    });
+}
+
+#[test]
+fn a_window_that_closes_leaves_no_process() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::guarded("guard_close", GRAPH);
+    let pids = [window.until_spare(), window.worker()];
+    assert!(pids.iter().all(|pid| is_alive(*pid)));
+    drop(window);
+    until_gone(&pids);
+}

@@ -1,0 +1,118 @@
+//! The program itself on a virtual screen: its two processes, their ends, and what is left of them.
+
+mod common;
+
+use std::time::{Duration, Instant};
+
+use common::program::{Running, Screen, children, signal, until_gone};
+use common::window::GRAPH;
+use common::{Folder, has_plugin};
+use panoscope_audit::{Event, read};
+
+fn events(running: &Running) -> Vec<Event> {
+    let report = read(&running.log()).expect("the log");
+    assert!(report.problems.is_empty(), "{report:?}");
+    report.entries.into_iter().map(|entry| entry.event).collect()
+}
+
+/// Waits until the log has an event.
+fn until_logged(running: &mut Running, what: &str, is: impl Fn(&Event) -> bool) {
+    let until = Instant::now() + common::PATIENCE;
+    while !running.log().is_dir() || !events(running).iter().any(&is) {
+        assert!(running.end().is_none(), "it has ended: {what}");
+        assert!(Instant::now() < until, "{what}: {:?}", events(running));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// The files that a process has mapped to run code of them.
+fn code_of(pid: i32) -> String {
+    let maps = std::fs::read_to_string(format!("/proc/{pid}/maps")).expect("it runs");
+    maps.lines().filter(|line| line.contains("r-xp")).map(|line| format!("{line}\n")).collect()
+}
+
+#[test]
+fn the_window_loads_no_plugin_and_is_the_last_to_lose_its_memory() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let Some(screen) = Screen::start() else { return };
+    let mut running = Running::start(&screen, Folder::new("screen_code"), GRAPH, &[]);
+    let workers = running.until_workers(2);
+    until_logged(&mut running, "it is opened", |event| matches!(event, Event::Opened { .. }));
+    assert!(code_of(workers[0]).contains("memfd:libflow.so"), "{}", code_of(workers[0]));
+    let own = code_of(running.pid());
+    assert!(!own.contains("memfd:lib") && !own.contains("opencv"), "{own}");
+    for pid in workers {
+        let score = std::fs::read_to_string(format!("/proc/{pid}/oom_score_adj")).expect("it runs");
+        assert_eq!(score.trim(), "500");
+    }
+}
+
+#[test]
+fn the_window_outlives_its_process_and_shows_pictures_again() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let Some(screen) = Screen::start() else { return };
+    let folder = Folder::new("screen_kill");
+    let picture = folder.0.join("after.png");
+    let words = ["--screenshot", picture.to_str().expect("a plain path"), "--after", "20"];
+    let mut running = Running::start(&screen, folder, GRAPH, &words);
+    let pids = running.until_workers(2);
+    signal(pids[0], "KILL");
+    until_logged(&mut running, "the crash", |event| matches!(event, Event::ProcessEnded { .. }));
+    assert!(running.until_end().success());
+    until_gone(&pids);
+    let shown = image::open(&picture).expect("a screenshot").to_rgb8();
+    let is_coloured = |p: &[u8; 3]| p.iter().max().zip(p.iter().min()).is_some_and(|(most, least)| most - least > 60);
+    let coloured = shown.pixels().filter(|p| is_coloured(&p.0)).count();
+    assert!(coloured > 20_000, "views are shown: {coloured} coloured pixels");
+    let all = events(&running);
+    assert!(
+        matches!(&all[..], [Event::Opened { .. }, Event::ProcessEnded { cause }, Event::Closed] if cause.contains("SIGKILL")),
+        "{all:?}"
+    );
+}
+
+#[test]
+fn a_killed_window_leaves_no_process() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let Some(screen) = Screen::start() else { return };
+    let mut running = Running::start(&screen, Folder::new("screen_gone"), GRAPH, &[]);
+    let pids = running.until_workers(2);
+    // Even a stopped one goes on, to end.
+    signal(pids[0], "STOP");
+    signal(running.pid(), "KILL");
+    running.until_end();
+    until_gone(&pids);
+}
+
+#[test]
+fn a_signal_ends_the_window_and_its_processes_in_good_order() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let Some(screen) = Screen::start() else { return };
+    let mut running = Running::start(&screen, Folder::new("screen_term"), GRAPH, &[]);
+    let pids = running.until_workers(2);
+    signal(running.pid(), "TERM");
+    assert!(running.until_end().success());
+    until_gone(&pids);
+    assert!(children(running.pid()).is_empty());
+    assert_eq!(events(&running).last(), Some(&Event::Closed));
+}
+
+#[test]
+fn a_process_of_the_theatre_cannot_be_started_by_hand() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_panoscope-theatre"))
+        .args(["theatre-worker", "9", "g.toml"])
+        .stdin(std::process::Stdio::null())
+        .output()
+        .expect("it starts");
+    assert_eq!(output.status.code(), Some(2));
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(text.contains("`theatre-worker` is started by the theatre only"), "{text}");
+}
