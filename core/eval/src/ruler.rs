@@ -45,6 +45,7 @@ pub(crate) fn graph(scene: &str, distance_mm: f64, points: &[[f64; 2]]) -> Strin
 [nodes.bm]
 type = "stereo_bm"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
+params = {{ uniqueness = 5 }}
 [nodes.bm_wls]
 type = "disparity_wls"
 inputs = {{ image = "rectify.left", disparity = "bm.disparity", disparity_right = "bm.disparity_right" }}
@@ -54,10 +55,11 @@ inputs = {{ image = "rectify.left", disparity = "bm_wls.disparity", confidence =
 [nodes.sgbm]
 type = "stereo_sgbm"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
+params = {{ speckle_area_px = 200 }}
 [nodes.sgbm_wls]
 type = "disparity_wls"
 inputs = {{ image = "rectify.left", disparity = "sgbm.disparity", disparity_right = "sgbm.disparity_right" }}
-params = {{ scatter_radius_px = 3, lambda = 100.0 }}
+params = {{ scatter_radius_px = 3, lambda = 200.0 }}
 [nodes.points]
 type = "reproject"
 inputs = {{ image = "rectify.left", disparity = "sgbm_wls.disparity", confidence = "sgbm_wls.confidence", calibration = "rectify.calibration" }}

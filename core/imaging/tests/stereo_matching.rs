@@ -3,7 +3,9 @@
 mod stereo_common;
 
 use panoscope_base::Threads;
-use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams, StereoError};
+use panoscope_imaging::stereo::{
+    BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams, StereoError, Tile,
+};
 use panoscope_imaging::{Parallel, Rect, Serial};
 use stereo_common::*;
 
@@ -155,7 +157,7 @@ fn nothing_is_written_outside_the_roi_and_unmatched_is_nan() {
 #[test]
 fn portable_and_simd_and_any_number_of_threads_agree() {
     let size = (150, 230);
-    for (min, search) in [(0, 32), (-5, 40), (20, 64), (3, 90), (0, 128), (0, 200)] {
+    for (min, search) in [(0, 32), (-5, 40), (20, 64), (3, 90), (0, 128), (-40, 160), (-60, 192), (0, 200), (-90, 256), (-100, 288)] {
         let (left, mut right) = plane_pair(size.0, size.1, [24.0, 0.04, 0.02]);
         for (index, value) in right.iter_mut().enumerate() {
             *value = value.saturating_add((hash(index as i64, 3) % 9) as u8);
@@ -209,4 +211,72 @@ fn wrong_inputs_are_named() {
         assert!(matches!(BlockMatcher::new(params), Err(StereoError::Parameter { .. })));
     }
     assert!(SemiGlobalMatcher::new(SemiGlobalParams { large_penalty: 5, ..Default::default() }).is_err());
+}
+
+/// Four tiles that cover a view, all with one range.
+fn quarters((width, height): (usize, usize), first_px: i32, search_px: usize) -> Vec<Tile> {
+    let tile = |x: usize, y: usize| {
+        let area = Rect { x: x * width / 2, y: y * height / 2, width: width / 2, height: height / 2 };
+        Tile { area, first_px, search_px }
+    };
+    vec![tile(0, 0), tile(1, 0), tile(0, 1), tile(1, 1)]
+}
+
+#[test]
+fn tiles_of_one_range_give_what_one_search_gives() {
+    let size = (240, 200);
+    let (left, right) = plane_pair(size.0, size.1, [14.0, 0.05, 0.03]);
+    let (l, r) = (gray(&left, size.0, size.1), gray(&right, size.0, size.1));
+    let params = BlockMatchingParams { left_right_px: None, ..Default::default() };
+    let tiles = quarters(size, 0, 64);
+    let (mut whole, mut parts) = (vec![7.0; size.0 * size.1], vec![7.0; size.0 * size.1]);
+    for threads in [1, 3] {
+        for portable in [false, true] {
+            let mut matcher = BlockMatcher::new(params.clone()).unwrap();
+            if portable {
+                matcher.force_portable();
+            }
+            let (pool, roi) = (Threads::new(threads), Rect::whole(size.0, size.1));
+            matcher.compute(l, r, roi, &pool, plane_mut(&mut whole, size.0, size.1), None).unwrap();
+            matcher.compute_tiles(l, r, &tiles, &pool, plane_mut(&mut parts, size.0, size.1)).unwrap();
+            assert!(same_bits(&whole, &parts), "{threads} threads, portable: {portable}");
+        }
+    }
+    // Paths of semi-global matching begin at a tile's rim: nearly the same.
+    let mut matcher = SemiGlobalMatcher::new(SemiGlobalParams::default()).unwrap();
+    matcher.compute_tiles(l, r, &tiles, &Threads::new(2), plane_mut(&mut parts, size.0, size.1)).unwrap();
+    let (density, error) = errors(&parts, size, 40, 230, |x, y| 14.0 + 0.05 * x + 0.03 * y);
+    assert!(density > 0.9 && error < 0.2, "density {density}, error {error}");
+}
+
+#[test]
+fn every_tile_is_searched_over_its_own_range() {
+    let size = (400, 120);
+    let (near, near_right) = plane_pair(size.0, size.1 / 2, [150.0, 0.0, 0.0]);
+    let (far, far_right) = plane_pair(size.0, size.1 / 2, [20.0, 0.0, 0.0]);
+    let (left, right) = ([near, far].concat(), [near_right, far_right].concat());
+    let (l, r) = (gray(&left, size.0, size.1), gray(&right, size.0, size.1));
+    let upper = Tile { area: Rect { x: 160, y: 0, width: 240, height: 60 }, first_px: 130, search_px: 32 };
+    let lower = Tile { area: Rect { x: 0, y: 60, width: 400, height: 60 }, first_px: 0, search_px: 64 };
+    for matcher in &mut matchers(7, 32) {
+        let mut map = vec![7.0; size.0 * size.1];
+        let out = plane_mut(&mut map, size.0, size.1);
+        match matcher {
+            Matcher::Block(matcher) => matcher.compute_tiles(l, r, &[upper, lower], &Threads::new(2), out),
+            Matcher::SemiGlobal(matcher) => matcher.compute_tiles(l, r, &[upper, lower], &Threads::new(2), out),
+        }
+        .unwrap();
+        let share = |rows: std::ops::Range<usize>, columns: std::ops::Range<usize>, wanted: f32| {
+            let values = rows.flat_map(|y| columns.clone().map(move |x| (x, y)));
+            let (mut count, mut right) = (0, 0);
+            for (x, y) in values {
+                count += 1;
+                right += usize::from((map[y * size.0 + x] - wanted).abs() < 0.3);
+            }
+            right as f64 / f64::from(count)
+        };
+        assert!(share(5..52, 170..390, 150.0) > 0.95, "{}", share(5..52, 170..390, 150.0));
+        assert!(share(68..115, 40..390, 20.0) > 0.95, "{}", share(68..115, 40..390, 20.0));
+        assert!(map[..60 * size.0].iter().enumerate().all(|(i, d)| i % size.0 >= 160 || d.is_nan()));
+    }
 }

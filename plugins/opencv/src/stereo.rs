@@ -197,6 +197,8 @@ impl Node for StereoOpencv {
         }
         let place = SearchParams {
             auto_offset: params.auto_offset,
+            // Its matchers take one range.
+            auto_range: false,
             min_disparity_px: params.min_disparity_px,
             keeps_asked: true,
             search_px: params.search_px.max(0) as usize,

@@ -4,29 +4,50 @@
 //! counts their pixels; each value stands for a block of pixels.
 
 use panoscope_imaging::features::{GrayBuffer, shrink_gray};
-use panoscope_imaging::stereo::{BlockMatcher, StereoError};
+use panoscope_imaging::stereo::{BlockMatcher, StereoError, StereoKernel, Tile};
 use panoscope_imaging::{Parallel, Rect, SharedMut, View, ViewMut};
-
-use crate::matcher::Engine;
 
 /// Rows of a map per chunk.
 const ROWS: usize = 32;
 
 /// A block matcher on views shrunk by a whole factor.
 pub struct Shrunk {
-    /// Its parameters are in shrunk pixels.
+    /// Its parameters are in shrunk pixels; its range is set by each call.
     pub kernel: BlockMatcher,
     /// Pixels of a view per shrunk pixel, each way.
     pub factor: usize,
     views: [GrayBuffer; 2],
     maps: [Vec<f32>; 2],
+    tiles: Vec<Tile>,
 }
 
 impl Shrunk {
     /// A matcher on views of full size.
     pub fn new(kernel: BlockMatcher) -> Self {
-        Self { kernel, factor: 1, views: Default::default(), maps: Default::default() }
+        Self { kernel, factor: 1, views: Default::default(), maps: Default::default(), tiles: Vec::new() }
     }
+
+    /// Shrinks both views, and makes room for their maps.
+    fn shrink(&mut self, views: [View<'_, u8>; 2], pool: &dyn Parallel) {
+        let size = (views[0].width / self.factor) * (views[0].height / self.factor);
+        for (view, small) in views.into_iter().zip(&mut self.views) {
+            shrink_gray(view, self.factor, small, pool);
+        }
+        self.maps.iter_mut().for_each(|map| map.resize(size, f32::NAN));
+    }
+}
+
+/// Disparities that the kernel searches at once.
+const SEARCH_STEP_PX: usize = 32;
+
+/// A range of full-size disparities in those of views shrunk by `factor`.
+fn shrunk_range(first_px: i32, search_px: usize, factor: usize) -> (i32, usize) {
+    let scale = factor as i32;
+    // Rounded down: what lies beyond the end by less than a shrunk pixel costs a whole block of disparities.
+    let first = first_px.div_euclid(scale);
+    let end = (first_px + search_px as i32).div_euclid(scale) + 1;
+    let search = (end - first).max(2) as usize - 1;
+    (first, search.next_multiple_of(SEARCH_STEP_PX))
 }
 
 /// Repeats every value of `small`, times `factor`, over its block; what no block covers is NaN.
@@ -51,9 +72,10 @@ fn enlarge(small: &[f32], (width, height): (usize, usize), factor: usize, pool: 
     });
 }
 
-impl Engine for Shrunk {
-    fn compute(
+impl StereoKernel for Shrunk {
+    fn match_roi(
         &mut self,
+        (first_px, search_px): (i32, usize),
         views: [View<'_, u8>; 2],
         roi: Rect,
         pool: &dyn Parallel,
@@ -63,11 +85,9 @@ impl Engine for Shrunk {
         let factor = self.factor.max(1);
         let (width, height) = (views[0].width / factor, views[0].height / factor);
         if factor == 1 || width == 0 || height == 0 {
-            return self.kernel.compute(views[0], views[1], roi, pool, disparity, disparity_right);
+            return self.kernel.match_roi((first_px, search_px), views, roi, pool, disparity, disparity_right);
         }
-        for (view, small) in views.into_iter().zip(&mut self.views) {
-            shrink_gray(view, factor, small, pool);
-        }
+        self.shrink(views, pool);
         let (left, right) = (self.views[0].view(), self.views[1].view());
         let (x, y) = (roi.x / factor, roi.y / factor);
         let end = |start: usize, size: usize, limit: usize| ((start + size).div_ceil(factor)).min(limit);
@@ -77,17 +97,44 @@ impl Engine for Shrunk {
             width: end(roi.x, roi.width, width).saturating_sub(x),
             height: end(roi.y, roi.height, height).saturating_sub(y),
         };
-        for map in &mut self.maps {
-            map.resize(width * height, f32::NAN);
-        }
         let [map, map_right] = &mut self.maps;
         let wanted = disparity_right.is_some();
         let target = wanted.then(|| ViewMut::new(map_right, width, height, 1));
-        self.kernel.compute(left, right, roi, pool, ViewMut::new(map, width, height, 1), target)?;
+        let range = shrunk_range(first_px, search_px, factor);
+        let to = ViewMut::new(map, width, height, 1);
+        self.kernel.match_roi(range, [left, right], roi, pool, to, target)?;
         enlarge(map, (width, height), factor, pool, disparity);
         if let Some(target) = disparity_right {
             enlarge(map_right, (width, height), factor, pool, target);
         }
+        Ok(())
+    }
+
+    fn match_tiles(
+        &mut self,
+        tiles: &[Tile],
+        views: [View<'_, u8>; 2],
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+    ) -> Result<(), StereoError> {
+        let factor = self.factor.max(1);
+        let (width, height) = (views[0].width / factor, views[0].height / factor);
+        if factor == 1 || width == 0 || height == 0 {
+            return self.kernel.match_tiles(tiles, views, pool, disparity);
+        }
+        self.shrink(views, pool);
+        let (left, right) = (self.views[0].view(), self.views[1].view());
+        self.tiles.clear();
+        self.tiles.extend(tiles.iter().map(|tile| {
+            // Both ends are rounded alike, so that neighbours still touch.
+            let cut = |start: usize, size: usize| (start / factor, (start + size) / factor - start / factor);
+            let ((x, width), (y, height)) = (cut(tile.area.x, tile.area.width), cut(tile.area.y, tile.area.height));
+            let (first_px, search_px) = shrunk_range(tile.first_px, tile.search_px, factor);
+            Tile { area: Rect { x, y, width, height }, first_px, search_px }
+        }));
+        let map = &mut self.maps[0];
+        self.kernel.match_tiles(&self.tiles, [left, right], pool, ViewMut::new(map, width, height, 1))?;
+        enlarge(map, (width, height), factor, pool, disparity);
         Ok(())
     }
 }
@@ -108,12 +155,13 @@ mod tests {
         };
         let left: Vec<u8> = (0..W * H).map(|i| texture(i % W, i / W)).collect();
         let right: Vec<u8> = (0..W * H).map(|i| texture(i % W + 40, i / W)).collect();
-        let params = BlockMatchingParams { search_px: 32, block_px: 9, ..BlockMatchingParams::default() };
+        let params = BlockMatchingParams { block_px: 9, ..BlockMatchingParams::default() };
         let mut shrunk = Shrunk::new(BlockMatcher::new(params).expect("good parameters"));
         shrunk.factor = 2;
         let mut map = vec![0.0; W * H];
         let views = [View::new(&left[..], W, H, 1), View::new(&right[..], W, H, 1)];
-        shrunk.compute(views, Rect::whole(W, H), &Serial, ViewMut::new(&mut map, W, H, 1), None).expect("a match");
+        let out = ViewMut::new(&mut map, W, H, 1);
+        shrunk.match_roi((0, 64), views, Rect::whole(W, H), &Serial, out, None).expect("a match");
         let known: Vec<f32> = map.iter().copied().filter(|d| d.is_finite()).collect();
         assert!(known.len() > W * H / 2, "{} of {}", known.len(), W * H);
         let good = known.iter().filter(|d| (**d - 40.0).abs() < 0.5).count();

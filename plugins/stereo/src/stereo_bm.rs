@@ -1,9 +1,9 @@
 //! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
 
-use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams};
+use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, PairMatcher};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
-use crate::matcher::{In, Matcher, Out, SearchWindow, check_kernel};
+use crate::matcher::{In, Out, SearchWindow, check_kernel, process};
 use crate::shrunk::Shrunk;
 
 /// Parameters.
@@ -31,23 +31,17 @@ pub struct StereoBmParams {
     scale: usize,
 }
 
-/// Disparities that the kernel searches at once.
-const SEARCH_STEP_PX: usize = 32;
 /// Smallest window that the kernel compares.
 const LEAST_BLOCK_PX: usize = 5;
 
 impl StereoBmParams {
-    /// In pixels of the shrunk views.
-    fn kernel(&self, min_disparity_px: i32) -> BlockMatchingParams {
+    /// In pixels of the shrunk views; the range is set by each call.
+    fn kernel(&self) -> BlockMatchingParams {
         let scale = self.scale.max(1);
-        // Rounded down: what lies beyond the end by less than a shrunk pixel costs a whole block of disparities.
-        let first = min_disparity_px.div_euclid(scale as i32);
-        let end = (min_disparity_px + self.search.search_px as i32).div_euclid(scale as i32) + 1;
-        let search = if scale == 1 { self.search.search_px } else { (end - first).max(1) as usize - 1 };
         let block = if scale == 1 { self.block_px } else { (self.block_px / scale).max(LEAST_BLOCK_PX) | 1 };
         BlockMatchingParams {
-            min_disparity_px: first,
-            search_px: search.next_multiple_of(SEARCH_STEP_PX),
+            min_disparity_px: self.search.min_disparity_px,
+            search_px: self.search.search_px,
             block_px: block,
             prefilter_cap: self.prefilter_cap,
             texture_threshold: self.texture,
@@ -60,7 +54,7 @@ impl StereoBmParams {
 /// See the module.
 pub struct StereoBm {
     kernel: Shrunk,
-    matcher: Matcher,
+    matcher: PairMatcher,
 }
 
 impl Node for StereoBm {
@@ -74,12 +68,12 @@ impl Node for StereoBm {
     type Params = StereoBmParams;
 
     fn validate(params: &StereoBmParams, check: &mut Validation<'_>) {
-        check_kernel(check, params.kernel(params.search.min_disparity_px).validate());
+        check_kernel(check, params.kernel().validate());
     }
 
     fn open(_: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
-        let kernel = BlockMatcher::new(params.kernel(params.search.min_disparity_px))?;
-        Ok(Self { kernel: Shrunk::new(kernel), matcher: Matcher::new()? })
+        let kernel = BlockMatcher::new(params.kernel())?;
+        Ok(Self { kernel: Shrunk::new(kernel), matcher: PairMatcher::new()? })
     }
 
     fn process<'f>(
@@ -89,10 +83,9 @@ impl Node for StereoBm {
         mut out: Out<'f>,
         params: &StereoBmParams,
     ) -> Result<()> {
-        self.kernel.factor = params.scale;
-        self.matcher.process(cx, &input, &mut out, params.search, &mut self.kernel, |shrunk, offset_px| {
-            let wanted = params.kernel(offset_px);
-            if *shrunk.kernel.params() == wanted { Ok(()) } else { shrunk.kernel.set_params(wanted) }
-        })
+        self.kernel.factor = params.scale.max(1);
+        self.kernel.kernel.set_params(params.kernel())?;
+        let search = (&params.search, params.left_right_px);
+        process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)
     }
 }

@@ -1,10 +1,9 @@
 //! `stereo_sgbm`: semi-global matching, a rectified pair in, disparity maps of both views out.
 
-use panoscope_imaging::Rect;
-use panoscope_imaging::stereo::{SemiGlobalMatcher, SemiGlobalParams, StereoError};
-use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, Validation, View, ViewMut};
+use panoscope_imaging::stereo::{PairMatcher, SemiGlobalMatcher, SemiGlobalParams};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
-use crate::matcher::{Engine, In, Matcher, Out, SearchWindow, check_kernel};
+use crate::matcher::{In, Out, SearchWindow, check_kernel, process};
 
 /// Parameters.
 #[derive(Params)]
@@ -35,9 +34,10 @@ pub struct StereoSgbmParams {
 }
 
 impl StereoSgbmParams {
-    fn kernel(&self, min_disparity_px: i32) -> SemiGlobalParams {
+    /// The range is set by each call.
+    fn kernel(&self) -> SemiGlobalParams {
         SemiGlobalParams {
-            min_disparity_px,
+            min_disparity_px: self.search.min_disparity_px,
             search_px: self.search.search_px,
             block_px: self.block_px,
             prefilter_cap: self.prefilter_cap,
@@ -53,20 +53,7 @@ impl StereoSgbmParams {
 /// See the module.
 pub struct StereoSgbm {
     kernel: SemiGlobalMatcher,
-    matcher: Matcher,
-}
-
-impl Engine for SemiGlobalMatcher {
-    fn compute(
-        &mut self,
-        views: [View<'_, u8>; 2],
-        roi: Rect,
-        pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
-        disparity_right: Option<ViewMut<'_, f32>>,
-    ) -> Result<(), StereoError> {
-        self.compute(views[0], views[1], roi, pool, disparity, disparity_right)
-    }
+    matcher: PairMatcher,
 }
 
 impl Node for StereoSgbm {
@@ -87,12 +74,12 @@ impl Node for StereoSgbm {
             );
             return check.error("small_penalty", message, "lower `small_penalty` or raise `large_penalty`");
         }
-        check_kernel(check, params.kernel(params.search.min_disparity_px).validate());
+        check_kernel(check, params.kernel().validate());
     }
 
     fn open(_: &Open<'_>, params: &StereoSgbmParams) -> Result<Self> {
-        let kernel = SemiGlobalMatcher::new(params.kernel(params.search.min_disparity_px))?;
-        Ok(Self { kernel, matcher: Matcher::new()? })
+        let kernel = SemiGlobalMatcher::new(params.kernel())?;
+        Ok(Self { kernel, matcher: PairMatcher::new()? })
     }
 
     fn process<'f>(
@@ -102,9 +89,8 @@ impl Node for StereoSgbm {
         mut out: Out<'f>,
         params: &StereoSgbmParams,
     ) -> Result<()> {
-        self.matcher.process(cx, &input, &mut out, params.search, &mut self.kernel, |kernel, offset_px| {
-            let wanted = params.kernel(offset_px);
-            if *kernel.params() == wanted { Ok(()) } else { kernel.set_params(wanted) }
-        })
+        self.kernel.set_params(params.kernel())?;
+        let search = (&params.search, params.left_right_px);
+        process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)
     }
 }

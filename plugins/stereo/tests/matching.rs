@@ -312,3 +312,90 @@ fn threads_do_not_show() -> TestResult {
     assert_eq!(bits(1)?, bits(4)?);
     Ok(())
 }
+
+/// A near surface below a far one: 160 px of range.
+fn far_and_near(_: f64, y: f64) -> f64 {
+    if y < 64.0 { 30.0 } else { 190.0 }
+}
+
+/// Shares of the pixels that both views show with the right disparity, of the far surface and of the near one.
+fn shares(out: &Outputs) -> Result<[f64; 2], HarnessError> {
+    let map = out.plane::<Disparity>("disparity")?;
+    Ok([(8..54, 30.0_f32), (74..120, 190.0)].map(|(rows, wanted)| {
+        let columns = wanted as usize + 8..SIZE.0 - 8;
+        let all = rows.flat_map(|y: usize| map.row(y)[columns.clone()].iter());
+        let (count, right) = all.fold((0, 0), |(n, right), d| (n + 1, right + usize::from((d - wanted).abs() < 0.5)));
+        f64::from(right as u32) / f64::from(count)
+    }))
+}
+
+fn finds_a_range_wider_than_the_search<N: Node>() -> TestResult {
+    let (left, right) = pair(far_and_near, 0.0);
+    let mut node = Harness::<N>::from_toml("")?;
+    for _ in 0..6 {
+        let out = run(&mut node, &left, &right)?;
+        let [far, near] = shares(&out)?;
+        assert!(far > 0.9 && near > 0.9, "{far} {near}");
+        // Both views' maps agree where the filters compare them.
+        let (map, back) = (out.plane::<Disparity>("disparity")?, out.plane::<Disparity>("disparity_right")?);
+        let (mut known, mut unanswered) = (0, 0);
+        for (index, d) in map.data.iter().enumerate().filter(|(_, d)| d.is_finite()) {
+            let to = (index % SIZE.0) as f32 - d;
+            let there = back.row(index / SIZE.0)[to.round() as usize];
+            assert!(there.is_nan() || (there - d).abs() <= 1.0, "{index}: {d} {there}");
+            known += 1;
+            unanswered += usize::from(there.is_nan());
+        }
+        // Where the far surface meets the near one the shared field is not known exactly.
+        assert!(known > 10_000 && unanswered * 20 < known, "{unanswered} of {known}");
+    }
+    assert!(node.metric("tiles").is_some_and(|count| count > 0.0), "{:?}", node.metric("tiles"));
+    assert_eq!(node.metric("in_search_pct"), Some(100.0));
+    let lines: Vec<_> = node.logs().iter().map(|line| (line.level, line.message.clone())).collect();
+    assert!(lines.len() == 1 && lines[0].0 == Level::Info && lines[0].1.contains("over its own range"), "{lines:?}");
+
+    // What one search holds is searched at once again.
+    let (left, right) = pair(slanted, 0.0);
+    for _ in 0..40 {
+        run(&mut node, &left, &right)?;
+    }
+    assert_eq!(node.metric("tiles"), Some(0.0));
+    Ok(())
+}
+
+#[test]
+fn block_matching_finds_a_range_wider_than_the_search() -> TestResult {
+    finds_a_range_wider_than_the_search::<StereoBm>()
+}
+
+#[test]
+fn semi_global_matching_finds_a_range_wider_than_the_search() -> TestResult {
+    finds_a_range_wider_than_the_search::<StereoSgbm>()
+}
+
+#[test]
+fn a_coarse_match_finds_a_wide_range_too() -> TestResult {
+    let (left, right) = pair(far_and_near, 0.0);
+    let mut node = Harness::<StereoBm>::from_toml("params = { scale = 2 }")?;
+    let map = run(&mut node, &left, &right)?;
+    let map = map.plane::<Disparity>("disparity")?;
+    for (rows, wanted) in [(12..50, 30.0), (78..116, 190.0)] {
+        let found = median(rows.flat_map(|y| map.row(y).iter().copied()));
+        assert!((found - wanted).abs() < 1.0, "{found} in place of {wanted}");
+    }
+    Ok(())
+}
+
+#[test]
+fn a_range_that_does_not_fit_is_warned_of() -> TestResult {
+    let (left, right) = pair(far_and_near, 0.0);
+    let mut node = Harness::<StereoBm>::from_toml("params = { auto_range = false }")?;
+    for _ in 0..16 {
+        let [far, near] = shares(&run(&mut node, &left, &right)?)?;
+        assert!(far.min(near) < 0.05, "one search cannot hold both: {far} {near}");
+    }
+    let said = node.logs().iter().filter(|line| line.message.contains("`auto_range` on")).count();
+    assert_eq!((said, node.logs().len()), (1, 1), "{:?}", node.logs());
+    assert!(node.metric("in_search_pct").is_some_and(|share| share < 90.0));
+    Ok(())
+}

@@ -46,7 +46,7 @@ impl Default for BilateralSolverParams {
             lambda: 0.5,
             iterations: 25,
             tolerance: 1e-3,
-            min_support: 0.05,
+            min_support: 0.1,
             warm_start: true,
             confidence: ConfidenceParams::default(),
         }

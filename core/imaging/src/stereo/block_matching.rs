@@ -11,8 +11,11 @@ use crate::stereo::block_matching_finish::Limits;
 use crate::stereo::block_matching_kernel::{MAX_LANES, Row, match_row};
 use crate::stereo::matching::{Maps, PaddedPair, Span, Target, WinnerRow, left_right_limit, window_above};
 use crate::stereo::prefilter::MAX_VALUE;
-use crate::{Parallel, Rect, Simd, View, ViewMut};
+use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, most_lanes};
+use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
+/// Columns beyond each side of a tile that are matched with it.
+const MARGIN_PX: usize = 8;
 /// Smallest number of rows of a band.
 const BAND_ROWS: usize = 32;
 
@@ -88,6 +91,7 @@ pub struct BlockMatcher {
     params: BlockMatchingParams,
     pair: PaddedPair,
     bands: Vec<Band>,
+    tiles: Vec<TileWork<Band>>,
     avx2: bool,
 }
 
@@ -98,7 +102,7 @@ impl BlockMatcher {
     /// [`StereoError::Parameter`] when one is out of range.
     pub fn new(params: BlockMatchingParams) -> Result<Self, StereoError> {
         params.validate()?;
-        Ok(Self { params, pair: PaddedPair::default(), bands: Vec::new(), avx2: Simd::detect().avx2() })
+        Ok(Self { params, pair: PaddedPair::default(), bands: Vec::new(), tiles: Vec::new(), avx2: Simd::detect().avx2() })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).
@@ -164,6 +168,48 @@ impl BlockMatcher {
                 }
             },
         );
+        Ok(())
+    }
+
+    /// Matches each of `tiles` of a rectified gray pair over its own range, in place of the range of the parameters. Areas of tiles lie inside the
+    /// view and do not overlap; pixels outside them are NaN. Left and right are compared inside a tile only: see [`project_right`].
+    ///
+    /// # Errors
+    /// As [`BlockMatcher::compute`].
+    ///
+    /// [`project_right`]: crate::stereo::project_right
+    pub fn compute_tiles(
+        &mut self,
+        left: View<'_, u8>,
+        right: View<'_, u8>,
+        tiles: &[Tile],
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+    ) -> Result<(), StereoError> {
+        let maps = Maps { left: disparity, right: None };
+        maps.check(left, right)?;
+        let (width, height, radius) = (left.width, left.height, self.params.block_px / 2);
+        let lanes = most_lanes(tiles);
+        self.pair.fill_all([left, right], lanes, radius, self.params.prefilter_cap, self.avx2, pool);
+        make_room(&mut self.tiles, tiles.len(), width);
+        let (out, work) = (TileMap::new(maps.left, pool), SharedMut::new(&mut self.tiles));
+        let (params, pair, avx2) = (&self.params, &self.pair, self.avx2);
+        pool.run(tiles.len(), &|index| {
+            let tile = &tiles[index];
+            let area = tile.area.clamped(width, height);
+            // Beyond its sides a tile's pixels compete for the same right ones.
+            let roi = tile.widened(MARGIN_PX, width).clamped(width, height);
+            let Some(span) = Span::new(roi, width, tile.first_px, tile.search_px, radius) else { return };
+            // SAFETY: `Parallel::run` calls each index once, and the memory of a tile belongs to its index.
+            let TileWork { band, line } = unsafe { &mut work.part(index, 1)[0] };
+            let job = Job { params, pair, avx2, span };
+            job.prepare(band, area.y);
+            for y in area.y..area.y + area.height {
+                job.row(band, y, Target { left: line, right: None });
+                // SAFETY: areas of tiles do not overlap.
+                unsafe { out.put(area, y, line) };
+            }
+        });
         Ok(())
     }
 }

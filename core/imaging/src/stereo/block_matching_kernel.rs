@@ -82,6 +82,10 @@ pub(crate) fn match_row(row: Row<'_>, interleaved: bool) {
                 64 => avx2::match_row::<2, true>(row),
                 96 => avx2::match_row::<3, true>(row),
                 128 => avx2::match_row::<4, true>(row),
+                160 => avx2::match_row::<5, true>(row),
+                192 => avx2::match_row::<6, true>(row),
+                224 => avx2::match_row::<7, true>(row),
+                256 => avx2::match_row::<8, true>(row),
                 _ => avx2::match_row::<0, true>(row),
             }
         }
@@ -103,6 +107,10 @@ pub(crate) fn pick_row(row: Row<'_>, interleaved: bool) {
                 64 => avx2::match_row::<2, false>(row),
                 96 => avx2::match_row::<3, false>(row),
                 128 => avx2::match_row::<4, false>(row),
+                160 => avx2::match_row::<5, false>(row),
+                192 => avx2::match_row::<6, false>(row),
+                224 => avx2::match_row::<7, false>(row),
+                256 => avx2::match_row::<8, false>(row),
                 _ => avx2::match_row::<0, false>(row),
             }
         }

@@ -145,7 +145,32 @@ impl PaddedPair {
         avx2: bool,
         pool: &dyn Parallel,
     ) {
-        let pad = span.lanes + span.radius + 32;
+        self.fill_padded([left, right], (span.lanes, span.radius), rows, cap, avx2, pool);
+    }
+
+    /// Prefilters all rows, for windows of up to this radius and searches of up to `lanes` disparities.
+    pub fn fill_all(
+        &mut self,
+        views: [View<'_, u8>; 2],
+        lanes: usize,
+        radius: usize,
+        cap: u8,
+        avx2: bool,
+        pool: &dyn Parallel,
+    ) {
+        self.fill_padded(views, (lanes, radius), 0..views[0].height, cap, avx2, pool);
+    }
+
+    fn fill_padded(
+        &mut self,
+        [left, right]: [View<'_, u8>; 2],
+        (lanes, radius): (usize, usize),
+        rows: Range<usize>,
+        cap: u8,
+        avx2: bool,
+        pool: &dyn Parallel,
+    ) {
+        let pad = lanes + radius + 32;
         self.left.fill(left, rows.clone(), cap, pad, avx2, pool);
         self.right.fill(right, rows, cap, pad, avx2, pool);
         self.outside.resize(left.width + 2 * pad, 0);

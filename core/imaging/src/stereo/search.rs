@@ -2,14 +2,20 @@
 
 use super::StereoError;
 use super::offset::Offset;
+use super::range_plan::RangePlan;
 use super::survey::{COARSE_WIDTH, FINE_WIDTH, MatchCount, Survey};
-use super::watch::Watch;
-use crate::{Parallel, Report, View};
+use super::tile::Tile;
+use super::watch::{Searched, Watch};
+use crate::{Parallel, Rect, Report, View};
 
 /// Calls between two surveys.
 const SURVEY_CALLS: u64 = 4;
 /// Share of the surveyed matches, in percent, that the search must cover for the offset to stay.
 const ENOUGH_PERCENT: usize = 98;
+/// Share of the surveyed matches, in percent, below which one search does not hold the scene, and from which on it does again.
+const FITS_PERCENT: (usize, usize) = (98, 99);
+/// Share of matched coarse pixels, in percent, from which on their disparities can be divided into tiles.
+const PLAN_PERCENT: usize = 10;
 /// Calls between two measurements of the vertical error.
 const ROWS_CALLS: u64 = 8;
 
@@ -18,6 +24,8 @@ const ROWS_CALLS: u64 = 8;
 pub struct SearchParams {
     /// Whether the offset is estimated from the pictures.
     pub auto_offset: bool,
+    /// Whether tiles are searched over ranges of their own when one search does not hold what the views show. Needs `auto_offset`.
+    pub auto_range: bool,
     /// The offset when it is not estimated, and until the first estimate, px.
     pub min_disparity_px: i32,
     /// Whether that offset is used while the search from there covers nearly all matches. For engines that lose a column for
@@ -29,15 +37,20 @@ pub struct SearchParams {
     pub drift_px: f32,
 }
 
-/// Estimates the offset of the search and warns when matching fails. Reuses its memory.
+/// Estimates the range of the search and warns when matching fails. Reuses its memory.
 #[derive(Debug)]
 pub struct Search {
     survey: Survey,
     offset: Offset,
+    plan: RangePlan,
     watch: Watch,
     calls: u64,
     found_nothing: bool,
     asked_is_enough: bool,
+    /// One search does not hold the scene.
+    is_tiled: bool,
+    /// Of the views of the last call: tiles belong to it.
+    size: (usize, usize),
 }
 
 impl Search {
@@ -46,11 +59,21 @@ impl Search {
     /// # Errors
     /// The same as those of [`Survey::new`].
     pub fn new() -> Result<Self, StereoError> {
-        let (survey, offset, watch) = (Survey::new()?, Offset::default(), Watch::default());
-        Ok(Self { survey, offset, watch, calls: 0, found_nothing: false, asked_is_enough: false })
+        Ok(Self {
+            survey: Survey::new()?,
+            offset: Offset::default(),
+            plan: RangePlan::default(),
+            watch: Watch::default(),
+            calls: 0,
+            found_nothing: false,
+            asked_is_enough: false,
+            is_tiled: false,
+            size: (0, 0),
+        })
     }
 
-    /// Call before matching. Returns the smallest disparity to search for this pair, in px. Both views have the same size.
+    /// Call before matching. Returns the smallest disparity to search for this pair, in px, where [`Search::tiles`] has none. Both views
+    /// have the same size.
     ///
     /// # Errors
     /// The same as those of the survey's kernel.
@@ -61,7 +84,9 @@ impl Search {
         params: &SearchParams,
         pool: &dyn Parallel,
     ) -> Result<i32, StereoError> {
-        let is_survey = self.calls.is_multiple_of(SURVEY_CALLS);
+        let size = (views[0].width, views[0].height);
+        let is_survey = self.calls.is_multiple_of(SURVEY_CALLS) || size != self.size;
+        self.size = size;
         self.calls += 1;
         let mut found = None;
         if is_survey {
@@ -81,6 +106,7 @@ impl Search {
         let known = if params.auto_offset && !stays { self.offset.current_px() } else { None };
         let offset_px = known.unwrap_or(params.min_disparity_px);
         if let Some(found) = found {
+            self.divide(report, views[0], found, offset_px, params);
             self.report_survey(report, views, found, offset_px, params, pool)?;
         }
         if !params.auto_offset {
@@ -88,6 +114,41 @@ impl Search {
         }
         report.metric("offset_px", f64::from(offset_px));
         Ok(offset_px)
+    }
+
+    /// Tiles to match one by one, each over its own range; `None` where one search from the offset holds the scene.
+    pub fn tiles(&self) -> Option<&[Tile]> {
+        (self.is_tiled && !self.plan.tiles().is_empty()).then(|| self.plan.tiles())
+    }
+
+    /// Decides after a survey whether one search holds the scene, and divides the view into tiles where it does not.
+    fn divide(
+        &mut self,
+        report: &dyn Report,
+        view: View<'_, u8>,
+        found: MatchCount,
+        offset_px: i32,
+        params: &SearchParams,
+    ) {
+        if !params.auto_range || !params.auto_offset {
+            self.is_tiled = false;
+        } else if found.matched * 100 >= found.pixels * PLAN_PERCENT {
+            let within = self.survey.within(offset_px, params.search_px);
+            let enough = if self.is_tiled { FITS_PERCENT.1 } else { FITS_PERCENT.0 };
+            let was_tiled = std::mem::replace(&mut self.is_tiled, within * 100 < found.matched * enough);
+            if self.is_tiled {
+                self.plan.update(&self.survey, Rect::whole(view.width, view.height));
+                self.watch.cut(report, self.plan.is_cut());
+            }
+            if self.is_tiled && !was_tiled {
+                let (low, high) = self.plan.range_px();
+                report.info(&format!(
+                    "the views hold disparities from {low} to {high} px, one search has {} px: each part of the picture is searched over its own range",
+                    params.search_px
+                ));
+            }
+        }
+        report.metric("tiles", self.tiles().map_or(0.0, |tiles| tiles.len() as f64));
     }
 
     fn report_survey(
@@ -100,7 +161,11 @@ impl Search {
         pool: &dyn Parallel,
     ) -> Result<(), StereoError> {
         // First, because matching the swapped views overwrites the survey's counts.
-        self.watch.beside(report, &self.survey, found, offset_px, params.search_px);
+        let searched = match self.tiles().is_some() {
+            true => Searched::Tiles,
+            false => Searched::Range { first_px: offset_px, search_px: params.search_px },
+        };
+        self.watch.beside(report, &self.survey, found, searched);
         self.watch.swapped(report, &mut self.survey, found, views, pool)
     }
 

@@ -13,7 +13,8 @@ use crate::stereo::block_matching_finish::Limits;
 use crate::stereo::block_matching_kernel::pick_row;
 use crate::stereo::matching::{Maps, PaddedPair, Span, Target, WinnerRow, left_right_limit};
 use crate::stereo::semi_global_kernel::{CostRow, MAX_LANES, Paths, Penalties, RIM, aggregate, cost_row, slot_bytes};
-use crate::{Parallel, Rect, Simd, View, ViewMut};
+use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, most_lanes};
+use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// What semi-global matching searches, what it charges, and what it rejects.
 #[derive(Clone, Debug, PartialEq)]
@@ -116,6 +117,7 @@ pub struct SemiGlobalMatcher {
     params: SemiGlobalParams,
     pair: PaddedPair,
     bands: Vec<Band>,
+    tiles: Vec<TileWork<Band>>,
     avx2: bool,
 }
 
@@ -126,7 +128,7 @@ impl SemiGlobalMatcher {
     /// [`StereoError::Parameter`] when one is out of range.
     pub fn new(params: SemiGlobalParams) -> Result<Self, StereoError> {
         params.validate()?;
-        Ok(Self { params, pair: PaddedPair::default(), bands: Vec::new(), avx2: Simd::detect().avx2() })
+        Ok(Self { params, pair: PaddedPair::default(), bands: Vec::new(), tiles: Vec::new(), avx2: Simd::detect().avx2() })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).
@@ -192,6 +194,51 @@ impl SemiGlobalMatcher {
                 }
             },
         );
+        Ok(())
+    }
+
+    /// Matches each of `tiles` over its own range; as [`crate::stereo::BlockMatcher::compute_tiles`].
+    ///
+    /// # Errors
+    /// As [`SemiGlobalMatcher::compute`].
+    pub fn compute_tiles(
+        &mut self,
+        left: View<'_, u8>,
+        right: View<'_, u8>,
+        tiles: &[Tile],
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+    ) -> Result<(), StereoError> {
+        let maps = Maps { left: disparity, right: None };
+        maps.check(left, right)?;
+        let (width, height, radius) = (left.width, left.height, self.params.block_px / 2);
+        let lanes = most_lanes(tiles);
+        self.pair.fill_all([left, right], lanes, radius, self.params.prefilter_cap, self.avx2, pool);
+        make_room(&mut self.tiles, tiles.len(), width);
+        let (out, work) = (TileMap::new(maps.left, pool), SharedMut::new(&mut self.tiles));
+        let (params, pair, avx2) = (&self.params, &self.pair, self.avx2);
+        let offsets: &[isize] = if params.diagonals { &[0, -1, 1] } else { &[0] };
+        pool.run(tiles.len(), &|index| {
+            let tile = &tiles[index];
+            let area = tile.area.clamped(width, height);
+            // Paths begin this far outside, so that they have converged where the area begins.
+            let roi = tile.widened(WARM_UP_ROWS, width).clamped(width, height);
+            let Some(span) = Span::new(roi, width, tile.first_px, tile.search_px, radius) else { return };
+            // SAFETY: `Parallel::run` calls each index once, and the memory of a tile belongs to its index.
+            let TileWork { band, line } = unsafe { &mut work.part(index, 1)[0] };
+            let job = Job { params, pair, offsets, avx2, span };
+            let start = area.y.saturating_sub(WARM_UP_ROWS);
+            job.prepare(band, start);
+            for y in start..area.y + area.height {
+                job.aggregate(band, y);
+                if y < area.y {
+                    continue;
+                }
+                job.finish(band, Target { left: line, right: None });
+                // SAFETY: areas of tiles do not overlap.
+                unsafe { out.put(area, y, line) };
+            }
+        });
         Ok(())
     }
 }

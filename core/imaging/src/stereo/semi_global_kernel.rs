@@ -108,6 +108,10 @@ unsafe fn by_lanes<const DOWN: usize>(paths: Paths<'_>) {
             64 => avx2::aggregate::<DOWN, 2, 2>(paths),
             96 => avx2::aggregate::<DOWN, 3, 3>(paths),
             128 => avx2::aggregate::<DOWN, 4, 4>(paths),
+            160 => avx2::aggregate::<DOWN, 5, 5>(paths),
+            192 => avx2::aggregate::<DOWN, 6, 6>(paths),
+            224 => avx2::aggregate::<DOWN, 7, 7>(paths),
+            256 => avx2::aggregate::<DOWN, 8, 8>(paths),
             _ => avx2::aggregate::<DOWN, 0, { MAX_LANES / 32 }>(paths),
         }
     }

@@ -2,13 +2,24 @@
 
 use crate::{Rect, ViewMut};
 
+/// Neighbouring pixels of one row and one patch.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    /// Columns.
+    start: u32,
+    end: u32,
+    /// A run of the same patch, in the end its first one.
+    parent: u32,
+    /// Pixels of the patch, where this run is its first one.
+    pixels: u32,
+}
+
 /// Finds and clears speckles. Reuses its memory.
 #[derive(Debug, Default)]
 pub struct SpeckleFilter {
-    /// 0 for unvisited pixels, else the patch's number.
-    label: Vec<u32>,
-    /// Pixels of the patch that is being followed.
-    patch: Vec<u32>,
+    runs: Vec<Run>,
+    /// First run of each row, and the end.
+    rows: Vec<u32>,
 }
 
 impl SpeckleFilter {
@@ -19,46 +30,88 @@ impl SpeckleFilter {
         if area_px == 0 || roi.is_empty() {
             return 0;
         }
-        self.label.clear();
-        self.label.resize(roi.width * roi.height, 0);
-        let stride = disparity.stride;
-        let place = |at: usize| (roi.y + at / roi.width) * stride + roi.x + at % roi.width;
-        let data = &mut *disparity.data;
-        let (mut next, mut gone) = (0, 0);
-        for start in 0..roi.width * roi.height {
-            if self.label[start] != 0 || data[place(start)].is_nan() {
-                continue;
+        let columns = roi.x..roi.x + roi.width;
+        self.runs.clear();
+        self.rows.clear();
+        for y in roi.y..roi.y + roi.height {
+            let first = self.runs.len();
+            self.rows.push(first as u32);
+            let view = disparity.as_view();
+            let row = &view.row(y)[columns.clone()];
+            find_runs(row, step_px, &mut self.runs);
+            if y > roi.y {
+                let above = self.rows[self.rows.len() - 2] as usize..first;
+                join(&mut self.runs, above, (&view.row(y - 1)[columns.clone()], row), step_px);
             }
-            next += 1;
-            self.patch.clear();
-            self.patch.push(start as u32);
-            self.label[start] = next;
-            let mut done = 0;
-            while let Some(&at) = self.patch.get(done) {
-                done += 1;
-                let at = at as usize;
-                let (x, y, own) = (at % roi.width, at / roi.width, data[place(at)]);
-                let around = [
-                    (x > 0).then(|| at - 1),
-                    (x + 1 < roi.width).then_some(at + 1),
-                    (y > 0).then(|| at - roi.width),
-                    (y + 1 < roi.height).then_some(at + roi.width),
-                ];
-                for other in around.into_iter().flatten() {
-                    // NaN fails.
-                    if self.label[other] == 0 && (data[place(other)] - own).abs() <= step_px {
-                        self.label[other] = next;
-                        self.patch.push(other as u32);
-                    }
+        }
+        self.rows.push(self.runs.len() as u32);
+        let mut gone = 0;
+        for (line, ends) in self.rows.windows(2).enumerate() {
+            let row = &mut disparity.row_mut(roi.y + line)[columns.clone()];
+            for index in ends[0] as usize..ends[1] as usize {
+                let run = self.runs[index];
+                let patch = first_of(&mut self.runs, index);
+                if self.runs[patch].pixels as usize <= area_px {
+                    row[run.start as usize..run.end as usize].fill(f32::NAN);
+                    gone += (run.end - run.start) as usize;
                 }
-            }
-            if self.patch.len() <= area_px {
-                gone += self.patch.len();
-                self.patch.iter().for_each(|at| data[place(*at as usize)] = f32::NAN);
             }
         }
         gone
     }
+}
+
+/// Appends the runs of a row.
+fn find_runs(row: &[f32], step_px: f32, runs: &mut Vec<Run>) {
+    let mut start = 0;
+    while start < row.len() {
+        if row[start].is_nan() {
+            start += 1;
+            continue;
+        }
+        let mut end = start + 1;
+        // NaN fails.
+        while end < row.len() && (row[end] - row[end - 1]).abs() <= step_px {
+            end += 1;
+        }
+        let (parent, pixels) = (runs.len() as u32, (end - start) as u32);
+        runs.push(Run { start: start as u32, end: end as u32, parent, pixels });
+        start = end;
+    }
+}
+
+/// Joins the runs of two rows that touch: those `above`, and those behind them.
+fn join(runs: &mut [Run], above: std::ops::Range<usize>, (upper, lower): (&[f32], &[f32]), step_px: f32) {
+    let (mut a, mut b) = (above.start, above.end);
+    while a < above.end && b < runs.len() {
+        let (over, under) = (runs[a], runs[b]);
+        let shared = over.start.max(under.start) as usize..over.end.min(under.end) as usize;
+        let touches = !shared.is_empty()
+            && upper[shared.clone()].iter().zip(&lower[shared]).any(|(a, b)| (a - b).abs() <= step_px);
+        if touches {
+            let (a, b) = (first_of(runs, a), first_of(runs, b));
+            let (first, other) = (a.min(b), a.max(b));
+            if first != other {
+                runs[other].parent = first as u32;
+                runs[first].pixels += runs[other].pixels;
+            }
+        }
+        if over.end <= under.end {
+            a += 1;
+        } else {
+            b += 1;
+        }
+    }
+}
+
+/// The first run of the patch that a run belongs to. Shortens the way there.
+fn first_of(runs: &mut [Run], mut index: usize) -> usize {
+    while runs[index].parent as usize != index {
+        let next = runs[runs[index].parent as usize].parent;
+        runs[index].parent = next;
+        index = next as usize;
+    }
+    index
 }
 
 #[cfg(test)]
@@ -98,5 +151,61 @@ mod tests {
         let mut view = ViewMut::new(&mut map, 10, 10, 1);
         assert_eq!(SpeckleFilter::default().remove(&mut view, roi, 6, 1.0), 6);
         assert_eq!(map.iter().filter(|v| v.is_nan()).count(), 6);
+    }
+
+    /// The patch of each known pixel by following its neighbours, as the definition has it.
+    fn cleared_by_definition(map: &[f32], (width, height): (usize, usize), area: usize, step: f32) -> Vec<bool> {
+        let mut label = vec![usize::MAX; map.len()];
+        let mut sizes = Vec::new();
+        for start in 0..map.len() {
+            if label[start] != usize::MAX || map[start].is_nan() {
+                continue;
+            }
+            label[start] = sizes.len();
+            let mut patch = vec![start];
+            let mut done = 0;
+            while let Some(&at) = patch.get(done) {
+                done += 1;
+                let (x, y) = (at % width, at / width);
+                let sides = [
+                    (x > 0).then(|| at - 1),
+                    (x + 1 < width).then_some(at + 1),
+                    (y > 0).then(|| at - width),
+                    (y + 1 < height).then_some(at + width),
+                ];
+                for other in sides.into_iter().flatten() {
+                    if label[other] == usize::MAX && (map[other] - map[at]).abs() <= step {
+                        label[other] = sizes.len();
+                        patch.push(other);
+                    }
+                }
+            }
+            sizes.push(patch.len());
+        }
+        label.iter().map(|label| *label != usize::MAX && sizes[*label] <= area).collect()
+    }
+
+    #[test]
+    fn patches_are_those_of_the_definition() {
+        let (width, height) = (57, 41);
+        let mut random = panoscope_base::random::SplitMix64(11);
+        for round in 0..200 {
+            let levels = 1 + round % 5;
+            let map: Vec<f32> = (0..width * height)
+                .map(|_| if random.below(4) == 0 { f32::NAN } else { 1.5 * random.below(1 + levels) as f32 })
+                .collect();
+            let mut found = map.clone();
+            let gone = SpeckleFilter::default().remove(
+                &mut ViewMut::new(&mut found, width, height, 1),
+                Rect::whole(width, height),
+                6,
+                1.0,
+            );
+            let wanted = cleared_by_definition(&map, (width, height), 6, 1.0);
+            assert_eq!(gone, wanted.iter().filter(|cleared| **cleared).count());
+            for (index, cleared) in wanted.iter().enumerate() {
+                assert_eq!(found[index].is_nan(), *cleared || map[index].is_nan(), "round {round}, pixel {index}");
+            }
+        }
     }
 }

@@ -28,6 +28,9 @@ pub struct Survey {
     matcher: BlockMatcher,
     planes: [Vec<u8>; 2],
     disparity: Vec<f32>,
+    /// The part of `disparity` that neighbours support, NaN elsewhere.
+    supported: Vec<f32>,
+    size: (usize, usize),
     counts: Vec<u32>,
     factor: usize,
 }
@@ -39,7 +42,15 @@ impl Survey {
     /// None with these constants, which the kernel checks.
     pub fn new() -> Result<Self, StereoError> {
         let matcher = BlockMatcher::new(params(COARSE_WIDTH))?;
-        Ok(Self { matcher, planes: [Vec::new(), Vec::new()], disparity: Vec::new(), counts: Vec::new(), factor: 1 })
+        Ok(Self {
+            matcher,
+            planes: [Vec::new(), Vec::new()],
+            disparity: Vec::new(),
+            supported: Vec::new(),
+            size: (0, 0),
+            counts: Vec::new(),
+            factor: 1,
+        })
     }
 
     /// Pixels of a full-size view per bin of [`Survey::counts`].
@@ -50,6 +61,11 @@ impl Survey {
     /// Matched coarse pixels per disparity, in bins of [`Survey::bin_px`] from 0 px on.
     pub fn counts(&self) -> &[u32] {
         &self.counts
+    }
+
+    /// Disparities of the coarse pixels, in coarse px, NaN where neighbours do not support them; columns and rows.
+    pub fn map(&self) -> (&[f32], (usize, usize)) {
+        (&self.supported, self.size)
     }
 
     /// Matched coarse pixels whose disparity is in `offset_px..offset_px + search_px`.
@@ -86,6 +102,9 @@ impl Survey {
         let (width, height) = (left.width / self.factor, left.height / self.factor);
         self.counts.clear();
         self.counts.resize(width, 0);
+        self.size = (width, height);
+        self.supported.clear();
+        self.supported.resize(width * height, f32::NAN);
         if width < 16 || height < 16 {
             return Ok(MatchCount { matched: 0, pixels: width * height });
         }
@@ -105,6 +124,7 @@ impl Survey {
             for x in 0..width {
                 let Some(disparity) = supported(&self.disparity, width, height, x, y) else { continue };
                 matched += 1;
+                self.supported[y * width + x] = disparity;
                 self.counts[((disparity + 0.5).max(0.0) as usize).min(width - 1)] += 1;
             }
         }

@@ -12,6 +12,10 @@ const RECOVERED: f32 = 0.7;
 const DRIFT_STEP: f32 = 0.25;
 /// Share of the surveyed matches, in percent, below which the search range misses the scene.
 const BESIDE_PERCENT: usize = 25;
+/// Share of the surveyed matches, in percent, below which the search leaves out a part of the scene.
+const NARROW_PERCENT: usize = 90;
+/// Such surveys in a row before the warning.
+const NARROW_SURVEYS: u32 = 3;
 /// Share of matched coarse pixels, in percent, above which their disparities locate the scene.
 const USABLE_PERCENT: usize = 2;
 /// Known share of a disparity map, in percent, below which the match counts as poor. The scope's geometry leaves a shared region of
@@ -19,6 +23,20 @@ const USABLE_PERCENT: usize = 2;
 const POOR_PERCENT: f64 = 0.5;
 /// Poor surveys in a row before the warning: a short blur or a covered lens needs none.
 const POOR_SURVEYS: u32 = 3;
+
+/// What is searched.
+#[derive(Clone, Copy, Debug)]
+pub enum Searched {
+    /// One range everywhere.
+    Range {
+        /// Smallest disparity, px.
+        first_px: i32,
+        /// Disparities from there on.
+        search_px: usize,
+    },
+    /// Tiles over ranges of their own: all that the survey has found.
+    Tiles,
+}
 
 /// The state of the warnings of one matcher.
 #[derive(Debug, Default)]
@@ -30,6 +48,11 @@ pub struct Watch {
     blind: bool,
     /// The search range misses the scene.
     beside: bool,
+    /// Surveys in a row of which the search leaves out a part.
+    narrow_surveys: u32,
+    narrow: bool,
+    /// A tile has more range than its search.
+    cut: bool,
     /// Poor surveys in a row.
     poor_surveys: u32,
     poor: bool,
@@ -76,20 +99,24 @@ impl Watch {
         self.blind = blind;
     }
 
-    /// Warns when the search of `search_px` pixels from `offset_px` on covers hardly any of the surveyed disparities.
-    pub fn beside(&mut self, cx: &dyn Report, survey: &Survey, found: MatchCount, offset_px: i32, search_px: usize) {
+    /// Warns when the search covers hardly any of the surveyed disparities, or leaves out a part of them for some surveys.
+    pub fn beside(&mut self, cx: &dyn Report, survey: &Survey, found: MatchCount, searched: Searched) {
         cx.metric("found_pct", 100.0 * found.matched as f64 / found.pixels.max(1) as f64);
         if found.matched * 100 < found.pixels * USABLE_PERCENT || self.swapped {
             return;
         }
-        let within = survey.within(offset_px, search_px);
+        let (within, from, to) = match searched {
+            Searched::Tiles => (found.matched, 0, 0),
+            Searched::Range { first_px, search_px } => {
+                (survey.within(first_px, search_px), i64::from(first_px), i64::from(first_px) + search_px as i64)
+            }
+        };
         cx.metric("in_search_pct", 100.0 * within as f64 / found.matched.max(1) as f64);
         let beside = within * 100 < found.matched * BESIDE_PERCENT;
         let range = survey.range_px().unwrap_or((0, 0));
         if beside && !self.beside {
             cx.warn(&format!(
-                "disparities are searched from {offset_px} to {} px, the views hold them from about {} to {} px: nearly all of the map is wrong. Switch `auto_offset` on, or set `min_disparity_px` and `search_px` to that range",
-                i64::from(offset_px) + search_px as i64,
+                "disparities are searched from {from} to {to} px, the views hold them from about {} to {} px: nearly all of the map is wrong. Switch `auto_offset` on, or set `min_disparity_px` and `search_px` to that range",
                 range.0,
                 range.1
             ));
@@ -97,6 +124,30 @@ impl Watch {
             cx.info("the search for disparities holds what the views show again");
         }
         self.beside = beside;
+        self.narrow(cx, !beside && within * 100 < found.matched * NARROW_PERCENT, (from, to), range);
+    }
+
+    /// Warns when the search has left out a part of what the views show for some surveys.
+    fn narrow(&mut self, cx: &dyn Report, is_narrow: bool, (from, to): (i64, i64), range: (usize, usize)) {
+        self.narrow_surveys = if is_narrow { self.narrow_surveys.saturating_add(1) } else { 0 };
+        if self.narrow_surveys >= NARROW_SURVEYS && !self.narrow {
+            self.narrow = true;
+            cx.warn(&format!(
+                "disparities are searched from {from} to {to} px, most of what the views show lies from about {} to {} px: a part of the map is missing or wrong. Switch `auto_range` on, or raise `search_px`",
+                range.0, range.1
+            ));
+        } else if self.narrow && !is_narrow {
+            self.narrow = false;
+            cx.info("the search for disparities holds all that the views show again");
+        }
+    }
+
+    /// Warns when one part of the picture shows more disparities than a search can hold.
+    pub fn cut(&mut self, cx: &dyn Report, is_cut: bool) {
+        if is_cut && !self.cut {
+            cx.warn("a part of the picture shows more than 512 px of disparities: the farthest surfaces there are not searched. Shrink the views");
+        }
+        self.cut = is_cut;
     }
 
     /// Warns when hardly anything has been matched for some surveys. `known_percent` is the share of the map that is known.

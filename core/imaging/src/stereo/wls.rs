@@ -18,7 +18,7 @@ use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 /// Strength and sharpness of the filter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WlsParams {
-    /// Strength of the smoothing, 0 to 1e7.
+    /// Strength of the smoothing, 0 to 1e7. Strong smoothing flattens slopes and fills far.
     pub lambda: f32,
     /// Colour distance (Euclidean, 0..=441) over which two pixels' coupling falls to 1/e, 0.1 to 1000.
     pub sigma_color: f32,
@@ -32,7 +32,7 @@ pub struct WlsParams {
 
 impl Default for WlsParams {
     fn default() -> Self {
-        Self { lambda: 8000.0, sigma_color: 1.5, iterations: 3, min_support: 0.05, confidence: Default::default() }
+        Self { lambda: 1000.0, sigma_color: 1.5, iterations: 3, min_support: 0.1, confidence: Default::default() }
     }
 }
 

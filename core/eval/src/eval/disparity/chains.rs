@@ -1,10 +1,11 @@
 //! The chains that are judged, on one pair.
 
+use panoscope_base::Silent;
 use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, ConfidenceParams, FilterInput,
-    SemiGlobalMatcher, SemiGlobalParams, SharedField, WlsFilter, WlsParams,
+    PairMatcher, PairParams, SearchParams, SemiGlobalMatcher, SemiGlobalParams, WlsFilter, WlsParams,
 };
-use panoscope_imaging::{Rect, Serial, View, ViewMut};
+use panoscope_imaging::{Parallel, Rect, Serial, View, ViewMut};
 
 use super::data::Picture;
 use crate::error::{Result, ensure};
@@ -19,62 +20,134 @@ pub struct ChainOutput {
 
 /// All chains with the nodes' own settings, over disparities `first_px..first_px + search_px`.
 pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> Result<Vec<ChainOutput>> {
-    let (width, height) = (left.width, left.height);
-    let roi = Rect::whole(width, height);
-    let plane = || vec![f32::NAN; width * height];
-    fn view(data: &[f32], width: usize, height: usize) -> View<'_, f32> {
-        View::new(data, width, height, 1)
-    }
-    ensure!((width, height) == (right.width, right.height), "the views differ in size");
-    let (a, b) = (View::new(&left.gray[..], width, height, 1), View::new(&right.gray[..], width, height, 1));
-    let guide = View::new(&left.bgr[..], width, height, 3);
+    let params = SearchParams { auto_offset: false, auto_range: false, min_disparity_px: first_px, search_px, ..NODES };
+    chains(left, right, params, &Serial)
+}
 
-    let mut outputs = Vec::new();
-    for semi_global in [false, true] {
-        let (mut raw, mut raw_right) = (plane(), plane());
-        let (to, to_right) = (ViewMut::new(&mut raw, width, height, 1), ViewMut::new(&mut raw_right, width, height, 1));
-        let scatter_radius_px = if semi_global {
-            let params = SemiGlobalParams { min_disparity_px: first_px, search_px, ..Default::default() };
-            SemiGlobalMatcher::new(params)?.compute(a, b, roi, &Serial, to, Some(to_right))?;
-            3
-        } else {
-            let params = BlockMatchingParams { min_disparity_px: first_px, search_px, ..Default::default() };
-            BlockMatcher::new(params)?.compute(a, b, roi, &Serial, to, Some(to_right))?;
-            5
-        };
-        // As the nodes do.
-        let (both, both_right) =
-            (&mut ViewMut::new(&mut raw, width, height, 1), &mut ViewMut::new(&mut raw_right, width, height, 1));
-        SharedField::default().clear_outside(both, both_right, roi);
-        let (mut smooth, mut trust, mut solved) = (plane(), plane(), plane());
+/// The same with the search that finds its range by itself.
+pub fn search(left: &Picture, right: &Picture, pool: &dyn Parallel) -> Result<Vec<ChainOutput>> {
+    chains(left, right, NODES, pool)
+}
+
+/// The search of the nodes.
+const NODES: SearchParams = SearchParams {
+    auto_offset: true,
+    auto_range: true,
+    min_disparity_px: 0,
+    keeps_asked: false,
+    search_px: 128,
+    drift_px: 0.0,
+};
+/// Strength of the filter, and area of speckles, in `graphs/parts/stereo_depth.toml`.
+const DEPTH: (f32, usize) = (200.0, 200);
+/// Uniqueness before the filter in `graphs/parts/stereo_wls.toml`.
+const WLS_UNIQUENESS_PERCENT: u32 = 5;
+
+fn view(data: &[f32], (width, height): (usize, usize)) -> View<'_, f32> {
+    View::new(data, width, height, 1)
+}
+
+fn view_mut(data: &mut [f32], (width, height): (usize, usize)) -> ViewMut<'_, f32> {
+    ViewMut::new(data, width, height, 1)
+}
+
+fn chains(left: &Picture, right: &Picture, search: SearchParams, pool: &dyn Parallel) -> Result<Vec<ChainOutput>> {
+    let size = (left.width, left.height);
+    let roi = Rect::whole(size.0, size.1);
+    let plane = || vec![f32::NAN; size.0 * size.1];
+    ensure!(size == (right.width, right.height), "the views differ in size");
+    let views = [left, right].map(|picture| View::new(&picture.gray[..], size.0, size.1, 1));
+    let guide = View::new(&left.bgr[..], size.0, size.1, 3);
+
+    let matched = |matched: Matched| -> Result<[Vec<f32>; 2]> {
+        let (mut map, mut map_right) = (plane(), plane());
+        let (to, to_right) = (view_mut(&mut map, size), Some(view_mut(&mut map_right, size)));
+        let mut matcher = PairMatcher::new()?;
+        match matched {
+            Matched::Blocks { uniqueness_percent } => {
+                let params = PairParams { search, left_right_px: Some(1), speckle_area_px: 0 };
+                let mut kernel =
+                    BlockMatcher::new(BlockMatchingParams { uniqueness_percent, ..Default::default() })?;
+                matcher.compute(&Silent, &mut kernel, views, roi, &params, pool, to, to_right)?;
+            }
+            Matched::SemiGlobal { speckle_area_px } => {
+                let params = PairParams { search, left_right_px: Some(1), speckle_area_px };
+                let mut kernel = SemiGlobalMatcher::new(SemiGlobalParams::default())?;
+                matcher.compute(&Silent, &mut kernel, views, roi, &params, pool, to, to_right)?;
+            }
+        }
+        Ok([map, map_right])
+    };
+    let filtered = |[map, map_right]: &[Vec<f32>; 2], scatter_radius_px: usize, lambda: f32| -> Result<[Vec<f32>; 2]> {
+        let (mut smooth, mut trust) = (plane(), plane());
         let confidence = ConfidenceParams { scatter_radius_px, ..Default::default() };
-        let mut wls = WlsFilter::new(WlsParams { confidence, ..Default::default() })?;
-        let input = FilterInput {
-            guide,
-            disparity: view(&raw, width, height),
-            disparity_right: Some(view(&raw_right, width, height)),
-            confidence: None,
-            roi,
+        let mut wls = WlsFilter::new(WlsParams { lambda, confidence, ..Default::default() })?;
+        let (disparity, disparity_right) = (view(map, size), Some(view(map_right, size)));
+        let input = FilterInput { guide, disparity, disparity_right, confidence: None, roi };
+        wls.compute(input, pool, view_mut(&mut smooth, size), Some(view_mut(&mut trust, size)))?;
+        Ok([smooth, trust])
+    };
+    let lambda = WlsParams::default().lambda;
+
+    let [bm, _] = matched(Matched::Blocks { uniqueness_percent: BlockMatchingParams::default().uniqueness_percent })?;
+    let [bm_wls, trust] = filtered(&matched(Matched::Blocks { uniqueness_percent: WLS_UNIQUENESS_PERCENT })?, 5, lambda)?;
+    let mut bm_wls_fbs = plane();
+    let (disparity, confidence) = (view(&bm_wls, size), Some(view(&trust, size)));
+    let input = FilterInput { guide, disparity, disparity_right: None, confidence, roi };
+    let mut solver = BilateralSolver::new(BilateralSolverParams::default())?;
+    solver.compute(input, pool, view_mut(&mut bm_wls_fbs, size), None)?;
+    let semi_global = matched(Matched::SemiGlobal { speckle_area_px: 0 })?;
+    let [sgbm_wls, _] = filtered(&semi_global, 3, lambda)?;
+    let [depth, _] = filtered(&matched(Matched::SemiGlobal { speckle_area_px: DEPTH.1 })?, 3, DEPTH.0)?;
+    let [sgbm, _] = semi_global;
+    let all = [
+        ("bm", bm),
+        ("bm_wls", bm_wls),
+        ("bm_wls_fbs", bm_wls_fbs),
+        ("sgbm", sgbm),
+        ("sgbm_wls", sgbm_wls),
+        ("depth", depth),
+    ];
+    Ok(all.into_iter().map(|(chain, disparity)| ChainOutput { chain, disparity }).collect())
+}
+
+/// How a chain begins.
+enum Matched {
+    Blocks { uniqueness_percent: u32 },
+    SemiGlobal { speckle_area_px: usize },
+}
+
+#[cfg(test)]
+mod tests {
+    use panoscope_base::Threads;
+
+    use super::super::synthetic::{self, SyntheticPair};
+    use super::*;
+
+    #[test]
+    fn disparities_from_20_to_199_px_are_found_in_one_picture() {
+        let pool = Threads::new(2);
+        let condition = synthetic::CONDITIONS.iter().find(|condition| condition.name == "range").expect("a condition");
+        let SyntheticPair([left, right]) = synthetic::render(condition, synthetic::HELD_OUT_SEEDS[0], &pool);
+        let (width, height) = synthetic::SIZE;
+        let views = [&left, &right].map(|view| Picture::new(width, height, view.bgr.clone()));
+        // Share of what both cameras see that is unknown, and mean relative error of depth elsewhere, in percent.
+        let judged = |search: SearchParams, chain: &str| {
+            let made = chains(&views[0], &views[1], search, &pool).expect("chains");
+            let map = made.iter().find(|made| made.chain == chain).expect("a chain");
+            let (mut seen, mut known, mut error) = (0usize, 0usize, 0.0f64);
+            for ((found, truth), visible) in map.disparity.iter().zip(&left.disparity).zip(&left.visible) {
+                seen += usize::from(*visible != 0);
+                if *visible != 0 && found.is_finite() {
+                    known += 1;
+                    error += f64::from((truth / found.max(1.0) - 1.0).abs());
+                }
+            }
+            (100.0 * (seen - known) as f64 / seen as f64, 100.0 * error / known as f64)
         };
-        let support = ViewMut::new(&mut trust, width, height, 1);
-        wls.compute(input, &Serial, ViewMut::new(&mut smooth, width, height, 1), Some(support))?;
-        if !semi_global {
-            let mut solver = BilateralSolver::new(BilateralSolverParams::default())?;
-            let input = FilterInput {
-                guide,
-                disparity: view(&smooth, width, height),
-                disparity_right: None,
-                confidence: Some(view(&trust, width, height)),
-                roi,
-            };
-            solver.compute(input, &Serial, ViewMut::new(&mut solved, width, height, 1), None)?;
-        }
-        let names: [&'static str; 2] = if semi_global { ["sgbm", "sgbm_wls"] } else { ["bm", "bm_wls"] };
-        outputs.push(ChainOutput { chain: names[0], disparity: raw });
-        outputs.push(ChainOutput { chain: names[1], disparity: smooth });
-        if !semi_global {
-            outputs.push(ChainOutput { chain: "bm_wls_fbs", disparity: solved });
-        }
+        let (unknown, error) = judged(NODES, "depth");
+        assert!(unknown < 10.0 && error < 2.5, "unknown {unknown} %, depth error {error} %");
+        let (_, error) = judged(SearchParams { auto_range: false, ..NODES }, "depth");
+        assert!(error > 4.0, "one search of 128 px cannot hold the scene: depth error {error} %");
     }
-    Ok(outputs)
 }

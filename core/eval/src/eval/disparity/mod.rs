@@ -10,6 +10,8 @@ mod phantom;
 mod picture;
 mod rectified;
 mod sets;
+mod synthetic;
+mod synthetic_case;
 #[doc(hidden)]
 pub mod truth_files;
 
@@ -36,8 +38,18 @@ pub struct Options {
 }
 
 /// Names of the cases.
-pub const CASES: [&str; 8] =
-    ["truth", "range", "phantom", "aloe", "motorcycle", "synthetic_liver", "silicone_heart", "hamlyn"];
+pub const CASES: [&str; 10] = [
+    "truth",
+    "range",
+    "phantom",
+    "synthetic",
+    "synthetic_tuning",
+    "aloe",
+    "motorcycle",
+    "synthetic_liver",
+    "silicone_heart",
+    "hamlyn",
+];
 
 /// Judges disparities on the given pair, or on each wanted case whose data is there.
 ///
@@ -60,6 +72,8 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             "truth" => judge.outside()?,
             "range" => judge.range()?,
             "phantom" => judge.phantom()?,
+            "synthetic" => judge.synthetic(case, &synthetic::HELD_OUT_SEEDS)?,
+            "synthetic_tuning" => judge.synthetic(case, &synthetic::TUNING_SEEDS)?,
             "aloe" => judge.aloe()?,
             "motorcycle" => judge.motorcycle()?,
             "synthetic_liver" => judge.liver()?,

@@ -12,6 +12,11 @@ fn save(path: &Path, size: (usize, usize), mut bgr: Vec<u8>) -> Result<()> {
     image.save(path).on_file(FileAction::Write, path)
 }
 
+/// A view as it is.
+pub fn view(path: &Path, size: (usize, usize), bgr: &[u8]) -> Result<()> {
+    save(path, size, bgr.to_vec())
+}
+
 /// A map in colours from its 2nd to its 98th percentile, unknown places dark gray.
 pub fn map(path: &Path, size: (usize, usize), values: &[f32]) -> Result<()> {
     let mut known: Vec<f32> = values.iter().copied().filter(|v| v.is_finite()).collect();

@@ -1,0 +1,192 @@
+//! A matcher as nodes use it: range of the search, kernel, shared field, speckles.
+
+use super::search::{Search, SearchParams};
+use super::tile::{Tile, project_right};
+use super::{BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams};
+use super::{SharedField, SpeckleFilter, StereoError};
+use crate::{Parallel, Rect, Report, View, ViewMut};
+
+/// A kernel that matches a rectified gray pair over ranges that it is given.
+pub trait StereoKernel {
+    /// Matches `roi` over `search_px` disparities from `first_px` on. Maps as in [`BlockMatcher::compute`].
+    ///
+    /// # Errors
+    /// Sizes do not agree, or the range is out of bounds.
+    fn match_roi(
+        &mut self,
+        range: (i32, usize),
+        views: [View<'_, u8>; 2],
+        roi: Rect,
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+        disparity_right: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError>;
+
+    /// Matches each tile over its own range. Map as in [`BlockMatcher::compute_tiles`].
+    ///
+    /// # Errors
+    /// Sizes do not agree.
+    fn match_tiles(
+        &mut self,
+        tiles: &[Tile],
+        views: [View<'_, u8>; 2],
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+    ) -> Result<(), StereoError>;
+}
+
+impl StereoKernel for BlockMatcher {
+    fn match_roi(
+        &mut self,
+        (first_px, search_px): (i32, usize),
+        views: [View<'_, u8>; 2],
+        roi: Rect,
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+        disparity_right: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError> {
+        self.set_params(BlockMatchingParams { min_disparity_px: first_px, search_px, ..self.params().clone() })?;
+        self.compute(views[0], views[1], roi, pool, disparity, disparity_right)
+    }
+
+    fn match_tiles(
+        &mut self,
+        tiles: &[Tile],
+        views: [View<'_, u8>; 2],
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+    ) -> Result<(), StereoError> {
+        self.compute_tiles(views[0], views[1], tiles, pool, disparity)
+    }
+}
+
+impl StereoKernel for SemiGlobalMatcher {
+    fn match_roi(
+        &mut self,
+        (first_px, search_px): (i32, usize),
+        views: [View<'_, u8>; 2],
+        roi: Rect,
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+        disparity_right: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError> {
+        self.set_params(SemiGlobalParams { min_disparity_px: first_px, search_px, ..self.params().clone() })?;
+        self.compute(views[0], views[1], roi, pool, disparity, disparity_right)
+    }
+
+    fn match_tiles(
+        &mut self,
+        tiles: &[Tile],
+        views: [View<'_, u8>; 2],
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+    ) -> Result<(), StereoError> {
+        self.compute_tiles(views[0], views[1], tiles, pool, disparity)
+    }
+}
+
+/// What a [`PairMatcher`] searches and drops.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairParams {
+    /// The searched range.
+    pub search: SearchParams,
+    /// Largest difference between the disparities of both views where tiles are matched, px; `None` keeps all. Kernels have their own.
+    pub left_right_px: Option<u32>,
+    /// Removes patches of the left map with at most this many pixels; 0 keeps all.
+    pub speckle_area_px: usize,
+}
+
+/// Largest step of disparity within a speckle.
+const SPECKLE_STEP_PX: f32 = 1.0;
+
+/// The part of a matcher that is not its kernel. Reuses its memory.
+#[derive(Debug)]
+pub struct PairMatcher {
+    search: Search,
+    speckles: SpeckleFilter,
+    field: SharedField,
+    /// The right view's map when nobody reads it: the shared field is found by it.
+    right: Vec<f32>,
+    /// Tiles inside the region.
+    tiles: Vec<Tile>,
+}
+
+impl PairMatcher {
+    /// A matcher without history.
+    ///
+    /// # Errors
+    /// As [`Search::new`].
+    pub fn new() -> Result<Self, StereoError> {
+        Ok(Self {
+            search: Search::new()?,
+            speckles: SpeckleFilter::default(),
+            field: SharedField::default(),
+            right: Vec::new(),
+            tiles: Vec::new(),
+        })
+    }
+
+    /// Matches `roi` of a rectified gray pair. Writes px of the left view into `disparity` and, where asked for, px of the right view into
+    /// `disparity_right`; NaN where unmatched, outside `roi`, and where only one camera sees.
+    ///
+    /// # Errors
+    /// When sizes or channel counts do not agree.
+    pub fn compute<K: StereoKernel>(
+        &mut self,
+        report: &dyn Report,
+        kernel: &mut K,
+        views: [View<'_, u8>; 2],
+        roi: Rect,
+        params: &PairParams,
+        pool: &dyn Parallel,
+        mut disparity: ViewMut<'_, f32>,
+        disparity_right: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError> {
+        let (width, height) = (disparity.width, disparity.height);
+        let roi = roi.clamped(width, height);
+        let first_px = self.search.begin(report, views, &params.search, pool)?;
+        // A region was chosen by who knows what the views share; the whole frame is cut down to that by the maps of both views.
+        let is_whole = roi == Rect::whole(width, height);
+        let tiles = self.search.tiles();
+        let right_is_read = disparity_right.is_some();
+        let mut right = match disparity_right {
+            Some(right) => Some(right),
+            None if is_whole || tiles.is_some() => {
+                self.right.resize(width * height, f32::NAN);
+                Some(ViewMut::new(&mut self.right, width, height, 1))
+            }
+            None => None,
+        };
+        if let (Some(tiles), Some(right)) = (tiles, &mut right) {
+            self.tiles.clear();
+            self.tiles.extend(tiles.iter().filter_map(|tile| {
+                let area = tile.area.intersect(&roi);
+                (!area.is_empty()).then_some(Tile { area, ..*tile })
+            }));
+            kernel.match_tiles(&self.tiles, views, pool, again(&mut disparity))?;
+            project_right(&mut disparity, right, params.left_right_px.map(|px| px as f32), pool);
+        } else {
+            let range = (first_px, params.search.search_px);
+            kernel.match_roi(range, views, roi, pool, again(&mut disparity), right.as_mut().map(again))?;
+        }
+        if let Some(right) = &mut right
+            && (is_whole || right_is_read)
+        {
+            self.field.clear_outside(&mut disparity, right, roi);
+        }
+        self.speckles.remove(&mut disparity, roi, params.speckle_area_px, SPECKLE_STEP_PX);
+        self.search.end(report, views, disparity.as_view(), is_whole, &params.search);
+        Ok(())
+    }
+}
+
+/// The same view, for one call.
+fn again<'a>(view: &'a mut ViewMut<'_, f32>) -> ViewMut<'a, f32> {
+    ViewMut {
+        data: &mut *view.data,
+        width: view.width,
+        height: view.height,
+        stride: view.stride,
+        channels: view.channels,
+    }
+}
