@@ -60,7 +60,7 @@ pub struct Run {
 pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Loader), String> {
     let text = GraphText::parse(path, text);
     let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
-    let catalog = loader.catalog(&text.plugins());
+    let catalog = loader.catalog_of(&text);
     match check(&text, &catalog).into_result() {
         Ok((graph, _)) => Ok((graph, catalog, loader)),
         Err(mistakes) => Err(mistakes.render(false)),
@@ -94,7 +94,7 @@ pub fn run_file(path: &Path, options: &GraphOptions, frames: u64) -> Option<Run>
 pub fn run_with(path: &Path, text: &str, options: &GraphOptions, frames: u64) -> Option<Run> {
     let text = GraphText::parse_with(path, text, options);
     let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
-    let catalog = loader.catalog(&text.plugins());
+    let catalog = loader.catalog_of(&text);
     let (graph, _) =
         check(&text, &catalog).into_result().unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
     start(path, graph, &catalog, &loader, frames, 2).unwrap_or_else(|error| panic!("{error}"))

@@ -11,7 +11,7 @@ use panoscope_loader::{self as loader, Loader};
 fn diagnostics(folder: &Path, text: &str) -> Diagnostics {
     let text = GraphText::parse(&folder.join("graph.toml"), text);
     let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
-    check(&text, &loader.catalog(&text.plugins())).diagnostics
+    check(&text, &loader.catalog_of(&text)).diagnostics
 }
 
 /// One node under test: `stage` gives what feeds it, and it is read by previews of `outputs`.

@@ -252,6 +252,7 @@ mod tests {
             fps: 30.0,
             nodes,
             paths: BTreeMap::new(),
+            groups: BTreeMap::new(),
             stopped: BTreeMap::new(),
             allocations_per_frame: None,
             machine: Machine { cpu: String::new(), cores: 1, threads: 1, os: String::new() },

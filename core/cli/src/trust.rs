@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use panoscope_graph::{Diagnostics, GraphOptions, GraphText};
+use panoscope_graph::{Deny, Diagnostics, GraphOptions, GraphText};
 use panoscope_loader::keys::{PublicKey, Trust};
 use panoscope_loader::{self as loader, Loader};
 
@@ -35,20 +35,52 @@ pub struct OwnPlugins {
     /// PANOSCOPE_PLUGIN_PATH are loaded.
     #[arg(long)]
     trust_plugins: bool,
+    #[command(flatten)]
+    isolated: IsolatedPlugins,
+}
+
+/// Whether plugins that a graph brings may run in its process.
+#[derive(clap::Args, Clone, Copy, Debug, Default)]
+pub struct IsolatedPlugins {
+    /// Loads plugins from the folders that the graph itself names only in processes of their own, which open no sockets and write no files: none of
+    /// their code runs in this one.
+    #[arg(long)]
+    isolate_plugins: bool,
+}
+
+impl IsolatedPlugins {
+    /// Whether plugins that a graph brings are isolated.
+    pub fn is_on(self) -> bool {
+        self.isolate_plugins
+    }
+
+    /// The plugins for a graph that names the folders `own`.
+    pub fn loader(self, own: &[PathBuf]) -> Loader {
+        let loader = Loader::search(&loader::search_path(own));
+        if self.isolate_plugins { loader.isolating(own) } else { loader }
+    }
+
+    /// Checks a graph that was read, with the plugins of [`Self::loader`], and isolates those that it brings, if that is wanted.
+    pub fn ready(self, text: &GraphText, loader: Loader) -> Result<Ready, Diagnostics> {
+        let own = if self.isolate_plugins { loader.brought_by(&text.plugin_paths()) } else { Vec::new() };
+        let mut ready = graph_file::ready_with(text, loader)?;
+        ready.graph.isolate_plugins(&own, "foreign", Deny { network: true, new_files: true });
+        Ok(ready)
+    }
 }
 
 impl OwnPlugins {
     /// The plugins for a graph that names the folders `own`.
     pub fn loader(self, own: &[PathBuf]) -> Loader {
-        match self.trust_plugins {
-            true => Loader::search(&loader::search_path(own)),
+        match self.trust_plugins || self.isolated.isolate_plugins {
+            true => self.isolated.loader(own),
             false => Loader::search_without_loading(own),
         }
     }
 
     /// Checks a graph that was read.
     pub fn ready(self, text: &GraphText) -> Result<Ready, Diagnostics> {
-        graph_file::ready_with(text, self.loader(&text.plugin_paths()))
+        self.isolated.ready(text, self.loader(&text.plugin_paths()))
     }
 
     /// Reads and checks a graph file.

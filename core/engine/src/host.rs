@@ -218,6 +218,29 @@ unsafe extern "C" fn alloc(
     }
 }
 
+/// See [`crate::isolation::place`].
+///
+/// # Safety
+/// As there.
+pub(crate) unsafe fn place_made(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bool) -> Status {
+    // SAFETY: the caller's promise.
+    let Some(call_context) = (unsafe { call_context(call) }) else { return abi::STATUS_INVALID };
+    let Some(&mut current) = call_context.output(output) else { return abi::STATUS_INVALID };
+    let mut made = Frame { tick: abi::Tick::default(), ..*frame.frame() };
+    if is_copy {
+        if current.is_empty() || current.len > frame.frame().len {
+            return abi::STATUS_INVALID;
+        }
+        made = Frame { buffer: made.buffer, data: made.data, ..current };
+        bump(&call_context.runtime.stats.copies);
+    } else if !call_context.accepts(output, &made) {
+        return call_context.object(output, &made);
+    }
+    // Its reference goes to the output.
+    std::mem::forget(frame);
+    call_context.place(output, &made)
+}
+
 unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame) -> Status {
     // SAFETY: see `call_context`; the frame is read for the length of this function.
     let (Some(call_context), Some(frame)) = (unsafe { (call_context(call), frame.as_ref()) }) else {

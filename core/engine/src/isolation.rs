@@ -5,8 +5,13 @@ use std::ffi::c_void;
 use std::sync::{Arc, Mutex, Weak};
 
 use panoscope_abi as abi;
+pub use panoscope_graph::Deny;
 use panoscope_graph::Node;
+use serde::Serialize;
 
+use crate::host::{call_context, place_made};
+use crate::memory::FrameRef;
+pub use crate::outputs::fits;
 use crate::sync::lock;
 
 /// A call of a node that ended because the node's process did. The words come through [`abi::Host::fail`]. No plugin returns this status.
@@ -30,6 +35,8 @@ pub struct GroupSettings {
     pub threads: usize,
     /// Most bytes of private memory that the process may have.
     pub memory_bytes: u64,
+    /// What its nodes may not do.
+    pub deny: Deny,
 }
 
 /// The nodes of one name of `isolate`: they run in one process, which is started again after it died.
@@ -48,6 +55,12 @@ pub trait Group: Send + Sync {
         instance: *mut *mut c_void,
     ) -> abi::Status;
 
+    /// What of [`GroupSettings::deny`] this kernel cannot refuse, in the words of a graph file.
+    fn not_enforced(&self) -> Vec<&'static str>;
+
+    /// What the calls of its nodes cost so far.
+    fn counts(&self) -> GroupReport;
+
     /// Number of the domain in which its nodes make frames, see [`crate::memory::Domain`].
     fn domain(&self) -> u32;
 
@@ -55,10 +68,51 @@ pub trait Group: Send + Sync {
     fn kill(&self, reason: &str);
 }
 
+/// What a group of isolated nodes cost.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct GroupReport {
+    /// Processes started: one, and another after each that died.
+    pub processes: u64,
+    /// Ticks that its nodes processed.
+    pub calls: u64,
+    /// Messages to the process and back for these ticks; one each if nothing has to be asked.
+    pub round_trips: u64,
+    /// Times the host slept until a message came.
+    pub sleeps: u64,
+    /// What the graph denies to the group and this kernel cannot refuse.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub not_enforced: Vec<&'static str>,
+}
+
+/// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call, as [`abi::Host::alloc`]
+/// does with a new one. Of the frame only buffer and description count. With `is_copy` it is a copy of the output, as [`abi::Host::make_mut`]
+/// makes one: only the buffer counts.
+///
+/// # Safety
+/// `call` is the handle of the running call; `frame` is large enough for its description.
+pub unsafe fn place(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bool) -> abi::Status {
+    // SAFETY: the caller's promise.
+    unsafe { place_made(call, output, frame, is_copy) }
+}
+
+/// Keeps the position of a source after the tick of the running call: if its process dies, its next instance continues there.
+///
+/// # Safety
+/// `call` is the handle of the running call.
+pub unsafe fn keep_position(call: *mut c_void, state: &[u8]) {
+    // SAFETY: the caller's promise.
+    if let Some(call) = unsafe { call_context(call) } {
+        call.runtime.recovery.keep_position(state);
+    }
+}
+
+/// A group that exists, and what its process may not do.
+type Known = (Deny, Weak<dyn Group>);
+
 /// The groups of a run.
 pub(crate) struct Groups {
     isolator: Mutex<Option<Arc<dyn Isolator>>>,
-    known: Mutex<BTreeMap<String, Weak<dyn Group>>>,
+    known: Mutex<BTreeMap<String, Known>>,
     threads: usize,
     memory_bytes: u64,
 }
@@ -86,27 +140,44 @@ impl Groups {
 
     /// A group for one node that is tried in a process of its own.
     pub fn for_trial(&self, node: &str, memory_bytes: u64) -> Result<Arc<dyn Group>, String> {
-        let settings = GroupSettings { name: format!("trial of {node}"), threads: self.threads, memory_bytes };
+        let settings = GroupSettings {
+            name: format!("trial of {node}"),
+            threads: self.threads,
+            memory_bytes,
+            deny: Deny::default(),
+        };
         match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
             None => Err("this program runs no processes for nodes".to_owned()),
         }
     }
 
-    /// The group that a node runs in, if it is isolated. It exists as long as one of its nodes does.
+    /// Counters of the groups that exist.
+    pub fn report(&self) -> BTreeMap<String, GroupReport> {
+        let known = lock(&self.known);
+        known.iter().filter_map(|(name, (_, group))| Some((name.clone(), group.upgrade()?.counts()))).collect()
+    }
+
+    /// The group that a node runs in, if it is isolated. It exists as long as one of its nodes does. What its process may not do cannot change, so
+    /// that another [`Node::deny`] means another group.
     pub fn of(&self, node: &Node) -> Result<Option<Arc<dyn Group>>, NotIsolated> {
         let Some(name) = &node.isolate else { return Ok(None) };
         let mut known = lock(&self.known);
-        if let Some(group) = known.get(name).and_then(Weak::upgrade) {
+        let deny = node.deny;
+        if let Some((denied, group)) = known.get(name)
+            && *denied == deny
+            && let Some(group) = group.upgrade()
+        {
             return Ok(Some(group));
         }
-        let settings = GroupSettings { name: name.clone(), threads: self.threads, memory_bytes: self.memory_bytes };
+        let (threads, memory_bytes) = (self.threads, self.memory_bytes);
+        let settings = GroupSettings { name: name.clone(), threads, memory_bytes, deny };
         let made = match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
             None => Err("this program runs no processes for nodes".to_owned()),
         };
         let group = made.map_err(|reason| NotIsolated { node: node.id.clone(), group: name.clone(), reason })?;
-        known.insert(name.clone(), Arc::downgrade(&group));
+        known.insert(name.clone(), (deny, Arc::downgrade(&group)));
         Ok(Some(group))
     }
 }

@@ -159,7 +159,7 @@ impl OutputRule {
 
 /// Whether an output of these formats may have this description.
 #[inline]
-pub(crate) fn fits(formats: u32, frame: &Frame) -> bool {
+pub fn fits(formats: u32, frame: &Frame) -> bool {
     is_allowed(formats, frame.format) && frame.len <= LARGEST_OUTPUT_BYTES && geometry_fits(frame)
 }
 

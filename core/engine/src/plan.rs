@@ -438,6 +438,7 @@ mod tests {
             max_rate_hz: None,
             cpu: None,
             isolate: None,
+            deny: panoscope_graph::Deny::default(),
             span: 0..0,
             line: 0,
         };
@@ -467,6 +468,7 @@ mod tests {
             name: "test".to_owned(),
             mode: Mode::Live,
             plugins: Vec::new(),
+            isolated_plugins: Vec::new(),
             nodes: nodes.iter().map(node).collect(),
             edges,
             order: (0..nodes.len()).collect(),

@@ -7,6 +7,7 @@ use panoscope_graph::Graph;
 use serde::{Deserialize, Serialize};
 
 use crate::clock;
+use crate::isolation::GroupReport;
 use crate::node::NodeRuntime;
 use crate::plan::Plan;
 use crate::schedule::Shared;
@@ -28,6 +29,9 @@ pub struct Report {
     pub nodes: BTreeMap<String, NodeReport>,
     /// Per sink: time from the arrival of the light to the end of its work.
     pub paths: BTreeMap<String, PathReport>,
+    /// Per group of isolated nodes.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub groups: BTreeMap<String, GroupReport>,
     /// Nodes that lost data for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub stopped: BTreeMap<String, String>,
@@ -202,6 +206,7 @@ impl Report {
             fps: if seconds > 0.0 { frames as f64 / seconds } else { 0.0 },
             nodes,
             paths,
+            groups: shared.context.groups.report(),
             stopped: lock(&shared.context.stopped).clone(),
             allocations_per_frame,
             machine: Machine::here(shared.pool.threads()),

@@ -144,6 +144,7 @@ impl Shared {
         busy.clear();
         runtime.exec.put(exec);
         if let Some(group) = &runtime.group {
+            runtime.recovery.save_kept_position();
             // The call returns now and is no longer counted as stuck.
             group.kill(&format!("node `{}` did not return{}", runtime.id, kind.return_words()));
         }

@@ -51,7 +51,7 @@ pub fn ready(text: &GraphText) -> Result<Ready, Diagnostics> {
 
 /// As [`ready`], with the plugins that `loader` finds and may load.
 pub fn ready_with(text: &GraphText, loader: Loader) -> Result<Ready, Diagnostics> {
-    let catalog = loader.catalog(&text.plugins());
+    let catalog = loader.catalog_of(text);
     let (graph, warnings) = check(text, &catalog).into_result()?;
     Ok(Ready { text: text.clone(), graph, catalog, loader, warnings })
 }

@@ -66,6 +66,9 @@ pub struct Graph {
     pub mode: Mode,
     /// Plugins the file lists, without repetitions.
     pub plugins: Vec<String>,
+    /// Those whose nodes all run in processes of their own, by `[isolate]`: the process of the graph need not load them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub isolated_plugins: Vec<String>,
     /// Nodes in file order.
     pub nodes: Vec<Node>,
     /// Edges, sorted by (`to_node`, `to_port`, `list_index`).
@@ -79,6 +82,18 @@ pub struct Graph {
 }
 
 impl Graph {
+    /// Isolates all nodes of some plugins, in `group` where the graph names none. No node of their groups may do what is denied.
+    pub fn isolate_plugins(&mut self, plugins: &[String], group: &str, deny: Deny) {
+        let mut groups = Vec::new();
+        for node in self.nodes.iter_mut().filter(|node| plugins.contains(&node.plugin)) {
+            groups.push(node.isolate.get_or_insert_with(|| group.to_owned()).clone());
+        }
+        for node in self.nodes.iter_mut().filter(|node| node.isolate.as_ref().is_some_and(|g| groups.contains(g))) {
+            node.deny.network |= deny.network;
+            node.deny.new_files |= deny.new_files;
+        }
+    }
+
     /// Position of the node called `id`.
     pub fn node(&self, id: &str) -> Option<usize> {
         self.nodes.iter().position(|n| n.id == id)
@@ -109,6 +124,32 @@ impl Graph {
     }
 }
 
+/// What the process of a group of isolated nodes may not do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Deny {
+    /// Sockets of any kind.
+    pub network: bool,
+    /// Files that are made, written or removed. Devices stay as they are.
+    pub new_files: bool,
+}
+
+impl Deny {
+    /// The words of a graph file.
+    pub(crate) const WORDS: [(&str, &str); 2] = [("network", "network"), ("new_files", "new_files")];
+
+    /// Whether everything is allowed.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// What is denied, as a graph file says it.
+    pub fn words(&self) -> impl Iterator<Item = &'static str> {
+        let all = [(self.network, "network"), (self.new_files, "new_files")];
+        all.into_iter().filter_map(|(denied, word)| denied.then_some(word))
+    }
+}
+
 /// One node of a checked graph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Node {
@@ -133,6 +174,9 @@ pub struct Node {
     /// The group in whose process it runs; `None` for the process of the graph.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub isolate: Option<String>,
+    /// What the process of that group may not do.
+    #[serde(default, skip_serializing_if = "Deny::is_empty")]
+    pub deny: Deny,
     /// Bytes of its id in the text.
     pub span: Range<usize>,
     /// Line of its id, from 1.

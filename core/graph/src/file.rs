@@ -1,6 +1,6 @@
 //! One file of a graph as read, before any name in it is looked up.
 
-use crate::checked::{Align, Mode, OnFault};
+use crate::checked::{Align, Deny, Mode, OnFault};
 use crate::diagnostic::Diagnostics;
 use crate::value::{Spanned, Table};
 use std::ops::Range;
@@ -14,6 +14,8 @@ pub(crate) struct FileText {
     pub(crate) plugin_paths: Vec<Spanned<String>>,
     /// Plugins and the groups of their nodes.
     pub(crate) isolate: Vec<(Spanned<String>, Spanned<String>)>,
+    /// Groups and what their nodes may not do.
+    pub(crate) deny: Vec<(Spanned<String>, Deny)>,
     pub(crate) nodes: Vec<NodeText>,
     pub(crate) pins: Vec<PinText>,
     pub(crate) views: Vec<ViewText>,

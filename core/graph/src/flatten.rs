@@ -138,6 +138,15 @@ impl GraphText {
                 let _ = writeln!(out, "{} = {}", text(&plugin.value), text(&group.value));
             }
         }
+        if !self.deny.is_empty() {
+            out.push_str("\n[deny]\n");
+        }
+        for (k, (group, deny)) in self.deny.iter().enumerate() {
+            if !self.deny[k + 1..].iter().any(|(later, _)| later.value == group.value) {
+                let words = texts(&mut deny.words().map(str::to_owned));
+                let _ = writeln!(out, "{} = [{words}]", text(&group.value));
+            }
+        }
         if !self.pins.is_empty() || !self.views.is_empty() {
             out.push_str("\n[preset]\n");
         }

@@ -14,6 +14,7 @@ use panoscope_base::format::{FORMATS, IMAGE_FORMATS};
 use thiserror::Error;
 
 pub use self::node_type::whole;
+pub use self::validator::problems_of;
 
 use crate::catalog::{NodeType, Port};
 use crate::packet::PacketType;

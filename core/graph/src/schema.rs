@@ -72,6 +72,11 @@ pub fn json_schema(catalog: &Catalog) -> Value {
                 "additionalProperties": { "$ref": "#/$defs/group" },
                 "description": "Plugins whose nodes run in processes of their own, each with the name of its group."
             },
+            "deny": {
+                "type": "object",
+                "additionalProperties": { "type": "array", "items": { "enum": ["network", "new_files"] } },
+                "description": "Groups of isolated nodes, each with what its process may not do: open network connections, make or write files."
+            },
             "preset": {
                 "type": "object",
                 "additionalProperties": false,

@@ -13,9 +13,10 @@ use crate::value::{Kind, Spanned, Table, Value, plain_table};
 use std::collections::HashMap;
 use std::ops::Range;
 
-const TOP: [&str; 9] = ["name", "mode", "plugins", "plugin_paths", "args", "nodes", "isolate", "preset", "editor"];
+const TOP: [&str; 10] =
+    ["name", "mode", "plugins", "plugin_paths", "args", "nodes", "isolate", "deny", "preset", "editor"];
 const TOP_OF_PART: [&str; 6] = ["name", "plugins", "plugin_paths", "part", "nodes", "editor"];
-const TOP_OF_OVERLAY: [&str; 5] = ["plugins", "plugin_paths", "args", "nodes", "isolate"];
+const TOP_OF_OVERLAY: [&str; 6] = ["plugins", "plugin_paths", "args", "nodes", "isolate", "deny"];
 const NODE: [&str; 9] = ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu", "isolate"];
 /// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
 pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
@@ -178,6 +179,7 @@ impl<'s> Reader<'s> {
                 "plugin_paths" => self.file.plugin_paths = self.texts("plugin_paths", "[\"../my_plugins\"]", value),
                 "nodes" => self.nodes(value),
                 "isolate" => self.isolate(value),
+                "deny" => self.deny(value),
                 "preset" => self.preset(value),
                 "editor" => {
                     if let Some(table) = self.table("`editor`", "a table", value) {

@@ -1,7 +1,7 @@
 //! A graph file as read, before any name of it is looked up.
 
 use crate::args::{Arg, ArgUse, Bindings};
-use crate::checked::Mode;
+use crate::checked::{Deny, Mode};
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
 use crate::file::{PinText, Role, ViewText};
 use crate::nearest::{list, nearest, sibling};
@@ -34,6 +34,8 @@ pub struct GraphText {
     pub(crate) flat: Flat,
     /// Plugins and the groups of their nodes; of two entries of a plugin the last counts.
     pub(crate) isolate: Vec<(Spanned<String>, Spanned<String>)>,
+    /// Groups and what their nodes may not do; of two entries of a group the last counts.
+    pub(crate) deny: Vec<(Spanned<String>, Deny)>,
     pub(crate) pins: Vec<PinText>,
     pub(crate) views: Vec<ViewText>,
     pub(crate) editor: toml::Table,
@@ -140,6 +142,7 @@ impl GraphText {
         let incomplete = graph.incomplete || overlays.iter().any(|(_, parsed)| parsed.incomplete);
         let mut root = shape::read(&sources, Role::Graph, graph);
         let mut isolate = std::mem::take(&mut root.isolate);
+        let mut deny = std::mem::take(&mut root.deny);
         let (mut nodes, mut plugins, mut plugin_paths) = (Vec::new(), Vec::new(), Vec::new());
         let overlay_files: Vec<usize> = overlays.iter().map(|(index, _)| *index).collect();
         for (index, mut parsed) in overlays {
@@ -150,6 +153,7 @@ impl GraphText {
             plugins.push((index, overlay.plugins));
             plugin_paths.extend(overlay.plugin_paths);
             isolate.extend(overlay.isolate);
+            deny.extend(overlay.deny);
         }
         diagnostics.extend(std::mem::take(&mut bindings.diagnostics));
         let (name, mode, editor, is_part) = (root.name.clone(), root.mode, root.editor.clone(), root.part.is_some());
@@ -171,6 +175,7 @@ impl GraphText {
             incomplete: incomplete || flat.incomplete,
             flat,
             isolate,
+            deny,
             pins,
             views,
             editor,
@@ -256,6 +261,12 @@ impl GraphText {
             }
         }
         names
+    }
+
+    /// Those of [`Self::plugins`] whose nodes all run in processes of their own, by `[isolate]`: the process of the graph need not load them.
+    pub fn isolated_plugins(&self) -> Vec<String> {
+        let is_isolated = |plugin: &String| self.isolate.iter().any(|(name, _)| name.value == *plugin);
+        self.plugins().into_iter().filter(is_isolated).collect()
     }
 
     /// Extra folders to look for plugins, each resolved against the folder of its file.

@@ -129,3 +129,62 @@ fn a_control_loop_is_not_isolated() {
     let text = diagnostics.render(false);
     assert!(text.contains("isolated-realtime") && text.contains("`show` (preview) is a control loop"), "{text}");
 }
+
+#[test]
+fn a_group_is_denied_what_the_file_or_the_last_overlay_says() {
+    let deny = |graph: &Graph| -> Vec<(String, Vec<&str>)> {
+        graph.nodes.iter().map(|n| (n.id.clone(), n.deny.words().collect())).collect()
+    };
+    let graph = format!("deny = {{ matching = [\"network\"], views = [\"new_files\", \"network\"] }}\n{GRAPH}");
+    let text = parsed(&graph, None);
+    let expected = [
+        ("scope".to_owned(), vec![]),
+        ("depth/eyes".to_owned(), vec!["network"]),
+        ("depth/match".to_owned(), vec![]),
+        ("show".to_owned(), vec!["network", "new_files"]),
+    ];
+    assert_eq!(deny(&checked(&text)), expected);
+    let flat = text.flattened(&common::catalog()).into_owned();
+    assert_eq!(deny(&checked(&GraphText::parse(&path("graph.toml"), &flat))), expected, "{flat}");
+    let over = parsed(&graph, Some("[deny]\nmatching = []\n"));
+    assert_eq!(deny(&checked(&over))[1].1, Vec::<&str>::new(), "an overlay decides for a group");
+    assert_eq!(checked(&text).isolated_plugins, ["phantom", "stereo"], "single nodes do not isolate a plugin");
+}
+
+#[test]
+fn what_is_denied_to_nobody_is_a_mistake() {
+    let mistakes = |deny: &str| {
+        let text = parsed(&format!("deny = {deny}\n{GRAPH}"), None);
+        check(&text, &common::catalog()).diagnostics.render(false)
+    };
+    assert_eq!(mistakes("{ renderer = [\"network\"] }"), "");
+    for (deny, code, words) in [
+        ("{ rendrer = [\"network\"] }", "unknown-group", "did you mean `renderer`?"),
+        ("{ renderer = [\"netwrk\"] }", "unknown-word", "did you mean \"network\"?"),
+        ("{ renderer = \"network\" }", "wrong-type", "a list of texts"),
+    ] {
+        let found = mistakes(deny);
+        assert!(found.contains(code) && found.contains(words), "{deny}: {found}");
+    }
+}
+
+#[test]
+fn a_plugin_is_isolated_from_outside_whatever_the_file_says() {
+    let plain = GRAPH.replace("isolate = \"views\"\n", "");
+    let mut graph = checked(&parsed(&plain, None));
+    let deny = panoscope_graph::Deny { network: true, new_files: true };
+    graph.isolate_plugins(&["sinks".to_owned(), "stereo".to_owned()], "foreign", deny);
+    let expected = [
+        ("scope", Some("renderer")),
+        ("depth/eyes", Some("matching")),
+        ("depth/match", Some("own")),
+        ("show", Some("foreign")),
+    ];
+    assert_eq!(groups(&graph), expected, "groups of the file stay");
+    let denied: Vec<bool> = graph.nodes.iter().map(|n| n.deny == deny).collect();
+    assert_eq!(denied, [false, true, true, true], "but not their rights");
+    let shared = GRAPH.replace("renderer", "views");
+    let mut graph = checked(&parsed(&shared, None));
+    graph.isolate_plugins(&["sinks".to_owned()], "foreign", deny);
+    assert_eq!(graph.nodes[0].deny, deny, "a node that shares the process has its rights");
+}

@@ -157,7 +157,9 @@ fn nothing_is_written_outside_the_roi_and_unmatched_is_nan() {
 #[test]
 fn portable_and_simd_and_any_number_of_threads_agree() {
     let size = (150, 230);
-    for (min, search) in [(0, 32), (-5, 40), (20, 64), (3, 90), (0, 128), (-40, 160), (-60, 192), (0, 200), (-90, 256), (-100, 288)] {
+    for (min, search) in
+        [(0, 32), (-5, 40), (20, 64), (3, 90), (0, 128), (-40, 160), (-60, 192), (0, 200), (-90, 256), (-100, 288)]
+    {
         let (left, mut right) = plane_pair(size.0, size.1, [24.0, 0.04, 0.02]);
         for (index, value) in right.iter_mut().enumerate() {
             *value = value.saturating_add((hash(index as i64, 3) % 9) as u8);

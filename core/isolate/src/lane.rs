@@ -1,12 +1,13 @@
 //! A stretch of memory on which host and child take turns.
 //!
-//! One word says whose turn it is. The other side spins for a few microseconds, then sleeps on the word as a futex. A side that sleeps marks
-//! the word, so that passing the turn to one that spins needs no system call.
+//! One word says whose turn it is. The other side spins for a while if its last waits were short, then sleeps on the word as a futex. A side
+//! that sleeps marks the word, so that passing the turn to one that spins needs no system call.
 
 use std::fs::File;
 use std::os::fd::{AsRawFd, FromRawFd};
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::time::Instant;
 
 use crate::wire::{BadMessage, Kind};
 
@@ -24,10 +25,22 @@ pub(crate) const LANE_BYTES: usize = 1 << 20;
 /// Where the message begins.
 const HEAD_BYTES: usize = 64;
 /// Longest message.
-pub(crate) const MOST_BYTES: usize = LANE_BYTES - HEAD_BYTES;
+pub(crate) const MAX_MESSAGE_BYTES: usize = LANE_BYTES - HEAD_BYTES;
 
-/// How long a side spins for its turn before it sleeps.
-const SPIN: Duration = Duration::from_micros(20);
+/// A side spins for its turn while its waits are usually shorter than this. Waking a thread that sleeps takes 15 to 40 us on an idle core.
+const SHORT_WAIT_NS: u64 = 80_000;
+/// Longest spin.
+const MAX_SPIN_NS: u64 = 100_000;
+/// Looks at the word before the clock is read for the first time.
+const FIRST_LOOKS: u32 = 256;
+/// Looks at the word between two offers of the core to other threads.
+const LOOKS_PER_YIELD: u32 = 16;
+/// Waits beyond this count as this long, so that a pause is soon forgotten.
+const MAX_SAMPLE_NS: u64 = 1_000_000;
+
+/// Whether the other side can run while this one spins.
+static SPINS: LazyLock<bool> =
+    LazyLock::new(|| std::thread::available_parallelism().is_ok_and(|cores| cores.get() > 1));
 
 #[repr(C)]
 struct Head {
@@ -47,9 +60,13 @@ pub(crate) enum Side {
     Child,
 }
 
-/// A mapped lane.
+/// A mapped lane. Counters are those of this side.
 pub(crate) struct Lane {
     base: *mut u8,
+    /// Moving average of the time that this side waits.
+    usual_ns: AtomicU64,
+    posts: AtomicU64,
+    sleeps: AtomicU64,
 }
 
 // SAFETY: the head is atomics; the message is written by the side whose turn it is.
@@ -57,11 +74,14 @@ unsafe impl Send for Lane {}
 // SAFETY: the head is atomics; the message is written by the side whose turn it is.
 unsafe impl Sync for Lane {}
 
-/// The other side is gone, or its message makes no sense.
+/// Why there is no message of the other side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lost {
     Gone,
+    /// It makes no sense.
     Bad,
+    /// It did not come in time.
+    Late,
 }
 
 impl From<BadMessage> for Lost {
@@ -98,7 +118,11 @@ impl Lane {
         // SAFETY: a fresh mapping at an address that the system chooses, of a file with this size, which is sealed.
         let base =
             unsafe { libc::mmap(std::ptr::null_mut(), LANE_BYTES, protection, libc::MAP_SHARED, file.as_raw_fd(), 0) };
-        if base == libc::MAP_FAILED { Err(std::io::Error::last_os_error()) } else { Ok(Self { base: base.cast() }) }
+        if base == libc::MAP_FAILED {
+            return Err(std::io::Error::last_os_error());
+        }
+        let counter = || AtomicU64::new(0);
+        Ok(Self { base: base.cast(), usual_ns: counter(), posts: counter(), sleeps: counter() })
     }
 
     fn head(&self) -> &Head {
@@ -108,7 +132,8 @@ impl Lane {
 
     /// Writes a message and passes the turn to the other side. The caller has the turn.
     pub fn post(&self, from: Side, kind: Kind, message: &[u8]) {
-        let len = message.len().min(MOST_BYTES);
+        self.posts.fetch_add(1, Ordering::Relaxed);
+        let len = message.len().min(MAX_MESSAGE_BYTES);
         // SAFETY: `len` bytes lie inside the mapping behind the head; the other side reads them after its turn begins.
         unsafe { std::ptr::copy_nonoverlapping(message.as_ptr(), self.base.add(HEAD_BYTES), len) };
         self.head().kind.store(kind as u32, Ordering::Relaxed);
@@ -133,15 +158,27 @@ impl Lane {
         self.wake();
     }
 
+    /// Messages that this side posted, and how often it slept.
+    pub fn counts(&self) -> (u64, u64) {
+        (self.posts.load(Ordering::Relaxed), self.sleeps.load(Ordering::Relaxed))
+    }
+
     /// Waits for the turn of `side`, then copies the message to `message`.
     pub fn receive(&self, side: Side, message: &mut Vec<u8>) -> Result<Kind, Lost> {
-        self.wait(if side == Side::Host { CHILD } else { HOST });
+        self.receive_until(side, message, None)
+    }
+
+    /// As [`Self::receive`], but no longer than `deadline`. After [`Lost::Late`] the other side still has the turn.
+    pub fn receive_until(&self, side: Side, message: &mut Vec<u8>, deadline: Option<Instant>) -> Result<Kind, Lost> {
+        if !self.wait(if side == Side::Host { CHILD } else { HOST }, deadline) {
+            return Err(Lost::Late);
+        }
         if self.head().turn.load(Ordering::Acquire) & !SLEEPS == GONE {
             return Err(Lost::Gone);
         }
         let kind = Kind::of(self.head().kind.load(Ordering::Relaxed)).ok_or(Lost::Bad)?;
         let len = self.head().len.load(Ordering::Relaxed) as usize;
-        if len > MOST_BYTES {
+        if len > MAX_MESSAGE_BYTES {
             return Err(Lost::Bad);
         }
         message.clear();
@@ -155,36 +192,69 @@ impl Lane {
         Ok(kind)
     }
 
-    /// Waits until the turn is no longer `other`'s.
-    fn wait(&self, other: u32) {
+    /// Waits until the turn is no longer `other`'s; `false` if that does not happen before the deadline.
+    fn wait(&self, other: u32, deadline: Option<Instant>) -> bool {
         let turn = &self.head().turn;
-        let mut since = None;
-        loop {
-            for _ in 0..64 {
-                if turn.load(Ordering::Acquire) & !SLEEPS != other {
-                    return;
+        let passed = || turn.load(Ordering::Acquire) & !SLEEPS != other;
+        let usual_ns = self.usual_ns.load(Ordering::Relaxed);
+        let spins = usual_ns < SHORT_WAIT_NS && *SPINS;
+        if spins {
+            for _ in 0..FIRST_LOOKS {
+                if passed() {
+                    self.usual_ns.store(usual_ns - usual_ns / 4, Ordering::Relaxed);
+                    return true;
                 }
                 std::hint::spin_loop();
             }
-            if since.get_or_insert_with(Instant::now).elapsed() >= SPIN {
-                break;
-            }
         }
+        let begin = Instant::now();
+        let waited_ns = || u64::try_from(begin.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        let in_time = (spins && self.spin(passed, waited_ns)) || self.sleep(other, deadline);
+        let sample_ns = waited_ns().min(MAX_SAMPLE_NS);
+        self.usual_ns.store(usual_ns - usual_ns / 4 + sample_ns / 4, Ordering::Relaxed);
+        in_time
+    }
+
+    /// Spins until the turn has passed; `false` if that takes too long. A thread that is ready to run, perhaps the other side, gets the core.
+    fn spin(&self, passed: impl Fn() -> bool, waited_ns: impl Fn() -> u64) -> bool {
+        loop {
+            for _ in 0..LOOKS_PER_YIELD {
+                if passed() {
+                    return true;
+                }
+                std::hint::spin_loop();
+            }
+            if waited_ns() >= MAX_SPIN_NS {
+                return false;
+            }
+            std::thread::yield_now();
+        }
+    }
+
+    fn sleep(&self, other: u32, deadline: Option<Instant>) -> bool {
+        let turn = &self.head().turn;
+        self.sleeps.fetch_add(1, Ordering::Relaxed);
         loop {
             let now = turn.load(Ordering::Acquire);
             if now & !SLEEPS != other {
-                return;
+                return true;
+            }
+            let left = deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
+            if left.is_some_and(|left| left.is_zero()) {
+                return false;
             }
             if now & SLEEPS == 0
                 && turn.compare_exchange(now, now | SLEEPS, Ordering::SeqCst, Ordering::Acquire).is_err()
             {
                 continue;
             }
-            // SAFETY: a plain system call on a word of the mapping; the null pointer is a time limit that never passes.
-            unsafe {
-                let never = std::ptr::null::<libc::timespec>();
-                libc::syscall(libc::SYS_futex, &raw const *turn, libc::FUTEX_WAIT, other | SLEEPS, never);
-            }
+            let limit = left.map(|left| libc::timespec {
+                tv_sec: left.as_secs().try_into().unwrap_or(libc::time_t::MAX),
+                tv_nsec: left.subsec_nanos().into(),
+            });
+            let limit = limit.as_ref().map_or(std::ptr::null(), std::ptr::from_ref);
+            // SAFETY: a plain system call on a word of the mapping; the time limit lives until it returns, null is none.
+            unsafe { libc::syscall(libc::SYS_futex, &raw const *turn, libc::FUTEX_WAIT, other | SLEEPS, limit) };
         }
     }
 
@@ -209,6 +279,7 @@ impl Drop for Lane {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     #[test]
     fn two_sides_take_turns() {
@@ -230,6 +301,20 @@ mod tests {
         }
         host.post(Side::Host, Kind::Close, &[]);
         echo.join().expect("no panic");
+    }
+
+    #[test]
+    fn a_wait_has_a_limit_and_the_answer_still_counts() {
+        let (host, file) = Lane::create().expect("memory");
+        let child = Lane::map(&file).expect("memory");
+        host.post(Side::Host, Kind::Process, b"x");
+        let mut message = Vec::new();
+        let soon = Instant::now() + Duration::from_millis(2);
+        assert_eq!(host.receive_until(Side::Host, &mut message, Some(soon)), Err(Lost::Late));
+        assert_eq!(child.receive(Side::Child, &mut message), Ok(Kind::Process));
+        child.post(Side::Child, Kind::Done, b"late");
+        assert_eq!(host.receive(Side::Host, &mut message), Ok(Kind::Done));
+        assert_eq!((&message[..], host.counts().0), (&b"late"[..], 1));
     }
 
     #[test]

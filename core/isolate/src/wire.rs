@@ -14,6 +14,8 @@ pub(crate) enum Kind {
     LoadPart,
     LoadState,
     Finish,
+    Describe,
+    Validate,
     /// The result of a host function.
     Answer,
     // From the child.
@@ -33,10 +35,16 @@ pub(crate) enum Kind {
     Age,
     SetLag,
     Save,
+    /// An output in a buffer of the stock.
+    Placed,
+    /// A copy of an output in a buffer of the stock.
+    Copied,
+    /// Only what goes before every message.
+    Flush,
 }
 
 impl Kind {
-    const ALL: [Kind; 24] = [
+    const ALL: [Kind; 29] = [
         Kind::Open,
         Kind::Process,
         Kind::Close,
@@ -44,6 +52,8 @@ impl Kind {
         Kind::LoadPart,
         Kind::LoadState,
         Kind::Finish,
+        Kind::Describe,
+        Kind::Validate,
         Kind::Answer,
         Kind::Done,
         Kind::Alloc,
@@ -61,7 +71,16 @@ impl Kind {
         Kind::Age,
         Kind::SetLag,
         Kind::Save,
+        Kind::Placed,
+        Kind::Copied,
+        Kind::Flush,
     ];
+
+    /// Whether the child may put it in front of a message instead of asking: nothing of its result is needed.
+    pub fn is_deferred(self) -> bool {
+        use Kind::{Copied, Forward, Metric, Placed, Release, Retain, SetArrived, SetLag};
+        matches!(self, Placed | Copied | Forward | Retain | Release | Metric | SetArrived | SetLag)
+    }
 
     pub fn of(number: u32) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| *kind as u32 == number)
@@ -212,7 +231,7 @@ impl<'b> Reader<'b> {
     pub fn params(&mut self) -> Result<Params, BadMessage> {
         let count = self.count(40)?;
         let mut params = Params::default();
-        let mut places = Vec::with_capacity(count);
+        let mut parts = Vec::with_capacity(count);
         for _ in 0..count {
             let value = ParamValue {
                 kind: self.u32()?,
@@ -225,9 +244,9 @@ impl<'b> Reader<'b> {
             };
             let text: Box<[u8]> = self.bytes()?.into();
             let floats = (0..self.count(8)?).map(|_| self.f64()).collect::<Result<Box<[f64]>, _>>()?;
-            places.push((value, text, floats));
+            parts.push((value, text, floats));
         }
-        for (mut value, text, floats) in places {
+        for (mut value, text, floats) in parts {
             value.text = Str { ptr: text.as_ptr(), len: text.len() };
             (value.floats, value.floats_len) = (floats.as_ptr(), floats.len());
             params.values.push(value);
@@ -302,7 +321,7 @@ mod tests {
         assert_eq!(Reader(&bytes).bytes(), Err(BadMessage));
         assert!(Reader(&bytes).params().is_err());
         assert!(Reader(&bytes[..7]).u64().is_err() && Reader(&bytes).frame().is_err());
-        assert!(Kind::of(9).is_none() && Kind::of(103) == Some(Kind::MakeMut));
+        assert!(Kind::of(99).is_none() && Kind::of(103) == Some(Kind::MakeMut));
         assert_eq!(plain_status(abi::Status::MIN), abi::STATUS_ERROR);
     }
 }

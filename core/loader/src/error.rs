@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::PluginProblem;
+use panoscope_isolate::DescribeError;
 
 use crate::elf::ElfError;
 
@@ -49,6 +50,14 @@ pub enum LoadError {
         /// The plugin's file.
         file: PathBuf,
     },
+    /// Its nodes run in processes of their own, and the one that describes it did not.
+    #[error("{file} cannot be used: {cause}", file = file.display())]
+    Undescribed {
+        /// The plugin's file.
+        file: PathBuf,
+        /// What happened to the process.
+        cause: DescribeError,
+    },
     /// It was loaded, but its descriptor is invalid.
     #[error("the descriptor of {file} is invalid: {cause}", file = file.display())]
     BadDescriptor {
@@ -67,6 +76,7 @@ impl LoadError {
             | Self::AbiMismatch { file, .. }
             | Self::Link { file, .. }
             | Self::NotLocked { file }
+            | Self::Undescribed { file, .. }
             | Self::BadDescriptor { file, .. } => file,
         }
     }
@@ -76,6 +86,7 @@ impl LoadError {
             Self::AbiMismatch { .. } => "rebuild the plugin against this version of panoscope".to_owned(),
             Self::BadFile { .. } | Self::BadDescriptor { .. } => "build or copy the plugin again".to_owned(),
             Self::NotLocked { .. } => "restore the file, or lock the graph again with `panoscope lock`".to_owned(),
+            Self::Undescribed { .. } => "mend or replace the plugin; nothing of it has run in this process".to_owned(),
             Self::Link { .. } => "install the library named above, or rebuild the plugin".to_owned(),
             Self::Unreadable { .. } => "check the path and its permissions".to_owned(),
         }

@@ -20,5 +20,5 @@ pub mod verify;
 
 pub use error::LoadError;
 pub use live::Live;
-pub use map::{Loaded, PluginFile, inspect, load, load_verified};
+pub use map::{Loaded, PluginFile, describe_verified, inspect, load, load_verified};
 pub use search::{Loader, PLUGIN_PATH_VARIABLE, Stamp, search_path};

@@ -75,7 +75,7 @@ impl<E: Deref<Target = Engine>> Live<E> {
 
     fn apply_with(&mut self, parsed: &GraphText, loader: Option<Loader>) -> Result<Applied, LiveError> {
         let used: &Loader = loader.as_ref().unwrap_or(&self.loader);
-        let catalog = used.catalog(&parsed.plugins());
+        let catalog = used.catalog_of(parsed);
         let (mut graph, _) = check(parsed, &catalog).into_result().map_err(LiveError::Check)?;
         if let Some(seal) = &self.seal {
             seal.apply(&mut graph, &catalog)?;

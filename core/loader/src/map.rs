@@ -3,10 +3,14 @@
 use std::fs::File;
 use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
 
 use panoscope_abi as abi;
 use panoscope_engine::loading;
-use panoscope_graph::NodeType;
+use panoscope_graph::from_abi::problems_of;
+use panoscope_graph::{NodeSetup, NodeType, ParamProblem, Severity, Validator};
+use panoscope_isolate::{Describer, Description};
 
 use crate::elf::{self, Note};
 use crate::error::LoadError;
@@ -50,6 +54,24 @@ pub fn load(plugin: &PluginFile) -> Result<Loaded, LoadError> {
 
 /// As [`load`], but only if the copy has this SHA-256. The copy is sealed and then mapped: the bytes that were compared are those that run.
 pub fn load_verified(plugin: &PluginFile, sha256: Option<&str>) -> Result<Loaded, LoadError> {
+    let copy = verified_copy(plugin, sha256)?;
+    let mapped = map(plugin, &copy.path);
+    if let Ok(loaded) = &mapped {
+        panoscope_isolate::remember(&loaded.entries, &copy.path, &plugin.file);
+    }
+    copy.keep_unless_unlinked(mapped)
+}
+
+/// As [`load_verified`], for a plugin whose nodes all run in processes of their own: none of its code runs in this process. A process that is
+/// locked in maps the copy and describes it, within `limit`.
+pub fn describe_verified(plugin: &PluginFile, sha256: Option<&str>, limit: Duration) -> Result<Loaded, LoadError> {
+    let copy = verified_copy(plugin, sha256)?;
+    let described = describe(plugin, &copy.path, limit);
+    copy.keep_unless_unlinked(described)
+}
+
+/// A sealed copy of a plugin's file, with this SHA-256 where one is given.
+fn verified_copy(plugin: &PluginFile, sha256: Option<&str>) -> Result<PrivateCopy, LoadError> {
     let file = &plugin.file;
     let link = |cause: String| LoadError::Link { file: file.clone(), cause };
     let mut whole = File::open(file).map_err(|cause| LoadError::Unreadable { file: file.clone(), cause })?;
@@ -61,18 +83,7 @@ pub fn load_verified(plugin: &PluginFile, sha256: Option<&str>) -> Result<Loaded
     }
     // The copy is checked again, because the file may have changed since it was found.
     elf::read_note(&copy.parts).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
-    match map(plugin, &copy.path) {
-        Err(error @ LoadError::Link { .. }) => Err(error),
-        mapped => {
-            if let Ok(loaded) = &mapped {
-                panoscope_isolate::remember(&loaded.entries, &copy.path, file);
-            }
-            // The file descriptor of the copy stays open: debuggers and profilers read symbols through it, processes of isolated nodes map
-            // it, and the dynamic linker would take another file of its number for this one.
-            std::mem::forget(copy);
-            mapped
-        }
-    }
+    Ok(copy)
 }
 
 /// Loads a plugin from an image of its file, in a process of isolated nodes. The process that sent the image verified it.
@@ -81,9 +92,75 @@ pub(crate) fn load_image(image: &Path, file: &Path) -> Result<Loaded, LoadError>
     map(&PluginFile { file: file.to_owned(), note }, image)
 }
 
+/// Asks a process of its own what a plugin offers.
+fn describe(plugin: &PluginFile, image: &Path, limit: Duration) -> Result<Loaded, LoadError> {
+    let PluginFile { file, note } = plugin;
+    let described = panoscope_isolate::describe(image, file, &note.name, limit);
+    let Description { plugin: descriptor, describer } =
+        described.map_err(|cause| LoadError::Undescribed { file: file.clone(), cause })?;
+    // SAFETY: what another process wrote was read into memory that is never freed; its lengths are those of that memory.
+    let (mut node_types, entries) = unsafe { checked(descriptor, plugin)? };
+    for (index, node_type) in node_types.iter_mut().enumerate().filter(|(_, node_type)| node_type.validator.is_some()) {
+        let describer = Arc::clone(&describer);
+        node_type.validator = Some(Validator::new(move |setup| problems(&describer, index as u32, setup)));
+    }
+    panoscope_isolate::remember_described(&entries, &describer);
+    loading::remember(&entries, file);
+    Ok(Loaded { plugin: plugin.clone(), node_types, entries })
+}
+
+/// What a node type of a plugin that another process loads says about parameters and wiring.
+fn problems(describer: &Describer, index: u32, setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
+    let mut failure = None;
+    let mut problems = problems_of(setup, |call| {
+        // SAFETY: `problems_of` lends a call that lives until this returns.
+        unsafe { describer.validate(index, call) }.unwrap_or_else(|error| {
+            failure = Some(error.to_string());
+            abi::STATUS_OK
+        })
+    });
+    if let Some(message) = failure {
+        let message = format!("its parameters could not be checked: {message}");
+        problems.push(ParamProblem { severity: Severity::Error, param: None, message, help: String::new() });
+    }
+    problems
+}
+
+/// The node types of a descriptor, for the catalogue and for the engine.
+///
+/// # Safety
+/// The descriptor is a plugin's, or one like it: null, or valid until the process ends.
+unsafe fn checked(
+    descriptor: *const abi::Plugin,
+    plugin: &PluginFile,
+) -> Result<(Vec<NodeType>, Vec<&'static abi::NodeType>), LoadError> {
+    let PluginFile { file, note } = plugin;
+    let bad = |cause: String| LoadError::BadDescriptor { file: file.clone(), cause };
+    // SAFETY: the caller's promise; `node_types` checks every field before it uses it.
+    let mut node_types =
+        unsafe { panoscope_graph::from_abi::node_types(descriptor) }.map_err(|e| bad(e.to_string()))?;
+    // Files that ship with a plugin are in a folder of the plugin's name beside its library.
+    let shipped_dir = file.parent().unwrap_or(Path::new("")).join(&note.name);
+    for node_type in &mut node_types {
+        node_type.shipped_dir.clone_from(&shipped_dir);
+    }
+    // SAFETY: `node_types` checked the descriptor, which stays valid.
+    let descriptor = unsafe { &*descriptor };
+    // SAFETY: `node_types` checked the name, which stays valid.
+    let name = unsafe { descriptor.name.text() }.unwrap_or("");
+    if name != note.name {
+        return Err(bad(format!("its note says `{}`, its code says `{name}`", note.name)));
+    }
+    // SAFETY: `node_types` checked the array of node types and its length.
+    let entries = (0..descriptor.node_types_len)
+        .map(|index| unsafe { panoscope_graph::from_abi::whole(*descriptor.node_types.add(index)) })
+        .collect();
+    Ok((node_types, entries))
+}
+
 /// Maps the image of a plugin's file.
 fn map(plugin: &PluginFile, image: &Path) -> Result<Loaded, LoadError> {
-    let PluginFile { file, note } = plugin;
+    let PluginFile { file, .. } = plugin;
     let link = |cause: String| LoadError::Link { file: file.clone(), cause };
     // SAFETY: this runs the library's constructors. `read_note` checked that it is a complete plugin of this ABI; the user who
     // installs a plugin is responsible for what its code does.
@@ -102,28 +179,14 @@ fn map(plugin: &PluginFile, image: &Path) -> Result<Loaded, LoadError> {
     };
     // The library stays mapped, because its threads, thread-locals and exit handlers cannot be removed safely.
     std::mem::forget(library);
-    // SAFETY: the plugin stays mapped, and `node_types` checks every field before it uses it.
-    let mut node_types =
-        unsafe { panoscope_graph::from_abi::node_types(descriptor) }.map_err(|e| bad(e.to_string()))?;
-    // Files that ship with a plugin are in a folder of the plugin's name beside its library.
-    let shipped_dir = file.parent().unwrap_or(Path::new("")).join(&note.name);
+    // SAFETY: the plugin stays mapped.
+    let (mut node_types, entries) = unsafe { checked(descriptor, plugin)? };
     for node_type in &mut node_types {
-        node_type.shipped_dir.clone_from(&shipped_dir);
         node_type.validator = node_type.validator.take().map(|v| loading::guard_check(&node_type.name, file, v));
     }
-    // SAFETY: `node_types` checked the descriptor, and the library stays mapped.
-    let plugin_type = unsafe { &*descriptor };
-    // SAFETY: `node_types` checked the name, and the library stays mapped.
-    let name = unsafe { plugin_type.name.text() }.unwrap_or("");
-    if name != note.name {
-        return Err(bad(format!("its note says `{}`, its code says `{name}`", note.name)));
-    }
-    // SAFETY: `node_types` checked the array of node types and its length.
-    let entries: Vec<&'static abi::NodeType> = (0..plugin_type.node_types_len)
-        .map(|index| unsafe { panoscope_graph::from_abi::whole(*plugin_type.node_types.add(index)) })
-        .collect();
     loading::remember(&entries, file);
-    if let Some(attach) = plugin_type.attach {
+    // SAFETY: `checked` read the descriptor, which stays mapped.
+    if let Some(attach) = unsafe { (*descriptor).attach } {
         // SAFETY: `plugin_table` returns a table that is never freed.
         let status = loading::run(file, || unsafe { attach(loading::plugin_table(descriptor)) });
         if status != abi::STATUS_OK {
@@ -139,6 +202,17 @@ struct PrivateCopy {
     parts: elf::OnDisk,
     /// Its SHA-256 where that was wanted.
     sha256: Option<String>,
+}
+
+impl PrivateCopy {
+    /// Keeps the copy open unless the dynamic linker refused it: debuggers and profilers read symbols through it, processes of isolated nodes
+    /// map it, and the dynamic linker would take another file of its number for this one.
+    fn keep_unless_unlinked<T>(self, loaded: Result<T, LoadError>) -> Result<T, LoadError> {
+        if !matches!(loaded, Err(LoadError::Link { .. } | LoadError::Undescribed { .. })) {
+            std::mem::forget(self);
+        }
+        loaded
+    }
 }
 
 /// Copies a file to an anonymous file in memory that nobody can change.

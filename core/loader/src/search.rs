@@ -1,23 +1,26 @@
 //! Finds plugins by their notes, loads those that a graph needs and fills the catalogue.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use panoscope_abi as abi;
 use panoscope_engine::Plugins;
 use panoscope_engine::isolation::Isolator;
 use panoscope_engine::vet::Vet;
-use panoscope_graph::{Catalog, Offer, PluginProblem};
+use panoscope_graph::{Catalog, Graph, GraphText, Offer, PluginProblem};
 use panoscope_isolate::Processes;
 
 use crate::depends;
 use crate::elf::ElfError;
 use crate::error::LoadError;
 use crate::lock::Lock;
-use crate::map::{Loaded, PluginFile, inspect, load_verified};
+use crate::map::{Loaded, PluginFile, describe_verified, inspect, load_verified};
 
+/// How long a plugin may take to load and to describe itself in another process.
+const MAX_DESCRIBE: Duration = Duration::from_secs(20);
 /// Environment variable with additional plugin folders, separated by colons.
 pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";
 
@@ -35,6 +38,9 @@ impl Stamp {
     }
 }
 
+/// A plugin, and whether it was described instead of loaded.
+type LoadKey = (String, bool);
+
 /// The plugins in a list of folders; loads each one when it is first needed.
 #[derive(Default)]
 pub struct Loader {
@@ -46,7 +52,17 @@ pub struct Loader {
     pins: Option<Arc<BTreeMap<String, String>>>,
     /// Folders whose plugins are found but not loaded.
     untrusted: Vec<PathBuf>,
-    loaded: Mutex<BTreeMap<String, Result<Loaded, PluginProblem>>>,
+    /// Plugins that are not loaded but described by a process of their own, see [`Self::catalog_of`].
+    isolated: Mutex<BTreeSet<String>>,
+    /// Plugins that this process never loads, whatever a graph says.
+    never_loaded: BTreeSet<String>,
+    /// How long a plugin may take to describe itself, if not [`MAX_DESCRIBE`].
+    describe_limit: Option<Duration>,
+    loaded: Mutex<BTreeMap<LoadKey, Result<Loaded, PluginProblem>>>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The folders to search, in order: `extra`, `PANOSCOPE_PLUGIN_PATH`, `plugins` beside the program, and the build's folder for tests.
@@ -72,6 +88,13 @@ pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
         }
     }
     unique
+}
+
+/// Those of the folders that the user's own search path does not have.
+fn foreign(own: &[PathBuf]) -> Vec<PathBuf> {
+    let real = |folder: &PathBuf| folder.canonicalize().unwrap_or_else(|_| folder.clone());
+    let trusted: Vec<PathBuf> = search_path(&[]).iter().map(real).collect();
+    own.iter().filter(|folder| !trusted.contains(&real(folder))).cloned().collect()
 }
 
 impl Loader {
@@ -104,10 +127,16 @@ impl Loader {
     /// unless the user's own search path has them too: whoever wrote the graph chose them.
     pub fn search_without_loading(own: &[PathBuf]) -> Self {
         let mut this = Self::search(&search_path(own));
-        let real = |folder: &PathBuf| folder.canonicalize().unwrap_or_else(|_| folder.clone());
-        let trusted: Vec<PathBuf> = search_path(&[]).iter().map(real).collect();
-        this.untrusted = own.iter().filter(|folder| !trusted.contains(&real(folder))).cloned().collect();
+        this.untrusted = foreign(own);
         this
+    }
+
+    /// Plugins that were found in folders which the graph names and the user's own search path does not have: whoever wrote the graph chose them.
+    pub fn brought_by(&self, own: &[PathBuf]) -> Vec<String> {
+        let foreign = foreign(own);
+        let is_foreign =
+            |found: &&PluginFile| found.file.parent().is_some_and(|folder| foreign.iter().any(|f| f == folder));
+        self.found.values().filter(is_foreign).map(|found| found.note.name.clone()).collect()
     }
 
     /// From here on only the plugins of a lock are loaded, and only from the bytes that were locked. Holds after [`Self::rescan`] too.
@@ -115,6 +144,26 @@ impl Loader {
     pub fn pinned(mut self, lock: &Lock) -> Self {
         self.pins = Some(Arc::new(depends::plugins_of(&lock.files)));
         self
+    }
+
+    /// From here on a plugin may take this long to describe itself, where another process does that.
+    #[must_use]
+    pub fn describing_within(mut self, limit: Duration) -> Self {
+        self.describe_limit = Some(limit);
+        self
+    }
+
+    /// From here on plugins that were found in folders which only the graph names are described by processes of their own and never loaded into
+    /// this one. Holds after [`Self::rescan`] too. Their nodes run if the graph isolates them, see [`Graph::isolate_plugins`].
+    #[must_use]
+    pub fn isolating(mut self, own: &[PathBuf]) -> Self {
+        self.never_loaded.extend(self.brought_by(own));
+        lock(&self.isolated).extend(self.never_loaded.iter().cloned());
+        self
+    }
+
+    fn set_isolated(&self, plugins: Vec<String>) {
+        *lock(&self.isolated) = plugins.into_iter().chain(self.never_loaded.iter().cloned()).collect();
     }
 
     /// The SHA-256 that a plugin must have; `None` where any will do.
@@ -150,10 +199,13 @@ impl Loader {
     pub fn rescan_in(&self, folders: &[PathBuf]) -> Self {
         let mut new = Self::search(folders);
         new.pins.clone_from(&self.pins);
+        new.describe_limit = self.describe_limit;
+        new.never_loaded.clone_from(&self.never_loaded);
         new.untrusted.clone_from(&self.untrusted);
-        let loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        new.isolated = Mutex::new(lock(&self.isolated).clone());
+        let loaded = lock(&self.loaded);
         // A plugin whose file is now damaged is not replaced by one of the same name from another folder: the loaded one keeps running.
-        for (plugin, found) in self.found.iter().filter(|(plugin, _)| loaded.contains_key(*plugin)) {
+        for (plugin, found) in self.found.iter().filter(|(plugin, _)| loaded.keys().any(|(name, _)| name == *plugin)) {
             if new.found.get(plugin).is_some_and(|n| n.file != found.file)
                 && new.stamps.contains_key(&found.file)
                 && let Err(error) = inspect(&found.file)
@@ -166,9 +218,8 @@ impl Loader {
             let file = &new.found.get(plugin)?.file;
             (self.found.get(plugin)?.file == *file && self.stamps.get(file) == new.stamps.get(file)).then_some(())
         };
-        let retained = loaded.iter().filter(|(plugin, result)| result.is_ok() && unchanged(plugin).is_some());
-        let retained: BTreeMap<_, _> = retained.map(|(plugin, result)| (plugin.clone(), result.clone())).collect();
-        *new.loaded.lock().unwrap_or_else(PoisonError::into_inner) = retained;
+        let retained = loaded.iter().filter(|((plugin, _), result)| result.is_ok() && unchanged(plugin).is_some());
+        *lock(&new.loaded) = retained.map(|(key, result)| (key.clone(), result.clone())).collect();
         new
     }
 
@@ -197,21 +248,40 @@ impl Loader {
         self.found.values().filter(|f| f.note.node_types.iter().any(|n| n == node_type)).collect()
     }
 
-    /// Loads a plugin; a second call returns the result of the first.
+    /// Loads a plugin, or has it described if its nodes all run in processes of their own; a second call returns the result of the first.
     pub fn load(&self, plugin: &str) -> Result<Loaded, PluginProblem> {
-        let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(done) = loaded.get(plugin) {
+        let is_isolated = lock(&self.isolated).contains(plugin);
+        let key = (plugin.to_owned(), is_isolated);
+        let mut loaded = lock(&self.loaded);
+        if let Some(done) = loaded.get(&key) {
             return done.clone();
         }
+        let load = |found: &PluginFile, pin: Option<&str>| match is_isolated {
+            true => describe_verified(found, pin, self.describe_limit.unwrap_or(MAX_DESCRIBE)),
+            false => load_verified(found, pin),
+        };
         let result = match self.found.get(plugin) {
-            Some(found) => self.pin_of(found).and_then(|pin| load_verified(found, pin).map_err(|e| e.problem(plugin))),
+            Some(found) => self.pin_of(found).and_then(|pin| load(found, pin).map_err(|e| e.problem(plugin))),
             None => match self.problems.iter().find(|p| p.plugin == plugin) {
                 Some(problem) => Err(problem.clone()),
                 None => return Err(missing(plugin)),
             },
         };
-        loaded.insert(plugin.to_owned(), result.clone());
+        loaded.insert(key, result.clone());
         result
+    }
+
+    /// The catalogue for a graph's text, as [`Self::catalog`] with its plugins. From here on plugins whose nodes all run in processes of their own,
+    /// by `[isolate]`, are not loaded into this process: another process describes them.
+    pub fn catalog_of(&self, text: &GraphText) -> Catalog {
+        self.set_isolated(text.isolated_plugins());
+        self.catalog(&text.plugins())
+    }
+
+    /// As [`Self::catalog_of`], for a graph that was checked elsewhere.
+    pub fn catalog_of_graph(&self, graph: &Graph) -> Catalog {
+        self.set_isolated(graph.isolated_plugins.clone());
+        self.catalog(&graph.plugins)
     }
 
     /// The catalogue for a graph: the plugins that it lists are loaded, all others are entered by name only.

@@ -221,7 +221,7 @@ pub fn open(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<Ver
         differences => Err(VerifyError::Differs(differences)),
     };
     differ(&depends::code(text, &loader, extra_plugins), Kind::is_code)?;
-    let catalog = loader.catalog(&text.plugins());
+    let catalog = loader.catalog_of(text);
     // The plugins' own checks read files, which are not compared yet.
     let mut unasked = catalog.clone();
     unasked.node_types.iter_mut().for_each(|node_type| node_type.validator = None);

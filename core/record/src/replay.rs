@@ -146,7 +146,7 @@ impl Replay {
         }
         let search = || Arc::new(Loader::search(&loader::search_path(&parsed.plugin_paths())));
         let loader = options.loader.clone().unwrap_or_else(search);
-        let catalog = loader.catalog(&parsed.plugins());
+        let catalog = loader.catalog_of(&parsed);
         let (mut graph, _) = check(&parsed, &catalog).into_result().map_err(ReplayError::Check)?;
         if other {
             // In live mode the packets at `latest` inputs would depend on how fast the recording is read.
@@ -156,7 +156,7 @@ impl Replay {
         let overrides = overrides(&graph, &catalog, &options.settings);
         let mut script = Script::new(Arc::clone(recording), &names, other, !options.act, overrides);
         for (index, edit) in script.edits.iter_mut().enumerate() {
-            let catalog = loader.catalog(&edit.graph.plugins);
+            let catalog = loader.catalog_of_graph(&edit.graph);
             resolve(&mut edit.graph, &catalog).map_err(|cause| ReplayError::Stale { number: index + 1, cause })?;
         }
         let mut warnings = differences(recording, &graph, &catalog, &loader, other);
@@ -207,7 +207,7 @@ impl Replay {
                 RecordedChange::Set(node, values) => self.engine.know(node, values),
                 RecordedChange::Edit(number) => {
                     let graph = self.script.edits[*number].graph.clone();
-                    let catalog = self.loader.catalog(&graph.plugins);
+                    let catalog = self.loader.catalog_of_graph(&graph);
                     match self.engine.apply_as_decided(*number, graph, &catalog, &self.loader) {
                         Ok(_) => {}
                         // The user stopped the replay, or the recording has ended.

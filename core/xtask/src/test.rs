@@ -67,6 +67,14 @@ static SUITES: &[Suite] = &[
         env: &[("PANOSCOPE_DAMAGE_CASES", "1000")],
     },
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
+    // PANOSCOPE_DEATH_CASES and PANOSCOPE_DEATH_SEED, the same.
+    Suite {
+        name: "deaths",
+        lints: false,
+        tests: true,
+        only: &["-p", "panoscope-tests", "--test", "deaths"],
+        env: &[("PANOSCOPE_DEATH_CASES", "500")],
+    },
     Suite { name: "kill", lints: false, tests: true, only: &["-p", "panoscope-editor", "--test", "kill"], env: &[] },
     // PANOSCOPE_ARM_CASES, PANOSCOPE_ARM_SEED and PANOSCOPE_ARM_BESIDE choose how many cases, which, and how many at a time.
     Suite {

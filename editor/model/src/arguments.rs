@@ -163,7 +163,7 @@ impl Form {
         let fits = |path: &PathBuf| {
             let options = GraphOptions { args: Vec::new(), ..self.options(std::slice::from_ref(path), true) };
             let parsed = GraphText::parse_with(&self.graph, &self.text, &options);
-            !check(&parsed, &loader.catalog(&parsed.plugins())).diagnostics.has_errors()
+            !check(&parsed, &loader.catalog_of(&parsed)).diagnostics.has_errors()
         };
         let overlay = |path: PathBuf| {
             let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();

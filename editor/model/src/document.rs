@@ -63,6 +63,7 @@ pub struct Document {
     loader: Arc<Loader>,
     catalog: Arc<Catalog>,
     plugins: Vec<String>,
+    isolated_plugins: Vec<String>,
     types: HashMap<usize, Arc<NodeType>>,
     revision: u64,
     history: History,
@@ -96,6 +97,7 @@ impl Document {
             loader,
             catalog: Arc::default(),
             plugins: vec![String::new()],
+            isolated_plugins: Vec::new(),
             types: HashMap::new(),
             revision: 0,
             history: History::default(),
@@ -372,10 +374,10 @@ impl Document {
         self.adopt(&parsed);
         self.args = parsed.args().to_vec();
         self.missing_args = parsed.missing_args().into_iter().map(str::to_owned).collect();
-        let plugins = parsed.plugins();
-        if plugins != self.plugins {
-            self.catalog = Arc::new(self.loader.catalog(&plugins));
-            self.plugins = plugins;
+        let (plugins, isolated) = (parsed.plugins(), parsed.isolated_plugins());
+        if plugins != self.plugins || isolated != self.isolated_plugins {
+            self.catalog = Arc::new(self.loader.catalog_of(&parsed));
+            (self.plugins, self.isolated_plugins) = (plugins, isolated);
             self.types.clear();
         }
         let (catalog, types) = (&self.catalog, &mut self.types);

@@ -366,7 +366,7 @@ impl Worker {
             loader = Arc::new(loader.rescan_in(&folders));
             *lock(&self.shared.loader) = Arc::clone(&loader);
         }
-        let catalog = loader.catalog(&parsed.plugins());
+        let catalog = loader.catalog_of(&parsed);
         let plain = |message: String| RunProblem { node: None, message: readable(&message) };
         let (mut graph, _) = check(&parsed, &catalog).into_result().map_err(|d| plain(d.render(false)))?;
         let seal = lock(&self.shared.seal).clone();

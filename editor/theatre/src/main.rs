@@ -124,7 +124,8 @@ fn run(arguments: &Arguments) -> i32 {
     }
     // The running version, even if its file was replaced meanwhile.
     let program = Program { file: PathBuf::from("/proc/self/exe"), arguments: std::env::args_os().skip(1).collect() };
-    let guard = Guard::new(program, path.clone()).map_err(|error| Refusal::of(&path, &OpenError::Thread(error)));
+    let guard =
+        Guard::new(program, path.clone()).map_err(|error| Box::new(Refusal::of(&path, &OpenError::Thread(error))));
     // A graph that lacks arguments asks for them in its window.
     let asks = !text.missing_args().is_empty();
     let opened = guard.and_then(|guard| match asks {
@@ -142,7 +143,7 @@ fn run(arguments: &Arguments) -> i32 {
             eprintln!("{}", refusal.terminal_text());
             options.log_refusal(&path, &refusal);
             let shot = options.shot;
-            let _ = window::show(viewport, move |cc| Ok(Box::new(OpenFailed::of(&cc.egui_ctx, refusal, shot))));
+            let _ = window::show(viewport, move |cc| Ok(Box::new(OpenFailed::of(&cc.egui_ctx, *refusal, shot))));
             return 2;
         }
     };

@@ -169,7 +169,7 @@ fn under_lock(parsed: &GraphText, trust: &Trust) -> Result<Option<Checked>, Open
 /// Checks a graph without a lock.
 fn without_lock(parsed: &GraphText) -> Result<Checked, OpenError> {
     let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
-    let catalog = loader.catalog(&parsed.plugins());
+    let catalog = loader.catalog_of(parsed);
     let (graph, _) = check(parsed, &catalog).into_result().map_err(OpenError::Graph)?;
     Ok(Checked { graph, catalog, loader, seal: None, lock: None })
 }

@@ -171,7 +171,8 @@ impl Worker {
             Command::Reload { file, text, given, lock: facts, sealed, watched } => {
                 self.apart("prepare", move |worker| {
                     let answer = worker.reload(&file, &text, &given, (facts.as_ref(), sealed), watched);
-                    worker.send(&Message::Prepared(answer.map(|()| None)));
+                    let answer = answer.map(|()| None).map_err(|error| Refusal::of(&worker.path, &error));
+                    worker.send(&Message::Prepared(answer));
                 })
             }
             Command::Take => self.take(),
@@ -237,13 +238,12 @@ impl Worker {
         given: &GraphOptions,
         (facts, sealed): (Option<&LockFacts>, bool),
         watched: Vec<String>,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), super::OpenError> {
         let prepared = if sealed {
-            let ready = Ready::of(&self.parse(file, given), &self.options).map_err(|e| Refusal::of(&self.path, &e))?;
+            let ready = Ready::of(&self.parse(file, given), &self.options)?;
             if ready.opened.lock.as_ref() != facts {
-                let error =
-                    super::OpenError::Worker("cannot be started again: the graph was locked anew meanwhile".to_owned());
-                return Err(Refusal::of(&self.path, &error));
+                let why = "cannot be started again: the graph was locked anew meanwhile";
+                return Err(super::OpenError::Worker(why.to_owned()));
             }
             Prepared { loader: ready.loader, seal: ready.seal, watched }
         } else {

@@ -3,9 +3,7 @@
 use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::{PairMatcher, PairParams, SearchParams, StereoError, StereoKernel};
 use panoscope_node::abi;
-use panoscope_node::{
-    Context, Disparity, Gray8, Image, Params, Ports, Result, Slot, Validation, Value, error,
-};
+use panoscope_node::{Context, Disparity, Gray8, Image, Params, Ports, Result, Slot, Validation, Value, error};
 
 /// Inputs.
 #[derive(Ports)]
@@ -106,8 +104,7 @@ pub fn process<'f, K: StereoKernel>(
     }
     let roi = input.roi.as_ref().map_or(Rect::whole(width, height), |roi| inside(roi, width, height));
     let disparity = out.disparity.alloc(width, height)?;
-    let other =
-        if out.disparity_right.is_read() { Some(out.disparity_right.alloc(width, height)?) } else { None };
+    let other = if out.disparity_right.is_read() { Some(out.disparity_right.alloc(width, height)?) } else { None };
     let params = window.pair(left_right_px);
     Ok(matcher.compute(cx, kernel, [left, right], roi, &params, cx.pool(), disparity, other)?)
 }

@@ -75,6 +75,8 @@ fn simulated(file: &str, mut text: String, unused: &mut Vec<&Change>) -> String 
         !text.contains("use std::{"),
         "{file}: import modules of `std` one by one, so that the simulated ones replace them"
     );
+    // The engine's own tests run where it is.
+    text = text.replace("#[cfg(test)]", "#[cfg(any())]");
     for module in REPLACED {
         let replacement = module.replace("std::", WORLD);
         text = text.replace(module, &replacement);

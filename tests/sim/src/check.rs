@@ -306,7 +306,7 @@ impl<'a> Checks<'a> {
             let bytes = disk.read(file).unwrap_or_default();
             let there: Vec<u64> =
                 bytes.chunks(8).filter_map(|n| Some(u64::from_le_bytes(n.try_into().ok()?))).collect();
-            if there != *numbers || bytes.len() % 8 != 0 {
+            if there != *numbers || !bytes.len().is_multiple_of(8) {
                 failures.push(format!(
                     "file {file} has {} numbers in {} bytes, {} were written",
                     there.len(),

@@ -251,7 +251,7 @@ impl Driver {
         };
         let harms = || observe::count(|seen| matches!(seen, Seen::Harmed { node, .. } if *node == id));
         // Its ticks may have been dropped.
-        let missed = || observe::count(&good) > 0 && harms() < rule.calls;
+        let missed = || observe::count(good) > 0 && harms() < rule.calls;
         let named = |engine: &Engine| named(engine) || missed();
         let what = format!("the fault {:?} of `{id}` was not reported", trouble.harm);
         if !self.until(&what, named) || trouble.on_fault != "restart" {
@@ -259,7 +259,7 @@ impl Driver {
         }
         let over = |engine: &Engine| {
             let left_out = engine.recent_faults().iter().any(|f| f.node == id && f.done == Action::Bypass);
-            left_out || observe::count(&good) > 0 || engine.is_finished()
+            left_out || observe::count(good) > 0 || engine.is_finished()
         };
         let what = format!("no good tick of `{id}` came after {:?}", trouble.harm);
         self.until(&what, over);

@@ -21,9 +21,9 @@ use crate::given::Given;
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::progress::Progress;
 use crate::terminal::{log, out, raw, stderr_color};
-use crate::trust::Keys;
+use crate::trust::{IsolatedPlugins, Keys};
 use crate::{End, allocations, interrupt, summary};
-use panoscope_eval::graph_file::{self, Ready};
+use panoscope_eval::graph_file::Ready;
 
 /// How long nodes may take to finish after the end of a run was asked for.
 pub const PATIENCE: Duration = Duration::from_secs(30);
@@ -57,6 +57,8 @@ pub struct Arguments {
     /// can change.
     #[arg(long, conflicts_with = "watch")]
     lock: bool,
+    #[command(flatten)]
+    isolated: IsolatedPlugins,
     #[command(flatten)]
     keys: Keys,
     /// Writes counters and times as JSON at the end.
@@ -96,10 +98,18 @@ type Opened = (Ready, Option<Arc<Seal>>);
 
 /// Reads and checks the graph, under its lock where that is wanted; or what is wrong, in words.
 fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, String>> {
+    if arguments.isolated.is_on() && (arguments.watch || arguments.lock) {
+        let why = "a changed file may name other plugins, and a lock names its own";
+        return Ok(Err(format!("error: --isolate-plugins goes neither with --watch nor with --lock: {why}")));
+    }
     let path = &arguments.graph;
     let rendered = |diagnostics: Diagnostics| diagnostics.render(stderr_color());
     if !arguments.lock {
-        return Ok(graph_file::open(path, given).map(|ready| (ready, None)).map_err(rendered));
+        let ready = GraphText::load_with(path, given).and_then(|text| {
+            let loader = arguments.isolated.loader(&text.plugin_paths());
+            arguments.isolated.ready(&text, loader)
+        });
+        return Ok(ready.map(|ready| (ready, None)).map_err(rendered));
     }
     let text = match GraphText::load_with(path, given) {
         Ok(text) => text,

@@ -140,7 +140,7 @@ fn prepare(arguments: &Arguments) -> Result<Sweep, Refusal> {
         None => None,
     };
     let loader = Arc::new(Loader::search(&loader::search_path(&text.plugin_paths())));
-    let catalog = loader.catalog(&text.plugins());
+    let catalog = loader.catalog_of(&text);
     if !text.is_plain() {
         // What is wrong is shown in the files it stands in.
         check(&text, &catalog).into_result().map_err(refused)?;

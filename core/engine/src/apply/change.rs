@@ -178,6 +178,7 @@ impl Change {
                     let pinned_elsewhere = runtime.owns_thread() && runtime.cpu != graph.nodes[node].cpu;
                     let is_replaced = !std::ptr::eq(runtime.declared, node_type)
                         || current.graph.nodes[before].isolate != graph.nodes[node].isolate
+                        || current.graph.nodes[before].deny != graph.nodes[node].deny
                         || pinned_elsewhere
                         || as_once.contains(&graph.nodes[node].id);
                     if is_replaced {

@@ -179,6 +179,7 @@ impl NodeRuntime {
             exec.set_snapshot(snapshot);
         }
         self.transfer_state(exec, &mut instance, context, tick)?;
+        self.recovery.forget_kept_position();
         let old = std::mem::replace(&mut exec.instance, instance.begun());
         if old.is_open() {
             self.call_watched(CallKind::Close, tick, || self.end(context, old))?;

@@ -62,12 +62,12 @@ impl NodeRuntime {
     /// Saves where a failed source is. From its start it would meet the same fault again, forever.
     #[cold]
     fn save_position(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<(), Abandoned> {
-        if exec.source
-            && exec.instance.saves_state()
-            && let Some(state) =
-                self.call_watched(CallKind::SaveState, tick, || exec.instance.save_state(&context.host))?
-        {
-            self.recovery.save_position(exec, state);
+        if !exec.source || !exec.instance.saves_state() {
+            return Ok(());
+        }
+        match self.call_watched(CallKind::SaveState, tick, || exec.instance.save_state(&context.host))? {
+            Some(state) => self.recovery.save_position(exec, state),
+            None => self.recovery.save_kept_position(),
         }
         Ok(())
     }
@@ -81,7 +81,7 @@ impl NodeRuntime {
     /// Records whether an instance continues at a position.
     pub(crate) fn position_taken(&self, context: &RunContext, state: Vec<u8>, understood: bool) {
         if understood {
-            // RetainedFrames for the next fault: this instance may fail before it has a position of its own.
+            // Kept for the next fault: this instance may fail before it has a position of its own.
             self.recovery.restore_position(state);
         } else {
             self.position_lost(context);

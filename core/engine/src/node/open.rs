@@ -11,6 +11,7 @@ use crate::ending::current_node;
 use crate::host::CallContext;
 use crate::instance::Instance;
 use crate::isolation::Group;
+use crate::log::Level;
 use crate::params::Snapshot;
 
 /// A node did not open.
@@ -68,6 +69,12 @@ impl NodeRuntime {
             (None, Some(open)) => unsafe { open(&raw mut call, &raw mut raw) },
             (None, None) => abi::STATUS_INVALID,
         };
+        for denied in self.group.iter().flat_map(|group| group.not_enforced()) {
+            let words = format!(
+                "its group is denied `{denied}`, but this kernel cannot refuse it; `panoscope doctor` has details"
+            );
+            context.log.write(Level::Warn, &self.id, &words);
+        }
         let status = current_node::opening(&self.who, || instance.retained.during(open));
         if status == abi::STATUS_OK {
             (instance.raw, instance.open) = (raw, true);

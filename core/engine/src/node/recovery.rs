@@ -17,6 +17,8 @@ pub(crate) struct Recovery {
     broken: Mutex<Vec<Instance>>,
     /// Saved state of a failed source: its next instance continues there.
     position: Mutex<Option<Vec<u8>>>,
+    /// Where an isolated source was after its last tick: a process that died cannot be asked.
+    kept_position: Mutex<Option<Vec<u8>>>,
     restart_requested: AtomicBool,
     /// A restart would not cure the last error.
     permanent: AtomicBool,
@@ -105,6 +107,26 @@ impl Recovery {
     /// Saves where a failed source was.
     pub fn save_position(&self, _exec: &mut Exec, state: Vec<u8>) {
         *lock(&self.position) = Some(state);
+    }
+
+    /// Keeps where an isolated source is now.
+    pub fn keep_position(&self, state: &[u8]) {
+        let mut kept = lock(&self.kept_position);
+        let kept = kept.get_or_insert_default();
+        kept.clear();
+        kept.extend_from_slice(state);
+    }
+
+    /// The next instance continues where the last one was kept, if it was.
+    pub fn save_kept_position(&self) {
+        if let Some(kept) = lock(&self.kept_position).take() {
+            *lock(&self.position) = Some(kept);
+        }
+    }
+
+    /// The node has another instance, which has positions of its own.
+    pub fn forget_kept_position(&self) {
+        *lock(&self.kept_position) = None;
     }
 
     /// Where a failed source was. The caller puts back only what an instance understood, so that an instance that hangs on it is not

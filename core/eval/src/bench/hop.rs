@@ -186,10 +186,11 @@ fn paced(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result<
     ])
 }
 
-/// A frame to a node in another process and back: the request, the call of `forward`, the result. Pixels are not copied.
+/// A frame to a node in another process and back: one message each way. Pixels are not copied.
 fn isolated(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     let (frames, rounds) = if quick { (200, 1) } else { (600, 3) };
     let (mut busy_ns, mut paced_ns, mut late_ns) = (f64::INFINITY, f64::INFINITY, f64::INFINITY);
+    let mut messages = 0.0_f64;
     for _ in 0..rounds {
         let chain = |pace| graph::isolated(&graph::chain("pass", 1, None, pace), "n0");
         let saturated = graph::run(session, &chain(Pace::Saturated), frames * 20)?;
@@ -199,11 +200,14 @@ fn isolated(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
             paced_ns = paced_ns.min(paced.p50_ms * 1e6);
             late_ns = late_ns.min(paced.p99_ms * 1e6);
         }
+        let groups = saturated.report.groups.values().chain(paced.report.groups.values());
+        messages = groups.map(|group| group.round_trips as f64 / group.calls.max(1) as f64).fold(messages, f64::max);
     }
     Ok(vec![
         Figure::new("hop_isolated", busy_ns, "ns", "640x480 bgr8 to another process and back, saturated, p50"),
         Figure::new("hop_isolated/paced", paced_ns, "ns", "640x480 bgr8 to another process and back at 200 Hz, p50"),
         Figure::new("hop_isolated/paced_p99", late_ns, "ns", "640x480 bgr8 to another process and back at 200 Hz, p99"),
+        Figure::new("hop_isolated/messages", messages, "1/frame", "messages to another process for each frame"),
     ])
 }
 

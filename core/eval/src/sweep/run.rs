@@ -80,7 +80,7 @@ impl Sweep {
     pub fn new(request: Request, loader: Arc<Loader>) -> Result<Self, SweepError> {
         let mut parsed = GraphText::parse(&request.path, &request.text);
         request.settings.iter().for_each(|setting| parsed.set(setting));
-        let catalog = loader.catalog(&parsed.plugins());
+        let catalog = loader.catalog_of(&parsed);
         let (graph, _) = check(&parsed, &catalog).into_result().map_err(SweepError::Check)?;
         let bad_param = |reason: String| SweepError::Param { param: request.param.clone(), reason };
         let (id, name) = request
@@ -216,7 +216,7 @@ impl Sweep {
             None => {
                 let mut parsed = GraphText::parse(&self.request.path, &self.text);
                 settings.iter().for_each(|setting| parsed.set(setting));
-                let catalog = self.loader.catalog(&parsed.plugins());
+                let catalog = self.loader.catalog_of(&parsed);
                 let checked = check(&parsed, &catalog).into_result();
                 let (graph, _) = checked.map_err(|d| NoSummary::Run(d.render(false)))?;
                 let started = Engine::start(graph, &catalog, &self.loader, options);

@@ -2,6 +2,7 @@
 
 use super::Checker;
 use crate::catalog::NodeKind;
+use crate::checked::Deny;
 use crate::file::NodeText;
 use crate::nearest::{list, nearest};
 use crate::text::GraphText;
@@ -12,6 +13,12 @@ impl GraphText {
     pub(crate) fn group_of<'t>(&'t self, node: &'t NodeText, plugin: &str) -> Option<&'t Spanned<String>> {
         let of_plugin = || self.isolate.iter().rev().find(|(name, _)| name.value == plugin).map(|(_, group)| group);
         node.isolate.as_ref().or_else(of_plugin)
+    }
+
+    /// What a group may not do.
+    pub(crate) fn denied_to(&self, group: &str) -> Deny {
+        let entry = self.deny.iter().rev().find(|(name, _)| name.value == group);
+        entry.map(|(_, deny)| *deny).unwrap_or_default()
     }
 }
 
@@ -29,6 +36,19 @@ impl Checker<'_> {
             self.error("unknown-isolated-plugin", &plugin.span, message)
                 .label(near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default())
                 .help(help);
+        }
+        let nodes = text.flat.nodes.iter().filter_map(|node| node.isolate.as_ref());
+        let groups: Vec<&str> =
+            text.isolate.iter().map(|(_, group)| group).chain(nodes).map(|group| group.value.as_str()).collect();
+        for (group, _) in &text.deny {
+            if groups.contains(&group.value.as_str()) || text.incomplete {
+                continue;
+            }
+            let near = nearest(&group.value, groups.iter().copied());
+            let message = format!("`deny` names `{}`, which is no group of isolated nodes", group.value);
+            self.error("unknown-group", &group.span, message)
+                .label(near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default())
+                .help("groups are what `isolate` names");
         }
         for (index, node) in text.flat.nodes.iter().enumerate() {
             let Some(node_type) = self.type_of(index) else { continue };

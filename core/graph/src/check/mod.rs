@@ -10,7 +10,7 @@ mod preset;
 mod types;
 
 use crate::catalog::{Catalog, NodeType};
-use crate::checked::{Align, Edge, Graph, Node, Preset};
+use crate::checked::{Align, Deny, Edge, Graph, Node, Preset};
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
 use crate::param::ParamValue;
 use crate::text::GraphText;
@@ -190,6 +190,10 @@ impl<'a> Checker<'a> {
                 max_rate_hz: node.max_rate_hz,
                 cpu: node.cpu,
                 isolate: self.text.group_of(node, &node_type.plugin).map(|group| group.value.clone()),
+                deny: self
+                    .text
+                    .group_of(node, &node_type.plugin)
+                    .map_or_else(Deny::default, |group| self.text.denied_to(&group.value)),
                 span: self.text.sources.of(&node.id.span).local(&node.id.span),
                 line: self.text.sources.line(&node.id.span),
             });
@@ -200,6 +204,7 @@ impl<'a> Checker<'a> {
             name: self.text.name().to_owned(),
             mode: self.text.mode,
             plugins: self.text.plugins(),
+            isolated_plugins: self.text.isolated_plugins(),
             nodes,
             edges,
             order,

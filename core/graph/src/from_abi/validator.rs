@@ -17,7 +17,8 @@ const MOST_PROBLEMS: usize = 64;
 
 /// Asks `validate`, whose plugin stays mapped.
 pub(super) fn of(validate: Validate) -> Validator {
-    Validator::new(move |setup| problems(validate, setup))
+    // SAFETY: a function of the contract; `problems_of` passes a call that outlives it.
+    Validator::new(move |setup| problems_of(setup, |call| unsafe { validate(call) }))
 }
 
 /// What the plugin reports, as [`abi::ValidateCall::invalid`] takes it.
@@ -46,7 +47,11 @@ unsafe extern "C" fn invalid(call: *mut c_void, severity: u32, param: u32, messa
     }));
 }
 
-fn problems(validate: Validate, setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
+/// What `ask` reports about a node to the call that it gets, which lives until `ask` returns. It may ask a plugin elsewhere.
+pub fn problems_of(
+    setup: &NodeSetup<'_>,
+    ask: impl FnOnce(*mut abi::ValidateCall) -> abi::Status,
+) -> Vec<ParamProblem> {
     let snapshot = ParamSnapshot::new(setup.params);
     let dir = if setup.graph_dir.as_os_str().is_empty() { Path::new(".") } else { setup.graph_dir };
     let graph_dir = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned());
@@ -66,8 +71,7 @@ fn problems(validate: Validate, setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
         outputs_read,
         invalid: Some(invalid),
     };
-    // SAFETY: a function of the contract; everything that the call points to outlives it.
-    let status = unsafe { validate(&raw mut call) };
+    let status = ask(&raw mut call);
     if status < abi::STATUS_OK && !sink.problems.iter().any(|p| p.severity == Severity::Error) {
         sink.problems.push(ParamProblem {
             severity: Severity::Error,

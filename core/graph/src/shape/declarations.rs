@@ -2,6 +2,7 @@
 
 use super::{Reader, is_node_id};
 use crate::args::{ArgKind, ArgText};
+use crate::checked::Deny;
 use crate::file::{Export, PartText};
 use crate::value::{Kind, Spanned, Value};
 
@@ -16,6 +17,28 @@ impl Reader<'_> {
             if let Some(group) = self.group(value) {
                 self.file.isolate.push((plugin.clone(), group));
             }
+        }
+    }
+
+    /// The table `[deny]`: groups of isolated nodes and what they may not do.
+    pub(super) fn deny(&mut self, value: &Value) {
+        let example = "a table such as { networks = [\"network\", \"new_files\"] }";
+        let Some(table) = self.table("`deny`", example, value) else { return };
+        for (group, value) in table {
+            let Kind::List(items) = &value.value else {
+                self.wrong_type("an entry of `deny`", "a list of texts", value)
+                    .help(format!("write {} = [\"network\", \"new_files\"]", group.value));
+                continue;
+            };
+            let mut deny = Deny::default();
+            for item in items {
+                match self.word("deny", item, &Deny::WORDS) {
+                    Some("network") => deny.network = true,
+                    Some(_) => deny.new_files = true,
+                    None => {}
+                }
+            }
+            self.file.deny.push((group.clone(), deny));
         }
     }
 

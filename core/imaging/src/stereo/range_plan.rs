@@ -101,7 +101,8 @@ impl RangePlan {
                     let near = (row.saturating_sub(1)..(row + 2).min(rows)).flat_map(|row| {
                         (column.saturating_sub(1)..(column + 2).min(columns)).map(move |column| row * columns + column)
                     });
-                    let joined = near.filter_map(|index| self.others[index]).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+                    let joined =
+                        near.filter_map(|index| self.others[index]).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
                     self.ranges[row * columns + column] = joined;
                 }
             }

@@ -128,7 +128,13 @@ impl SemiGlobalMatcher {
     /// [`StereoError::Parameter`] when one is out of range.
     pub fn new(params: SemiGlobalParams) -> Result<Self, StereoError> {
         params.validate()?;
-        Ok(Self { params, pair: PaddedPair::default(), bands: Vec::new(), tiles: Vec::new(), avx2: Simd::detect().avx2() })
+        Ok(Self {
+            params,
+            pair: PaddedPair::default(),
+            bands: Vec::new(),
+            tiles: Vec::new(),
+            avx2: Simd::detect().avx2(),
+        })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).

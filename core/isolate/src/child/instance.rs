@@ -1,14 +1,20 @@
 //! One instance in the child: the requests of its lane, one after the other.
 
 use std::ffi::c_void;
+use std::time::{Duration, Instant};
 
 use panoscope_abi::{self as abi, Frame, NodeType, PortRange, Status, Str};
 use panoscope_engine::isolation::STATUS_DIED;
 
 use super::table::{self, CallFrame, ChildLane};
-use super::{Child, EXIT_PROTOCOL, leave, pools};
-use crate::lane::Side;
+use super::{Child, EXIT_PROTOCOL, describe, leave, pools};
+use crate::lane::{Lost, Side};
 use crate::wire::{BadMessage, Kind, Params, Reader, Writer};
+
+/// How long a process that describes plugins waits for the next question.
+const MAX_IDLE: Duration = Duration::from_secs(10);
+/// Longest position of a source that is sent with every tick.
+const MAX_POSITION_BYTES: usize = 16 << 10;
 
 /// The instance of a lane.
 struct Instance<'c> {
@@ -24,6 +30,10 @@ struct Instance<'c> {
     inputs: Vec<Frame>,
     ranges: Vec<PortRange>,
     outputs: Vec<Frame>,
+    /// Formats of each output, one bit each.
+    formats: Vec<u32>,
+    /// Where a source is after the last call; empty for none.
+    position: Vec<u8>,
     /// The tick of the last call as the node left it.
     made_at: abi::Tick,
 }
@@ -43,14 +53,36 @@ pub(super) fn serve(child: &Child, lane: &ChildLane) {
         inputs: Vec::new(),
         ranges: Vec::new(),
         outputs: Vec::new(),
+        formats: Vec::new(),
+        position: Vec::new(),
         made_at: abi::Tick::default(),
     };
     let (mut message, mut out) = (Vec::new(), Vec::new());
-    while let Ok(kind) = lane.lane.receive(Side::Child, &mut message) {
+    // A process that only describes plugins leaves when it is not needed for a while.
+    let mut deadline = None;
+    loop {
+        let kind = match lane.lane.receive_until(Side::Child, &mut message, deadline) {
+            Ok(kind) => kind,
+            Err(Lost::Late) => leave(0),
+            Err(_) => return,
+        };
+        if let Kind::Describe | Kind::Validate = kind {
+            lane.begin(&mut out);
+            let mut reader = Reader(&message);
+            let done = table::within(lane, || match kind {
+                Kind::Describe => describe::describe(child, &mut reader, &mut out),
+                _ => describe::validate(child, &mut reader, &mut out),
+            });
+            if done.is_err() {
+                leave(EXIT_PROTOCOL);
+            }
+            lane.lane.post(Side::Child, Kind::Done, &out);
+            deadline = Some(Instant::now() + MAX_IDLE);
+            continue;
+        }
         let served = table::within(lane, || this.request(kind, &message));
         let Ok(status) = served else { leave(EXIT_PROTOCOL) };
-        table::within(lane, || lane.pass_on());
-        out.clear();
+        lane.begin(&mut out);
         // A plugin's own status of this number would be taken for the end of the process.
         Writer(&mut out).i32(if status == STATUS_DIED { abi::STATUS_ERROR } else { status });
         if kind == Kind::Process {
@@ -81,11 +113,12 @@ impl<'c> Instance<'c> {
                 }
                 abi::STATUS_OK
             }
-            Kind::SaveState => match node_type.save_state {
-                // SAFETY: an open instance that only this thread uses; the sink is this lane, which takes bytes through the table.
-                Some(save) => unsafe { save(raw, host, table::save_target(self.lane)) },
-                None => abi::STATUS_INVALID,
-            },
+            Kind::SaveState => {
+                let mut state = Vec::new();
+                let status = table::save_state(node_type, raw, &self.host, &mut state);
+                self.lane.send_state(&state);
+                status
+            }
             Kind::LoadPart => {
                 self.state.extend_from_slice(reader.bytes()?);
                 abi::STATUS_OK
@@ -112,12 +145,14 @@ impl<'c> Instance<'c> {
 
     /// The target of a call's handle, without inputs and outputs.
     fn call(&self, tick: abi::Tick) -> CallFrame<'c> {
+        self.lane.forget_sent();
         CallFrame {
             lane: self.lane,
             node: self.node.clone(),
             tick,
             outputs: std::ptr::null_mut(),
             outputs_len: 0,
+            formats: &[],
             random: None,
             file: String::new(),
         }
@@ -161,6 +196,9 @@ impl<'c> Instance<'c> {
             None => abi::STATUS_INVALID,
         };
         if status == abi::STATUS_OK {
+            // SAFETY: a validated descriptor of a plugin that stays mapped.
+            let outputs = (0..node_type.outputs_len).map(|at| unsafe { (*node_type.outputs.add(at)).formats });
+            self.formats = outputs.collect();
             (self.raw, self.node_type) = (raw, Some(node_type));
         }
         Ok(status)
@@ -186,12 +224,16 @@ impl<'c> Instance<'c> {
             self.inputs.push(Frame { data, ..frame });
         }
         let outputs_len = usize::try_from(reader.u64()?).map_err(|_| BadMessage)?;
+        if outputs_len != self.formats.len() {
+            return Err(BadMessage);
+        }
+        self.lane.receive_sent(outputs_len, reader)?;
         self.outputs.clear();
         self.outputs.resize(outputs_len, Frame::EMPTY);
         let outputs = self.outputs.as_mut_ptr();
         let node = std::mem::take(&mut self.node);
-        let mut frame =
-            CallFrame { lane: self.lane, node, tick, outputs, outputs_len, random: None, file: String::new() };
+        let (lane, formats, file) = (self.lane, &self.formats[..], String::new());
+        let mut frame = CallFrame { lane, node, tick, outputs, outputs_len, formats, random: None, file };
         let mut call = abi::Call {
             struct_size: size_of::<abi::Call>() as u32,
             flags,
@@ -216,13 +258,22 @@ impl<'c> Instance<'c> {
         };
         self.made_at = call.tick;
         self.node = frame.node;
+        self.position.clear();
+        if node_type.flags & abi::NODE_SOURCE != 0 && status == abi::STATUS_OK {
+            // If the process dies, the next instance goes on here.
+            let saved = table::save_state(node_type, self.raw, &self.host, &mut self.position);
+            if saved != abi::STATUS_OK || self.position.len() > MAX_POSITION_BYTES {
+                self.position.clear();
+            }
+        }
         Ok(status)
     }
 
-    /// The tick and the outputs as the node left them.
+    /// The tick and the outputs as the node left them, and where a source is.
     fn write_outputs(&self, out: &mut Vec<u8>) {
         let mut out = Writer(out);
         out.tick(&self.made_at).u64(self.outputs.len() as u64);
         self.outputs.iter().for_each(|frame| _ = out.frame(frame));
+        out.bytes(&self.position);
     }
 }

@@ -1,6 +1,7 @@
 //! The child's side: receives memory and plugins from the host and runs the calls of each instance on a thread of its own.
 
 mod crash;
+mod describe;
 mod instance;
 mod pools;
 mod table;
@@ -15,14 +16,16 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use panoscope_abi::{Host, NodeType};
+use panoscope_engine::isolation::Deny;
 use panoscope_engine::loading;
 use panoscope_engine::pool::{Pool, Task};
 
 use self::table::ChildLane;
-use crate::PROTOCOL;
+use crate::confine::confine;
 use crate::lane::Lane;
 use crate::socket::{self, Tag};
 use crate::wire::{BadMessage, Reader};
+use crate::{EXIT_CONFINED, PROTOCOL};
 
 /// Loads a plugin: a path to its bytes, and its file for messages. Returns its node types in order.
 pub type LoadFn = fn(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, String>;
@@ -30,7 +33,7 @@ pub type LoadFn = fn(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>
 /// Exit status when the messages of the host make no sense: it is of another build.
 pub(super) const EXIT_PROTOCOL: i32 = 86;
 /// The message with a plugin is sent before the first node of it opens; the main thread may not have read it yet.
-const LONGEST_WAIT: Duration = Duration::from_secs(5);
+const MAX_WAIT: Duration = Duration::from_secs(5);
 /// As much as the main thread has: some libraries need it when they are opened.
 const STACK_BYTES: usize = 8 << 20;
 
@@ -61,16 +64,21 @@ pub(super) struct Child {
 impl Child {
     /// A node type of a plugin, which is loaded when its first node opens.
     fn node_type(&self, plugin: u32, index: u32) -> Result<&'static NodeType, String> {
+        let types = self.node_types(plugin)?;
+        types.get(index as usize).copied().ok_or_else(|| "its plugin has no such node type".to_owned())
+    }
+
+    /// The node types of a plugin, which is loaded when they are asked for first.
+    fn node_types(&self, plugin: u32) -> Result<Vec<&'static NodeType>, String> {
         let plugins = self.plugins.lock().unwrap_or_else(PoisonError::into_inner);
         let missing = |plugins: &mut HashMap<u32, Plugin>| !plugins.contains_key(&plugin);
-        let waited = self.arrived.wait_timeout_while(plugins, LONGEST_WAIT, missing);
+        let waited = self.arrived.wait_timeout_while(plugins, MAX_WAIT, missing);
         let (mut plugins, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let Some(Plugin { image, file, loaded }) = plugins.get_mut(&plugin) else {
             return Err("its plugin did not arrive in its process".to_owned());
         };
         let path = PathBuf::from(format!("/proc/self/fd/{}", image.as_raw_fd()));
-        let types = loaded.get_or_insert_with(|| (self.load)(&path, file)).as_ref().map_err(Clone::clone)?;
-        types.get(index as usize).copied().ok_or_else(|| "its plugin has no such node type".to_owned())
+        loaded.get_or_insert_with(|| (self.load)(&path, file)).clone()
     }
 }
 
@@ -116,9 +124,11 @@ fn start(load: LoadFn) -> std::io::Result<(Arc<Child>, OwnedFd)> {
         if tag != Tag::Hello as u32 || protocol != PROTOCOL {
             return Err(BadMessage);
         }
-        Ok((threads, reader.u64()?))
+        let memory_bytes = reader.u64()?;
+        let deny = Deny { network: reader.u32()? == 1, new_files: reader.u32()? == 1 };
+        Ok((threads, memory_bytes, deny))
     };
-    let (threads, memory_bytes) =
+    let (threads, memory_bytes, deny) =
         hello().map_err(|_| std::io::Error::other("the programs are of different versions; install both again"))?;
     let limit = |resource, most: u64| {
         let limit = libc::rlimit { rlim_cur: most, rlim_max: most };
@@ -129,6 +139,11 @@ fn start(load: LoadFn) -> std::io::Result<(Arc<Child>, OwnedFd)> {
     limit(libc::RLIMIT_DATA, memory_bytes);
     limit(libc::RLIMIT_CORE, 0);
     crash::install();
+    // Before the first thread starts, and before a plugin is mapped.
+    if let Err(cause) = confine(deny) {
+        eprintln!("panoscope: the process of isolated nodes cannot be locked in: {cause}");
+        leave(EXIT_CONFINED);
+    }
     let host: &'static Host = Box::leak(Box::new(table::table(threads)));
     loading::use_table(host);
     let pool = Pool::new(threads as usize);

@@ -10,7 +10,7 @@ use panoscope_abi::BufferId;
 use panoscope_engine::memory::MOST_POOLS;
 
 /// The message with a pool's file is sent before the first frame of it; the main thread may not have read it yet.
-const LONGEST_WAIT: Duration = Duration::from_secs(1);
+const MAX_WAIT: Duration = Duration::from_secs(1);
 
 struct Mapped {
     base: AtomicPtr<u8>,
@@ -24,7 +24,7 @@ static CHANGES: Mutex<()> = Mutex::new(());
 
 /// Maps a pool.
 pub(super) fn map(number: u32, len: usize, writable: bool, file: &File) -> std::io::Result<()> {
-    let place = POOLS.get(number as usize).ok_or(std::io::ErrorKind::InvalidInput)?;
+    let pool = POOLS.get(number as usize).ok_or(std::io::ErrorKind::InvalidInput)?;
     let protection = if writable { libc::PROT_READ | libc::PROT_WRITE } else { libc::PROT_READ };
     let flags = libc::MAP_SHARED | libc::MAP_NORESERVE;
     // SAFETY: a fresh mapping at an address that the system chooses. The file's size is sealed.
@@ -33,8 +33,8 @@ pub(super) fn map(number: u32, len: usize, writable: bool, file: &File) -> std::
         return Err(std::io::Error::last_os_error());
     }
     let _changes = CHANGES.lock().unwrap_or_else(PoisonError::into_inner);
-    place.len.store(len, Ordering::Relaxed);
-    place.base.store(base.cast(), Ordering::Release);
+    pool.len.store(len, Ordering::Relaxed);
+    pool.base.store(base.cast(), Ordering::Release);
     CHANGED.notify_all();
     Ok(())
 }
@@ -58,6 +58,6 @@ pub(super) fn resolve(id: BufferId) -> *mut u8 {
 fn wait(place: &Mapped) -> *mut u8 {
     let changes = CHANGES.lock().unwrap_or_else(PoisonError::into_inner);
     let missing = |_: &mut ()| place.base.load(Ordering::Acquire).is_null();
-    drop(CHANGED.wait_timeout_while(changes, LONGEST_WAIT, missing));
+    drop(CHANGED.wait_timeout_while(changes, MAX_WAIT, missing));
     place.base.load(Ordering::Acquire)
 }

@@ -1,4 +1,7 @@
-//! The functions of the host as plugins in the child call them: most go to the host through the lane of the running call.
+//! The functions of the host as plugins in the child call them.
+//!
+//! What needs no result at once is written down and goes to the host in front of the next message of the lane; what the host sent with the call
+//! (buffers, ages, the clock) is answered here; the rest is asked for, which takes a message there and back.
 
 use std::cell::Cell;
 use std::ffi::c_void;
@@ -6,16 +9,19 @@ use std::sync::{Mutex, PoisonError};
 
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str, Tick};
 use panoscope_base::random::SplitMix64;
+use panoscope_engine::isolation::fits;
 use panoscope_engine::{pool, random_seed};
 
 use super::pools;
 use crate::lane::{Lane, Side};
-use crate::wire::{Kind, Reader, Writer};
+use crate::wire::{BadMessage, Kind, Reader, Writer};
 
 /// Longest text of a log line, a fault or a path that is passed on.
-const MOST_TEXT: usize = 64 << 10;
+const MAX_TEXT_BYTES: usize = 64 << 10;
 /// Bytes of a saved state that one message takes.
-const MOST_STATE: usize = 512 << 10;
+const STATE_PART_BYTES: usize = 512 << 10;
+/// More than this is not written down, but sent at once.
+const MAX_DEFERRED_BYTES: usize = 64 << 10;
 
 /// A lane in the child. Several threads of one call may use it, one after the other.
 pub(super) struct ChildLane {
@@ -27,6 +33,40 @@ pub(super) struct ChildLane {
 struct Buffers {
     out: Vec<u8>,
     message: Vec<u8>,
+    /// What the host runs before the next message.
+    deferred: Vec<u8>,
+    sent: Sent,
+    /// Buffers of this call's outputs that nobody shares.
+    unshared: Vec<BufferId>,
+}
+
+/// What the host sent with a call, because the node is likely to ask for it.
+#[derive(Default)]
+pub(super) struct Sent {
+    /// A buffer and its size for each output; size 0 for none.
+    pub stock: Vec<(BufferId, usize)>,
+    /// The host's clock, and the system's at that moment.
+    pub clock: Option<(i64, i64)>,
+    /// Input, its arrival and its age.
+    pub ages: Vec<(u32, i64, i64)>,
+}
+
+impl Sent {
+    /// Reads it from the request of a tick.
+    pub fn read(&mut self, outputs_len: usize, reader: &mut Reader<'_>) -> Result<(), BadMessage> {
+        self.stock.clear();
+        for _ in 0..outputs_len {
+            let (buffer, size) = (reader.buffer()?, reader.u64()?);
+            self.stock.push((buffer, usize::try_from(size).map_err(|_| BadMessage)?));
+        }
+        let (knows_clock, clock) = (reader.u32()? == 1, (reader.i64()?, reader.i64()?));
+        self.clock = knows_clock.then_some(clock);
+        self.ages.clear();
+        for _ in 0..reader.count(20)? {
+            self.ages.push((reader.u32()?, reader.i64()?, reader.i64()?));
+        }
+        Ok(())
+    }
 }
 
 /// The target of a `call` handle.
@@ -36,6 +76,8 @@ pub(super) struct CallFrame<'l> {
     pub tick: Tick,
     pub outputs: *mut Frame,
     pub outputs_len: usize,
+    /// Formats of each output, one bit each; 0 for any.
+    pub formats: &'l [u32],
     pub random: Option<SplitMix64>,
     /// The host's answer to the last claim of a file.
     pub file: String,
@@ -78,8 +120,10 @@ impl ChildLane {
     /// Has the host run a function; `read` gets its result.
     fn ask<R>(&self, kind: Kind, write: impl FnOnce(&mut Writer<'_>), read: impl FnOnce(&mut Reader<'_>) -> R) -> R {
         let mut buffers = lock(&self.buffers);
-        let Buffers { out, message } = &mut *buffers;
+        let Buffers { out, message, deferred, .. } = &mut *buffers;
         out.clear();
+        Writer(out).bytes(deferred);
+        deferred.clear();
         write(&mut Writer(out));
         self.lane.post(Side::Child, kind, out);
         match self.lane.receive(Side::Child, message) {
@@ -93,12 +137,65 @@ impl ChildLane {
         self.ask(kind, write, |_| ());
     }
 
-    /// Passes on what was retained and released outside every call.
-    pub fn pass_on(&self) {
-        let later = std::mem::take(&mut *lock(&LATER));
-        for (buffer, retained) in later {
-            let kind = if retained { Kind::Retain } else { Kind::Release };
-            self.tell(kind, |out| _ = out.buffer(buffer));
+    /// Writes a function down that the host runs before the next message.
+    fn defer(&self, kind: Kind, write: impl FnOnce(&mut Writer<'_>)) {
+        let mut buffers = lock(&self.buffers);
+        write(Writer(&mut buffers.deferred).u32(kind as u32));
+        let is_full = buffers.deferred.len() > MAX_DEFERRED_BYTES;
+        drop(buffers);
+        if is_full {
+            self.tell(Kind::Flush, |_| ());
+        }
+    }
+
+    /// Begins a message of the lane with what was written down, and what was retained and released outside every call.
+    pub fn begin(&self, out: &mut Vec<u8>) {
+        for (buffer, is_retained) in std::mem::take(&mut *lock(&LATER)) {
+            count_now(self, buffer, is_retained);
+        }
+        out.clear();
+        let deferred = &mut lock(&self.buffers).deferred;
+        Writer(out).bytes(deferred);
+        deferred.clear();
+    }
+
+    /// Takes what the host sent with a call.
+    pub fn receive_sent(&self, outputs_len: usize, reader: &mut Reader<'_>) -> Result<(), BadMessage> {
+        let mut buffers = lock(&self.buffers);
+        buffers.unshared.clear();
+        buffers.sent.read(outputs_len, reader)
+    }
+
+    /// A call without inputs and outputs, for which the host sent nothing.
+    pub fn forget_sent(&self) {
+        let mut buffers = lock(&self.buffers);
+        buffers.unshared.clear();
+        buffers.sent = Sent::default();
+    }
+
+    /// The buffer for an output of so many bytes, once.
+    fn take_from_stock(&self, output: u32, len: usize) -> Option<(BufferId, *mut u8)> {
+        let mut buffers = lock(&self.buffers);
+        let (buffer, size) = buffers.sent.stock.get_mut(output as usize)?;
+        if *size == 0 || len > *size {
+            return None;
+        }
+        *size = 0;
+        let buffer = *buffer;
+        let data = pools::resolve(buffer);
+        buffers.unshared.push(buffer);
+        (!data.is_null()).then_some((buffer, data))
+    }
+
+    fn is_unshared(&self, buffer: BufferId) -> bool {
+        lock(&self.buffers).unshared.contains(&buffer)
+    }
+
+    fn set_unshared(&self, buffer: BufferId, is_unshared: bool) {
+        let unshared = &mut lock(&self.buffers).unshared;
+        unshared.retain(|known| *known != buffer);
+        if is_unshared {
+            unshared.push(buffer);
         }
     }
 }
@@ -111,25 +208,44 @@ unsafe fn frame<'c>(call: *mut c_void) -> Option<&'c mut CallFrame<'c>> {
 unsafe fn bytes<'t>(text: Str) -> &'t [u8] {
     // SAFETY: the plugin lends the text for the length of the call.
     let bytes = unsafe { text.bytes() };
-    &bytes[..bytes.len().min(MOST_TEXT)]
+    &bytes[..bytes.len().min(MAX_TEXT_BYTES)]
 }
 
 impl CallFrame<'_> {
+    /// An output as the node sees it.
+    fn shown(&self, index: u32) -> Option<Frame> {
+        // SAFETY: `outputs` holds `outputs_len` frames for the length of the call.
+        ((index as usize) < self.outputs_len).then(|| unsafe { self.outputs.add(index as usize).read() })
+    }
+
+    fn show(&mut self, index: u32, frame: Frame) {
+        if (index as usize) < self.outputs_len {
+            // SAFETY: as in `shown`; one thread at a time makes outputs (the contract).
+            unsafe { self.outputs.add(index as usize).write(frame) };
+        }
+    }
+
+    /// Whether output `index` may be a frame of this description; the host says why not.
+    fn accepts(&self, index: u32, frame: &Frame) -> bool {
+        self.formats.get(index as usize).is_some_and(|formats| fits(*formats, frame))
+    }
+
     /// Asks for an output and puts it into the node's list.
     fn made(&mut self, kind: Kind, output: u32, write: impl FnOnce(&mut Writer<'_>)) -> Status {
         let (status, made) = self.lane.ask(kind, write, |reader| {
             let status = reader.i32().unwrap_or(abi::STATUS_ERROR);
             (status, reader.frame().unwrap_or(Frame::EMPTY))
         });
-        if status != abi::STATUS_OK || output as usize >= self.outputs_len {
+        if status != abi::STATUS_OK {
             return status;
         }
         let data = pools::resolve(made.buffer);
         if data.is_null() {
             return abi::STATUS_EXHAUSTED;
         }
-        // SAFETY: `outputs` holds `outputs_len` frames for the length of the call.
-        unsafe { self.outputs.add(output as usize).write(Frame { data, ..made }) };
+        self.show(output, Frame { data, ..made });
+        // Only buffers of this group can be written.
+        self.lane.set_unshared(made.buffer, kind != Kind::Forward);
         status
     }
 }
@@ -145,6 +261,16 @@ unsafe extern "C" fn alloc(
 ) -> Status {
     // SAFETY: see `frame`.
     let Some(call) = (unsafe { frame(call) }) else { return abi::STATUS_INVALID };
+    let wanted = Frame { len, format, width, height, stride_bytes, tick: call.tick, ..Frame::EMPTY };
+    if call.accepts(output, &wanted)
+        && let Some((buffer, data)) = call.lane.take_from_stock(output, len)
+    {
+        call.show(output, Frame { buffer, data, ..wanted });
+        call.lane.defer(Kind::Placed, |out| {
+            out.u32(output).u32(format).u32(width).u32(height).u32(stride_bytes).u64(len as u64);
+        });
+        return abi::STATUS_OK;
+    }
     call.made(Kind::Alloc, output, |out| {
         out.u32(output).u32(format).u32(width).u32(height).u32(stride_bytes).u64(len as u64);
     })
@@ -154,23 +280,44 @@ unsafe extern "C" fn forward(call: *mut c_void, output: u32, given: *const Frame
     // SAFETY: see `frame`; the frame is read for the length of this function.
     let (Some(call), Some(given)) = (unsafe { (frame(call), given.as_ref()) }) else { return abi::STATUS_INVALID };
     let is_buffer = !given.data.is_null() && pools::resolve(given.buffer) == given.data;
-    call.made(Kind::Forward, output, |out| _ = out.u32(output).u32(u32::from(is_buffer)).frame(given))
+    let write = |out: &mut Writer<'_>| _ = out.u32(output).u32(u32::from(is_buffer)).frame(given);
+    if is_buffer && call.accepts(output, given) {
+        call.show(output, Frame { tick: call.tick, ..*given });
+        call.lane.set_unshared(given.buffer, false);
+        call.lane.defer(Kind::Forward, write);
+        return abi::STATUS_OK;
+    }
+    call.made(Kind::Forward, output, write)
 }
 
 unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
     // SAFETY: see `frame`.
     let Some(call) = (unsafe { frame(call) }) else { return abi::STATUS_INVALID };
+    let Some(shown) = call.shown(output).filter(|shown| !shown.is_empty()) else { return abi::STATUS_INVALID };
+    if call.lane.is_unshared(shown.buffer) {
+        return abi::STATUS_OK;
+    }
+    if let Some((buffer, data)) = call.lane.take_from_stock(output, shown.len) {
+        // SAFETY: `shown` describes a mapped buffer, unless the node changed it, which only harms its own process; the other buffer has at
+        // least as many bytes and no other owner.
+        unsafe { std::ptr::copy_nonoverlapping(shown.data, data, shown.len) };
+        call.show(output, Frame { buffer, data, ..shown });
+        call.lane.defer(Kind::Copied, |out| _ = out.u32(output));
+        return abi::STATUS_OK;
+    }
     call.made(Kind::MakeMut, output, |out| _ = out.u32(output))
 }
 
-fn count(buffer: BufferId, retained: bool) {
+fn count_now(lane: &ChildLane, buffer: BufferId, is_retained: bool) {
+    lane.set_unshared(buffer, false);
+    lane.defer(if is_retained { Kind::Retain } else { Kind::Release }, |out| _ = out.buffer(buffer));
+}
+
+fn count(buffer: BufferId, is_retained: bool) {
     // SAFETY: set by `within` for no longer than the lane lives.
     match unsafe { current_lane().as_ref() } {
-        Some(lane) => {
-            let kind = if retained { Kind::Retain } else { Kind::Release };
-            lane.tell(kind, |out| _ = out.buffer(buffer));
-        }
-        None => lock(&LATER).push((buffer, retained)),
+        Some(lane) => count_now(lane, buffer, is_retained),
+        None => lock(&LATER).push((buffer, is_retained)),
     }
 }
 
@@ -226,7 +373,7 @@ unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
 unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
     // SAFETY: see `frame` and `bytes`.
     if let (Some(call), name) = unsafe { (frame(call), bytes(name)) } {
-        call.lane.tell(Kind::Metric, |out| _ = out.bytes(name).f64(value));
+        call.lane.defer(Kind::Metric, |out| _ = out.bytes(name).f64(value));
     }
 }
 
@@ -242,19 +389,31 @@ unsafe extern "C" fn random(call: *mut c_void) -> u64 {
 }
 
 unsafe extern "C" fn save(sink: *mut c_void, bytes: *const u8, len: usize) {
-    // SAFETY: the sink is the lane, see `save_target`; the bytes are lent for the call.
-    let (lane, bytes) = unsafe {
-        let bytes = if len == 0 { &[][..] } else { std::slice::from_raw_parts(bytes, len) };
-        (sink.cast::<ChildLane>().as_ref(), bytes)
-    };
-    if let Some(lane) = lane {
-        bytes.chunks(MOST_STATE).for_each(|part| lane.tell(Kind::Save, |out| _ = out.bytes(part)));
+    // SAFETY: the sink is that of `save_state`; the bytes are lent for the call.
+    unsafe {
+        if let Some(sink) = sink.cast::<Vec<u8>>().as_mut()
+            && len > 0
+        {
+            sink.extend_from_slice(std::slice::from_raw_parts(bytes, len));
+        }
     }
 }
 
-/// The sink for [`Host::save`] in calls of a lane.
-pub(super) fn save_target(lane: &ChildLane) -> *mut c_void {
-    std::ptr::from_ref(lane).cast_mut().cast()
+/// Saves the state of an instance into `state`.
+pub(super) fn save_state(node_type: &abi::NodeType, raw: *mut c_void, host: &Host, state: &mut Vec<u8>) -> Status {
+    state.clear();
+    match node_type.save_state {
+        // SAFETY: an open instance that only this thread uses; the sink lives until the call returns, and the table takes bytes for it.
+        Some(save) => unsafe { save(raw, host, std::ptr::from_mut(state).cast()) },
+        None => abi::STATUS_INVALID,
+    }
+}
+
+impl ChildLane {
+    /// Passes a saved state on to the host.
+    pub fn send_state(&self, state: &[u8]) {
+        state.chunks(STATE_PART_BYTES).for_each(|part| self.tell(Kind::Save, |out| _ = out.bytes(part)));
+    }
 }
 
 unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status {
@@ -276,38 +435,46 @@ unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file:
     status
 }
 
-unsafe fn number(call: *mut c_void, kind: Kind, write: impl FnOnce(&mut Writer<'_>), otherwise: i64) -> i64 {
-    // SAFETY: see `frame`.
-    let call = unsafe { frame(call) };
-    call.map_or(otherwise, |call| call.lane.ask(kind, write, |reader| reader.i64().unwrap_or(otherwise)))
-}
-
 unsafe extern "C" fn clock_ns(call: *mut c_void) -> i64 {
     // SAFETY: see `frame`.
-    unsafe { number(call, Kind::Clock, |_| (), 0) }
+    let Some(call) = (unsafe { frame(call) }) else { return 0 };
+    if let Some((host_ns, at_ns)) = lock(&call.lane.buffers).sent.clock {
+        return host_ns.saturating_add(crate::system_ns().saturating_sub(at_ns).max(0));
+    }
+    call.lane.ask(Kind::Clock, |_| (), |reader| reader.i64().unwrap_or(0))
 }
 
 unsafe extern "C" fn set_arrived_ns(call: *mut c_void, arrived_ns: i64) {
     // SAFETY: see `frame`.
     if let Some(call) = unsafe { frame(call) } {
-        call.lane.tell(Kind::SetArrived, |out| _ = out.i64(arrived_ns));
+        call.lane.defer(Kind::SetArrived, |out| _ = out.i64(arrived_ns));
     }
 }
 
 unsafe extern "C" fn arrived_ns(call: *mut c_void, input: u32) -> i64 {
     // SAFETY: see `frame`.
-    unsafe { number(call, Kind::Arrived, |out| _ = out.u32(input), i64::MIN) }
+    unsafe { age(call, Kind::Arrived, input, |(_, arrived_ns, _)| arrived_ns, i64::MIN) }
 }
 
 unsafe extern "C" fn age_ns(call: *mut c_void, input: u32) -> i64 {
     // SAFETY: see `frame`.
-    unsafe { number(call, Kind::Age, |out| _ = out.u32(input), i64::MAX) }
+    unsafe { age(call, Kind::Age, input, |(_, _, age_ns)| age_ns, i64::MAX) }
+}
+
+unsafe fn age(call: *mut c_void, kind: Kind, input: u32, of: fn((u32, i64, i64)) -> i64, otherwise: i64) -> i64 {
+    // SAFETY: the caller's promise.
+    let Some(call) = (unsafe { frame(call) }) else { return otherwise };
+    let sent = lock(&call.lane.buffers).sent.ages.iter().find(|(known, ..)| *known == input).copied();
+    match sent {
+        Some(sent) => of(sent),
+        None => call.lane.ask(kind, |out| _ = out.u32(input), |reader| reader.i64().unwrap_or(otherwise)),
+    }
 }
 
 unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
     // SAFETY: see `frame`.
     if let Some(call) = unsafe { frame(call) } {
-        call.lane.tell(Kind::SetLag, |out| _ = out.i64(lag_ns));
+        call.lane.defer(Kind::SetLag, |out| _ = out.i64(lag_ns));
     }
 }
 

@@ -1,22 +1,44 @@
 //! The host's side: groups, their processes, and the instances that live there.
 
+mod answer;
+mod describer;
 mod process;
 mod remote;
+mod stock;
 
 use std::collections::HashMap;
 use std::ffi::c_void;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
 
 use panoscope_abi::{self as abi, NodeType, Status};
-use panoscope_engine::isolation::{Group, GroupSettings, Isolator};
+use panoscope_engine::isolation::{Group, GroupReport, GroupSettings, Isolator};
 use panoscope_engine::memory::{Domain, SharedFrames};
 
+pub use self::describer::{DescribeError, Describer, Description, describe};
 use self::process::Process;
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What the calls of a group cost, in all its processes.
+#[derive(Default)]
+pub(crate) struct Totals {
+    processes: AtomicU64,
+    calls: AtomicU64,
+    round_trips: AtomicU64,
+    sleeps: AtomicU64,
+}
+
+impl Totals {
+    /// Counts one tick.
+    fn add(&self, round_trips: u64, sleeps: u64) {
+        self.calls.fetch_add(1, Ordering::Relaxed);
+        self.round_trips.fetch_add(round_trips, Ordering::Relaxed);
+        self.sleeps.fetch_add(sleeps, Ordering::Relaxed);
+    }
 }
 
 /// The code of a plugin, as it was verified and mapped by the host.
@@ -37,16 +59,30 @@ static IMAGES: LazyLock<Mutex<Images>> = LazyLock::new(Mutex::default);
 /// The functions of isolated node types, by the address of the type.
 static PROXIES: LazyLock<Mutex<HashMap<usize, &'static NodeType>>> = LazyLock::new(Mutex::default);
 
+impl PluginImage {
+    fn new(image: &Path, file: &Path) -> Self {
+        static NEXT: AtomicU32 = AtomicU32::new(1);
+        let id = NEXT.fetch_add(1, Ordering::Relaxed);
+        Self { id, image: image.to_owned(), file: file.to_owned() }
+    }
+}
+
 /// A plugin was loaded: processes of isolated nodes map the same bytes.
 ///
 /// `image` is a path to them that stays valid until this process ends, `file` the plugin's file, `entries` its node types in order.
 pub fn remember(entries: &[&'static NodeType], image: &Path, file: &Path) {
-    static NEXT: AtomicU32 = AtomicU32::new(1);
-    let id = NEXT.fetch_add(1, Ordering::Relaxed);
-    let image = Arc::new(PluginImage { id, image: image.to_owned(), file: file.to_owned() });
+    put(entries, &Arc::new(PluginImage::new(image, file)));
+}
+
+/// A plugin was described: processes of isolated nodes map the bytes that its process mapped. `entries` are its node types in order.
+pub fn remember_described(entries: &[&'static NodeType], describer: &Describer) {
+    put(entries, &describer.image);
+}
+
+fn put(entries: &[&'static NodeType], image: &Arc<PluginImage>) {
     let mut images = lock(&IMAGES);
     for (index, entry) in entries.iter().enumerate() {
-        images.insert(std::ptr::from_ref(*entry).addr(), (Arc::clone(&image), index as u32));
+        images.insert(std::ptr::from_ref(*entry).addr(), (Arc::clone(image), index as u32));
     }
 }
 
@@ -60,7 +96,8 @@ impl Isolator for Processes {
         let domain = Domain::written_elsewhere().map_err(|error| error.to_string())?;
         let program = process::program()?;
         let settings = settings.clone();
-        Ok(Arc::new(Isolated { settings, program, process: Mutex::default(), domain, _frames: frames }))
+        let totals = Arc::default();
+        Ok(Arc::new(Isolated { settings, program, process: Mutex::default(), domain, totals, _frames: frames }))
     }
 }
 
@@ -70,6 +107,7 @@ struct Isolated {
     program: PathBuf,
     process: Mutex<Weak<Process>>,
     domain: Domain,
+    totals: Arc<Totals>,
     _frames: SharedFrames,
 }
 
@@ -84,7 +122,8 @@ impl Isolated {
             // Both would write the same pools.
             old.wait_for_end();
         }
-        let new = Process::start(&self.program, &self.settings, self.domain.number())?;
+        let what = format!("the process of group `{}`", self.settings.name);
+        let new = Process::start(&self.program, &self.settings, what, self.domain.number(), &self.totals)?;
         *process = Arc::downgrade(&new);
         Ok(new)
     }
@@ -119,6 +158,22 @@ impl Group for Isolated {
         };
         // SAFETY: the caller's promise.
         unsafe { remote::open(process, &image, index, call, instance) }
+    }
+
+    fn not_enforced(&self) -> Vec<&'static str> {
+        crate::kernel().lacks(self.settings.deny)
+    }
+
+    fn counts(&self) -> GroupReport {
+        let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let Totals { processes, calls, round_trips, sleeps } = &*self.totals;
+        GroupReport {
+            processes: load(processes),
+            calls: load(calls),
+            round_trips: load(round_trips),
+            sleeps: load(sleeps),
+            not_enforced: self.not_enforced(),
+        }
     }
 
     fn domain(&self) -> u32 {

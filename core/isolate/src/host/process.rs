@@ -15,14 +15,14 @@ use panoscope_abi::BufferId;
 use panoscope_engine::isolation::GroupSettings;
 use panoscope_engine::memory::{MOST_POOLS, Memory, PoolFile, memory};
 
-use super::{PluginImage, lock};
+use super::{PluginImage, Totals, lock};
 use crate::lane::Lane;
 use crate::socket::{self, Tag};
 use crate::wire::Writer;
-use crate::{COMMAND, PROTOCOL};
+use crate::{COMMAND, EXIT_CONFINED, PROTOCOL};
 
 /// How long a process may take to leave after its last instance closed, or to die after it was killed.
-const LONGEST_LEAVE: Duration = Duration::from_secs(1);
+const MAX_LEAVE: Duration = Duration::from_secs(1);
 /// Name of the program whose processes run isolated nodes.
 const PROGRAM: &str = "panoscope";
 
@@ -43,14 +43,18 @@ pub(super) fn program() -> Result<PathBuf, String> {
 /// A lane and the node that uses it.
 pub(super) struct NodeLane {
     pub lane: Lane,
+    /// Its name in the graph.
     pub node: String,
+    /// For messages: "node `scope`".
+    about: String,
     /// Whether the child has a request of it.
     pub in_call: AtomicBool,
 }
 
 /// What the thread that waits for the end of the process shares with its owner.
 struct Life {
-    group: String,
+    /// For messages: "the process of group `readers`".
+    what: String,
     pidfd: OwnedFd,
     state: Mutex<LifeState>,
     ended: Condvar,
@@ -72,7 +76,7 @@ impl Life {
     /// Records the end and wakes all that wait for an answer.
     fn end(&self, status: io::Result<ExitStatus>) {
         let mut state = lock(&self.state);
-        state.words = Some(words(&self.group, &state, status));
+        state.words = Some(words(&self.what, &state, status));
         self.is_dead.store(true, Ordering::SeqCst);
         state.lanes.iter().for_each(|lane| lane.lane.close());
         drop(state);
@@ -99,31 +103,31 @@ impl Life {
 }
 
 /// How a process ended, and in which node.
-fn words(group: &str, state: &LifeState, status: io::Result<ExitStatus>) -> String {
+fn words(what: &str, state: &LifeState, status: io::Result<ExitStatus>) -> String {
     if let Some(reason) = &state.reason {
-        return format!("the process of group `{group}` was ended: {reason}");
+        return format!("{what} was ended: {reason}");
     }
     let crashed = state.lanes.iter().find(|lane| lane.lane.signal() != 0);
-    let nodes: Vec<String> = match crashed {
-        Some(lane) => vec![format!("`{}`", lane.node)],
+    let nodes: Vec<&str> = match crashed {
+        Some(lane) => vec![lane.about.as_str()],
         None => {
             let busy = state.lanes.iter().filter(|lane| lane.in_call.load(Ordering::Relaxed));
-            busy.map(|lane| format!("`{}`", lane.node)).collect()
+            busy.map(|lane| lane.about.as_str()).collect()
         }
     };
-    let place = match nodes.len() {
-        0 => "outside of every call".to_owned(),
-        1 => format!("in node {}", nodes[0]),
-        _ => format!("in one of the nodes {}", nodes.join(", ")),
-    };
+    let location =
+        if nodes.is_empty() { "outside of every call".to_owned() } else { format!("in {}", nodes.join(" or ")) };
     let how = match status {
-        Err(cause) => return format!("the process of group `{group}` is lost: {cause}"),
+        Err(cause) => return format!("{what} is lost: {cause}"),
         Ok(status) => match (status.signal(), status.code()) {
-            (Some(signal), _) => format!("crashed {place}: {}", signal_words(signal)),
-            (None, code) => format!("ended {place}: exit({})", code.unwrap_or(0)),
+            (Some(signal), _) => format!("crashed {location}: {}", signal_words(signal)),
+            (None, Some(EXIT_CONFINED)) => {
+                "cannot be locked in: the system refuses the restrictions that it says it has".to_owned()
+            }
+            (None, code) => format!("ended {location}: exit({})", code.unwrap_or(0)),
         },
     };
-    format!("the process of group `{group}` {how}")
+    format!("{what} {how}")
 }
 
 fn signal_words(signal: i32) -> String {
@@ -152,24 +156,33 @@ pub(super) struct Process {
     /// Plugins that the child was given.
     plugins: Mutex<Vec<u32>>,
     domain: u32,
+    totals: Arc<Totals>,
     watcher: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Process {
-    /// Starts a process. `domain` is that of its own pools.
-    pub fn start(program: &Path, settings: &GroupSettings, domain: u32) -> io::Result<Arc<Self>> {
+    /// Starts a process. `what` names it in messages, `domain` is that of its own pools, `totals` counts what its calls cost.
+    pub fn start(
+        program: &Path,
+        settings: &GroupSettings,
+        what: String,
+        domain: u32,
+        totals: &Arc<Totals>,
+    ) -> io::Result<Arc<Self>> {
         let (ours, theirs) = socket::pair()?;
         let mut child = Command::new(program).arg(COMMAND).arg(&settings.name).stdin(Stdio::from(theirs)).spawn()?;
         let begun = pidfd(&child).and_then(|pidfd| {
             let mut hello = Vec::new();
             Writer(&mut hello).u32(Tag::Hello as u32).u32(PROTOCOL);
             Writer(&mut hello).u32(settings.threads as u32).u64(settings.memory_bytes);
+            let deny = settings.deny;
+            Writer(&mut hello).u32(u32::from(deny.network)).u32(u32::from(deny.new_files));
             socket::send(ours.as_fd(), &hello, None)?;
             Ok(pidfd)
         });
         let pidfd = begun.inspect_err(|_| end(&mut child))?;
         let life = Arc::new(Life {
-            group: settings.name.clone(),
+            what,
             pidfd,
             state: Mutex::default(),
             ended: Condvar::new(),
@@ -178,16 +191,17 @@ impl Process {
         });
         let name: String = format!("group {}", settings.name).chars().take(15).collect();
         let watched = Arc::clone(&life);
+        totals.processes.fetch_add(1, Ordering::Relaxed);
         // Passed through a mutex, so that the child can be ended if no thread can be started.
-        let place = Arc::new(Mutex::new(Some(child)));
-        let theirs = Arc::clone(&place);
+        let handed = Arc::new(Mutex::new(Some(child)));
+        let theirs = Arc::clone(&handed);
         let watch = move || {
             if let Some(mut child) = lock(&theirs).take() {
                 watched.end(child.wait());
             }
         };
         let watcher = std::thread::Builder::new().name(name).spawn(watch).inspect_err(|_| {
-            if let Some(mut child) = lock(&place).take() {
+            if let Some(mut child) = lock(&handed).take() {
                 end(&mut child);
             }
         })?;
@@ -198,8 +212,19 @@ impl Process {
             files: Mutex::default(),
             plugins: Mutex::default(),
             domain,
+            totals: Arc::clone(totals),
             watcher: Mutex::new(Some(watcher)),
         }))
+    }
+
+    /// The domain of its own pools.
+    pub fn domain(&self) -> u32 {
+        self.domain
+    }
+
+    /// What its calls cost.
+    pub fn totals(&self) -> &Totals {
+        &self.totals
     }
 
     /// Whether the process has ended.
@@ -219,17 +244,17 @@ impl Process {
 
     /// Waits until the process has ended.
     pub fn wait_for_end(&self) {
-        self.life.wait(LONGEST_LEAVE);
+        self.life.wait(MAX_LEAVE);
     }
 
     /// How the process ended.
     pub fn death(&self) -> String {
-        if !self.life.wait(LONGEST_LEAVE) {
+        if !self.life.wait(MAX_LEAVE) {
             self.life.kill("it did not answer");
-            self.life.wait(LONGEST_LEAVE);
+            self.life.wait(MAX_LEAVE);
         }
         let words = lock(&self.life.state).words.clone();
-        words.unwrap_or_else(|| format!("the process of group `{}` does not end", self.life.group))
+        words.unwrap_or_else(|| format!("{} does not end", self.life.what))
     }
 
     fn send(&self, message: &[u8], file: &impl AsFd) -> io::Result<()> {
@@ -239,10 +264,10 @@ impl Process {
         }
     }
 
-    /// A new lane for a node.
-    pub fn lane(&self, node: &str) -> io::Result<Arc<NodeLane>> {
+    /// A new lane for a node; `about` names the node in messages.
+    pub fn lane(&self, node: &str, about: String) -> io::Result<Arc<NodeLane>> {
         let (lane, file) = Lane::create()?;
-        let lane = Arc::new(NodeLane { lane, node: node.to_owned(), in_call: AtomicBool::new(false) });
+        let lane = Arc::new(NodeLane { lane, node: node.to_owned(), about, in_call: AtomicBool::new(false) });
         let mut state = lock(&self.life.state);
         if state.words.is_some() {
             lane.lane.close();
@@ -310,7 +335,7 @@ impl Drop for Process {
     fn drop(&mut self) {
         // The child leaves when its socket ends.
         drop(lock(&self.socket).take());
-        if !self.life.wait(LONGEST_LEAVE) {
+        if !self.life.wait(MAX_LEAVE) {
             self.life.kill("it did not leave");
         }
         if let Some(watcher) = lock(&self.watcher).take() {

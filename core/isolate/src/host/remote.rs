@@ -1,29 +1,20 @@
 //! An instance that lives in a child process: the functions of the contract, each a message there and back.
 
 use std::ffi::c_void;
+use std::io::ErrorKind;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use panoscope_abi::{self as abi, Frame, Host, NodeType, Status, Str, Tick};
-use panoscope_engine::isolation::STATUS_DIED;
+use panoscope_abi::{self as abi, Frame, Host, NodeType, Status, Tick};
+use panoscope_engine::isolation::{self, STATUS_DIED};
 use panoscope_engine::memory::{FrameRef, Memory, memory};
 
 use super::PluginImage;
+use super::answer::{Answerer, Habits, Target};
 use super::process::{NodeLane, Process};
-use crate::lane::{Lost, MOST_BYTES, Side};
+use super::stock::Stock;
+use crate::lane::{Lost, MAX_MESSAGE_BYTES, Side};
 use crate::wire::{BadMessage, Kind, Reader, Writer, plain_status};
-
-/// What the functions of the host need while a request is in the child.
-#[derive(Clone, Copy)]
-struct Place {
-    host: *const Host,
-    call: *mut c_void,
-    /// Target of `save`.
-    sink: *mut c_void,
-    /// The outputs as the node sees them.
-    outputs: *mut Frame,
-    outputs_len: usize,
-}
 
 /// The instance as the engine holds it.
 struct Remote {
@@ -38,6 +29,16 @@ struct Remote {
     params_version: Option<u64>,
     /// Copies of inputs that the child could not map.
     copies: Vec<FrameRef>,
+    stock: Stock,
+    habits: Habits,
+}
+
+/// Why the child gets no input.
+enum NotShared {
+    /// There is no memory for a copy that it can map.
+    Exhausted,
+    /// The process takes no files: it has died, or is about to.
+    Gone,
 }
 
 /// A node type's functions for instances in a child process.
@@ -81,24 +82,33 @@ pub(super) unsafe fn open(
     // SAFETY: the caller's promise: the call lives, and what it points to.
     let (open, node) = unsafe { (&*call, (*call).node_id.text().unwrap_or("?")) };
     // SAFETY: the call has the host's table.
-    let place = Place::without_outputs(open.host, open.call);
-    let lane = process.give_plugin(image).and_then(|()| process.lane(node));
+    let target = Target::new(open.host, open.call);
+    let lane = process.give_plugin(image).and_then(|()| process.lane(node, format!("node `{node}`")));
     let lane = match lane {
         Ok(lane) => lane,
         Err(_) if process.is_ending() => {
             // SAFETY: the call lives.
-            return unsafe { place.died(&process.death()) };
+            return unsafe { died(target, &process.death()) };
         }
         Err(cause) => {
             // SAFETY: the call lives.
-            unsafe { place.fail(&format!("its process could not be reached: {cause}")) };
+            unsafe { target.fail(&format!("its process could not be reached: {cause}")) };
             return abi::STATUS_ERROR;
         }
     };
     // SAFETY: the call has the host's table, of plain pointers.
     let host = unsafe { std::ptr::read(open.host) };
-    let (out, message, copies) = (Vec::new(), Vec::new(), Vec::new());
-    let mut remote = Remote { process, lane, host, out, message, params_version: None, copies };
+    let mut remote = Remote {
+        process,
+        lane,
+        host,
+        out: Vec::new(),
+        message: Vec::new(),
+        params_version: None,
+        copies: Vec::new(),
+        stock: Stock::default(),
+        habits: Habits::default(),
+    };
     let threads = remote.host.threads;
     remote.begin().u32(image.id).u32(index).u32(open.flags).u32(threads).u64(open.outputs_read);
     // SAFETY: texts and values of the call live.
@@ -107,7 +117,7 @@ pub(super) unsafe fn open(
         Writer(&mut remote.out).params(open.params, open.params_len);
     }
     // SAFETY: the caller's promise.
-    let status = unsafe { remote.request(Kind::Open, place) };
+    let status = unsafe { remote.request(Kind::Open, target) };
     if status == abi::STATUS_OK {
         // SAFETY: the caller gives a place for the instance.
         unsafe { *instance = Box::into_raw(Box::new(remote)).cast() };
@@ -115,35 +125,14 @@ pub(super) unsafe fn open(
     status
 }
 
-impl Place {
-    fn without_outputs(host: *const Host, call: *mut c_void) -> Self {
-        Self { host, call, sink: std::ptr::null_mut(), outputs: std::ptr::null_mut(), outputs_len: 0 }
-    }
-
-    /// Gives the words of a failure, where there is a call to give them to.
-    unsafe fn fail(&self, words: &str) {
-        if self.call.is_null() {
-            return;
-        }
-        // SAFETY: the caller's promise: table and call live.
-        unsafe {
-            if let Some(fail) = (*self.host).fail {
-                fail(self.call, Str::borrow(words));
-            }
-        }
-    }
-
-    unsafe fn died(&self, words: &str) -> Status {
-        // SAFETY: the caller's promise: table and call live.
-        unsafe { self.fail(words) };
-        STATUS_DIED
-    }
-
-    /// An output as the node sees it.
-    fn output(&self, index: u32) -> Option<*mut Frame> {
-        // SAFETY: `outputs` holds `outputs_len` frames.
-        ((index as usize) < self.outputs_len).then(|| unsafe { self.outputs.add(index as usize) })
-    }
+/// The process of a call died.
+///
+/// # Safety
+/// Table and call of `target` live.
+unsafe fn died(target: Target, words: &str) -> Status {
+    // SAFETY: the caller's promise.
+    unsafe { target.fail(words) };
+    STATUS_DIED
 }
 
 impl Drop for Remote {
@@ -159,21 +148,23 @@ impl Remote {
         Writer(&mut self.out)
     }
 
-    /// Posts the message, serves the child until it is done, and returns the status. The rest of the child's message is in `message`, behind
-    /// the status.
+    /// Posts the message, serves the child until it is done, and returns the status. The child's last message is in `message`, see
+    /// [`Self::result`].
     ///
     /// # Safety
-    /// Table and call of `place` live, and its outputs.
-    unsafe fn request(&mut self, kind: Kind, place: Place) -> Status {
-        if self.out.len() > MOST_BYTES {
+    /// Table and call of `target` live, and its outputs.
+    unsafe fn request(&mut self, kind: Kind, target: Target) -> Status {
+        if self.out.len() > MAX_MESSAGE_BYTES {
             self.message.clear();
-            let most = MOST_BYTES >> 10;
+            let most = MAX_MESSAGE_BYTES >> 10;
             // SAFETY: the caller's promise.
-            unsafe { place.fail(&format!("its parameters take more than the {most} KiB of a message to its process")) };
+            unsafe {
+                target.fail(&format!("its parameters take more than the {most} KiB of a message to its process"))
+            };
             return abi::STATUS_ERROR;
         }
         // SAFETY: the caller's promise.
-        match unsafe { self.exchange(kind, place) } {
+        match unsafe { self.exchange(kind, target) } {
             Ok(status) => status,
             Err(lost) => {
                 if lost == Lost::Bad {
@@ -182,210 +173,80 @@ impl Remote {
                 }
                 let words = self.process.death();
                 // SAFETY: the caller's promise.
-                unsafe { place.died(&words) }
+                unsafe { died(target, &words) }
             }
         }
     }
 
-    unsafe fn exchange(&mut self, kind: Kind, place: Place) -> Result<Status, Lost> {
-        let (process, lane) = (Arc::clone(&self.process), Arc::clone(&self.lane));
-        if process.is_dead() {
+    unsafe fn exchange(&mut self, kind: Kind, target: Target) -> Result<Status, Lost> {
+        if self.process.is_dead() {
             return Err(Lost::Gone);
         }
-        lane.in_call.store(true, Ordering::Relaxed);
+        self.lane.in_call.store(true, Ordering::Relaxed);
         let mut kind = kind;
         loop {
-            lane.lane.post(Side::Host, kind, &self.out);
+            self.lane.lane.post(Side::Host, kind, &self.out);
             // The end of the process closes lanes after it is recorded: whoever posts later sees it here.
-            if process.is_dead() {
+            if self.process.is_dead() {
                 return Err(Lost::Gone);
             }
-            let asked = lane.lane.receive(Side::Host, &mut self.message)?;
+            let asked = self.lane.lane.receive(Side::Host, &mut self.message)?;
+            let mut message = Reader(&self.message);
+            let (host, process) = (&self.host, &*self.process);
+            let (stock, habits) = (&mut self.stock, &mut self.habits);
+            let mut answerer = Answerer { host, target, process, stock, habits };
+            // SAFETY: the caller's promise.
+            unsafe { answerer.run_deferred(message.bytes()?)? };
             if asked == Kind::Done {
                 break;
             }
-            let message = std::mem::take(&mut self.message);
             // SAFETY: the caller's promise.
-            let answered = unsafe { self.answer(asked, &message, place) };
-            self.message = message;
-            answered?;
+            unsafe { answerer.answer(asked, message.0, &mut self.out)? };
             kind = Kind::Answer;
         }
-        lane.in_call.store(false, Ordering::Relaxed);
-        Ok(plain_status(Reader(&self.message).i32()?))
+        self.lane.in_call.store(false, Ordering::Relaxed);
+        Ok(plain_status(self.result()?.i32()?))
     }
 
-    /// Runs a function of the host for the child and writes its result.
-    ///
-    /// # Safety
-    /// Table and call of `place` live, and its outputs.
-    unsafe fn answer(&mut self, asked: Kind, message: &[u8], place: Place) -> Result<(), BadMessage> {
-        self.out.clear();
-        let mut out = Writer(&mut self.out);
-        let mut reader = Reader(message);
-        let (call, host) = (place.call, &self.host);
-        if asked == Kind::Retain || asked == Kind::Release {
-            let function = if asked == Kind::Retain { host.retain } else { host.release };
-            let buffer = reader.buffer()?;
-            if let Some(function) = function {
-                // SAFETY: the host checks the buffer.
-                unsafe { function(host.ctx, buffer) };
-            }
-            return Ok(());
-        }
-        if asked == Kind::Save {
-            let bytes = reader.bytes()?;
-            // SAFETY: the table that came with the sink takes bytes for it.
-            if let Some(save) = unsafe { (*place.host).save }.filter(|_| !place.sink.is_null()) {
-                // SAFETY: the bytes live until the call returns.
-                unsafe { save(place.sink, bytes.as_ptr(), bytes.len()) };
-            }
-            return Ok(());
-        }
-        if call.is_null() {
-            return Err(BadMessage);
-        }
-        match asked {
-            Kind::Alloc => {
-                let output = reader.u32()?;
-                let (format, width, height, stride) = (reader.u32()?, reader.u32()?, reader.u32()?, reader.u32()?);
-                let len = usize::try_from(reader.u64()?).map_err(|_| BadMessage)?;
-                // SAFETY: the running call; the host checks all numbers.
-                let status = host.alloc.map_or(abi::STATUS_INVALID, |alloc| unsafe {
-                    alloc(call, output, format, width, height, stride, len)
-                });
-                // SAFETY: the outputs live.
-                unsafe { self.made(status, output, place) }
-            }
-            Kind::Forward => {
-                let (output, is_buffer) = (reader.u32()?, reader.u32()? == 1);
-                let mut frame = reader.frame()?;
-                if is_buffer {
-                    frame.data = memory().resolve(frame.buffer);
-                }
-                // SAFETY: the running call; the host checks the frame.
-                let status = host
-                    .forward
-                    .map_or(abi::STATUS_INVALID, |forward| unsafe { forward(call, output, &raw const frame) });
-                // SAFETY: the outputs live.
-                unsafe { self.made(status, output, place) }
-            }
-            Kind::MakeMut => {
-                let output = reader.u32()?;
-                // SAFETY: the running call; the host checks the number.
-                let status = host.make_mut.map_or(abi::STATUS_INVALID, |make_mut| unsafe { make_mut(call, output) });
-                // SAFETY: the outputs live.
-                unsafe { self.made(status, output, place) }
-            }
-            Kind::Log => {
-                let (level, words) = (reader.u32()?, reader.bytes()?);
-                if let Some(log) = host.log {
-                    // SAFETY: the running call; the words live until the call returns.
-                    unsafe { log(call, level, Str { ptr: words.as_ptr(), len: words.len() }) };
-                }
-                Ok(())
-            }
-            Kind::Fail => {
-                let words = reader.bytes()?;
-                if let Some(fail) = host.fail {
-                    // SAFETY: the running call; the words live until the call returns.
-                    unsafe { fail(call, Str { ptr: words.as_ptr(), len: words.len() }) };
-                }
-                Ok(())
-            }
-            Kind::Metric => {
-                let (name, value) = (reader.bytes()?, reader.f64()?);
-                if let Some(metric) = host.metric {
-                    // SAFETY: the running call; the name lives until the call returns.
-                    unsafe { metric(call, Str { ptr: name.as_ptr(), len: name.len() }, value) };
-                }
-                Ok(())
-            }
-            Kind::ClaimFile => {
-                let (action, path) = (reader.u32()?, reader.text()?);
-                let mut file = Str::EMPTY;
-                // SAFETY: the running call; path and place for the answer live until the call returns.
-                let status = host.claim_file.map_or(abi::STATUS_INVALID, |claim| unsafe {
-                    claim(call, Str::borrow(path), action, &raw mut file)
-                });
-                // SAFETY: the host's answer stays as it is until the next claim.
-                out.i32(status).bytes(unsafe { file.bytes() });
-                Ok(())
-            }
-            Kind::Clock => {
-                // SAFETY: the running call.
-                out.i64(host.clock_ns.map_or(0, |clock| unsafe { clock(call) }));
-                Ok(())
-            }
-            Kind::SetArrived | Kind::SetLag => {
-                let ns = reader.i64()?;
-                let set = if asked == Kind::SetLag { host.set_lag_ns } else { host.set_arrived_ns };
-                if let Some(set) = set {
-                    // SAFETY: the running call.
-                    unsafe { set(call, ns) };
-                }
-                Ok(())
-            }
-            Kind::Arrived | Kind::Age => {
-                let input = reader.u32()?;
-                let ask = if asked == Kind::Age { host.age_ns } else { host.arrived_ns };
-                // SAFETY: the running call; the host checks the number.
-                out.i64(ask.map_or(i64::MIN, |ask| unsafe { ask(call, input) }));
-                Ok(())
-            }
-            _ => Err(BadMessage),
-        }
-    }
-
-    /// Writes the status of a function that makes an output, and the output.
-    ///
-    /// # Safety
-    /// The outputs of `place` live.
-    unsafe fn made(&mut self, status: Status, output: u32, place: Place) -> Result<(), BadMessage> {
-        let mut out = Writer(&mut self.out);
-        match place.output(output).filter(|_| status == abi::STATUS_OK) {
-            Some(frame) => {
-                // SAFETY: the caller's promise.
-                let frame = unsafe { &*frame };
-                match self.process.give_pool(frame.buffer) {
-                    Ok(()) => _ = out.i32(status).frame(frame),
-                    // Private memory of the host, which a retained frame may still be in.
-                    Err(_) => _ = out.i32(abi::STATUS_EXHAUSTED).frame(&Frame::EMPTY),
-                }
-            }
-            None => {
-                _ = out.i32(if status == abi::STATUS_OK { abi::STATUS_INVALID } else { status }).frame(&Frame::EMPTY)
-            }
-        }
-        Ok(())
+    /// What the child said when it was done, behind what it wrote down before: the status first.
+    fn result(&self) -> Result<Reader<'_>, BadMessage> {
+        let mut reader = Reader(&self.message);
+        reader.bytes()?;
+        Ok(reader)
     }
 
     /// An input as the child can map it.
-    fn shared(&mut self, input: &Frame) -> Option<Frame> {
-        if input.is_empty() {
-            return Some(*input);
+    fn shared(&mut self, input: &Frame) -> Result<Frame, NotShared> {
+        if input.is_empty() || self.gives(input)? {
+            return Ok(*input);
         }
-        let mut frame = *input;
-        if self.process.give_pool(frame.buffer).is_err() {
-            // Made before there were isolated nodes.
-            let (buffer, data) = memory().allocate(frame.len).ok()?;
-            // SAFETY: two buffers of at least `len` bytes; the new one is known only here.
-            unsafe { std::ptr::copy_nonoverlapping(frame.data, data, frame.len) };
-            frame = Frame { buffer, data, ..frame };
-            // SAFETY: the one reference of the new buffer.
-            self.copies.push(unsafe { FrameRef::adopt(frame) });
-            if Memory::domain_of(buffer) == 0 || self.process.give_pool(buffer).is_err() {
-                return None;
-            }
-        }
-        Some(frame)
+        // Made before there were isolated nodes.
+        let (buffer, data) = memory().allocate(input.len).map_err(|_| NotShared::Exhausted)?;
+        // SAFETY: two buffers of at least `len` bytes; the new one is known only here.
+        unsafe { std::ptr::copy_nonoverlapping(input.data, data, input.len) };
+        let frame = Frame { buffer, data, ..*input };
+        // SAFETY: the one reference of the new buffer.
+        self.copies.push(unsafe { FrameRef::adopt(frame) });
+        if self.gives(&frame)? { Ok(frame) } else { Err(NotShared::Exhausted) }
     }
 
-    /// Writes the request of a tick; `false` when an input cannot be shared.
+    /// Makes sure that the child can map the pool of a frame; `false` for private memory.
+    fn gives(&self, frame: &Frame) -> Result<bool, NotShared> {
+        if Memory::domain_of(frame.buffer) == 0 {
+            return Ok(false);
+        }
+        match self.process.give_pool(frame.buffer) {
+            Ok(()) => Ok(true),
+            Err(cause) if cause.kind() == ErrorKind::NotFound => Ok(false),
+            Err(_) => Err(NotShared::Gone),
+        }
+    }
+
+    /// Writes the request of a tick.
     ///
     /// # Safety
     /// Everything that the call points to lives.
-    unsafe fn write_tick(&mut self, call: &abi::Call) -> bool {
+    unsafe fn write_tick(&mut self, call: &abi::Call) -> Result<(), NotShared> {
         let sends_params = self.params_version != Some(call.params_version);
         self.begin().u32(call.flags).tick(&call.tick).u64(call.outputs_read).u64(call.params_version);
         Writer(&mut self.out).u32(u32::from(sends_params));
@@ -403,19 +264,23 @@ impl Remote {
         for at in 0..call.inputs_len {
             // SAFETY: the caller's promise.
             let input = unsafe { *call.inputs.add(at) };
-            let Some(frame) = self.shared(&input) else { return false };
+            let frame = self.shared(&input)?;
             Writer(&mut self.out).frame(&frame);
         }
-        Writer(&mut self.out).u64(call.outputs_len as u64);
-        true
+        let mut out = Writer(&mut self.out);
+        out.u64(call.outputs_len as u64);
+        self.stock.write(call.outputs_len, &self.process, &mut out);
+        // SAFETY: the call is running.
+        unsafe { self.habits.write(&self.host, call.call, call.inputs_len, &mut out) };
+        Ok(())
     }
 
-    /// Reads what the child says of a tick that succeeded: the tick, and the outputs as the node left them.
+    /// Reads what the child says of a tick: the tick, the outputs as the node left them, and where a source is.
     ///
     /// # Safety
     /// The call and its outputs live.
     unsafe fn read_tick(&self, call: &mut abi::Call) -> Result<(), BadMessage> {
-        let mut reader = Reader(&self.message);
+        let mut reader = self.result()?;
         reader.i32()?;
         let Tick { capture_ns, .. } = reader.tick()?;
         call.tick.capture_ns = capture_ns;
@@ -429,6 +294,11 @@ impl Remote {
             // The engine compares them with its own.
             *shown = Frame { buffer, len, format, width, height, stride_bytes, ..*shown };
         }
+        let position = reader.bytes()?;
+        if !position.is_empty() {
+            // SAFETY: the call is running.
+            unsafe { isolation::keep_position(call.call, position) };
+        }
         Ok(())
     }
 }
@@ -437,14 +307,20 @@ unsafe extern "C" fn process(instance: *mut c_void, call: *mut abi::Call) -> Sta
     // SAFETY: an instance of `open` that no other thread uses, and a call that lives until this returns.
     let (remote, call) = unsafe { (&mut *instance.cast::<Remote>(), &mut *call) };
     let (outputs, outputs_len) = (call.outputs, call.outputs_len);
-    let place = Place { outputs, outputs_len, ..Place::without_outputs(call.host, call.call) };
+    let target = Target { outputs, outputs_len, ..Target::new(call.host, call.call) };
     // SAFETY: everything that the call points to lives until this returns.
     unsafe {
-        if !remote.write_tick(call) {
+        if let Err(why) = remote.write_tick(call) {
             remote.copies.clear();
-            return abi::STATUS_EXHAUSTED;
+            return match why {
+                NotShared::Exhausted => abi::STATUS_EXHAUSTED,
+                NotShared::Gone => died(target, &remote.process.death()),
+            };
         }
-        let status = remote.request(Kind::Process, place);
+        let before = remote.lane.lane.counts();
+        let status = remote.request(Kind::Process, target);
+        let after = remote.lane.lane.counts();
+        remote.process.totals().add(after.0 - before.0, after.1 - before.1);
         remote.copies.clear();
         if status == STATUS_DIED || remote.message.is_empty() {
             return status;
@@ -456,7 +332,7 @@ unsafe extern "C" fn process(instance: *mut c_void, call: *mut abi::Call) -> Sta
                 let node = &remote.lane.node;
                 remote.process.kill(&format!("node `{node}` sent a message that makes no sense"));
                 let words = remote.process.death();
-                place.died(&words)
+                died(target, &words)
             }
         }
     }
@@ -466,9 +342,9 @@ unsafe extern "C" fn close(instance: *mut c_void) {
     // SAFETY: an instance of `open`, closed once.
     let mut remote = unsafe { Box::from_raw(instance.cast::<Remote>()) };
     remote.begin();
-    let place = Place::without_outputs(&raw const remote.host, std::ptr::null_mut());
+    let target = Target::new(&raw const remote.host, std::ptr::null_mut());
     // SAFETY: the table lives in `remote`, and there is no call.
-    unsafe { remote.request(Kind::Close, place) };
+    unsafe { remote.request(Kind::Close, target) };
 }
 
 unsafe extern "C" fn save_state(instance: *mut c_void, host: *const Host, sink: *mut c_void) -> Status {
@@ -476,7 +352,7 @@ unsafe extern "C" fn save_state(instance: *mut c_void, host: *const Host, sink: 
     let remote = unsafe { &mut *instance.cast::<Remote>() };
     remote.begin();
     // SAFETY: table and sink live until this returns.
-    unsafe { remote.request(Kind::SaveState, Place { sink, ..Place::without_outputs(host, std::ptr::null_mut()) }) }
+    unsafe { remote.request(Kind::SaveState, Target { sink, ..Target::new(host, std::ptr::null_mut()) }) }
 }
 
 unsafe extern "C" fn load_state(instance: *mut c_void, bytes: *const u8, len: usize) -> Status {
@@ -485,18 +361,18 @@ unsafe extern "C" fn load_state(instance: *mut c_void, bytes: *const u8, len: us
         let bytes = if len == 0 { &[] } else { std::slice::from_raw_parts(bytes, len) };
         (&mut *instance.cast::<Remote>(), bytes)
     };
-    let place = Place::without_outputs(&raw const remote.host, std::ptr::null_mut());
-    for part in bytes.chunks(MOST_BYTES / 2) {
+    let target = Target::new(&raw const remote.host, std::ptr::null_mut());
+    for part in bytes.chunks(MAX_MESSAGE_BYTES / 2) {
         remote.begin().bytes(part);
         // SAFETY: the table lives in the instance, and there is no call.
-        let status = unsafe { remote.request(Kind::LoadPart, place) };
+        let status = unsafe { remote.request(Kind::LoadPart, target) };
         if status != abi::STATUS_OK {
             return status;
         }
     }
     remote.begin();
     // SAFETY: the table lives in the instance, and there is no call.
-    unsafe { remote.request(Kind::LoadState, place) }
+    unsafe { remote.request(Kind::LoadState, target) }
 }
 
 unsafe extern "C" fn finish(instance: *mut c_void, host: *const Host, call: *mut c_void) -> Status {
@@ -504,5 +380,5 @@ unsafe extern "C" fn finish(instance: *mut c_void, host: *const Host, call: *mut
     let remote = unsafe { &mut *instance.cast::<Remote>() };
     remote.begin();
     // SAFETY: table and call live until this returns.
-    unsafe { remote.request(Kind::Finish, Place::without_outputs(host, call)) }
+    unsafe { remote.request(Kind::Finish, Target::new(host, call)) }
 }

@@ -109,11 +109,11 @@ impl Guard {
     }
 
     /// As [`Self::take_prepared`]; waits for the answer.
-    pub fn wait_prepared(&self) -> Result<Opened, Refusal> {
+    pub fn wait_prepared(&self) -> Result<Opened, Box<Refusal>> {
         let mut state = lock(&self.owner.shared.state);
         loop {
             if let Some(prepared) = state.prepared.take() {
-                return prepared;
+                return prepared.map_err(Box::new);
             }
             state = self.owner.shared.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }

@@ -61,6 +61,10 @@ pub enum Harm {
     WildWrite,
     /// The call takes memory until there is none.
     OutOfMemory,
+    /// The call writes `file`; if it cannot, it fails.
+    NewFile,
+    /// The call opens a socket; if it cannot, it fails.
+    Socket,
 }
 
 /// When it goes wrong.
@@ -87,6 +91,9 @@ pub struct Plan {
     /// How long a slow call takes.
     #[param(default = 50.0, range = 0.0..=100000.0, unit = "ms")]
     pub slow_ms: f64,
+    /// The file that is written.
+    #[param(default = "")]
+    pub file: String,
     /// How long opening takes.
     #[param(default = 0.0, range = 0.0..=1000000000.0, unit = "ms", reopen)]
     pub open_ms: f64,
@@ -140,6 +147,14 @@ impl Plan {
             Harm::Exit => std::process::exit(3),
             // SAFETY: ends the process, which is what was asked for.
             Harm::ExitAtOnce => unsafe { _exit(0) },
+            Harm::NewFile => {
+                std::fs::write(&self.file, "new")
+                    .map_err(|cause| error!("{} cannot be written: {cause}", self.file))?;
+            }
+            Harm::Socket => {
+                let socket = std::net::UdpSocket::bind("127.0.0.1:0");
+                socket.map_err(|cause| error!("a socket cannot be opened: {cause}"))?;
+            }
             Harm::OutOfMemory => loop {
                 std::mem::forget(std::hint::black_box(Vec::<u8>::with_capacity(16 << 20)));
             },

@@ -157,6 +157,19 @@ impl Doctor {
             );
             self.say(State::Optional, "real-time priority", &how);
         }
+        let panoscope_loader::isolated::Kernel { landlock, seccomp } = panoscope_loader::isolated::kernel();
+        match (landlock, seccomp) {
+            (Some(version), true) => {
+                let about = format!("`deny` is enforced: network by seccomp, new files by Landlock {version}");
+                self.say(State::Fine, "isolated nodes", &about);
+            }
+            (landlock, seccomp) => {
+                let lacks = [(seccomp, "seccomp for `network`"), (landlock.is_some(), "Landlock for `new_files`")];
+                let lacks: Vec<&str> = lacks.iter().filter(|(there, _)| !there).map(|(_, what)| *what).collect();
+                let about = format!("this kernel lacks {}: `deny` of a graph does nothing there", lacks.join(" and "));
+                self.say(State::Optional, "isolated nodes", &about);
+            }
+        }
         for (state, what, about) in arm::lines() {
             self.say(state, what, &about);
         }

@@ -66,8 +66,7 @@ fn chains(left: &Picture, right: &Picture, search: SearchParams, pool: &dyn Para
         match matched {
             Matched::Blocks { uniqueness_percent } => {
                 let params = PairParams { search, left_right_px: Some(1), speckle_area_px: 0 };
-                let mut kernel =
-                    BlockMatcher::new(BlockMatchingParams { uniqueness_percent, ..Default::default() })?;
+                let mut kernel = BlockMatcher::new(BlockMatchingParams { uniqueness_percent, ..Default::default() })?;
                 matcher.compute(&Silent, &mut kernel, views, roi, &params, pool, to, to_right)?;
             }
             Matched::SemiGlobal { speckle_area_px } => {
@@ -90,7 +89,8 @@ fn chains(left: &Picture, right: &Picture, search: SearchParams, pool: &dyn Para
     let lambda = WlsParams::default().lambda;
 
     let [bm, _] = matched(Matched::Blocks { uniqueness_percent: BlockMatchingParams::default().uniqueness_percent })?;
-    let [bm_wls, trust] = filtered(&matched(Matched::Blocks { uniqueness_percent: WLS_UNIQUENESS_PERCENT })?, 5, lambda)?;
+    let [bm_wls, trust] =
+        filtered(&matched(Matched::Blocks { uniqueness_percent: WLS_UNIQUENESS_PERCENT })?, 5, lambda)?;
     let mut bm_wls_fbs = plane();
     let (disparity, confidence) = (view(&bm_wls, size), Some(view(&trust, size)));
     let input = FilterInput { guide, disparity, disparity_right: None, confidence, roi };

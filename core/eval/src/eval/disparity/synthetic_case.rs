@@ -49,7 +49,8 @@ impl Errors {
         let missing = self.pixels - known.len();
         let percent = |count: usize, of: usize| if of == 0 { f64::NAN } else { 100.0 * count as f64 / of as f64 };
         let above = |limit: f32| known.len() - known.partition_point(|error| *error <= limit);
-        let at = |share: f64| known.get((known.len().max(1) as f64 * share) as usize).map_or(f64::NAN, |v| f64::from(*v));
+        let at =
+            |share: f64| known.get((known.len().max(1) as f64 * share) as usize).map_or(f64::NAN, |v| f64::from(*v));
         let mean = |sum: f64| if known.is_empty() { f64::NAN } else { sum / known.len() as f64 };
         vec![
             ("bad1", percent(missing + above(1.0), self.pixels), "%"),
@@ -86,7 +87,10 @@ impl Stated {
         let (size, per_px) = (synthetic::SIZE, 1.0 / (synthetic::FOCAL_PX * synthetic::BASELINE_MM));
         let errors = Errors95::of(synthetic::FOCAL_PX, synthetic::BASELINE_MM, f64::NAN, &Noise::USUAL);
         let ray = |x: usize, y: usize| {
-            [(x as f64 - synthetic::CENTRE.0) / synthetic::FOCAL_PX, (y as f64 - synthetic::CENTRE.1) / synthetic::FOCAL_PX]
+            [
+                (x as f64 - synthetic::CENTRE.0) / synthetic::FOCAL_PX,
+                (y as f64 - synthetic::CENTRE.1) / synthetic::FOCAL_PX,
+            ]
         };
         let sample = |map: &[f32], x: usize, y: usize| {
             let d = map[y * size.0 + x];
@@ -110,7 +114,8 @@ impl Stated {
                 self.depths[1] += usize::from((depth - truth[2]).abs() <= stated);
                 self.stated += stated / depth;
                 let end = (x + LENGTH_STEPS.0 * POINTS_PX, y + LENGTH_STEPS.1 * POINTS_PX);
-                let Some((other, other_truth)) = (end.0 < size.0 && end.1 < size.1).then(|| at(end.0, end.1)).flatten() else {
+                let Some((other, other_truth)) = (end.0 < size.0 && end.1 < size.1).then(|| at(end.0, end.1)).flatten()
+                else {
                     continue;
                 };
                 let (found_mm, stated) = length::with_error(&[point, other], Some(&errors), length::distance);
@@ -168,7 +173,11 @@ impl Judge<'_> {
             }
             if let Some(folder) = self.pictures {
                 picture::view(&folder.join(format!("{case}_{name}_{seed}_left.png")), synthetic::SIZE, &left.bgr)?;
-                picture::map(&folder.join(format!("{case}_{name}_{seed}_truth.png")), synthetic::SIZE, &left.disparity)?;
+                picture::map(
+                    &folder.join(format!("{case}_{name}_{seed}_truth.png")),
+                    synthetic::SIZE,
+                    &left.disparity,
+                )?;
             }
         }
         for (chain, mut errors, stated) in all {

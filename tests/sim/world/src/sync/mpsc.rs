@@ -2,10 +2,12 @@
 
 use std::collections::VecDeque;
 use std::sync::PoisonError;
+use std::time::Duration;
 
 use super::{Arc, Condvar, Mutex, MutexGuard};
+use crate::time::Instant;
 
-pub use std::sync::mpsc::{RecvError, SendError};
+pub use std::sync::mpsc::{RecvError, RecvTimeoutError, SendError};
 
 struct State<T> {
     items: VecDeque<T>,
@@ -83,6 +85,28 @@ impl<T> Receiver<T> {
                 return Err(RecvError);
             }
             state = self.0.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Waits for the next item, at most `limit`.
+    ///
+    /// # Errors
+    /// All senders are gone, or none came in time.
+    pub fn recv_timeout(&self, limit: Duration) -> Result<T, RecvTimeoutError> {
+        let end = Instant::now() + limit;
+        let mut state = self.0.state();
+        loop {
+            if let Some(item) = state.items.pop_front() {
+                return Ok(item);
+            }
+            if state.senders == 0 {
+                return Err(RecvTimeoutError::Disconnected);
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(RecvTimeoutError::Timeout);
+            }
+            state = self.0.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 }

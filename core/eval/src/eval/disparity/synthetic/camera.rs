@@ -28,6 +28,10 @@ impl Point {
         // d = c + gx u + gy v times z is the plane  f b = c Z + gx f X + gy f Y.
         let n = [slope.0 * FOCAL_PX, slope.1 * FOCAL_PX, d - slope.0 * u - slope.1 * v];
         let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt().max(1e-9);
-        Self { xyz_mm: [u / FOCAL_PX * z, v / FOCAL_PX * z, z], normal: n.map(|part| -part / length), pixel_mm: z / FOCAL_PX }
+        Self {
+            xyz_mm: [u / FOCAL_PX * z, v / FOCAL_PX * z, z],
+            normal: n.map(|part| -part / length),
+            pixel_mm: z / FOCAL_PX,
+        }
     }
 }

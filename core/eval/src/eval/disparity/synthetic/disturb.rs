@@ -121,7 +121,8 @@ fn blur(light: &mut [f32], sigma_px: f32, pool: &dyn Parallel) {
     fill_rows(light, line, pool, |y, out| {
         for (at, out) in out.iter_mut().enumerate() {
             let pixel = |y: usize| rows[y * line + at];
-            let sides = (1..=radius).map(|r| weights[r] * (pixel(y.saturating_sub(r)) + pixel((y + r).min(height - 1))));
+            let sides =
+                (1..=radius).map(|r| weights[r] * (pixel(y.saturating_sub(r)) + pixel((y + r).min(height - 1))));
             *out = (weights[0] * pixel(y) + sides.sum::<f32>()) / total;
         }
     });

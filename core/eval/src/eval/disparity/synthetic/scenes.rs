@@ -219,8 +219,13 @@ fn instrument(draw: &mut Draw, tip_px: (f64, f64), nearest_px: f64, material: Ma
     let tip = (draw.between(300.0, 460.0), draw.between(110.0, 370.0));
     let (sine, cosine) = draw.between(-0.9, 0.9).sin_cos();
     let bulge_px = 3.0;
-    let bar =
-        Bar { tip, along: (cosine, sine), radius_px: draw.between(14.0, 20.0), taper: draw.between(0.0, 0.03), bulge_px };
+    let bar = Bar {
+        tip,
+        along: (cosine, sine),
+        radius_px: draw.between(14.0, 20.0),
+        taper: draw.between(0.0, 0.03),
+        bulge_px,
+    };
     let level_px = draw.between(tip_px.0, tip_px.1);
     // The far corner of a shaft reaches a little beyond its middle line.
     let growth = (nearest_px - bulge_px - level_px) / (to_border(tip, bar.along) + 2.0 * bar.radius_px);

@@ -94,7 +94,8 @@ pub fn colour(material: &Material, point: &Point, eye_x_mm: f64) -> [f64; 3] {
             let turn = 0.6 * noise(x / 30.0, y / 30.0, seed ^ 3);
             let (sine, cosine) = (turn + (seed % 7) as f64).sin_cos();
             let (s, t) = (x * cosine + y * sine, y * cosine - x * sine);
-            let fine = kept(0.5, px) * noise(s / 0.5, t / 7.0, seed) + kept(1.3, px) * noise(s / 1.3, t / 12.0, seed ^ 9);
+            let fine =
+                kept(0.5, px) * noise(s / 0.5, t / 7.0, seed) + kept(1.3, px) * noise(s / 1.3, t / 12.0, seed ^ 9);
             red_tissue(122.0 + 26.0 * fine, 0.0)
         }
         Texture::Tissue => {
@@ -107,7 +108,8 @@ pub fn colour(material: &Material, point: &Point, eye_x_mm: f64) -> [f64; 3] {
         }
     };
     if material.blood {
-        let cover = (4.0 * (noise(x / 9.0, y / 9.0, seed ^ 0xb1) + 0.35 * noise(x / 2.5, y / 2.5, seed ^ 0xb2) + 0.12)).clamp(0.0, 1.0);
+        let cover = (4.0 * (noise(x / 9.0, y / 9.0, seed ^ 0xb1) + 0.35 * noise(x / 2.5, y / 2.5, seed ^ 0xb2) + 0.12))
+            .clamp(0.0, 1.0);
         let blood = [16.0, 12.0, 62.0];
         for (value, blood) in bgr.iter_mut().zip(blood) {
             // A film of blood lets a little of what lies below through.

@@ -1,0 +1,223 @@
+//! Plugins that this process never loads: what they offer is asked of a process that does.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use panoscope_abi::{self as abi, NodeType, Plugin, Status, Str};
+use panoscope_engine::isolation::{Deny, GroupSettings};
+
+use super::process::{self, NodeLane, Process};
+use super::{PluginImage, Totals, lock};
+use crate::description;
+use crate::lane::{Lost, Side};
+use crate::wire::{BadMessage, Kind, Reader, Writer};
+
+/// How long a check of parameters may take.
+const MAX_VALIDATE: Duration = Duration::from_secs(10);
+/// Private memory of the process.
+const MEMORY_BYTES: u64 = 4 << 30;
+
+/// Why a plugin has no description.
+#[derive(Debug, thiserror::Error)]
+pub enum DescribeError {
+    /// No process could be started.
+    #[error("the process that describes it could not be started from {program}: {cause}", program = program.display())]
+    Start {
+        /// The program.
+        program: PathBuf,
+        /// The system's error.
+        cause: std::io::Error,
+    },
+    /// There is no program to start, or it does not answer.
+    #[error("{0}")]
+    Unreachable(String),
+    /// It crashed, or ended.
+    #[error("{0}")]
+    Died(String),
+    /// It does not return from a constructor, or from its description.
+    #[error("it did not describe itself within {} s: one of its constructors may hang", .0.as_secs())]
+    Late(Duration),
+    /// What its process says makes no sense.
+    #[error("its description makes no sense")]
+    Nonsense,
+    /// Its process could not load it.
+    #[error("{0}")]
+    Refused(String),
+}
+
+/// A plugin's own description, made in another process. It is to be checked like that of a plugin that was loaded.
+pub struct Description {
+    /// The descriptor; its functions are never called.
+    pub plugin: &'static Plugin,
+    /// Answers further questions.
+    pub describer: Arc<Describer>,
+}
+
+/// Asks a process that has loaded a plugin. The process is started when it is needed, and leaves when it was not needed for a while; it opens no
+/// network connection and no file for writing, where the system can refuse that.
+pub struct Describer {
+    pub(super) image: Arc<PluginImage>,
+    plugin: String,
+    running: Mutex<Option<Running>>,
+}
+
+struct Running {
+    process: Arc<Process>,
+    lane: Arc<NodeLane>,
+}
+
+/// Loads a plugin in a process of its own and asks what it offers.
+///
+/// `image` is a path to its bytes that stays valid until this process ends, `file` the plugin's file, `name` what its note calls it,
+/// `limit` the time that it may take.
+///
+/// # Errors
+/// See [`DescribeError`].
+pub fn describe(image: &Path, file: &Path, name: &str, limit: Duration) -> Result<Description, DescribeError> {
+    let image = Arc::new(PluginImage::new(image, file));
+    let describer = Arc::new(Describer { image, plugin: name.to_owned(), running: Mutex::default() });
+    let node_types = describer.node_types(limit)?;
+    let pointers: Vec<*const NodeType> =
+        node_types.into_iter().map(|node_type| std::ptr::from_ref(Box::leak(Box::new(node_type)))).collect();
+    let pointers: &'static [*const NodeType] = Box::leak(pointers.into_boxed_slice());
+    let name: &'static str = Box::leak(name.to_owned().into_boxed_str());
+    let plugin = Plugin {
+        magic: abi::MAGIC,
+        abi_major: abi::ABI_MAJOR,
+        abi_minor: abi::ABI_MINOR,
+        struct_size: size_of::<Plugin>() as u32,
+        reserved: 0,
+        name: Str::new(name),
+        version: Str::EMPTY,
+        doc: Str::EMPTY,
+        node_types: pointers.as_ptr(),
+        node_types_len: pointers.len(),
+        note: std::ptr::null(),
+        attach: None,
+    };
+    Ok(Description { plugin: Box::leak(Box::new(plugin)), describer })
+}
+
+impl Describer {
+    fn node_types(&self, limit: Duration) -> Result<Vec<NodeType>, DescribeError> {
+        let mut request = Vec::new();
+        Writer(&mut request).u32(self.image.id);
+        let answer = self.ask(Kind::Describe, &request, limit)?;
+        let mut reader = Reader(&answer);
+        let nonsense = |BadMessage| DescribeError::Nonsense;
+        match reader.i32().map_err(nonsense)? {
+            abi::STATUS_OK => description::read(reader.0).map_err(nonsense),
+            _ => Err(DescribeError::Refused(reader.text().map_err(nonsense)?.to_owned())),
+        }
+    }
+
+    /// Calls `validate` of node type `index`; what it reports goes to `call`.
+    ///
+    /// # Errors
+    /// The plugin could not be asked.
+    ///
+    /// # Safety
+    /// The call and everything that it points to live until this returns.
+    pub unsafe fn validate(&self, index: u32, call: *mut abi::ValidateCall) -> Result<Status, DescribeError> {
+        // SAFETY: the caller's promise.
+        let call = unsafe { &*call };
+        let mut request = Vec::new();
+        Writer(&mut request).u32(self.image.id).u32(index).u32(call.flags);
+        // SAFETY: the caller's promise.
+        let connections = unsafe {
+            let mut out = Writer(&mut request);
+            out.bytes(call.node_id.bytes()).bytes(call.graph_dir.bytes()).params(call.params, call.params_len);
+            match call.connections_len {
+                0 => &[],
+                len => std::slice::from_raw_parts(call.connections, len),
+            }
+        };
+        let mut out = Writer(&mut request);
+        out.u64(connections.len() as u64);
+        connections.iter().for_each(|count| _ = out.u32(*count));
+        out.u64(call.outputs_read);
+        let answer = self.ask(Kind::Validate, &request, MAX_VALIDATE)?;
+        let mut reader = Reader(&answer);
+        let mut report = || {
+            let status = reader.i32()?;
+            for _ in 0..reader.count(24)? {
+                let (severity, param, message, help) = (reader.u32()?, reader.u32()?, reader.bytes()?, reader.bytes()?);
+                let text = |bytes: &[u8]| Str { ptr: bytes.as_ptr(), len: bytes.len() };
+                if let Some(invalid) = call.invalid {
+                    // SAFETY: the caller's promise; the texts live until the function returns.
+                    unsafe { invalid(call.call, severity, param, text(message), text(help)) };
+                }
+            }
+            Ok(status)
+        };
+        report().map_err(|BadMessage| DescribeError::Nonsense)
+    }
+
+    /// Has the process do something; returns what it says.
+    fn ask(&self, kind: Kind, request: &[u8], limit: Duration) -> Result<Vec<u8>, DescribeError> {
+        let mut running = lock(&self.running);
+        let was_running = running.as_ref().is_some_and(|running| !running.process.is_ending());
+        if !was_running {
+            *running = Some(self.start()?);
+        }
+        let answer = exchange(running.as_ref(), kind, request, limit);
+        if !(was_running && matches!(answer, Err(DescribeError::Died(_)))) {
+            return answer;
+        }
+        // It may just have left because it was not needed.
+        *running = Some(self.start()?);
+        exchange(running.as_ref(), kind, request, limit)
+    }
+
+    fn start(&self) -> Result<Running, DescribeError> {
+        let program = process::program().map_err(DescribeError::Unreachable)?;
+        let settings = GroupSettings {
+            name: format!("describes {}", self.plugin),
+            threads: 1,
+            memory_bytes: MEMORY_BYTES,
+            deny: Deny { network: true, new_files: true },
+        };
+        let what = "the process that describes it".to_owned();
+        let process = Process::start(&program, &settings, what, 0, &Arc::new(Totals::default()))
+            .map_err(|cause| DescribeError::Start { program, cause })?;
+        let lane = process.give_plugin(&self.image).and_then(|()| process.lane("", "its code".to_owned()));
+        match lane {
+            Ok(lane) => Ok(Running { process, lane }),
+            Err(_) if process.is_ending() => Err(DescribeError::Died(process.death())),
+            Err(cause) => Err(DescribeError::Unreachable(format!("the process that describes it: {cause}"))),
+        }
+    }
+}
+
+fn exchange(running: Option<&Running>, kind: Kind, request: &[u8], limit: Duration) -> Result<Vec<u8>, DescribeError> {
+    let Some(Running { process, lane }) = running else { return Err(DescribeError::Nonsense) };
+    if request.len() > crate::lane::MAX_MESSAGE_BYTES {
+        return Err(DescribeError::Unreachable("its parameters do not fit a message to its process".to_owned()));
+    }
+    lane.in_call.store(true, Ordering::Relaxed);
+    lane.lane.post(Side::Host, kind, request);
+    // The end of the process closes lanes after it is recorded: whoever posts later sees it here.
+    if process.is_dead() {
+        return Err(DescribeError::Died(process.death()));
+    }
+    let mut message = Vec::new();
+    let answered = lane.lane.receive_until(Side::Host, &mut message, Some(Instant::now() + limit));
+    let outcome = match answered {
+        Ok(Kind::Done) => {
+            // What it wrote down belongs to no call.
+            let mut reader = Reader(&message);
+            reader.bytes().map(|_| reader.0.to_vec()).map_err(|BadMessage| DescribeError::Nonsense)
+        }
+        // Functions of the host belong to calls, and here is none.
+        Ok(_) | Err(Lost::Bad) => Err(DescribeError::Nonsense),
+        Err(Lost::Late) => Err(DescribeError::Late(limit)),
+        Err(Lost::Gone) => Err(DescribeError::Died(process.death())),
+    };
+    lane.in_call.store(false, Ordering::Relaxed);
+    if outcome.is_err() && !process.is_dead() {
+        process.kill("it did not describe its plugin");
+    }
+    outcome
+}
