@@ -26,6 +26,7 @@ pub const RESERVED_ARGS: &[&str] = &[
     "headless",
     "help",
     "into",
+    "isolate_plugins",
     "json",
     "key",
     "label",

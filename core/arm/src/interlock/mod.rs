@@ -319,9 +319,10 @@ impl Interlock {
         }
         match self.demand {
             None => Err(Cause::NoDemand),
+            // Before its own age, which it may exceed meanwhile: this is the reason why it was never followed.
+            Some(demand) if is_old(demand.light_ns) => Err(Cause::OldTip),
             Some(demand) if age(demand.made_ns) >= caps::DEMAND_AGE.as_nanos() as i64 => Err(Cause::LoopStalled),
             Some(Demand { velocity: None, .. }) => Err(Cause::BadDemand),
-            Some(demand) if is_old(demand.light_ns) => Err(Cause::OldTip),
             Some(Demand { made_ns, velocity: Some(velocity), .. }) => Ok((made_ns, velocity)),
         }
     }
