@@ -147,7 +147,8 @@ mod tests {
         };
         let (unknown, error) = judged(NODES, "depth");
         assert!(unknown < 10.0 && error < 2.5, "unknown {unknown} %, depth error {error} %");
-        let (_, error) = judged(SearchParams { auto_range: false, ..NODES }, "depth");
-        assert!(error > 4.0, "one search of 128 px cannot hold the scene: depth error {error} %");
+        let (unknown_in_one, error) = judged(SearchParams { auto_range: false, ..NODES }, "depth");
+        let is_worse = unknown_in_one > unknown + 10.0 || error > 4.0;
+        assert!(is_worse, "one search of 128 px holds the scene: unknown {unknown_in_one} %, depth error {error} %");
     }
 }
