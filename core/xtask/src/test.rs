@@ -230,7 +230,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, kill, arm, sim"
+            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, deaths, kill, arm, sim"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));
