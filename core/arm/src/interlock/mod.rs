@@ -305,11 +305,11 @@ impl Interlock {
         }
         // A tip from the future is as invalid as an old one.
         let age = |at_ns: i64| self.now_ns.saturating_sub(at_ns).saturating_abs();
-        let is_old = |light_ns: i64| age(light_ns) as f64 > self.settings.max_age_ms * 1e6;
+        let is_old = |age_ns: i64| age_ns as f64 > self.settings.max_age_ms * 1e6;
         match self.tip {
             None if self.clock_jumped => return Err(Cause::Clock),
             None => return Err(Cause::NoTip),
-            Some((light_ns, _)) if is_old(light_ns) => return Err(Cause::OldTip),
+            Some((light_ns, _)) if is_old(age(light_ns)) => return Err(Cause::OldTip),
             // Written so that a NaN score stops the arm.
             Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0 && tip.score <= 1.0) => {
                 return Err(Cause::DoubtfulTip);
@@ -319,10 +319,13 @@ impl Interlock {
         }
         match self.demand {
             None => Err(Cause::NoDemand),
-            // Before its own age, which it may exceed meanwhile: this is the reason why it was never followed.
-            Some(demand) if is_old(demand.light_ns) => Err(Cause::OldTip),
+            // Its light was old when it was made: it was never followed, however old it is meanwhile.
+            Some(demand) if is_old(demand.made_ns.min(self.now_ns).saturating_sub(demand.light_ns)) => {
+                Err(Cause::OldTip)
+            }
             Some(demand) if age(demand.made_ns) >= caps::DEMAND_AGE.as_nanos() as i64 => Err(Cause::LoopStalled),
             Some(Demand { velocity: None, .. }) => Err(Cause::BadDemand),
+            Some(demand) if is_old(age(demand.light_ns)) => Err(Cause::OldTip),
             Some(Demand { made_ns, velocity: Some(velocity), .. }) => Ok((made_ns, velocity)),
         }
     }

@@ -12,8 +12,9 @@ use crate::{Parallel, Rect, Report, View};
 const SURVEY_CALLS: u64 = 4;
 /// Share of the surveyed matches, in percent, that the search must cover for the offset to stay.
 const ENOUGH_PERCENT: usize = 98;
-/// Share of the surveyed matches, in percent, below which one search does not hold the scene, and from which on it does again.
-const FITS_PERCENT: (usize, usize) = (98, 99);
+/// Share of the coarse pixels, in 1/1000, matched outside one search from which on that search does not hold the scene, and
+/// below which it does again. Small: a survey sees only the flat parts of an instrument, which is what lies near.
+const OUTSIDE_PERMILLE: (usize, usize) = (5, 3);
 /// Share of matched coarse pixels, in percent, from which on their disparities can be divided into tiles.
 const PLAN_PERCENT: usize = 10;
 /// Calls between two measurements of the vertical error.
@@ -134,8 +135,9 @@ impl Search {
             self.is_tiled = false;
         } else if found.matched * 100 >= found.pixels * PLAN_PERCENT {
             let within = self.survey.within(offset_px, params.search_px);
-            let enough = if self.is_tiled { FITS_PERCENT.1 } else { FITS_PERCENT.0 };
-            let was_tiled = std::mem::replace(&mut self.is_tiled, within * 100 < found.matched * enough);
+            let limit = if self.is_tiled { OUTSIDE_PERMILLE.1 } else { OUTSIDE_PERMILLE.0 };
+            let is_outside = (found.matched - within) * 1000 >= found.pixels * limit;
+            let was_tiled = std::mem::replace(&mut self.is_tiled, is_outside);
             if self.is_tiled {
                 self.plan.update(&self.survey, Rect::whole(view.width, view.height));
                 self.watch.cut(report, self.plan.is_cut());
