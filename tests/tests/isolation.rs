@@ -1,6 +1,7 @@
 //! Nodes in processes of their own: the same bytes as in the process of the graph, and whatever happens there stays there.
 
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -14,9 +15,26 @@ use panoscope_tests::{files, load, run, scratch};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
+/// Threads that run a test or wait for their turn to. They start while another test counts threads.
+static TESTS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// This thread, as the system lists it.
+fn this_thread() -> PathBuf {
+    let link = std::fs::read_link("/proc/thread-self").expect("the system lists this thread");
+    PathBuf::from("/proc").join(link)
+}
+
+/// Threads of this process that run no test.
+fn threads() -> usize {
+    let all = std::fs::read_dir(format!("/proc/{}/task", std::process::id())).expect("the system lists threads");
+    let tests = TESTS.lock().unwrap_or_else(PoisonError::into_inner);
+    all.flatten().filter(|entry| !tests.contains(&entry.path())).count()
+}
+
 /// One test at a time: they count processes, files and memory of this process.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
+    TESTS.lock().unwrap_or_else(PoisonError::into_inner).insert(this_thread());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -417,7 +435,6 @@ fn shared_memory() -> Vec<String> {
 fn a_closed_graph_leaves_no_process_no_file_and_no_memory() {
     let _alone = alone();
     let folder = scratch("isolated-close");
-    let threads = || std::fs::read_dir("/proc/self/task").expect("the system lists threads").count();
     let before = threads();
     for _ in 0..3 {
         let options = Options { frames: Some(20), ..Options::default() };

@@ -346,9 +346,11 @@ impl Shared {
             let closed = Arc::new(AtomicBool::new(!all));
             open.push((Arc::clone(&runtime), Arc::clone(&closed), all));
             let (me, mine) = (Arc::clone(self), Arc::clone(&runtime));
+            // Also when the call is never made, because no thread can be started for it: then dropping it closes its instances.
+            let over = OnDrop(move || closed.store(true, Ordering::Release));
             let run = Box::new(move || {
                 instances.into_iter().for_each(|instance| mine.end(&me.context, instance));
-                closed.store(true, Ordering::Release);
+                drop(over);
             });
             calls.push(Call { runtime, kind: CallKind::Close, run });
         }
@@ -364,6 +366,15 @@ impl Shared {
                 runtime.record_bypassed(&self.context, words);
             }
         }
+    }
+}
+
+/// Calls a function when it is dropped.
+struct OnDrop<F: Fn()>(F);
+
+impl<F: Fn()> Drop for OnDrop<F> {
+    fn drop(&mut self) {
+        (self.0)();
     }
 }
 

@@ -291,8 +291,7 @@ impl Driver {
             }
             Edit::Graph(next) => self.apply(&before, next, None),
             Edit::GraphAt(next, ahead) => {
-                let made = self.engine.report().nodes.get("camera0").and_then(|node| node.made).unwrap_or(0);
-                self.apply(&before, next, Some(made + ahead));
+                self.apply(&before, next, Some(observe::next_tick("camera0") + ahead));
             }
         }
     }

@@ -100,6 +100,16 @@ pub fn count(is: impl Fn(&Seen) -> bool) -> usize {
     run().as_ref().map_or(0, |run| run.seen.iter().filter(|seen| is(seen)).count())
 }
 
+/// The number of the tick that a source makes next. Cheaper than a report of the engine, which reads thousands of atomics and lets
+/// other threads run at each.
+pub fn next_tick(source: &str) -> u64 {
+    let of = |seen: &Seen| match seen {
+        Seen::Made { node, seq } if node == source => Some(seq + 1),
+        _ => None,
+    };
+    run().as_ref().and_then(|run| run.seen.iter().rev().find_map(of)).unwrap_or(0)
+}
+
 /// The disk of the run.
 pub fn disk() -> Disk {
     run().get_or_insert_default().disk.clone()

@@ -54,7 +54,7 @@ fn in_parallel<T: Send, R: Send>(items: Vec<T>, work: impl Fn(T) -> R + Sync) ->
 
 #[test]
 fn whatever_happens_every_byte_is_right_and_nothing_is_lost() {
-    let (cases, first) = (number("PANOSCOPE_SIM_CASES", 100), number("PANOSCOPE_SIM_SEED", 1));
+    let (cases, first) = (number("PANOSCOPE_SIM_CASES", 500), number("PANOSCOPE_SIM_SEED", 1));
     let begin = |n: u64| first + n * SEEDS_AT_ONCE;
     let parts = (0..cases.div_ceil(SEEDS_AT_ONCE)).map(|n| begin(n)..begin(n + 1).min(first + cases)).collect();
     let outputs = in_parallel(parts, |seeds| simulate(seeds, &[]));
@@ -102,7 +102,6 @@ fn sinks(done: &Done) -> Vec<(String, Vec<String>)> {
 }
 
 #[test]
-#[ignore = "seed 8 finds files without what was written to them: not understood yet"]
 fn batch_runs_give_the_same_bytes_in_every_order_also_with_faults() {
     let quiet = |seed: u64| Case { edits: 0, pinch_bytes: None, ..Case::new(seed) };
     let is_batch = |case: &Case| case.model.batch && !case.disk_fails();
@@ -119,7 +118,14 @@ fn batch_runs_give_the_same_bytes_in_every_order_also_with_faults() {
             other.world.priorities = round == 2;
             let done = play(other, false);
             assert_ne!(done.ended.trace_hash, expected.ended.trace_hash, "another order");
-            assert_eq!(sinks(&done), sinks(&expected), "seed {}, order {round}", case.seed);
+            for ((node, expected), (_, done)) in sinks(&expected).iter().zip(&sinks(&done)) {
+                // A fault that stops the run ends the other branches wherever they are.
+                let stops = case.culprit().and_then(|node| node.trouble.as_ref()).is_some_and(|t| t.on_fault == "stop");
+                let most = if stops { expected.len().min(done.len()) } else { expected.len().max(done.len()) };
+                let apart = (0..most).find(|&k| expected.get(k) != done.get(k));
+                let said = |k: usize| format!("{:?} instead of {:?}", done.get(k), expected.get(k));
+                assert_eq!(apart.map(said), None, "seed {}, order {round}, sink `{node}`", case.seed);
+            }
         }
     }
 }
