@@ -22,6 +22,8 @@ struct State {
     handing: bool,
     /// The region pauses before this tick of its source.
     pause_before: u64,
+    /// The tick after the last that came.
+    next_seq: Option<u64>,
     /// Ticks of a live source that wait to enter: those of a pause, then the newest.
     pending: VecDeque<Vec<FrameRef>>,
     /// How many of them came during a pause and must not be replaced.
@@ -64,6 +66,7 @@ impl Region {
             paused: false,
             handing: false,
             pause_before: u64::MAX,
+            next_seq: None,
             pending: VecDeque::with_capacity(4),
             protected: 0,
             spare: Vec::with_capacity(4),
@@ -116,6 +119,7 @@ impl Region {
     /// tick that was dropped.
     pub fn admit_or_keep(&self, outputs: Vec<FrameRef>) -> (Option<Vec<FrameRef>>, Option<Vec<FrameRef>>) {
         let mut state = self.state();
+        state.next_seq = Some(first_seq(&outputs).saturating_add(1));
         let is_after = state.pause_before != u64::MAX && state.pause_before <= first_seq(&outputs);
         // Ticks that wait and come before the pause enter first: the pause begins when they have.
         if is_after && state.pending.is_empty() {
@@ -155,9 +159,10 @@ impl Region {
         }
     }
 
-    /// Whether a tick waits to enter.
+    /// Whether a tick waits to enter, or was admitted and is being delivered by another thread.
     pub fn has_pending(&self) -> bool {
-        !self.state().pending.is_empty()
+        let state = self.state();
+        !state.pending.is_empty() || state.handing
     }
 
     /// Ticks inside now.
@@ -239,9 +244,11 @@ impl Region {
         self.state().paused
     }
 
-    /// The first tick that waits to enter.
-    pub fn first_pending(&self) -> Option<u64> {
-        self.state().pending.front().map(|p| first_seq(p))
+    /// The first tick of a live source that may still enter: the first that waits, or the one after the last that came. A tick that was made may
+    /// be on its way to the region. `None` before the first tick came, and of a source that makes a tick only where there is room.
+    pub fn next_seq(&self) -> Option<u64> {
+        let state = self.state();
+        state.pending.front().map(|p| first_seq(p)).or(state.next_seq)
     }
 
     /// Admits ticks again. The caller delivers the returned outputs of retained ticks in this order.
@@ -314,6 +321,30 @@ mod tests {
         assert!(matches!(region.leaf_done(1), Freed::Pending(list) if seq(&list) == 5));
     }
 
+    #[test]
+    fn a_tick_that_is_being_delivered_counts_as_waiting() {
+        let region = Region::new(0, 1, 1);
+        assert!(region.admit_or_keep(tick(0)).0.is_some());
+        assert!(region.admit_or_keep(tick(1)).0.is_none());
+        assert!(matches!(region.leaf_done(0), Freed::Pending(list) if seq(&list) == 1));
+        assert!(region.has_pending(), "its readers have not got it yet");
+        assert!(region.handed_over().is_none());
+        assert!(!region.has_pending());
+    }
+
+    /// A change names the first tick that meets it, also while that tick is on its way from its source.
+    #[test]
+    fn the_next_tick_is_the_one_after_the_last_that_came() {
+        let region = Region::new(0, 1, 1);
+        assert_eq!(region.next_seq(), None);
+        assert!(region.admit_or_keep(tick(5)).0.is_some());
+        region.pause();
+        assert_eq!(region.next_seq(), Some(6));
+        assert!(region.admit_or_keep(tick(6)).0.is_none());
+        assert!(region.admit_or_keep(tick(7)).0.is_none());
+        assert_eq!(region.next_seq(), Some(6));
+    }
+
     /// A change that is to be made before a tick is made before no earlier one.
     #[test]
     fn ticks_before_a_named_one_enter_before_the_pause() {
@@ -327,6 +358,6 @@ mod tests {
         assert!(matches!(region.leaf_done(0), Freed::Pending(list) if seq(&list) == 1));
         assert!(region.handed_over().is_none());
         assert!(matches!(region.leaf_done(1), Freed::Nothing));
-        assert!(region.is_paused() && region.first_pending() == Some(2));
+        assert!(region.is_paused() && region.next_seq() == Some(2));
     }
 }

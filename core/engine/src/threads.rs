@@ -198,6 +198,7 @@ impl Shared {
             if outcome == CallOutcome::Fault {
                 // The call was made, so the next one is another tick.
                 runtime.ticks.set_made(seq + 1);
+                self.wait_for_next_frame(runtime, start_ns);
             } else if !self.context.batch {
                 // The restart thread wakes this thread.
                 runtime.runner.park_at_most(Some(Duration::from_millis(100)));
@@ -208,6 +209,7 @@ impl Shared {
             made.clear();
             self.capture_fault(runtime, &tick, pace.last_capture_ns);
             runtime.ticks.set_made(seq + 1);
+            self.wait_for_next_frame(runtime, start_ns);
             return Step::Next;
         }
         pace.again = false;
@@ -298,12 +300,25 @@ impl Shared {
             *first = Some((capture_ns, now_ns));
             return now_ns;
         }
-        let mut now = now_ns;
-        while now < due && !self.is_stopping() && !runtime.runner.leave.is_requested() {
-            runtime.runner.park_at_most(Some(Duration::from_nanos(due - now)));
-            now = clock::now_ns();
+        self.wait_until(runtime, due, now_ns)
+    }
+
+    /// After a live source's call at `start_ns` that led to no tick: waits until its next frame is due. Without frame memory, for instance, a
+    /// source would otherwise be called over and over.
+    fn wait_for_next_frame(&self, runtime: &NodeRuntime, start_ns: u64) {
+        if self.paced && !self.context.batch {
+            let frame_ns = self.frame_ns.load(Ordering::Relaxed).min(DEFAULT_FRAME_NS as u64);
+            self.wait_until(runtime, start_ns.saturating_add(frame_ns), clock::now_ns());
         }
-        now
+    }
+
+    /// Waits until `due_ns`, or until the source is to end or to leave. Returns the time.
+    fn wait_until(&self, runtime: &NodeRuntime, due_ns: u64, mut now_ns: u64) -> u64 {
+        while now_ns < due_ns && !self.is_stopping() && !runtime.runner.leave.is_requested() {
+            runtime.runner.park_at_most(Some(Duration::from_nanos(due_ns - now_ns)));
+            now_ns = clock::now_ns();
+        }
+        now_ns
     }
 }
 

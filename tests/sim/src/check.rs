@@ -9,7 +9,7 @@ use crate::content::{Content, name_hash};
 use crate::drive::{Done, Ran, Version};
 use crate::graphs::{Kind, Node};
 use crate::harm::Harm;
-use crate::observe::{Seen, disk};
+use crate::observe::Seen;
 
 /// Most failures that are reported of a run.
 const MOST_FAILURES: usize = 8;
@@ -292,7 +292,7 @@ impl<'a> Checks<'a> {
 
     /// What a sink has written and completed is on the disk.
     fn files(&self, failures: &mut Vec<String>) {
-        let disk = disk();
+        let disk = &self.done.disk;
         let mut wrote: BTreeMap<&str, Vec<u64>> = BTreeMap::new();
         let mut finished: BTreeSet<&str> = BTreeSet::new();
         for seen in &self.done.seen {

@@ -236,6 +236,9 @@ impl Driver {
         // A change may have made another node of it, or taken it out.
         let is_there =
             self.ran.versions.iter().all(|v| v.model.node(&culprit.id).is_some_and(|n| n.kind == culprit.kind));
+        // What an instance retains goes with it: two instances may both stay below the limit.
+        let stays = |v: &Version| v.model.node(&culprit.id).is_some_and(|n| n.reopened == culprit.reopened);
+        let is_there = is_there && (trouble.harm != Harm::Leak || self.ran.versions.iter().all(stays));
         if rule.causes.is_empty() || !is_there || self.case.is_short_of_threads() {
             return;
         }
@@ -404,6 +407,8 @@ pub struct Done {
     pub ended: world::Ended<Ran>,
     /// What the nodes saw.
     pub seen: Vec<Seen>,
+    /// The disk at the end.
+    pub disk: Disk,
     /// Frame memory that was not given back.
     pub kept_bytes: i64,
 }
@@ -431,5 +436,5 @@ pub fn play(case: Case, keep_trace: bool) -> Done {
     let before = memory().in_use_bytes();
     let mine = case.clone();
     let ended = world::run(settings, move || run(mine));
-    Done { case, ended, seen: observe::seen(), kept_bytes: memory().in_use_bytes() - before }
+    Done { case, ended, seen: observe::seen(), disk: observe::disk(), kept_bytes: memory().in_use_bytes() - before }
 }

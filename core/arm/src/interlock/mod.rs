@@ -265,25 +265,13 @@ impl Interlock {
 
     /// Whether a stop from this state stays within the limits.
     fn is_safe(&self, brake: &Brake) -> bool {
-        let end = brake.steps();
-        let release = brake.release_steps();
-        let rest = end - release;
+        let (release, end) = (brake.release_steps(), brake.steps());
         // A speed that is not a number has no share; the camera's limit refuses it below.
         if share(&brake.at(release).velocity, &self.caps.speed) > 1.0 {
             return false;
         }
-        let places = [
-            0,
-            release / 3,
-            2 * release / 3,
-            release,
-            release + rest / 4,
-            release + rest / 2,
-            release + 3 * rest / 4,
-            end,
-        ];
         let mut last = None;
-        places.iter().all(|&step| {
+        checked_steps(release, end).iter().all(|&step| {
             if last == Some(step) {
                 return true;
             }
@@ -428,4 +416,11 @@ impl Interlock {
         let speed_rad_s = self.state.velocity.amax();
         self.events.push_back(Event { at_ns: self.now_ns, stop, speed_rad_s });
     }
+}
+
+/// Steps of a stop at which its place is checked: thirds of the time until the joints' accelerations are released, and quarters of the rest.
+fn checked_steps(release: u32, end: u32) -> [u32; 8] {
+    let rest = end - release;
+    let after = |quarters: u32| release + quarters * rest / 4;
+    [0, release / 3, 2 * release / 3, release, after(1), after(2), after(3), end]
 }

@@ -56,7 +56,7 @@ impl Switch<'_> {
         for (region, extent) in held.iter().filter(|(region, _)| has_region(&plan, region)) {
             let runtime = &plan.runtimes[extent.head];
             if runtime.source {
-                let first = region.first_pending().unwrap_or_else(|| runtime.ticks.made());
+                let first = region.next_seq().unwrap_or_else(|| runtime.ticks.made());
                 applied.switched_at.push((runtime.id.clone(), first));
             }
         }

@@ -241,3 +241,49 @@ fn a_state_beyond_a_limit_is_not_followed_on() {
         assert_eq!((steps, *lock.set_point()), (0, state), "nothing has changed");
     }
 }
+
+#[test]
+fn a_stop_is_checked_in_both_its_parts() {
+    assert_eq!(checked_steps(300, 1100), [0, 100, 200, 300, 500, 700, 900, 1100]);
+    assert_eq!(checked_steps(0, 10), [0, 0, 0, 0, 2, 5, 7, 10]);
+}
+
+#[test]
+fn a_demand_is_lowered_to_the_nearest_limit_in_its_direction() {
+    let lock = lock();
+    let stance = lock.chain.stance(&lock.state.position);
+    let shares = |velocity: &JointVector| {
+        let camera = stance.camera_velocity(velocity).norm() / caps::CAMERA_MM_S;
+        (share(velocity, &lock.caps.speed) / 0.95, camera / 0.85)
+    };
+    let (mut by_joint, mut by_camera) = (0, 0);
+    for index in 0..6 {
+        let wanted = joint(index, 2.0) + joint((index + 1) % 6, -0.5);
+        let lowered = lock.tamed(&wanted);
+        let (of_joint, of_camera) = shares(&lowered);
+        assert!((of_joint.max(of_camera) - 1.0).abs() < 1e-9, "joint {index}: {of_joint} {of_camera}");
+        assert!((lowered * (wanted[index] / lowered[index]) - wanted).amax() < 1e-9, "joint {index}");
+        if of_joint > of_camera {
+            by_joint += 1
+        } else {
+            by_camera += 1
+        }
+        let slow = wanted * (0.999 * lowered[index] / wanted[index]);
+        assert_eq!(lock.tamed(&slow), slow, "joint {index}");
+    }
+    assert!(by_joint > 0 && by_camera > 0, "{by_joint} by a joint, {by_camera} by the camera");
+}
+
+#[test]
+fn no_step_follows_a_demand_that_has_expired() {
+    let age = caps::DEMAND_AGE.as_nanos() as i64;
+    for (left_ns, steps) in [(age, CHUNK_STEPS), (3 * MS, 3), (3 * MS - 1, 2), (MS / 2, 1)] {
+        let mut lock = lock();
+        lock.now_ns = 1000 * MS;
+        lock.tip(lock.now_ns, SEEN);
+        let made_ns = lock.now_ns - age + left_ns;
+        lock.demand(made_ns, joint(5, 0.1).as_slice());
+        assert_eq!(lock.chunk(CHUNK_STEPS, &mut |_| {}), steps, "{left_ns} ns are left");
+        assert_eq!(lock.stop(), None);
+    }
+}
