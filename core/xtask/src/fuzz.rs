@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 
+use crate::coverage::{self, nightly};
 use crate::process;
 use crate::workspace::Workspace;
 
@@ -30,11 +31,13 @@ struct Request {
     seconds: u64,
     /// Put a minimized selection of what was found into the repository.
     keep: bool,
+    /// Show the lines of the parsers that the corpora reach, and fuzz nothing.
+    coverage: bool,
 }
 
 impl Request {
     fn parse(args: &[String]) -> Result<Self> {
-        let mut request = Self { target: None, seconds: SECONDS, keep: false };
+        let mut request = Self { target: None, seconds: SECONDS, keep: false, coverage: false };
         let mut words = args.iter();
         while let Some(word) = words.next() {
             match word.as_str() {
@@ -43,6 +46,7 @@ impl Request {
                     request.seconds = number.parse().with_context(|| format!("--seconds {number}"))?;
                 }
                 "--keep" => request.keep = true,
+                "--coverage" => request.coverage = true,
                 name if request.target.is_none() && !name.starts_with('-') => request.target = Some(name.to_owned()),
                 other => bail!("unexpected argument `{other}`"),
             }
@@ -98,6 +102,10 @@ struct Fuzzing<'a> {
 /// Runs the fuzz targets, one after the other, and prints a table.
 pub fn fuzz(workspace: &Workspace, args: &[String]) -> Result<bool> {
     let request = Request::parse(args)?;
+    let work = workspace.target.join("fuzz");
+    if request.coverage {
+        return coverage::coverage(workspace, &work);
+    }
     let source = workspace.root.join("tests/fuzz");
     let mut targets = targets(&source.join("fuzz_targets"))?;
     if let Some(name) = &request.target {
@@ -106,7 +114,6 @@ pub fn fuzz(workspace: &Workspace, args: &[String]) -> Result<bool> {
         }
         targets = vec![name.clone()];
     }
-    let work = workspace.target.join("fuzz");
     let path = tools(&work)?;
     let fuzzing = Fuzzing { workspace, source, work, path };
     fuzzing.build(request.target.as_deref())?;
@@ -136,19 +143,9 @@ fn targets(folder: &Path) -> Result<Vec<String>> {
     Ok(names)
 }
 
-/// Cargo of the nightly toolchain, without what `cargo run` set for this program.
-fn nightly() -> Command {
-    let mut command = Command::new("cargo");
-    for name in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN", "RUSTDOC"] {
-        command.env_remove(name);
-    }
-    command.arg("+nightly");
-    command
-}
-
 /// Sees to it that the nightly toolchain and cargo-fuzz are there. Returns the search path with cargo-fuzz.
 fn tools(work: &Path) -> Result<std::ffi::OsString> {
-    if process::capture(nightly().arg("--version")).is_err() {
+    if process::capture(nightly("cargo").arg("--version")).is_err() {
         bail!("fuzzing needs the nightly toolchain: install it with `rustup toolchain install nightly`");
     }
     let old = std::env::var_os("PATH").unwrap_or_default();
@@ -158,7 +155,7 @@ fn tools(work: &Path) -> Result<std::ffi::OsString> {
     let root = work.join("tools");
     if !root.join("bin/cargo-fuzz").is_file() {
         println!("Installing cargo-fuzz into {}", root.display());
-        process::run(nightly().args(["install", "--locked", "cargo-fuzz", "--root"]).arg(&root))?;
+        process::run(nightly("cargo").args(["install", "--locked", "cargo-fuzz", "--root"]).arg(&root))?;
     }
     let folders = std::iter::once(root.join("bin")).chain(std::env::split_paths(&old));
     std::env::join_paths(folders).context("the search path")
@@ -171,7 +168,7 @@ impl Fuzzing<'_> {
 
     /// Builds one target, or all.
     fn build(&self, target: Option<&str>) -> Result<()> {
-        let mut command = nightly();
+        let mut command = nightly("cargo");
         command.env("PATH", &self.path).current_dir(&self.workspace.root).args(["fuzz", "build", "--fuzz-dir"]);
         command.arg(&self.source).arg("--target-dir").arg(self.build_dir()).args(target);
         process::run(&mut command)
@@ -285,8 +282,8 @@ mod tests {
     #[test]
     fn arguments_choose_target_and_time() {
         let parse = |text: &str| Request::parse(&text.split_whitespace().map(str::to_owned).collect::<Vec<_>>());
-        assert_eq!(parse("").unwrap(), Request { target: None, seconds: SECONDS, keep: false });
-        let graph = Request { target: Some("graph".to_owned()), seconds: 5, keep: true };
+        assert_eq!(parse("").unwrap(), Request { target: None, seconds: SECONDS, keep: false, coverage: false });
+        let graph = Request { target: Some("graph".to_owned()), seconds: 5, keep: true, coverage: false };
         assert_eq!(parse("graph --seconds 5 --keep").unwrap(), graph);
         assert!(parse("graph urdf").unwrap_err().to_string().contains("`urdf`"));
         assert!(parse("--seconds").unwrap_err().to_string().contains("a number"));

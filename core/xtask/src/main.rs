@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod build;
+mod coverage;
 mod data;
 mod demo;
 mod fuzz;
@@ -16,6 +17,7 @@ mod package;
 mod packages;
 mod process;
 mod report;
+mod sanitizer;
 mod screens;
 mod setup;
 mod system;
@@ -39,12 +41,14 @@ cargo xtask COMMAND
                        installs what is missing, builds, runs graphs/panorama.toml and prints what it wrote
   test [SUITE] [-- args of `cargo test`]
                        installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, faults,
-                       hostile-models, disk, kill, arm
+                       hostile-models, disk, damaged-streams, deaths, kill, asan, tsan, arm,
+                       sim
   interlock [--coverage | --mutants]
                        judges the tests of the arm's interlock: branch coverage (nightly compiler) and mutants; takes an hour
-  fuzz [TARGET] [--seconds N] [--keep]
+  fuzz [TARGET] [--seconds N] [--keep] | fuzz --coverage
                        feeds the parsers of foreign files with inputs that look for crashes, N seconds each (60); needs the nightly toolchain;
-                       --keep puts a small selection of what it found into tests/fuzz/corpus
+                       --keep puts a small selection of what it found into tests/fuzz/corpus; --coverage shows which lines of the parsers
+                       the corpora reach
   setup                installs the system packages that are missing
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`

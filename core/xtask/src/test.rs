@@ -12,6 +12,7 @@ use crate::lint;
 use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
+use crate::sanitizer::{self, Sanitizer};
 use crate::setup;
 use crate::tally::Tally;
 use crate::workspace::Workspace;
@@ -28,70 +29,75 @@ struct Suite {
     only: &'static [&'static str],
     /// Environment of its tests, where the caller has not set it.
     env: &'static [(&'static str, &'static str)],
+    /// Built with a sanitizer of the nightly compiler.
+    sanitizer: Option<Sanitizer>,
+}
+
+/// Packages that the sanitizers judge: those that run graphs, without plugins of foreign libraries.
+const SANITIZED: &[&str] = &[
+    "-p",
+    "panoscope-base",
+    "-p",
+    "panoscope-graph",
+    "-p",
+    "panoscope-engine",
+    "-p",
+    "panoscope-isolate",
+    "-p",
+    "panoscope-loader",
+    "-p",
+    "panoscope-record",
+    "--lib",
+    "--tests",
+];
+
+/// Tests that `cargo test` runs with these arguments.
+const fn tests(
+    name: &'static str,
+    only: &'static [&'static str],
+    env: &'static [(&'static str, &'static str)],
+) -> Suite {
+    Suite { name, lints: false, tests: true, only, env, sanitizer: None }
 }
 
 static SUITES: &[Suite] = &[
-    Suite { name: "all", lints: true, tests: true, only: &[], env: &[] },
-    Suite { name: "lint", lints: true, tests: false, only: &[], env: &[] },
-    Suite { name: "code", lints: false, tests: true, only: &[], env: &[] },
+    Suite { name: "all", lints: true, tests: true, only: &[], env: &[], sanitizer: None },
+    Suite { name: "lint", lints: true, tests: false, only: &[], env: &[], sanitizer: None },
+    tests("code", &[], &[]),
     // PANOSCOPE_FAULT_CASES and PANOSCOPE_FAULT_SEED choose how many cases and which.
-    Suite {
-        name: "faults",
-        lints: false,
-        tests: true,
-        only: &["-p", "panoscope-engine", "--test", "campaign"],
-        env: &[],
-    },
+    tests("faults", &["-p", "panoscope-engine", "--test", "campaign"], &[]),
     // PANOSCOPE_HOSTILE_CASES and PANOSCOPE_HOSTILE_SEED, the same.
-    Suite {
-        name: "hostile-models",
-        lints: false,
-        tests: true,
-        only: &["-p", "panoscope-tools", "--test", "hostile_campaign"],
-        env: &[("PANOSCOPE_HOSTILE_CASES", "200")],
-    },
+    tests(
+        "hostile-models",
+        &["-p", "panoscope-tools", "--test", "hostile_campaign"],
+        &[("PANOSCOPE_HOSTILE_CASES", "200")],
+    ),
     // Disk full, I/O errors and kills at every operation on files; PANOSCOPE_DISK_TICKS chooses how many ticks each case has.
-    Suite {
-        name: "disk",
-        lints: false,
-        tests: true,
-        only: &["-p", "panoscope-sinks", "-p", "panoscope-record", "--test", "disk"],
-        env: &[("PANOSCOPE_DISK_TICKS", "12")],
-    },
+    tests(
+        "disk",
+        &["-p", "panoscope-sinks", "-p", "panoscope-record", "--test", "disk"],
+        &[("PANOSCOPE_DISK_TICKS", "12")],
+    ),
     // PANOSCOPE_DAMAGE_CASES and PANOSCOPE_DAMAGE_SEED choose how many damaged videos and which.
-    Suite {
-        name: "damaged-streams",
-        lints: false,
-        tests: true,
-        only: &["-p", "panoscope-capture", "--test", "damaged_streams"],
-        env: &[("PANOSCOPE_DAMAGE_CASES", "1000")],
-    },
+    tests(
+        "damaged-streams",
+        &["-p", "panoscope-capture", "--test", "damaged_streams"],
+        &[("PANOSCOPE_DAMAGE_CASES", "1000")],
+    ),
+    // PANOSCOPE_DEATH_CASES and PANOSCOPE_DEATH_SEED, the same for processes of nodes that die.
+    tests("deaths", &["-p", "panoscope-tests", "--test", "deaths"], &[("PANOSCOPE_DEATH_CASES", "500")]),
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
-    // PANOSCOPE_DEATH_CASES and PANOSCOPE_DEATH_SEED, the same.
+    tests("kill", &["-p", "panoscope-editor", "--test", "kill"], &[]),
+    // The runtime without foreign libraries, built with a sanitizer.
     Suite {
-        name: "deaths",
-        lints: false,
-        tests: true,
-        only: &["-p", "panoscope-tests", "--test", "deaths"],
-        env: &[("PANOSCOPE_DEATH_CASES", "500")],
+        sanitizer: Some(Sanitizer::Address),
+        ..tests("asan", SANITIZED, &[("ASAN_OPTIONS", sanitizer::ASAN_OPTIONS)])
     },
-    Suite { name: "kill", lints: false, tests: true, only: &["-p", "panoscope-editor", "--test", "kill"], env: &[] },
+    Suite { sanitizer: Some(Sanitizer::Thread), ..tests("tsan", SANITIZED, &[("PANOSCOPE_FAULT_CASES", "20")]) },
     // PANOSCOPE_ARM_CASES, PANOSCOPE_ARM_SEED and PANOSCOPE_ARM_BESIDE choose how many cases, which, and how many at a time.
-    Suite {
-        name: "arm",
-        lints: false,
-        tests: true,
-        only: &["-p", "panoscope-arm-guard", "--test", "campaign"],
-        env: &[("PANOSCOPE_ARM_CASES", "10000")],
-    },
+    tests("arm", &["-p", "panoscope-arm-guard", "--test", "campaign"], &[("PANOSCOPE_ARM_CASES", "10000")]),
     // PANOSCOPE_SIM_CASES and PANOSCOPE_SIM_SEED choose how many cases of the simulator and the first seed.
-    Suite {
-        name: "sim",
-        lints: false,
-        tests: true,
-        only: &["-p", "panoscope-sim", "--test", "simulation"],
-        env: &[("PANOSCOPE_SIM_CASES", "10000")],
-    },
+    tests("sim", &["-p", "panoscope-sim", "--test", "simulation"], &[("PANOSCOPE_SIM_CASES", "10000")]),
 ];
 
 /// What the command line asks for.
@@ -165,12 +171,18 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
     }
     if request.suite.tests {
         let built = timed("build", || build_for_tests(workspace, Profile::Dev))?;
-        let mut cargo = workspace.cargo();
+        let mut cargo = match request.suite.sanitizer {
+            None => workspace.cargo(),
+            Some(sanitizer) => sanitizer.cargo(workspace)?,
+        };
         test_environment(&mut cargo, workspace, &built)?;
         for (name, value) in request.suite.env.iter().filter(|(name, _)| std::env::var_os(name).is_none()) {
             cargo.env(name, value);
         }
         cargo.args(["test", "--no-fail-fast"]);
+        if let Some(sanitizer) = request.suite.sanitizer {
+            cargo.args(sanitizer.arguments());
+        }
         cargo.args(request.suite.only);
         if !request.names_packages() && request.suite.only.is_empty() {
             cargo.arg("--workspace");
@@ -230,7 +242,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, deaths, kill, arm, sim"
+            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, deaths, kill, asan, tsan, arm, sim"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));
