@@ -287,3 +287,18 @@ fn no_step_follows_a_demand_that_has_expired() {
         assert_eq!(lock.stop(), None);
     }
 }
+
+#[test]
+fn near_a_limit_a_part_of_the_demand_is_followed() {
+    let mut lock = lock();
+    let (mut last_rad_s, mut slower) = (0.0, 0);
+    for ms in (0..20_000).step_by(10) {
+        ask(&mut lock, ms * MS, 0.3);
+        lock.advance((ms + 10) * MS, &mut |_| {});
+        let rad_s = lock.set_point().velocity[5];
+        slower += usize::from(lock.stop().is_none() && rad_s < last_rad_s - 1e-4);
+        last_rad_s = rad_s;
+    }
+    assert!(slower > 0, "it only brakes");
+    assert!(lock.caps().upper_rad[5] - lock.set_point().position[5] < 0.1, "{:?}", lock.set_point());
+}

@@ -72,6 +72,18 @@ fn a_demand_expires_after_24_ms() {
 }
 
 #[test]
+fn a_demand_of_old_light_is_named_so_however_old_it_becomes() {
+    for (light_ns, cause) in
+        [(NOW - 150 * MS, Cause::LoopStalled), (NOW - 150 * MS - 1, Cause::OldTip), (i64::MIN, Cause::OldTip)]
+    {
+        let mut lock = asked();
+        lock.demand_of_light(NOW, light_ns, joint(5, 0.1).as_slice());
+        lock.advance(NOW + 60 * MS, &mut |_| {});
+        assert_eq!(lock.stop(), Some(cause), "light of {light_ns}");
+    }
+}
+
+#[test]
 fn a_demand_that_expires_within_a_call_is_followed_up_to_then() {
     for left in [1, 4, 9] {
         let mut lock = asked();
