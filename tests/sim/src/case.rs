@@ -185,6 +185,11 @@ impl Case {
         self.model.nodes.iter().find(|node| node.trouble.is_some())
     }
 
+    /// Whether the fault of the node that does harm stops the run.
+    pub fn stops(&self) -> bool {
+        self.culprit().and_then(|node| node.trouble.as_ref()).is_some_and(|trouble| trouble.on_fault == "stop")
+    }
+
     /// Whether there may be no thread for something.
     pub fn is_short_of_threads(&self) -> bool {
         self.world.most_threads.is_some()

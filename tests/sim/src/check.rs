@@ -341,7 +341,7 @@ impl<'a> Checks<'a> {
 
     /// The run ends as the graph says, and no data is lost without a word.
     fn end(&self, failures: &mut Vec<String>) {
-        let stops = self.culprit().and_then(|node| node.trouble.as_ref()).is_some_and(|t| t.on_fault == "stop");
+        let stops = self.done.case.stops();
         match &self.ran.outcome {
             Some(Outcome::Failed(reason))
                 if self.done.case.is_short_of_threads() && reason.contains("no thread could be started") => {}

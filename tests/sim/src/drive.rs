@@ -16,7 +16,7 @@ use panoscope_sim_world::time::Instant;
 use panoscope_sim_world::{self as world, Dice, note, thread};
 
 use crate::case::{Case, rule_of};
-use crate::graphs::{Edit, Maker, Model};
+use crate::graphs::{Edit, Maker, Model, Node};
 use crate::harm::Harm;
 use crate::observe::{self, Seen};
 use crate::plugins::simulated;
@@ -233,12 +233,11 @@ impl Driver {
         let Some(culprit) = self.case.culprit().cloned() else { return };
         let Some(trouble) = culprit.trouble.clone() else { return };
         let Some(rule) = rule_of(trouble.harm) else { return };
-        // A change may have made another node of it, or taken it out.
-        let is_there =
-            self.ran.versions.iter().all(|v| v.model.node(&culprit.id).is_some_and(|n| n.kind == culprit.kind));
-        // What an instance retains goes with it: two instances may both stay below the limit.
-        let stays = |v: &Version| v.model.node(&culprit.id).is_some_and(|n| n.reopened == culprit.reopened);
-        let is_there = is_there && (trouble.harm != Harm::Leak || self.ran.versions.iter().all(stays));
+        // A change may have made another node of it, or taken it out. What an instance retains goes with it: two may both stay below the limit.
+        let is_same = |node: &Node| {
+            node.kind == culprit.kind && (trouble.harm != Harm::Leak || node.reopened == culprit.reopened)
+        };
+        let is_there = self.ran.versions.iter().all(|v| v.model.node(&culprit.id).is_some_and(is_same));
         if rule.causes.is_empty() || !is_there || self.case.is_short_of_threads() {
             return;
         }
@@ -345,7 +344,7 @@ impl Driver {
                     ApplyError::Ended => {
                         self.engine.is_finished()
                             || self.case.model.batch
-                            || self.stops()
+                            || self.case.stops()
                             || self.case.is_short_of_threads()
                     }
                     ApplyError::Busy { .. } => self.case.culprit().is_some(),
@@ -369,10 +368,6 @@ impl Driver {
                 }
             }
         }
-    }
-
-    fn stops(&self) -> bool {
-        self.case.culprit().and_then(|node| node.trouble.as_ref()).is_some_and(|trouble| trouble.on_fault == "stop")
     }
 
     fn became(&mut self, model: Model, switched_at: Vec<(String, u64)>) {

@@ -120,8 +120,7 @@ fn batch_runs_give_the_same_bytes_in_every_order_also_with_faults() {
             assert_ne!(done.ended.trace_hash, expected.ended.trace_hash, "another order");
             for ((node, expected), (_, done)) in sinks(&expected).iter().zip(&sinks(&done)) {
                 // A fault that stops the run ends the other branches wherever they are.
-                let stops = case.culprit().and_then(|node| node.trouble.as_ref()).is_some_and(|t| t.on_fault == "stop");
-                let most = if stops { expected.len().min(done.len()) } else { expected.len().max(done.len()) };
+                let most = if case.stops() { expected.len().min(done.len()) } else { expected.len().max(done.len()) };
                 let apart = (0..most).find(|&k| expected.get(k) != done.get(k));
                 let said = |k: usize| format!("{:?} instead of {:?}", done.get(k), expected.get(k));
                 assert_eq!(apart.map(said), None, "seed {}, order {round}, sink `{node}`", case.seed);
