@@ -86,7 +86,9 @@ impl LoadError {
             Self::AbiMismatch { .. } => "rebuild the plugin against this version of panoscope".to_owned(),
             Self::BadFile { .. } | Self::BadDescriptor { .. } => "build or copy the plugin again".to_owned(),
             Self::NotLocked { .. } => "restore the file, or lock the graph again with `panoscope lock`".to_owned(),
-            Self::Undescribed { .. } => "mend or replace the plugin; nothing of it has run in this process".to_owned(),
+            Self::Undescribed { .. } => {
+                "repair or replace the plugin; nothing of it has run in this process".to_owned()
+            }
             Self::Link { .. } => "install the library named above, or rebuild the plugin".to_owned(),
             Self::Unreadable { .. } => "check the path and its permissions".to_owned(),
         }

@@ -131,7 +131,7 @@ impl Loader {
         this
     }
 
-    /// Plugins that were found in folders which the graph names and the user's own search path does not have: whoever wrote the graph chose them.
+    /// Plugins that were found in folders which the graph names and the user's own search path does not have: the author of the graph chose them.
     pub fn brought_by(&self, own: &[PathBuf]) -> Vec<String> {
         let foreign = foreign(own);
         let is_foreign =

@@ -485,7 +485,7 @@ impl Theatre {
         self.keep();
     }
 
-    /// Tells the runner what to start after a crash.
+    /// Gives the runner what to start after a crash.
     fn keep(&self) {
         let cameras = self.plan.raw_only(&self.text).unwrap_or_else(|_| self.text.clone());
         // What did not run before the crash is not started after it, unless the user asks for it.

@@ -17,7 +17,7 @@ pub(super) struct Resuming {
     since: Option<Instant>,
 }
 
-/// An outage as the notices tell of it.
+/// An outage as the notices show it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OutageFacts {
     /// What happened: continues a sentence about the image processing.

@@ -23,7 +23,7 @@ pub struct Refusal {
     pub(super) terminal_text: String,
     /// For the audit log: names no files that a user chose.
     pub(super) reason: String,
-    /// Whether the graph has mistakes, which other arguments may mend.
+    /// Whether the graph has mistakes. Other arguments may fix them.
     pub(super) is_mistake: bool,
 }
 

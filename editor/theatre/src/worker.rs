@@ -63,7 +63,7 @@ struct Worker {
     watched: Mutex<Vec<String>>,
     free: Mutex<Vec<u32>>,
     /// Something is there to be sent.
-    news: Mutex<bool>,
+    has_changes: Mutex<bool>,
     changed: Condvar,
     /// Number of the last text that was requested.
     asked: AtomicU64,
@@ -95,7 +95,7 @@ pub fn serve(memory: &OsStr, path: PathBuf, options: Options) -> io::Result<()> 
         prepared: Mutex::default(),
         watched: Mutex::default(),
         free: Mutex::new((0..SLOTS).collect()),
-        news: Mutex::default(),
+        has_changes: Mutex::default(),
         changed: Condvar::new(),
         asked: AtomicU64::new(0),
     });
@@ -130,7 +130,7 @@ impl Worker {
     }
 
     fn wake(&self) {
-        *lock(&self.news) = true;
+        *lock(&self.has_changes) = true;
         self.changed.notify_all();
     }
 
@@ -320,10 +320,12 @@ impl Worker {
                 beat_at = Instant::now() + BEAT;
                 self.send(&Message::Beat { rounds: beats });
             }
-            let news = lock(&self.news);
-            let (mut news, _) =
-                self.changed.wait_timeout_while(news, ROUND, |news| !*news).unwrap_or_else(PoisonError::into_inner);
-            *news = false;
+            let has_changes = lock(&self.has_changes);
+            let (mut has_changes, _) = self
+                .changed
+                .wait_timeout_while(has_changes, ROUND, |has_changes| !*has_changes)
+                .unwrap_or_else(PoisonError::into_inner);
+            *has_changes = false;
         }
     }
 

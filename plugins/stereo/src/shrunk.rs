@@ -43,7 +43,7 @@ const SEARCH_STEP_PX: usize = 32;
 /// A range of full-size disparities in those of views shrunk by `factor`.
 fn shrunk_range(first_px: i32, search_px: usize, factor: usize) -> (i32, usize) {
     let scale = factor as i32;
-    // Rounded down: what lies beyond the end by less than a shrunk pixel costs a whole block of disparities.
+    // Rounded down: a range that exceeds the end by less than a shrunk pixel costs a whole block of disparities.
     let first = first_px.div_euclid(scale);
     let end = (first_px + search_px as i32).div_euclid(scale) + 1;
     let search = (end - first).max(2) as usize - 1;

@@ -6,7 +6,7 @@ use crate::Rect;
 
 /// Side of a tile that the view is cut into, px; tiles share what is left over.
 const TILE_PX: usize = 128;
-/// What lies this far around a tile counts for its range, px: surfaces move between surveys, and a survey sees no edge exactly.
+/// Disparities this far around a tile count for its range, px: surfaces move between surveys, and a survey sees no edge exactly.
 const AROUND_PX: usize = 24;
 /// Room on both sides of a tile's surveyed range, px.
 const ROOM_PX: i32 = 6;

@@ -13,7 +13,7 @@ const SURVEY_CALLS: u64 = 4;
 /// Share of the surveyed matches, in percent, that the search must cover for the offset to stay.
 const ENOUGH_PERCENT: usize = 98;
 /// Share of the coarse pixels, in 1/1000, matched outside one search from which on that search does not hold the scene, and
-/// below which it does again. Small: a survey sees only the flat parts of an instrument, which is what lies near.
+/// below which it does again. Small: near surfaces are mostly instruments, and a survey matches only their flat parts.
 const OUTSIDE_PERMILLE: (usize, usize) = (5, 3);
 /// Share of matched coarse pixels, in percent, from which on their disparities can be divided into tiles.
 const PLAN_PERCENT: usize = 10;

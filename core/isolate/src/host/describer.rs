@@ -1,4 +1,4 @@
-//! Plugins that this process never loads: what they offer is asked of a process that does.
+//! Plugins that this process never loads: another process loads them and sends their descriptions.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -198,7 +198,7 @@ fn exchange(running: Option<&Running>, kind: Kind, request: &[u8], limit: Durati
     }
     lane.in_call.store(true, Ordering::Relaxed);
     lane.lane.post(Side::Host, kind, request);
-    // The end of the process closes lanes after it is recorded: whoever posts later sees it here.
+    // The end of the process closes lanes after it is recorded: a later post sees it here.
     if process.is_dead() {
         return Err(DescribeError::Died(process.death()));
     }

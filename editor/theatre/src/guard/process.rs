@@ -36,10 +36,10 @@ pub struct Program {
 }
 
 /// Receives what a process sends, on its thread, and its end.
-pub(super) type Inbox = dyn Fn(u64, News) + Send + Sync;
+pub(super) type Inbox = dyn Fn(u64, Incoming) + Send + Sync;
 
 /// What comes from a process.
-pub(super) enum News {
+pub(super) enum Incoming {
     Message(Message),
     Picture(panoscope_editor_model::observe::Output, RenderedPacket),
     /// It has ended.
@@ -111,7 +111,7 @@ impl Process {
         let wait = move || {
             let status = child.wait();
             life.finish(status);
-            inbox(id, News::End);
+            inbox(id, Incoming::End);
         };
         std::thread::Builder::new().name("worker end".to_owned()).spawn(wait)?;
         Ok(process)
@@ -324,9 +324,9 @@ impl Reader {
                 let Some(packet) = self.packet(&picture) else { return false };
                 let slots = [picture.pixels, picture.cloud].into_iter().flatten();
                 slots.for_each(|block| _ = self.out.send(Command::Free { slot: block.slot }));
-                (self.inbox)(self.id, News::Picture(picture.output, packet));
+                (self.inbox)(self.id, Incoming::Picture(picture.output, packet));
             }
-            message => (self.inbox)(self.id, News::Message(message)),
+            message => (self.inbox)(self.id, Incoming::Message(message)),
         }
         true
     }

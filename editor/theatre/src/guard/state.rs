@@ -52,7 +52,7 @@ pub(super) struct State {
     pub(super) spare: Option<Spare>,
     pub(super) spare_at: Instant,
     pub(super) next_id: u64,
-    /// Whether the active process was told to take what was prepared.
+    /// Whether the active process was requested to run what was prepared.
     pub(super) has_taken: bool,
     /// The active process prepares to show the cameras.
     pub(super) is_preparing: bool,

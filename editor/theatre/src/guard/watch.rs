@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use panoscope_editor_model::session::Wake;
 use panoscope_engine::sync::lock;
 
-use super::process::{Inbox, News, Process, Program};
+use super::process::{Inbox, Incoming, Process, Program};
 use super::recovery::Step;
 use super::state::{Spare, State};
 use crate::link::{Command, Message};
@@ -49,28 +49,30 @@ impl Shared {
         let id = state.next_id;
         state.next_id += 1;
         let shared = Arc::downgrade(self);
-        let inbox: Arc<Inbox> = Arc::new(move |id, news| {
+        let inbox: Arc<Inbox> = Arc::new(move |id, incoming| {
             if let Some(shared) = shared.upgrade() {
-                shared.receive(id, news);
+                shared.receive(id, incoming);
             }
         });
         Process::start(id, &self.program, inbox)
     }
 
     /// Takes what a process sent.
-    pub(super) fn receive(&self, id: u64, news: News) {
+    pub(super) fn receive(&self, id: u64, incoming: Incoming) {
         {
             let mut guard = lock(&self.state);
             let state = &mut *guard;
             let is_active = state.active.as_ref().is_some_and(|active| active.id == id);
             let spare = state.spare.as_mut().filter(|spare| spare.process.id == id);
-            match (news, spare) {
-                (News::Message(Message::Prepared(Ok(_))), Some(spare)) => spare.is_ready = true,
-                (News::Message(Message::Prepared(Err(refusal))), Some(spare)) => spare.process.kill(&refusal.message),
+            match (incoming, spare) {
+                (Incoming::Message(Message::Prepared(Ok(_))), Some(spare)) => spare.is_ready = true,
+                (Incoming::Message(Message::Prepared(Err(refusal))), Some(spare)) => {
+                    spare.process.kill(&refusal.message)
+                }
                 // Its end is seen by the next look.
-                (News::End, _) => {}
-                (News::Message(message), None) if is_active => state.take_message(message),
-                (News::Picture(output, packet), None) if is_active => {
+                (Incoming::End, _) => {}
+                (Incoming::Message(message), None) if is_active => state.take_message(message),
+                (Incoming::Picture(output, packet), None) if is_active => {
                     state.recovery.picture(Instant::now());
                     state.previews.insert(output, packet);
                 }

@@ -136,7 +136,7 @@ pub enum Cover {
     All,
     /// A bar.
     Bar(Bar),
-    /// What lies on one side of a wavy line: `along` is the unit vector into the covered side.
+    /// The area on one side of a wavy line: `along` is the unit vector into the covered side.
     Side {
         /// A point of the line, px.
         at: (f64, f64),

@@ -112,7 +112,7 @@ pub fn colour(material: &Material, point: &Point, eye_x_mm: f64) -> [f64; 3] {
             .clamp(0.0, 1.0);
         let blood = [16.0, 12.0, 62.0];
         for (value, blood) in bgr.iter_mut().zip(blood) {
-            // A film of blood lets a little of what lies below through.
+            // A film of blood lets a little of the texture below through.
             *value = *value * (1.0 - 0.93 * cover) + blood * cover;
         }
     }
