@@ -234,6 +234,25 @@ fn a_graph_with_argument_part_and_overlay_is_soaked() {
 }
 
 #[test]
+fn a_soaked_graph_is_edited_and_its_processes_are_killed() {
+    if !has_flow() {
+        return;
+    }
+    let folder = files("soak_disturbed");
+    let isolated = GRAPH.replace("mode = \"batch\"", "mode = \"live\"") + "\n[isolate]\nflow = \"inner\"\n";
+    folder.write("g.toml", &isolated);
+    let disturbed = "--minutes 0.1 --edit-every 0.5 --kill-every 1 --csv s.csv --report r.json";
+    let (code, out, err) = run(&folder, &format!("soak g.toml --width 64 --headless {disturbed}"));
+    let done = out.lines().find(|line| line.contains(" edits, ")).unwrap_or_else(|| panic!("{code} {out}{err}"));
+    let counts: Vec<u64> = done.split(|c: char| !c.is_ascii_digit()).filter_map(|n| n.parse().ok()).collect();
+    let [edits, refused, kills, processes] = counts[..] else { panic!("{done}") };
+    assert!(edits >= 2 && refused == 0 && kills >= 3 && processes > kills, "{done}\n{out}{err}");
+    assert!(out.contains("threads: ") && out.contains("open files: "), "{out}");
+    let samples = folder.read("s.csv");
+    assert!(samples.starts_with("seconds,") && samples.contains(",processes\n"), "{samples}");
+}
+
+#[test]
 fn the_controller_of_a_part_is_tuned_with_the_arguments_of_its_graph() {
     let Some(built) = plugins(&["phantom", "arm"]) else { return };
     let part = r#"plugins = ["arm"]

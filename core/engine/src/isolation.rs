@@ -71,6 +71,8 @@ pub trait Group: Send + Sync {
 /// What a group of isolated nodes cost.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct GroupReport {
+    /// Number of the process that runs its nodes now; null while none does, or one starts.
+    pub process_id: Option<u32>,
     /// Processes started: one, and another after each that died.
     pub processes: u64,
     /// Ticks that its nodes processed.

@@ -24,12 +24,39 @@ pub(crate) fn usage() -> Usage {
 
 /// Resident memory of this process, MB; 0 if `/proc` does not have it.
 pub(crate) fn resident_mb() -> f64 {
+    resident_mb_of(std::process::id())
+}
+
+/// Resident memory of process `id`, MB; 0 if there is none.
+pub(crate) fn resident_mb_of(id: u32) -> f64 {
     // In pages; see proc(5). The second number is the resident part.
-    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let text = std::fs::read_to_string(format!("/proc/{id}/statm")).unwrap_or_default();
     let pages: f64 = text.split_whitespace().nth(1).and_then(|n| n.parse().ok()).unwrap_or(0.0);
     // SAFETY: `sysconf` takes a number and returns a number.
     let page_bytes = unsafe { libc::sysconf(libc::_SC_PAGESIZE) };
     pages * page_bytes as f64 / 1e6
+}
+
+/// Threads of this process; 0 if `/proc` does not have it.
+pub(crate) fn threads() -> usize {
+    entries("/proc/self/task")
+}
+
+/// Open files of this process; 0 if `/proc` does not have it.
+pub(crate) fn open_files() -> usize {
+    // Without the one that reads the folder.
+    entries("/proc/self/fd").saturating_sub(1)
+}
+
+fn entries(folder: &str) -> usize {
+    std::fs::read_dir(folder).map_or(0, Iterator::count)
+}
+
+/// Ends process `id` by SIGKILL. Returns whether there was one.
+pub(crate) fn kill(id: u32) -> bool {
+    let Ok(id) = libc::pid_t::try_from(id) else { return false };
+    // SAFETY: a plain system call. A number that is not positive would name a group of processes.
+    id > 0 && unsafe { libc::kill(id, libc::SIGKILL) } == 0
 }
 
 #[cfg(test)]
@@ -43,5 +70,18 @@ mod tests {
             sum = std::hint::black_box(sum.wrapping_add(1));
         }
         assert!(super::usage().voluntary_waits >= before.voluntary_waits);
+    }
+
+    #[test]
+    fn an_open_file_and_a_thread_are_counted() {
+        assert!(super::threads() >= 1 && super::open_files() >= 3);
+    }
+
+    #[test]
+    fn a_process_is_killed_by_its_number() {
+        let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        assert!(super::kill(child.id()));
+        assert!(!child.wait().unwrap().success());
+        assert!(!super::kill(0) && !super::kill(u32::MAX));
     }
 }

@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
-use panoscope_graph::{Diagnostics, GraphOptions, GraphText, OnFault, installed};
+use panoscope_graph::{Catalog, Diagnostics, GraphOptions, GraphText, OnFault, installed};
 use panoscope_loader::Live;
 use panoscope_loader::live::FileWatch;
 use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, LockError, lock_path};
@@ -133,8 +133,15 @@ fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, St
     })
 }
 
-/// Runs a graph to its end, recorded where wanted, with a look at the engine ten times a second.
-pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: impl FnMut(&Engine)) -> Result<RunEnd> {
+/// A graph that runs, with what it was checked against.
+pub type Running<'e> = (Live<&'e Engine>, &'e Catalog);
+
+/// Runs a graph to its end, recorded where wanted, with a look at it ten times a second.
+pub fn run_with(
+    arguments: &Arguments,
+    record: Option<RecordOptions>,
+    mut look: impl FnMut(&mut Running),
+) -> Result<RunEnd> {
     let on_duty = signals::opening();
     let given = arguments.given.options(&arguments.set);
     let (mut ready, seal) = match open(arguments, &given)? {
@@ -194,18 +201,20 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
     };
     let on_duty = on_duty.watching();
     allocations::exclude_this_thread();
-    let mut changes = arguments.watch.then(|| {
+    let mut files = arguments.watch.then(|| {
         let files = ready.text.files().into_iter().skip(1).map(|f| PathBuf::from(f.path));
-        let files = FileWatch::new(&arguments.graph, &ready.loader).with_files(files);
-        (files, Live::new(&engine, &arguments.graph, text, settings, ready.loader))
+        FileWatch::new(&arguments.graph, &ready.loader).with_files(files)
     });
+    let mut live = Live::new(&engine, &arguments.graph, text, settings, ready.loader);
+    live.set_seal(seal);
+    let mut running = (live, &ready.catalog);
     watch(&engine, &mut progress, || {
-        look(&engine);
-        if let Some((files, live)) = &mut changes {
-            apply_changes(files, live, &given);
+        look(&mut running);
+        if let Some(files) = &mut files {
+            apply_changes(files, &mut running.0, &given);
         }
     });
-    drop(changes);
+    drop(running);
     let mut verdict = close(&engine, on_duty, arguments.frames, &progress);
     if let Some(path) = &arguments.report {
         report_into(path, &engine.report(), &mut verdict);

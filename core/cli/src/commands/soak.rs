@@ -1,15 +1,15 @@
-//! `panoscope soak`: runs a graph for minutes and says whether its memory grows.
+//! `panoscope soak`: runs a graph for minutes, disturbed where wanted, and says whether its memory, threads or open files grow.
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use panoscope_eval::soak::Soak;
+use panoscope_eval::soak::{Change, Disturbances, Disturber, Done, Soak};
 
 use super::run::{self, RunEnd};
 use crate::End;
 use crate::judge::Weight;
 use crate::numbers::{NumberError, number_in};
-use crate::terminal::raw;
+use crate::terminal::{log, raw};
 
 /// Arguments of `soak`.
 #[derive(clap::Args)]
@@ -20,34 +20,56 @@ pub struct Arguments {
     /// How long.
     #[arg(long, default_value_t = 10.0, value_parser = minutes)]
     minutes: f64,
-    /// Writes every sample: seconds, memory, frames, frame memory, drops, faults.
+    /// Changes the running graph every so many seconds: in turn a parameter moves, it moves back, a sink leaves, it comes back.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    edit_every: Option<f64>,
+    /// Kills the process of a group of isolated nodes every so many seconds, of each group in turn.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    kill_every: Option<f64>,
+    /// Writes every sample: seconds, memory, frames, frame memory, drops, faults, threads, open files, isolated processes.
     #[arg(long, value_name = "FILE.csv")]
     csv: Option<PathBuf>,
+}
+
+fn seconds(text: &str) -> Result<f64, NumberError> {
+    number_in(text, 0.1..=100_000.0, "number of seconds", "0.1 to 100000 seconds")
 }
 
 fn minutes(text: &str) -> Result<f64, NumberError> {
     number_in(text, 0.05..=100_000.0, "number of minutes", "0.05 to 100000 minutes")
 }
 
-/// Runs a graph and watches its memory.
+/// Runs a graph, disturbs it and watches what it holds.
 pub fn run(arguments: &Arguments) -> Result<End> {
     let mut soak = Soak::default();
-    let ran = run::run_with(&arguments.run, None, |engine| {
-        if soak.observe(engine) >= arguments.minutes * 60.0 {
-            engine.stop();
+    let settings = Disturbances { edit_every_s: arguments.edit_every, kill_every_s: arguments.kill_every };
+    let mut disturber = None;
+    let ran = run::run_with(&arguments.run, None, |(live, catalog)| {
+        let disturber = disturber.get_or_insert_with(|| {
+            let graph = live.engine().graph();
+            Disturber::new(settings, live.text(), &graph, catalog)
+        });
+        if let Some(reason) = disturber.disturb(live) {
+            log!("warning: a change was refused: {reason}");
+        }
+        if soak.observe(live.engine()) >= arguments.minutes * 60.0 {
+            live.engine().stop();
         }
     })?;
     let mut verdict = match ran {
         RunEnd::Not(end) => return Ok(end),
         RunEnd::Over { verdict, .. } => verdict,
     };
-    if soak.samples().is_empty() {
-        return Ok(run::conclude(&verdict));
-    }
+    let Some(last) = soak.samples().last() else { return Ok(run::conclude(&verdict)) };
     if let Some(path) = &arguments.csv {
         std::fs::write(path, soak.csv()).with_context(|| format!("cannot write {}", path.display()))?;
     }
     raw(&soak.curve());
+    if arguments.edit_every.is_some() || arguments.kill_every.is_some() {
+        let Done { edits, refused, kills } = disturber.map(|disturber| disturber.done()).unwrap_or_default();
+        let processes = last.processes;
+        raw(&format!("{edits} edits, {refused} refused; {kills} processes killed, {processes} started\n"));
+    }
     let growth = soak.growth();
     raw(&format!(
         "after warm-up ({:.0} s on): {:+.1} MB per hour, standard error {:.1}, at {:.1} MB resident\n",
@@ -58,6 +80,13 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         verdict.add(Weight::Error, format!("memory grows: more than {tolerated:.1} MB per hour"));
     } else {
         raw("memory does not grow\n");
+    }
+    for (what, change) in [("threads", soak.threads()), ("open files", soak.open_files())] {
+        let Change { from, to } = change;
+        raw(&format!("{what}: {from} after the warm-up, {to} at the end\n"));
+        if change.is_leak() {
+            verdict.add(Weight::Error, format!("{what} grow: {from} after the warm-up, {to} at the end"));
+        }
     }
     Ok(run::conclude(&verdict))
 }

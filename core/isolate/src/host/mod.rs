@@ -167,7 +167,10 @@ impl Group for Isolated {
     fn counts(&self) -> GroupReport {
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let Totals { processes, calls, round_trips, sleeps } = &*self.totals;
+        // Held while a process starts, which a report does not wait for.
+        let process = self.process.try_lock().ok().and_then(|process| process.upgrade());
         GroupReport {
+            process_id: process.and_then(|process| process.id()),
             processes: load(processes),
             calls: load(calls),
             round_trips: load(round_trips),

@@ -55,6 +55,8 @@ pub(super) struct NodeLane {
 struct Life {
     /// For messages: "the process of group `readers`".
     what: String,
+    /// Its number, which is another process's once it ended.
+    id: u32,
     pidfd: OwnedFd,
     state: Mutex<LifeState>,
     ended: Condvar,
@@ -183,6 +185,7 @@ impl Process {
         let pidfd = begun.inspect_err(|_| end(&mut child))?;
         let life = Arc::new(Life {
             what,
+            id: child.id(),
             pidfd,
             state: Mutex::default(),
             ended: Condvar::new(),
@@ -235,6 +238,11 @@ impl Process {
     /// Whether the process has ended, or was told to.
     pub fn is_ending(&self) -> bool {
         self.is_dead() || self.life.is_killed.load(Ordering::Acquire)
+    }
+
+    /// Its number, as long as it runs.
+    pub fn id(&self) -> Option<u32> {
+        (!self.is_ending()).then_some(self.life.id)
     }
 
     /// Ends the process; its calls return.

@@ -1,4 +1,6 @@
-//! Memory of a running graph over minutes, and whether it grows.
+//! Memory, threads and files of a running graph over minutes, and whether they grow.
+
+mod disturb;
 
 use std::fmt::Write as _;
 use std::time::Instant;
@@ -7,9 +9,10 @@ use panoscope_engine::Engine;
 use panoscope_engine::memory::memory;
 
 use crate::system;
+pub use disturb::{Disturbances, Disturber, Done};
 
 /// State of the process at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
     /// Since the first sample.
     pub seconds: f64,
@@ -23,6 +26,14 @@ pub struct Sample {
     pub dropped: u64,
     /// Faults so far.
     pub faults: u64,
+    /// Threads of the process.
+    pub threads: usize,
+    /// Open files of the process.
+    pub open_files: usize,
+    /// Resident memory of the processes of isolated nodes.
+    pub isolated_mb: f64,
+    /// Processes of isolated nodes started so far.
+    pub processes: u64,
 }
 
 /// Samples of a run, one per second.
@@ -54,6 +65,22 @@ impl Growth {
     }
 }
 
+/// A count before and after a run, without its warm-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Change {
+    /// Median of the first tenth after the warm-up.
+    pub from: usize,
+    /// Median of the last tenth.
+    pub to: usize,
+}
+
+impl Change {
+    /// Whether it grew by more than a twentieth and more than two.
+    pub fn is_leak(&self) -> bool {
+        self.to > self.from + (self.from / 20).max(2)
+    }
+}
+
 impl Soak {
     /// Takes a sample if a second has passed since the last one. Returns the seconds since the first sample.
     pub fn observe(&mut self, engine: &Engine) -> f64 {
@@ -71,9 +98,14 @@ impl Soak {
 
     /// All samples as CSV.
     pub fn csv(&self) -> String {
-        let mut text = String::from("seconds,resident_mb,frames,frame_memory_mb,dropped,faults\n");
-        for Sample { seconds, rss_mb, frames, pool_mb, dropped, faults } in &self.samples {
-            let _ = writeln!(text, "{seconds:.2},{rss_mb:.3},{frames},{pool_mb:.3},{dropped},{faults}");
+        let mut text = String::from(
+            "seconds,resident_mb,frames,frame_memory_mb,dropped,faults,threads,open_files,isolated_mb,processes\n",
+        );
+        for sample in &self.samples {
+            let Sample { seconds, rss_mb, frames, pool_mb, dropped, faults, .. } = sample;
+            let Sample { threads, open_files, isolated_mb, processes, .. } = sample;
+            let _ = write!(text, "{seconds:.2},{rss_mb:.3},{frames},{pool_mb:.3},{dropped},{faults},");
+            let _ = writeln!(text, "{threads},{open_files},{isolated_mb:.3},{processes}");
         }
         text
     }
@@ -83,10 +115,35 @@ impl Soak {
         curve(&self.samples)
     }
 
+    /// Samples after the warm-up: threads, pools and files settle in the first third.
+    fn settled(&self) -> &[Sample] {
+        &self.samples[self.samples.len() / 3..]
+    }
+
+    /// Threads of the process after the warm-up.
+    pub fn threads(&self) -> Change {
+        self.change(|sample| sample.threads)
+    }
+
+    /// Open files of the process after the warm-up.
+    pub fn open_files(&self) -> Change {
+        self.change(|sample| sample.open_files)
+    }
+
+    fn change(&self, of: impl Fn(&Sample) -> usize) -> Change {
+        let settled = self.settled();
+        let tenth = settled.len().div_ceil(10);
+        let median = |samples: &[Sample]| {
+            let mut values: Vec<usize> = samples.iter().map(&of).collect();
+            values.sort_unstable();
+            values.get(values.len() / 2).copied().unwrap_or(0)
+        };
+        Change { from: median(&settled[..tenth]), to: median(&settled[settled.len() - tenth..]) }
+    }
+
     /// Growth of the memory after the warm-up.
     pub fn growth(&self) -> Growth {
-        // Threads, pools and files settle in the first third.
-        let settled = &self.samples[self.samples.len() / 3..];
+        let settled = self.settled();
         let (mb_per_hour, error_mb_per_hour) = slope(settled);
         let resident_mb = settled.last().map_or(0.0, |s| s.rss_mb);
         Growth {
@@ -108,6 +165,10 @@ fn sample(engine: &Engine, since: Instant) -> Sample {
         pool_mb: memory().in_use_bytes() as f64 / 1e6,
         dropped: report.nodes.values().map(|n| n.dropped).sum(),
         faults: report.nodes.values().map(|n| n.faults).sum(),
+        threads: system::threads(),
+        open_files: system::open_files(),
+        isolated_mb: report.groups.values().filter_map(|g| g.process_id).map(system::resident_mb_of).sum(),
+        processes: report.groups.values().map(|g| g.processes).sum(),
     }
 }
 
@@ -130,16 +191,13 @@ fn slope(samples: &[Sample]) -> (f64, f64) {
 fn curve(samples: &[Sample]) -> String {
     const ROWS: usize = 30;
     let (low, high) = samples.iter().fold((f64::MAX, 0.0f64), |(l, h), s| (l.min(s.rss_mb), h.max(s.rss_mb)));
-    let mut text = String::from("seconds  resident MB  frame MB   frames  dropped  faults\n");
+    let mut text = String::from("seconds  resident MB  frame MB   frames  dropped  faults  threads  files\n");
     for row in 0..ROWS.min(samples.len()) {
         let sample = &samples[row * (samples.len() - 1) / (ROWS.min(samples.len()) - 1).max(1)];
         let bar = ((sample.rss_mb - low) / (high - low).max(0.1) * 30.0) as usize;
-        let Sample { seconds, rss_mb, frames, pool_mb, dropped, faults } = *sample;
-        let _ = writeln!(
-            text,
-            "{seconds:7.0}  {rss_mb:11.1}  {pool_mb:8.1}  {frames:7}  {dropped:7}  {faults:6}  {}",
-            "#".repeat(bar)
-        );
+        let Sample { seconds, rss_mb, frames, pool_mb, dropped, faults, threads, open_files, .. } = *sample;
+        let _ = write!(text, "{seconds:7.0}  {rss_mb:11.1}  {pool_mb:8.1}  {frames:7}  {dropped:7}  {faults:6}");
+        let _ = writeln!(text, "  {threads:7}  {open_files:5}  {}", "#".repeat(bar));
     }
     text
 }
@@ -154,7 +212,8 @@ mod tests {
     fn soak(rss_mb: impl Fn(f64) -> f64) -> Soak {
         let sample = |k: u32| {
             let seconds = f64::from(k);
-            Sample { seconds, rss_mb: rss_mb(seconds), frames: 0, pool_mb: 0.0, dropped: 0, faults: 0 }
+            let (rss_mb, open_files) = (rss_mb(seconds), 40 + k as usize / 50);
+            Sample { seconds, rss_mb, threads: 9, open_files, ..Sample::default() }
         };
         Soak { samples: (0..300).map(sample).collect(), began: None }
     }
@@ -166,6 +225,14 @@ mod tests {
         let warm_up = soak(|seconds| 100.0 + seconds.min(60.0) + 0.1 * (seconds % 2.0)).growth();
         assert!(!warm_up.is_leak() && warm_up.mb_per_hour.abs() < 1.0, "{warm_up:?}");
         assert_eq!(warm_up.from_seconds, 100.0);
+    }
+
+    #[test]
+    fn a_file_opened_every_fifty_seconds_is_a_leak_and_steady_threads_are_none() {
+        let soak = soak(|_| 100.0);
+        assert_eq!(soak.threads(), Change { from: 9, to: 9 });
+        assert_eq!(soak.open_files(), Change { from: 42, to: 45 });
+        assert!(soak.open_files().is_leak() && !soak.threads().is_leak());
     }
 
     #[test]
