@@ -11,6 +11,7 @@ use crate::packets::{Table, floats};
 use crate::plot::{self, Chart, Series, Style};
 use crate::run::{self, Pace, Plan};
 use crate::session::Session;
+use crate::statistics::percentile;
 use crate::text_table::table;
 
 /// Size of the phantom's pictures, px.
@@ -110,11 +111,6 @@ fn letter(index: usize) -> char {
     char::from(b'A' + (index % 26) as u8)
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
-}
-
 impl Ruler {
     /// Measures on the rendered bowel at all distances.
     pub fn measure(session: &dyn Session) -> Result<Self> {
@@ -183,7 +179,7 @@ impl Ruler {
         add("lengths", self.lengths.len() as f64, "1");
         for distance_mm in DISTANCES_MM {
             let here = self.depths.iter().filter(|m| m.distance_mm == distance_mm);
-            add(&format!("point_depth_error_mm/{distance_mm:.0}"), median(here.map(Measured::off_mm).collect()), "mm");
+            add(&format!("point_depth_error_mm/{distance_mm:.0}"), percentile(&here.map(Measured::off_mm).collect::<Vec<_>>(), 0.5), "mm");
         }
         add("point_depth_within_stated", within(&self.depths), "%");
         out

@@ -16,6 +16,14 @@ pub fn rms(values: &[f64]) -> f64 {
     mean(&values.iter().map(|v| v * v).collect::<Vec<_>>()).sqrt()
 }
 
+/// The finite value with a share of the others below it, 0.5 for the median; NaN of none. Of an even number the larger of the middle two.
+pub fn percentile(values: &[f64], share: f64) -> f64 {
+    let mut sorted: Vec<f64> = finite(values).collect();
+    sorted.sort_by(f64::total_cmp);
+    let last = sorted.len().saturating_sub(1);
+    sorted.get((last as f64 * share).round() as usize).copied().unwrap_or(f64::NAN)
+}
+
 /// Slope and offset of the least-squares line through `(x, y)` points; zeros for fewer than two different `x`.
 pub fn line(points: &[(f64, f64)]) -> (f64, f64) {
     let n = points.len() as f64;
@@ -47,5 +55,12 @@ mod tests {
         assert!((slope - 3.0).abs() < 1e-12 && (offset - 5.0).abs() < 1e-12);
         assert!(super::r_squared(&points) > 0.999_999);
         assert_eq!(super::line(&[(1.0, 7.0)]), (0.0, 0.0));
+    }
+
+    #[test]
+    fn a_percentile_is_one_of_the_finite_values() {
+        let values = [4.0, f64::NAN, 1.0, 3.0, 2.0];
+        assert_eq!([0.0, 0.5, 0.99].map(|share| super::percentile(&values, share)), [1.0, 3.0, 4.0]);
+        assert!(super::percentile(&[], 0.5).is_nan());
     }
 }

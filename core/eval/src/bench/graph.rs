@@ -88,6 +88,20 @@ impl Run {
 
 /// Runs a graph for so many frames.
 pub fn run(session: &dyn Session, text: &str, frames: u64) -> Result<Run> {
+    let before = usage();
+    let engine = start(session, text, Some(frames))?;
+    engine.watch(Duration::from_millis(100), |_| check_cancelled(session))?;
+    let report = run::close(&engine)?;
+    let after = usage();
+    Ok(Run {
+        report,
+        cpu_seconds: after.cpu_seconds - before.cpu_seconds,
+        waits: after.voluntary_waits - before.voluntary_waits,
+    })
+}
+
+/// Starts a graph, for so many frames or until it is stopped.
+pub fn start(session: &dyn Session, text: &str, frames: Option<u64>) -> Result<Engine> {
     check_cancelled(session)?;
     let text = GraphText::parse(Path::new("bench.toml"), text);
     let ready = match graph_file::ready(&text) {
@@ -98,19 +112,10 @@ pub fn run(session: &dyn Session, text: &str, frames: u64) -> Result<Run> {
     };
     let counters = session.allocation_counters();
     let options = Options {
-        frames: Some(frames),
+        frames,
         process_allocations: counters.process,
         thread_allocations: counters.thread,
         ..Options::default()
     };
-    let before = usage();
-    let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
-    engine.watch(Duration::from_millis(100), |_| check_cancelled(session))?;
-    let report = run::close(&engine)?;
-    let after = usage();
-    Ok(Run {
-        report,
-        cpu_seconds: after.cpu_seconds - before.cpu_seconds,
-        waits: after.voluntary_waits - before.voluntary_waits,
-    })
+    Ok(Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?)
 }

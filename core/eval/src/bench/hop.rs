@@ -1,5 +1,6 @@
 //! What a frame's way from node to node costs.
 
+use super::death;
 use super::graph::{self, INPUT, Pace};
 use super::gstreamer::GStreamer;
 use crate::error::Result;
@@ -66,6 +67,7 @@ pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     figures.extend(saturated(session, quick, gst.as_ref())?);
     figures.extend(paced(session, quick, gst.as_ref())?);
     figures.extend(isolated(session, quick)?);
+    figures.extend(death::measure(session, quick)?);
     figures.extend(copies(session, quick)?);
     Ok(figures)
 }

@@ -1,5 +1,6 @@
 //! What the runtime itself costs.
 
+mod death;
 pub mod editor;
 mod graph;
 mod gstreamer;

@@ -13,6 +13,7 @@ use crate::packets::Table;
 use crate::plot::{self, Chart, Series, Style};
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, check_cancelled};
+use crate::statistics::percentile;
 
 /// Scenes: bowel without relief, and tissue as it is.
 pub const SCENES: [&str; 3] = ["plane", "bowel", "liver"];
@@ -138,9 +139,7 @@ impl JudgeInputs {
     /// Median over the path's end, where the camera is back where it began.
     fn end(&self, name: &str) -> Result<f64> {
         let column = self.column(name)?;
-        let mut last: Vec<f64> = column.iter().rev().take(END_FRAMES).copied().filter(|v| v.is_finite()).collect();
-        last.sort_by(f64::total_cmp);
-        Ok(last.get(last.len() / 2).copied().unwrap_or(f64::NAN))
+        Ok(percentile(&column[column.len().saturating_sub(END_FRAMES)..], 0.5))
     }
 
     /// Root mean square over the last of `laps` laps.

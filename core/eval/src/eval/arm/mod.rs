@@ -16,6 +16,7 @@ use panoscope_arm_core::{Chain, Interlock, JointVector, campaign};
 use crate::error::{EvalError, FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::session::{Session, check_cancelled, note};
+use crate::statistics::percentile;
 
 /// AutoCam on the dVRK (arXiv 2505.10398): error of the tool in the picture, and share of time that it was seen.
 const PEER: &str = "AutoCam on dVRK, published";
@@ -229,8 +230,7 @@ fn time(chain: &Chain, figures: &mut Vec<Figure>) {
         micros.push(start.elapsed().as_secs_f64() * 1e6);
         while lock.take_event().is_some() {}
     }
-    micros.sort_by(f64::total_cmp);
     let input = "controller and interlock, one tick of 33 ms while moving, 3000 ticks";
-    figures.push(Figure::new("control_us", micros[micros.len() / 2], "us", input));
-    figures.push(Figure::new("control_us/p99", micros[micros.len() * 99 / 100], "us", input));
+    figures.push(Figure::new("control_us", percentile(&micros, 0.5), "us", input));
+    figures.push(Figure::new("control_us/p99", percentile(&micros, 0.99), "us", input));
 }
