@@ -19,6 +19,7 @@ mod trust;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use panoscope_engine::ending::signals;
+use panoscope_engine::heap;
 use panoscope_graph::command_line::{self, CommandLine};
 use panoscope_loader::isolated;
 
@@ -136,6 +137,7 @@ fn parse(words: Vec<std::ffi::OsString>) -> Arguments {
 }
 
 fn main() {
+    heap::keep_large_blocks_apart();
     if std::env::args_os().nth(1).is_some_and(|word| word == isolated::COMMAND) {
         isolated::serve();
     }

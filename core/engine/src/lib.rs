@@ -14,6 +14,7 @@ mod engine;
 mod exec;
 pub mod fault;
 mod guard;
+pub mod heap;
 mod host;
 mod instance;
 pub mod isolation;

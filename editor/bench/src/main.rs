@@ -22,6 +22,7 @@ struct Arguments {
 panoscope_engine::guard_exits!();
 
 fn main() {
+    panoscope_engine::heap::keep_large_blocks_apart();
     window::listen_to_signals();
     let code = run(&window::parse());
     window::leave(code)

@@ -42,6 +42,7 @@ struct Arguments {
 panoscope_engine::guard_exits!();
 
 fn main() {
+    panoscope_engine::heap::keep_large_blocks_apart();
     window::listen_to_signals();
     let mut words: Vec<OsString> = std::env::args_os().collect();
     let code = match words.get(1).is_some_and(|word| word == worker::COMMAND) {

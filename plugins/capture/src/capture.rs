@@ -74,7 +74,7 @@ impl Capture {
                 cx.warn(&words);
             }
             // Without any tick so far, starting again would end again.
-            if params.r#loop && self.since_open > 0 {
+            if params.r#loop && self.frame > 0 {
                 let last_s = self.timing.capture_ns.max(0) as f64 / 1e9;
                 self.views.rewind(last_s)?;
                 grabbed = self.views.grab(cx, clock, self.is_lost);

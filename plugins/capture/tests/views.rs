@@ -182,6 +182,23 @@ fn videos_play_loop_and_keep_their_rate() {
 }
 
 #[test]
+fn a_loop_goes_on_where_an_instance_stopped_at_the_end_of_a_round() {
+    let folder = Folder::new("loop-resumed");
+    write_video(&folder.0.join("v.avi"), 6);
+    let settings = r#"left = "v.avi", loop = true"#;
+    let mut first = folder.open(settings);
+    for _ in 0..6 {
+        assert!(!first.process().unwrap().ended());
+    }
+    let state = first.save_state().unwrap().unwrap();
+    let mut second = folder.open(settings);
+    second.load_state(&state).unwrap();
+    let next = second.process().unwrap();
+    assert!(!next.ended(), "the loop ended with the instance that stopped");
+    assert_eq!((value(&next, "left") / 10, next.tick().capture_ns), (0, 300_000_000));
+}
+
+#[test]
 fn a_pipeline_gives_pictures() {
     let folder = Folder::new("gst");
     let pipeline = "videotestsrc num-buffers=5 pattern=white ! video/x-raw,width=32,height=24";
