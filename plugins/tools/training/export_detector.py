@@ -6,54 +6,35 @@
 The file answers one 1 x N x (5 + C) tensor: boxes relative to the grid, objectness and classes as probabilities. Decoding of the few boxes
 above the score limit is left to the reader: the network computes no exponential for the thousands below it. Batch normalisation is folded into
 the convolutions, and the slicing at its begin together with the first convolution becomes one convolution of 6 x 6 px, which gives the same
-numbers. Needs PyTorch and onnx; with onnxruntime it also compares the file's answers with PyTorch's, times it, and with --data scores it.
+numbers; of the lite networks the shift and scale of the picture go into the first convolution. Needs PyTorch and onnx; with onnxruntime it also
+compares the file's answers with PyTorch's, times it, and with --data scores it.
 """
 
 import argparse
+import inspect
 import time
 import warnings
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import nn
 
 from instruments.data import CLASSES, letterbox, read
-from instruments.folding import fold_all, wide_stem
+from instruments.networks import DESCRIPTIONS, NANO, SOURCES, Exported, build
 from instruments.onnx_store import store_half, write, write_card
 from instruments.score import average_precision, rows_of
-from instruments.yolox import Yolox
 
-SOURCE = "m2cai16-tool-locations (Jin et al. 2018), weights started from YOLOX-nano of Megvii (Apache-2.0)"
+DATA = "m2cai16-tool-locations (Jin et al. 2018)"
 LICENCE = "research use: the training frames state no licence; no medical device"
 
 
-class Exported(nn.Module):
-    """The same network, folded, with one flat answer."""
-
-    def __init__(self, model):
-        super().__init__()
-        fold_all(model)
-        self.first = nn.Sequential(wide_stem(model.stem[0]), nn.SiLU())
-        model.stem = nn.Identity()
-        self.model = model
-
-    def forward(self, x):
-        m = self.model
-        c3 = m.dark3(m.dark2(self.first(x)))
-        levels = m.neck_and_heads(c3, m.dark4(c3))
-        rows = []
-        for level in levels:
-            parts = torch.cat((level[:, :4], level[:, 4:].sigmoid()), 1)
-            rows.append(parts.flatten(2))
-        return torch.cat(rows, 2).permute(0, 2, 1)
-
-
-def export(model, path, width, height, half, classes):
+def export(model, kind, path, width, height, half, classes):
     x = torch.zeros(1, 3, height, width)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="The shape inference of prim::Constant")
-        torch.onnx.export(model, x, str(path), opset_version=13, input_names=["images"], output_names=["output"])
+        # PyTorch 2 has a second exporter, which needs another package; this one is in every version.
+        other = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
+        torch.onnx.export(model, x, str(path), opset_version=13, input_names=["images"], output_names=["output"], **other)
     metadata = {
         "names": str(dict(enumerate(classes))),
         "task": "detect",
@@ -61,8 +42,8 @@ def export(model, path, width, height, half, classes):
         "imgsz": str([height, width]),
         "batch": "1",
         "family": "yolox",
-        "description": "YOLOX-nano, surgical instruments",
-        "source": SOURCE,
+        "description": DESCRIPTIONS[kind],
+        "source": f"{DATA}, {SOURCES[kind]}",
         "license": LICENCE,
     }
     write(path, metadata, store_half if half else None)
@@ -132,6 +113,7 @@ def score(path, data, split, only, width, height, threads):
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--weights", type=Path, help="weights.pt or state.pt of train_detector.py; left out, random ones (to try the path)")
+    p.add_argument("--network", default=NANO, choices=list(DESCRIPTIONS))
     p.add_argument("--out", required=True, type=Path)
     p.add_argument("--width", type=int, default=416)
     p.add_argument("--height", type=int, default=256)
@@ -147,13 +129,12 @@ def main():
         p.error("--width and --height are multiples of 32")
     torch.manual_seed(1)
     torch.set_num_threads(a.threads)
-    plain, folded = Yolox(len(CLASSES)).eval(), Yolox(len(CLASSES)).eval()
-    state = torch.load(a.weights, map_location="cpu") if a.weights else plain.state_dict()
-    state = state.get("average", state)
-    for model in (plain, folded):
-        model.load_state_dict(state)
+    plain = build(a.network, len(CLASSES)).eval()
+    if a.weights:
+        state = torch.load(a.weights, map_location="cpu", weights_only=True)
+        plain.load_state_dict(state.get("average", state))
     with torch.no_grad():
-        metadata = export(Exported(folded).eval(), a.out, a.width, a.height, a.half, CLASSES)
+        metadata = export(Exported(plain).eval(), a.network, a.out, a.width, a.height, a.half, CLASSES)
     print(f"{a.out}: {a.out.stat().st_size / 1e6:.2f} MB, {a.width}x{a.height}, {'16' if a.half else '32'}-bit weights")
     measured = []
     try:

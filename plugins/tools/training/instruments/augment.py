@@ -23,18 +23,30 @@ def transfer_colour(picture, own, other, share):
     return cv2.cvtColor(cv2.LUT(cv2.cvtColor(picture, cv2.COLOR_BGR2LAB), tables), cv2.COLOR_LAB2BGR)
 
 
+def lookup(picture, curves):
+    """Sends each channel through its curve, 256 x 3 values in 0..255."""
+    return cv2.LUT(picture, np.clip(curves, 0, 255).astype(np.uint8).reshape(256, 1, 3))
+
+
 def light(picture, rng):
     """Gamma, gain per channel, contrast, saturation."""
-    table = np.arange(256, dtype=np.float32) / 255
+    ramp = np.arange(256, dtype=np.float32)[:, None] / 255
     gamma = np.exp(rng.uniform(-0.5, 0.5))
     gains = np.exp(rng.uniform(-0.35, 0.35)) * np.exp(rng.uniform(-0.12, 0.12, 3))
-    tables = np.clip((table[:, None] ** gamma) * gains * 255, 0, 255).astype(np.uint8)
-    picture = cv2.LUT(picture, tables.reshape(256, 1, 3))
+    picture = lookup(picture, (ramp**gamma) * gains * 255)
     if rng.random() < 0.5:
         gray = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
         share = rng.uniform(0.3, 1.6)
         picture = cv2.addWeighted(picture, share, gray, 1 - share, 0)
     return picture
+
+
+def white_balance(picture, rng):
+    """Another white: gains of blue against red and of green against both, and a gamma of each channel's own."""
+    warm, green = rng.uniform(-0.35, 0.35), rng.uniform(-0.2, 0.2)
+    gains = np.exp(np.array([warm, green, -warm], np.float32))
+    ramp = np.arange(256, dtype=np.float32)[:, None] / 255
+    return lookup(picture, ramp ** np.exp(rng.uniform(-0.25, 0.25, 3)) * gains / gains.mean() * 255)
 
 
 def cloud(shape, rng, cells=4):
@@ -62,6 +74,26 @@ def vignette(picture, rng):
     dy = (np.arange(h, dtype=np.float32) - cy) ** 2
     fall = 1 - np.float32(rng.uniform(0.2, 0.7)) * np.minimum((dx[None] + dy[:, None]) / np.float32((0.5 * w) ** 2), 1)
     return weigh(picture, fall.astype(np.float32))
+
+
+def blood(picture, rng):
+    """Dark red patches with soft rims, some of them nearly opaque: tissue that bleeds, drops on the lens."""
+    field = cloud(picture.shape, rng, cells=int(rng.integers(4, 10)))
+    level = np.float32(rng.uniform(0.55, 0.8))
+    cover = ((field - level) / np.float32(0.15)).clip(0, 1) * np.float32(rng.uniform(0.4, 0.95))
+    red = np.array([rng.uniform(5, 40), rng.uniform(5, 35), rng.uniform(70, 170)], np.float32)
+    return (picture * (1 - cover)[..., None] + red * cover[..., None]).astype(np.uint8)
+
+
+def highlight(picture, rng):
+    """A few saturated spots with a glow around them, as wet tissue and steel reflect the light."""
+    h, w = picture.shape[:2]
+    glow = np.zeros((h, w), np.float32)
+    for _ in range(int(rng.integers(2, 9))):
+        axes = (max(1, int(rng.uniform(0.003, 0.03) * w)), max(1, int(rng.uniform(0.003, 0.02) * w)))
+        cv2.ellipse(glow, (int(rng.integers(0, w)), int(rng.integers(0, h))), axes, rng.uniform(0, 180), 0, 360, 1.0, -1)
+    glow = np.minimum(glow + cv2.GaussianBlur(glow, (0, 0), 0.012 * w), 1) * np.float32(rng.uniform(0.6, 1))
+    return weigh(picture, 1 - glow, glow * np.float32(250))
 
 
 def blur(picture, rng):
@@ -98,13 +130,43 @@ def erase(picture, rng):
     return picture
 
 
-def photometric(picture, rng, own, other):
-    if rng.random() < 0.5:
+# Changes of light and picture, in the order in which they are applied, with the share of the samples that each changes.
+CHANGES = {
+    "light": (light, 0.8),
+    "white_balance": (white_balance, 0.4),
+    "vignette": (vignette, 0.15),
+    "blood": (blood, 0.15),
+    "smoke": (smoke, 0.2),
+    "highlight": (highlight, 0.15),
+    "blur": (blur, 0.2),
+    "noise": (noise, 0.15),
+    "jpeg": (compress, 0.1),
+    "erase": (erase, 0.2),
+}
+COLOUR_SHARE = 0.5
+NAMES = ("colour", *CHANGES)
+# Those that the detector which ships learned with.
+USUAL = frozenset(NAMES) - {"white_balance", "blood", "highlight"}
+
+
+def chosen_changes(text):
+    """Names of changes from a list such as `usual,blood,-smoke`: `all`, `usual`, `none`, names, and names after a minus, from left to right."""
+    sets, names = {"all": frozenset(NAMES), "usual": USUAL, "none": frozenset()}, set()
+    for word in filter(None, (part.strip() for part in text.split(","))):
+        name = word.removeprefix("-")
+        if name not in sets and name not in NAMES:
+            raise ValueError(f"there is no change `{name}`; there are {', '.join((*sets, *NAMES))}")
+        one = sets.get(name, {name})
+        names = names - one if word.startswith("-") else names | one
+    return frozenset(names)
+
+
+def photometric(picture, rng, own, other, changes=USUAL):
+    """Changes a picture by some of `changes`; `own` and `other` are colour statistics, of it and of another frame."""
+    if "colour" in changes and rng.random() < COLOUR_SHARE:
         picture = transfer_colour(picture, own, other, rng.uniform(0.4, 1.0))
-    if rng.random() < 0.8:
-        picture = light(picture, rng)
-    for change, share in ((vignette, 0.15), (smoke, 0.2), (blur, 0.2), (noise, 0.15), (compress, 0.1), (erase, 0.2)):
-        if rng.random() < share:
+    for name, (change, share) in CHANGES.items():
+        if name in changes and rng.random() < share:
             picture = change(picture, rng)
     return picture
 
@@ -194,21 +256,29 @@ def shared_out(weights, guest, share):
 class Augmented:
     """Endless, seeded samples: width x height BGR pictures with boxes as class, cx, cy, w, h.
 
-    The last `guests` of the frames are of another kind (rendered ones); together they make `guests_share` of the samples and of the pasted tools."""
+    `changes`: names of CHANGES. With `per_operation` a class is balanced in each operation for itself, so that one seen often in one operation
+    and seldom in another comes up in both. The last `guests` of the frames are of another kind (rendered ones); together they make `guests_share` of the samples and of the pasted tools."""
 
-    def __init__(self, frames, width, height, seed, mosaic=0.4, pasting=0.35, balance=0.5, guests=0, guests_share=0.0):
+    def __init__(
+        self, frames, width, height, seed, mosaic=0.4, pasting=0.35, balance=0.5, guests=0, guests_share=0.0, changes=USUAL, per_operation=False
+    ):
         self.frames, self.width, self.height, self.seed = frames, width, height, seed
-        self.mosaic, self.pasting = mosaic, pasting
+        self.mosaic, self.pasting, self.changes = mosaic, pasting, changes
         self.statistics = [lab_statistics(f.picture) for f in frames]
         groups = {g: i for i, g in enumerate(sorted({f.group for f in frames}))}
         per_group = np.bincount([groups[f.group] for f in frames], minlength=len(groups))
         per_class = np.bincount(np.concatenate([f.boxes[:, 0].astype(int) for f in frames]), minlength=8)
+        # Boxes of a class as the balancing counts them: in all frames, or in each operation for itself.
+        counts = np.zeros((len(groups), len(per_class)))
+        for f in frames:
+            np.add.at(counts[groups[f.group]], f.boxes[:, 0].astype(int), 1)
+        counts = counts * len(groups) if per_operation else np.broadcast_to(per_class, counts.shape)
         # Seldom tools and small operations come up more often (square-root balancing).
         weights = []
         for f in frames:
-            kinds = f.boxes[:, 0].astype(int)
-            rare = max((1.0 / per_class[k] for k in kinds), default=1.0 / per_class.max())
-            weights.append((rare**balance) * (1.0 / per_group[groups[f.group]]) ** (balance / 2))
+            kinds, group = f.boxes[:, 0].astype(int), groups[f.group]
+            rare = max((1.0 / counts[group, k] for k in kinds), default=1.0 / counts[group].max())
+            weights.append((rare**balance) * (1.0 / per_group[group]) ** (balance / 2))
         hosts = len(frames) - guests
         guest = np.arange(len(frames)) >= hosts
         self.weights = shared_out(np.array(weights), guest, guests_share)
@@ -230,7 +300,7 @@ class Augmented:
             if rng.random() < 0.6:
                 recolour = partial(transfer_colour, own=self.statistics[d], other=self.statistics[i], share=0.7)
             boxes = paste(picture, boxes, donor, self.frames[d].boxes[b], rng, recolour)
-        return photometric(picture, rng, self.statistics[i], other), boxes
+        return photometric(picture, rng, self.statistics[i], other, self.changes), boxes
 
     def sample(self, number, plain=False):
         rng = np.random.default_rng((self.seed, number))

@@ -29,16 +29,19 @@ class Frame:
     size: tuple  # width, height as stored
     boxes: np.ndarray
     picture: np.ndarray = None
+    scale: np.ndarray = None  # x, y, x, y: pixels of `picture` per pixel as stored
 
     def load(self, width):
-        """Decodes, shrinks to `width` pixels and scales the boxes with it."""
+        """Decodes, shrinks to at most `width` pixels and scales the boxes with it."""
         picture = cv2.imread(str(self.path))
         if picture is None:
             raise ValueError(f"{self.path}: not a picture that can be read")
         h, w = picture.shape[:2]
+        width = min(width, w)
         height = round(h * width / w)
         self.picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-        self.boxes = self.boxes * np.array([1, width / w, height / h, width / w, height / h], np.float32)
+        self.scale = np.array([width / w, height / h] * 2, np.float32)
+        self.boxes = self.boxes * np.concatenate(([1], self.scale)).astype(np.float32)
         return self
 
 

@@ -3,6 +3,7 @@
 import torch
 from torch import nn
 
+from .lite import DEVIATION, MEAN, Unit
 from .yolox import Conv
 
 
@@ -17,11 +18,14 @@ def fold(module):
 
 
 def fold_all(module):
-    """Replaces every `Conv` below `module`; gives `module` back."""
+    """Replaces every `Conv` and `Unit` below `module`; gives `module` back."""
     for parent in list(module.modules()):
         for name, child in list(parent.named_children()):
             if isinstance(child, Conv):
-                setattr(parent, name, nn.Sequential(fold(child), nn.SiLU()))
+                setattr(parent, name, nn.Sequential(fold(child), child.act))
+            elif isinstance(child, Unit):
+                padding = [] if child.padded_by_conv else [nn.ZeroPad2d(child.pad)]
+                setattr(parent, name, nn.Sequential(*padding, fold(child), child.act))
     return module
 
 
@@ -34,3 +38,15 @@ def wide_stem(folded):
         wide[:, :, dy::2, dx::2] = w[:, 3 * group : 3 * group + 3]
     out.weight.data, out.bias.data = wide, folded.bias.data.clone()
     return out
+
+
+def raw_stem(stem):
+    """The first unit of a `lite` backbone, for BGR 0..255: shift, scale and the order of the channels move into the weights.
+
+    The margin becomes the mean instead of zero, which is what zero was after the shift.
+    """
+    folded = fold(stem)
+    weight = folded.weight.data.flip(1) / DEVIATION
+    folded.bias.data -= MEAN * weight.sum((1, 2, 3))
+    folded.weight.data = weight
+    return nn.Sequential(nn.ConstantPad2d(stem.pad, MEAN), folded, stem.act)

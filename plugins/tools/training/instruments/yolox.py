@@ -103,7 +103,11 @@ class Yolox(nn.Module):
 
     def forward(self, x):
         x = torch.cat((x[..., ::2, ::2], x[..., 1::2, ::2], x[..., ::2, 1::2], x[..., 1::2, 1::2]), 1)
-        c3 = self.dark3(self.dark2(self.stem(x)))
+        return self.after_stem(self.stem(x))
+
+    def after_stem(self, x):
+        """From the answer of the first convolution to the raw levels."""
+        c3 = self.dark3(self.dark2(x))
         return self.neck_and_heads(c3, self.dark4(c3))
 
     def neck_and_heads(self, c3, c4):
