@@ -27,7 +27,7 @@ from instruments import folds as fold_files
 SHIPPED = Path(__file__).resolve().parent.parent / "models" / "instruments.onnx"
 NEEDED = "pip install torch numpy opencv-python-headless onnx"
 # What may change when a training goes on.
-FREE = ("resume", "threads", "pause_while", "test_every", "save_every_min", "out", "data", "folds")
+FREE = ("resume", "stop_after", "threads", "pause_while", "test_every", "save_every_min", "out", "data", "folds")
 
 
 def arguments():
@@ -63,6 +63,7 @@ def arguments():
     p.add_argument("--threads", type=int, default=2)
     p.add_argument("--test-every", type=int, default=5, help="epochs between two tests; 0: at the end only")
     p.add_argument("--save-every-min", type=float, default=5.0, help="minutes between two checkpoints; one is written after each epoch anyway")
+    p.add_argument("--stop-after", type=int, metavar="STEPS", help="end after these steps with a checkpoint; --resume goes on")
     p.add_argument("--pause-while", type=Path, metavar="FILE", help="wait between batches while FILE exists")
     a = p.parse_args()
     # Reported before anything large is loaded.
@@ -89,6 +90,11 @@ def read_frames(a):
 
     splits = fold_files.read(a.folds).splits if a.fold else (a.split, a.test_split)
     everything = {split: read(a.data, split) for split in splits}
+    if a.fold:
+        try:
+            fold_files.read(a.folds).check_operations({f.group for frames in everything.values() for f in frames})
+        except fold_files.FoldsError as wrong:
+            raise SystemExit(f"{a.data}: {wrong}") from None
     # A fold is a split of its own: what the data set calls test is learned from too.
     train = [f for split in (splits if a.fold else splits[:1]) for f in everything[split] if f.group not in a.held_out]
     test = [f for split in splits for f in everything[split] if f.group in a.held_out] if a.held_out else everything[a.test_split]
@@ -154,7 +160,7 @@ def main():
     def save():
         checkpoint.write(model=model.state_dict(), average=average.state_dict(), optimiser=optimiser.state_dict(), step=step, trained_s=trained_s)
 
-    progress, saved = schedule.progress(step, trained_s), time.monotonic()
+    progress, saved, begun_at = schedule.progress(step, trained_s), time.monotonic(), step
     while progress < 1.0:
         model.train()
         if a.freeze:
@@ -180,7 +186,7 @@ def main():
             blend(average, model, min(0.9995, (1 + step) / (20 + step)))
             trained_s += time.monotonic() - begun
             progress = schedule.progress(step, trained_s)
-            if stop.requested:
+            if stop.requested or step - begun_at == a.stop_after:
                 save()
                 raise SystemExit(f"interrupted after step {step}; --resume goes on")
             if progress >= 1.0:

@@ -76,11 +76,16 @@ def vignette(picture, rng):
     return weigh(picture, fall.astype(np.float32))
 
 
+def lit(picture):
+    """Where light falls, 0..1: nothing is seen to bleed or shine in the black around a round picture."""
+    return (cv2.GaussianBlur(picture.max(2), (0, 0), 3).astype(np.float32) / 40).clip(0, 1)
+
+
 def blood(picture, rng):
     """Dark red patches with soft rims, some of them nearly opaque: tissue that bleeds, drops on the lens."""
     field = cloud(picture.shape, rng, cells=int(rng.integers(4, 10)))
     level = np.float32(rng.uniform(0.55, 0.8))
-    cover = ((field - level) / np.float32(0.15)).clip(0, 1) * np.float32(rng.uniform(0.4, 0.95))
+    cover = ((field - level) / np.float32(0.15)).clip(0, 1) * np.float32(rng.uniform(0.4, 0.95)) * lit(picture)
     red = np.array([rng.uniform(5, 40), rng.uniform(5, 35), rng.uniform(70, 170)], np.float32)
     return (picture * (1 - cover)[..., None] + red * cover[..., None]).astype(np.uint8)
 
@@ -92,7 +97,7 @@ def highlight(picture, rng):
     for _ in range(int(rng.integers(2, 9))):
         axes = (max(1, int(rng.uniform(0.003, 0.03) * w)), max(1, int(rng.uniform(0.003, 0.02) * w)))
         cv2.ellipse(glow, (int(rng.integers(0, w)), int(rng.integers(0, h))), axes, rng.uniform(0, 180), 0, 360, 1.0, -1)
-    glow = np.minimum(glow + cv2.GaussianBlur(glow, (0, 0), 0.012 * w), 1) * np.float32(rng.uniform(0.6, 1))
+    glow = np.minimum(glow + cv2.GaussianBlur(glow, (0, 0), 0.012 * w), 1) * np.float32(rng.uniform(0.6, 1)) * lit(picture)
     return weigh(picture, 1 - glow, glow * np.float32(250))
 
 

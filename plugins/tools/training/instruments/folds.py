@@ -41,6 +41,12 @@ class Folds:
         held_out = self.held_out(fold)
         return tuple(o for operations in self.operations.values() for o in operations if o not in held_out)
 
+    def check_operations(self, found):
+        """Raises where the data has operations that no fold names: whether a training may see them would be left to chance."""
+        known = {o for operations in self.operations.values() for o in operations}
+        if missing := sorted(set(found) - known):
+            raise FoldsError(f"{self.path}: the operations {', '.join(missing)} are in no fold; add them")
+
 
 def read(path=SHIPPED):
     """The folds of a file; every operation is in one fold only."""

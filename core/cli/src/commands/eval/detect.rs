@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use panoscope_eval::Session;
-use panoscope_eval::eval::detect::{self, Options};
+use panoscope_eval::eval::detect::{self, Options, folds};
 use panoscope_eval::figures::Figure;
 
 use crate::terminal::raw;
@@ -35,6 +35,19 @@ pub struct Arguments {
     /// Operations of the case `left_out`.
     #[arg(long, value_delimiter = ',', default_value = "v02,v08", value_name = "NAMES")]
     left_out: Vec<String>,
+    /// Scores stored predictions instead of a model: a folder with `foldN.json` of each fold, as `train_detector.py --fold N` writes them.
+    /// Gives mAP at 0.5 on the operations that each training never saw, mean and worst fold, with intervals.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "model", "masks", "left_out_model", "split", "images", "set", "selfcheck", "pictures", "tables"])]
+    folds: Option<PathBuf>,
+    /// A second folder of that kind; --folds is compared with it on the same frames.
+    #[arg(long, value_name = "DIR", requires = "folds")]
+    beside: Option<PathBuf>,
+    /// Only these folds, without mean and worst. May be given again.
+    #[arg(long, value_name = "NAME", requires = "folds")]
+    only_fold: Vec<String>,
+    /// File of folds; else the one that ships.
+    #[arg(long, value_name = "FILE.toml", requires = "folds")]
+    fold_file: Option<PathBuf>,
     /// Own truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
     #[arg(long, value_name = "PATH")]
     truth: Option<PathBuf>,
@@ -89,6 +102,17 @@ impl Arguments {
 
 /// Judges, and writes the thesis's tables where they are asked for.
 pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>> {
+    if let Some(predictions) = &arguments.folds {
+        let options = folds::Options {
+            predictions: predictions.clone(),
+            beside: arguments.beside.clone(),
+            fold_file: arguments.fold_file.clone(),
+            only: arguments.only_fold.clone(),
+            data: arguments.data.clone(),
+            truth: arguments.truth.clone(),
+        };
+        return Ok(folds::judge(session, &options)?);
+    }
     let judgement = detect::judge(session, &arguments.options())?;
     if let Some(path) = &arguments.tables {
         let text = judgement.tables();

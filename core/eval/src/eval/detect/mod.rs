@@ -3,6 +3,7 @@
 //! Pictures go through the real nodes, run by the engine; what they find is judged by COCO's and VOC's rules ([`score`]).
 
 mod find;
+pub mod folds;
 mod judged;
 mod mask;
 mod phantom;
@@ -67,6 +68,11 @@ pub struct Options {
 
 /// Names of the cases.
 pub const CASES: [&str; 5] = ["test", "left_out", "polygons", "phantom", "tips"];
+
+/// Folders in which data sets are looked for last.
+fn usual_data() -> impl Iterator<Item = PathBuf> {
+    ["target/data", "../shared/data", "../shared/data/instances"].into_iter().map(PathBuf::from)
+}
 
 /// What the cases share.
 struct Judge<'a> {
@@ -314,8 +320,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Judgement> {
             return Err(EvalError::Options { reason: format!("there is no model {}", model.display()) });
         }
     }
-    let usual = ["target/data", "../shared/data", "../shared/data/instances"];
-    let folders = options.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
+    let folders = options.data.iter().cloned().chain(usual_data()).collect();
     if let Some(folder) = &options.pictures {
         std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
     }

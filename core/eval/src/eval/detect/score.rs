@@ -98,7 +98,8 @@ pub struct Scores {
     pub classes: Vec<ClassScore>,
 }
 
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
+/// Mean of the values that are numbers; NaN of none.
+pub fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.filter(|v| !v.is_nan()).fold((0.0, 0usize), |(s, n), v| (s + v, n + 1));
     if count == 0 { f64::NAN } else { sum / count as f64 }
 }
@@ -260,6 +261,56 @@ pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape:
     Scores { classes: (0..classes).map(one).collect() }
 }
 
+/// Finds of all pictures in the order of their scores, to be scored again and again on parts of the pictures.
+pub struct Ranking {
+    /// Per class: score, hit (COCO's rule at 0.5), picture.
+    rows: Vec<Vec<(f64, bool, usize)>>,
+    /// Per class and picture: true objects that count.
+    truths: Vec<Vec<usize>>,
+}
+
+impl Ranking {
+    /// Ranks `finds`, picture by picture, by their boxes.
+    pub fn new(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize) -> Self {
+        let mut ranking = Self { rows: vec![Vec::new(); classes], truths: vec![Vec::new(); classes] };
+        for class in 0..classes {
+            let rows = &mut ranking.rows[class];
+            for (picture, (t, f)) in truths.iter().zip(finds).enumerate() {
+                let of_class: Vec<&Find> = f.iter().filter(|f| f.class == class).collect();
+                let real: Vec<&Object> = t.iter().filter(|t| t.class == class).collect();
+                let met = meet(&of_class, &real, Shape::Box);
+                let counted = met.scores.iter().zip(&met.hits[0]).filter(|(_, (_, ignored))| !ignored);
+                rows.extend(counted.map(|(score, (hit, _))| (*score, *hit, picture)));
+                ranking.truths[class].push(met.truths);
+            }
+            rows.sort_by(|a, b| b.0.total_cmp(&a.0));
+        }
+        ranking
+    }
+
+    /// COCO's AP at 0.5 of each class when each picture counts `times` times; NaN without truth.
+    pub fn ap50(&self, times: &[u32]) -> Vec<f64> {
+        let one = |(rows, truths): (&Vec<(f64, bool, usize)>, &Vec<usize>)| {
+            let total: usize = truths.iter().zip(times).map(|(t, n)| t * *n as usize).sum();
+            if total == 0 {
+                return f64::NAN;
+            }
+            let (mut hits, mut seen) = (0usize, 0usize);
+            let mut points = Vec::with_capacity(rows.len());
+            for &(_, hit, picture) in rows {
+                let n = times[picture] as usize;
+                if n > 0 {
+                    seen += n;
+                    hits += if hit { n } else { 0 };
+                    points.push((hits as f64 / total as f64, hits as f64 / (seen as f64 + f64::EPSILON)));
+                }
+            }
+            at_101_recalls(&points)
+        };
+        self.rows.iter().zip(&self.truths).map(one).collect()
+    }
+}
+
 /// How a picture's truths and finds meet whatever their classes, at an overlap of 0.5: for each pair both numbers. Crowds, finds on them and finds
 /// under `min_score` are ignored.
 pub fn pairs(truths: &[Object], finds: &[Find], min_score: f64, shape: Shape) -> Vec<(Option<usize>, Option<usize>)> {
@@ -347,6 +398,28 @@ mod tests {
         let scores = score(&truths, &finds, 1, Shape::Box);
         assert!((scores.ap() - 1.0).abs() < 1e-9, "{scores:?}");
         assert_eq!(pairs(&truths[0], &finds[0], 0.1, Shape::Box), [(Some(0), Some(0))]);
+    }
+
+    #[test]
+    fn the_point_figure_and_its_resamples_count_alike() {
+        let object = |class, left| Object { class, bbox: [left, 0.0, 10.0, 10.0], mask: None, ignored: left > 80.0 };
+        let found = |class, left, score| Find { class, bbox: [left, 0.0, 10.0, 10.0], mask: None, score };
+        let truths =
+            vec![vec![object(0, 0.0), object(1, 20.0)], vec![object(0, 40.0), object(0, 90.0)], vec![object(1, 5.0)]];
+        let finds = vec![
+            vec![found(0, 1.0, 0.9), found(0, 50.0, 0.95), found(1, 21.0, 0.2)],
+            vec![found(0, 90.0, 0.99), found(0, 41.0, 0.3), found(1, 0.0, 0.7)],
+            vec![found(0, 5.0, 0.5)],
+        ];
+        let point = score(&truths, &finds, 2, Shape::Box);
+        let ranking = Ranking::new(&truths, &finds, 2);
+        assert_eq!(ranking.ap50(&[1, 1, 1]), [point.classes[0].ap[0], point.classes[1].ap[0]]);
+        // A picture that counts twice is the same as two such pictures.
+        let twice = |list: &[Vec<Object>]| [list, &list[..1]].concat();
+        let twice_found = [&finds[..], &finds[..1]].concat();
+        let point = score(&twice(&truths), &twice_found, 2, Shape::Box);
+        assert_eq!(ranking.ap50(&[2, 1, 1]), [point.classes[0].ap[0], point.classes[1].ap[0]]);
+        assert!(ranking.ap50(&[0, 1, 0])[1].is_nan(), "no truth of that class is drawn");
     }
 
     #[test]

@@ -1,0 +1,133 @@
+//! What a detector found in the operations that its training kept out, as the training script stores it.
+//!
+//! `foldN.json` of a folder: `{"format": "panoscope-predictions-1", "fold": "N", "held_out": [operations], "trained_on": [operations],
+//! "classes": [names], "network": {anything}, "frames": {"v01_002075": [[class, score, x0, y0, x1, y1], ...], ...}}`. Class is an index into
+//! `classes`, score 0..1, boxes in px of the stored picture. Each frame of the held-out operations is there.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::super::score::Find;
+use super::super::truth::{Truth, normal_name};
+use super::file::Folds;
+use crate::error::{Context, FileAction, OnFile, Result, bail, ensure};
+
+const FORMAT: &str = "panoscope-predictions-1";
+
+#[derive(Deserialize)]
+struct File {
+    format: String,
+    fold: String,
+    held_out: Vec<String>,
+    trained_on: Vec<String>,
+    classes: Vec<String>,
+    frames: BTreeMap<String, Vec<[f64; 6]>>,
+}
+
+/// The file of a fold.
+pub fn path_of(folder: &Path, fold: &str) -> PathBuf {
+    folder.join(format!("fold{fold}.json"))
+}
+
+/// Finds in the pictures of `truth`, which are those of `fold`; class numbers are those of the truth.
+///
+/// # Errors
+/// The file is missing or damaged, belongs to another fold or to other folds, comes from a training that saw one of the operations,
+/// names a class that the truth does not have, or holds other frames than those of the fold.
+pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<Vec<Vec<Find>>> {
+    let path = path_of(folder, fold);
+    let file = path.display();
+    ensure!(
+        path.is_file(),
+        "{file} is missing: `train_detector.py --fold {fold} --out {}` writes it at its end; \
+         `--only-fold` scores those that are there",
+        folder.display()
+    );
+    let text = std::fs::read_to_string(&path).on_file(FileAction::Read, &path)?;
+    let stored: File = serde_json::from_str(&text)
+        .with_context(|| format!("{file} holds no predictions of a fold; train it again"))?;
+    ensure!(stored.format == FORMAT, "{file}: its format is `{}`; this program reads `{FORMAT}`", stored.format);
+    ensure!(stored.fold == fold, "{file} holds predictions of fold {}: give it the name of its fold", stored.fold);
+    check_operations(&stored, folds, fold, &path)?;
+    let classes = stored
+        .classes
+        .iter()
+        .map(|name| {
+            let class = truth.classes.iter().position(|c| *c == normal_name(name));
+            class.with_context(|| {
+                format!(
+                    "{file}: the truth knows no class `{name}`, only {}: train with these classes",
+                    truth.classes.join(", ")
+                )
+            })
+        })
+        .collect::<Result<Vec<usize>>>()?;
+    let wanted: BTreeMap<String, usize> = truth.pictures.iter().enumerate().map(|(n, p)| (p.stem(), n)).collect();
+    let mut finds = vec![None; truth.pictures.len()];
+    for (name, rows) in &stored.frames {
+        let Some(&picture) = wanted.get(name) else {
+            let operation = name.rsplit_once('_').map_or(name.as_str(), |(operation, _)| operation);
+            match folds.fold_of(operation) {
+                Some(other) if other != fold => bail!(
+                    "{file}: frame {name} is of operation {operation}, which the training of fold {fold} learned from: \
+                     only frames of {} belong there",
+                    stored.held_out.join(", ")
+                ),
+                _ => bail!("{file}: the truth has no frame {name}: was it made from other data?"),
+            }
+        };
+        finds[picture] = Some(rows_of(rows, &classes).with_context(|| format!("{file}, frame {name}"))?);
+    }
+    let missing: Vec<String> =
+        truth.pictures.iter().zip(&finds).filter(|(_, f)| f.is_none()).map(|(p, _)| p.stem()).collect();
+    if let Some(first) = missing.first() {
+        bail!(
+            "{file}: {} of {} frames are missing, such as {first}; a frame in which nothing was found has an empty list. \
+             Train the fold again, or go on with --resume",
+            missing.len(),
+            finds.len()
+        );
+    }
+    Ok(finds.into_iter().flatten().collect())
+}
+
+/// The training kept out what the file of folds says, and saw nothing of it.
+fn check_operations(stored: &File, folds: &Folds, fold: &str, path: &Path) -> Result<()> {
+    let file = path.display();
+    let sorted = |list: &[String]| {
+        let mut list = list.to_vec();
+        list.sort();
+        list
+    };
+    let held_out = sorted(folds.folds.get(fold).map_or(&[][..], Vec::as_slice));
+    ensure!(
+        sorted(&stored.held_out) == held_out,
+        "{file}: its training kept out {}, while fold {fold} of {} keeps out {}: train it again with these folds",
+        stored.held_out.join(", "),
+        folds.path().display(),
+        held_out.join(", ")
+    );
+    if let Some(seen) = stored.trained_on.iter().find(|o| held_out.contains(o)) {
+        bail!("{file}: its training learned from operation {seen}, which fold {fold} keeps out: train it again");
+    }
+    Ok(())
+}
+
+fn rows_of(rows: &[[f64; 6]], classes: &[usize]) -> Result<Vec<Find>> {
+    let find = |(number, &[class, score, x0, y0, x1, y1]): (usize, &[f64; 6])| {
+        let index = (class >= 0.0 && class.fract() == 0.0).then_some(class as usize);
+        let Some(&class) = index.and_then(|c| classes.get(c)) else {
+            bail!("row {}: class {class} of {} classes", number + 1, classes.len());
+        };
+        ensure!((0.0..=1.0).contains(&score), "row {}: score {score}; 0 to 1 was expected", number + 1);
+        ensure!(
+            x1 >= x0 && y1 >= y0,
+            "row {}: a box from ({x0}, {y0}) to ({x1}, {y1}); the upper left corner comes first",
+            number + 1
+        );
+        Ok(Find { class, bbox: [x0, y0, x1 - x0, y1 - y0], mask: None, score })
+    };
+    rows.iter().enumerate().map(find).collect()
+}
