@@ -17,13 +17,14 @@ pub fn root() -> PathBuf {
 }
 
 /// The documents for users and contributors, relative to the root.
-pub const DOCUMENTS: [&str; 7] = [
+pub const DOCUMENTS: [&str; 8] = [
     "README.md",
     "core/README.md",
     "core/cli/README.md",
     "editor/README.md",
     "graphs/README.md",
     "plugins/README.md",
+    "plugins/tools/training/README.md",
     "tests/README.md",
 ];
 

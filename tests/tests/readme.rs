@@ -108,11 +108,14 @@ fn help_of(script: &Path) -> Option<String> {
 
 #[test]
 fn training_commands_of_the_documents_have_scripts_and_arguments() {
-    let text = document("plugins/README.md");
+    let text = document("plugins/README.md") + &document("plugins/tools/training/README.md");
     let folder = root().join("plugins/tools/training");
-    let commands: Vec<&str> = text.lines().filter_map(|l| l.strip_prefix("python3 ")).collect();
-    assert!(commands.len() >= 5, "{commands:?}");
-    for command in commands {
+    let command = |line: &'_ str| {
+        line.trim_start().strip_prefix("venv/bin/python ").or(line.strip_prefix("python3 ")).map(str::to_owned)
+    };
+    let commands: Vec<String> = text.lines().filter_map(command).filter(|c| !c.starts_with("-m ")).collect();
+    assert!(commands.len() >= 7, "{commands:?}");
+    for command in &commands {
         let words: Vec<&str> = command.split('#').next().unwrap_or_default().split_whitespace().collect();
         let script = folder.join(words[0]);
         let source = std::fs::read_to_string(&script).unwrap_or_else(|e| panic!("{}: {e}", script.display()));

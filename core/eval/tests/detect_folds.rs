@@ -199,6 +199,26 @@ fn one_fold_can_be_scored_before_the_others_are_trained() {
     assert!(chain(&error).contains("has no fold 3; it has 1, 2"), "{}", chain(&error));
 }
 
+#[test]
+fn curves_confusions_and_misses_of_each_fold_are_drawn() {
+    let mut case = Case::new();
+    case.set("2", "c_000350", &[find(1, 0.8, 10.0), find(1, 0.7, 60.0)]);
+    for (_, name) in FRAMES {
+        let picture = image::RgbImage::from_pixel(100, 80, image::Rgb([90, 30, 30]));
+        picture.save(case.root().join("made_up").join(format!("{name}.jpg"))).expect("a picture");
+    }
+    let pictures = case.root().join("pictures");
+    judge(&Silent, &Options { pictures: Some(pictures.clone()), ..case.options() })
+        .unwrap_or_else(|e| panic!("{}", chain(&e)));
+    for fold in ["1", "2"] {
+        for what in ["curves", "confusion", "misses"] {
+            let (width, height) =
+                image::image_dimensions(pictures.join(format!("fold{fold}_{what}.png"))).expect("drawn");
+            assert!(width > 300 && height > 200, "{fold} {what}: {width}x{height}");
+        }
+    }
+}
+
 /// A change of the predictions of fold 1.
 type Change = fn(&mut Value);
 

@@ -37,7 +37,7 @@ pub struct Arguments {
     left_out: Vec<String>,
     /// Scores stored predictions instead of a model: a folder with `foldN.json` of each fold, as `train_detector.py --fold N` writes them.
     /// Gives mAP at 0.5 on the operations that each training never saw, mean and worst fold, with intervals.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "model", "masks", "left_out_model", "split", "images", "set", "selfcheck", "pictures", "tables"])]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "model", "masks", "left_out_model", "split", "images", "set", "selfcheck", "tables"])]
     folds: Option<PathBuf>,
     /// A second folder of that kind; --folds is compared with it on the same frames.
     #[arg(long, value_name = "DIR", requires = "folds")]
@@ -110,6 +110,7 @@ pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>
             only: arguments.only_fold.clone(),
             data: arguments.data.clone(),
             truth: arguments.truth.clone(),
+            pictures: arguments.pictures.clone(),
         };
         return Ok(folds::judge(session, &options)?);
     }

@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 
 use self::file::Folds;
 use self::resample::{Blocks, RESAMPLES, interval, resampled};
-use super::score::{Ranking, Scores, Shape, mean, score};
+use super::picture;
+use super::score::{Find, Ranking, Scores, Shape, mean, score};
 use super::truth::{self, Truth};
-use crate::error::{EvalError, Result, bail};
+use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 use crate::figures::Figure;
 use crate::session::{Session, check_cancelled, note};
 use crate::text_table::table;
@@ -30,6 +31,8 @@ pub struct Options {
     pub data: Vec<PathBuf>,
     /// The data set itself, instead of the one that the file of folds names.
     pub truth: Option<PathBuf>,
+    /// Folder for pictures of each fold: curves, class confusions, contact sheets of the worst misses.
+    pub pictures: Option<PathBuf>,
 }
 
 /// A fold scored.
@@ -93,7 +96,11 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
     let (mut scores, mut rankings) = (Vec::new(), Vec::new());
     for folder in std::iter::once(&options.predictions).chain(&options.beside) {
         let finds = predictions::read(folder, folds, name, &truth)?;
-        scores.push(score(&objects, &finds, classes, Shape::Box));
+        let scored = score(&objects, &finds, classes, Shape::Box);
+        if let Some(pictures) = options.pictures.as_ref().filter(|_| scores.is_empty()) {
+            draw(pictures, name, &truth, &finds, &scored)?;
+        }
+        scores.push(scored);
         rankings.push(Ranking::new(&objects, &finds, classes));
     }
     let blocks = Blocks::of(&truth.pictures, folds)?;
@@ -104,6 +111,16 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
         bail!("no predictions of fold {name}");
     };
     Ok(Fold { name: name.to_owned(), frames, blocks: blocks.len(), scores, samples, beside })
+}
+
+/// Draws curves, confusions and contact sheets of a fold.
+fn draw(folder: &Path, name: &str, truth: &Truth, finds: &[Vec<Find>], scores: &Scores) -> Result<()> {
+    let file = |what: &str| folder.join(format!("fold{name}_{what}.png"));
+    let title = format!("fold {name} ({} frames)", truth.pictures.len());
+    picture::curves(&file("curves"), &title, &truth.classes, scores)?;
+    let counts = picture::confusion(truth, finds, Shape::Box);
+    picture::confusion_picture(&file("confusion"), &title, &truth.classes, &counts)?;
+    picture::sheet(&file("misses"), truth, finds, Shape::Box, false)
 }
 
 /// Mean over the classes that have truth, per resample.
@@ -212,6 +229,9 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         let known: Vec<&str> = file.folds.keys().map(String::as_str).collect();
         let reason = format!("{} has no fold {unknown}; it has {}", file.path().display(), known.join(", "));
         return Err(EvalError::Options { reason });
+    }
+    if let Some(folder) = &options.pictures {
+        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
     }
     let truth = read_truth(session, &file, options)?;
     let mut folds = Vec::new();
