@@ -79,6 +79,10 @@ pub struct MaskRcnnParams {
     /// Gives each tool a number (`track_id`) that it keeps over time.
     #[param(default = true)]
     track: bool,
+    /// Gives a tracked tool the class that it had most often: votes weigh as much as their score, and half as much after this time. 0: each picture's
+    /// own class.
+    #[param(default = 0.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
+    vote_s: f32,
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
@@ -379,7 +383,7 @@ impl Node for MaskRcnn {
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {
-            self.tracker.follow(&mut self.items, cx.tick().capture_ns);
+            self.tracker.follow(&mut self.items, cx.tick().capture_ns, params.vote_s);
         }
         self.paint(covers, size, params.mask_threshold, cx.pool());
         out.instances.set_instances(&self.items, &self.network.labels, size, &self.bits)

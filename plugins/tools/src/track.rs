@@ -4,9 +4,42 @@ use panoscope_node::abi::Detection;
 
 use crate::candidates::iou;
 
+/// Votes for the class of a track: the sum of scores of each class, of the four strongest ones.
+#[derive(Clone, Copy)]
+struct Votes([(u32, f32); 4]);
+
+impl Votes {
+    fn new(class_index: u32, score: f32) -> Self {
+        let mut votes = [(class_index, 0.0); 4];
+        votes[0].1 = score;
+        Self(votes)
+    }
+
+    /// Adds a vote; earlier ones weigh `fade` times as much as before.
+    fn add(&mut self, class_index: u32, score: f32, fade: f32) {
+        self.0.iter_mut().for_each(|(_, weight)| *weight *= fade);
+        match self.0.iter_mut().find(|(class, weight)| *class == class_index && *weight > 0.0) {
+            Some((_, weight)) => *weight += score,
+            None => {
+                let weakest = (0..4).fold(0, |w, k| if self.0[k].1 < self.0[w].1 { k } else { w });
+                self.0[weakest] = (class_index, score);
+            }
+        }
+    }
+
+    /// The class with most votes. `present` stays until another one leads by more than `margin`: two votes for two classes decide nothing.
+    fn winner(&self, present: u32, margin: f32) -> u32 {
+        let votes_of = |class: u32| self.0.iter().filter(|vote| vote.0 == class).map(|vote| vote.1).fold(0.0, f32::max);
+        let best = self.0.iter().fold(self.0[0], |best, vote| if vote.1 > best.1 { *vote } else { best });
+        if best.1 > votes_of(present) + margin { best.0 } else { present }
+    }
+}
+
 struct Track {
     id: i64,
+    /// Class of the object: as last seen, or the one with most votes.
     class_index: u32,
+    votes: Votes,
     /// Predicted left, upper, right and lower edge, px.
     corners: [f32; 4],
     /// Velocity of the edges, px/s.
@@ -28,6 +61,8 @@ pub struct Tracker {
 
 /// Overlap below which a box is another object.
 const MIN_IOU: f32 = 0.2;
+/// The same for a box of another class, where classes are voted: closer, because tools that pass each other overlap too.
+const MIN_IOU_OF_OTHER_CLASS: f32 = 0.5;
 /// Longest time for which an unseen object keeps its number, ns ...
 const MEMORY_S: f32 = 0.5;
 /// ... or ticks, for slower detectors.
@@ -42,7 +77,10 @@ fn corners_of(d: &Detection) -> [f32; 4] {
 impl Tracker {
     /// Assigns numbers to the objects of one tick, whose picture was taken at `capture_ns`. Objects move by the time passed, whatever the number of
     /// ticks.
-    pub fn follow(&mut self, items: &mut [Detection], capture_ns: i64) {
+    ///
+    /// With `vote_s` above 0 a track also follows a box that the detector gives another class, and each item gets the class that has most votes
+    /// on its track, by more than one vote; votes weigh as much as their score, and half as much after `vote_s`. With 0 a box of another class is another object.
+    pub fn follow(&mut self, items: &mut [Detection], capture_ns: i64, vote_s: f32) {
         let dt_s = self.last_ns.replace(capture_ns).map_or(0.0, |last| capture_ns.saturating_sub(last) as f32 * 1e-9);
         if dt_s < 0.0 {
             // The source begins anew: where things were says nothing about where they are.
@@ -55,6 +93,9 @@ impl Tracker {
             for (d, item) in items.iter().enumerate() {
                 let overlap = iou(&track.corners, &corners_of(item));
                 if item.class_index == track.class_index && overlap >= MIN_IOU {
+                    // Above every box of another class.
+                    self.pairs.push((1.0 + overlap, t, d));
+                } else if vote_s > 0.0 && overlap >= MIN_IOU_OF_OTHER_CLASS {
                     self.pairs.push((overlap, t, d));
                 }
             }
@@ -69,6 +110,11 @@ impl Tracker {
             let (track, item) = (&mut self.tracks[t], &mut items[d]);
             if track.missed > 0 && item.track_id < 0 {
                 let seen = corners_of(item);
+                if vote_s > 0.0 {
+                    track.votes.add(item.class_index, item.score, 0.5f32.powf(track.unseen_s / vote_s));
+                    track.class_index = track.votes.winner(track.class_index, item.score);
+                    item.class_index = track.class_index;
+                }
                 if track.unseen_s > 0.0 {
                     // Half of the surprise becomes velocity.
                     let surprise = |k: usize| 0.5 * (seen[k] - track.corners[k]) / track.unseen_s;
@@ -86,6 +132,7 @@ impl Tracker {
             self.tracks.push(Track {
                 id: self.next_id,
                 class_index,
+                votes: Votes::new(class_index, item.score),
                 corners,
                 velocity: [0.0; 4],
                 unseen_s: 0.0,
@@ -106,7 +153,7 @@ mod tests {
 
     fn step(tracker: &mut Tracker, ms: i64, boxes: &[f32]) -> Vec<i64> {
         let mut items: Vec<Detection> = boxes.iter().map(|x| at(*x)).collect();
-        tracker.follow(&mut items, ms * 1_000_000);
+        tracker.follow(&mut items, ms * 1_000_000, 0.0);
         items.iter().map(|i| i.track_id).collect()
     }
 
@@ -148,5 +195,56 @@ mod tests {
         let mut tracker = Tracker::default();
         step(&mut tracker, 5000, &[50.0]);
         assert_eq!(step(&mut tracker, 0, &[50.0]), [1]);
+    }
+
+    /// Class and number of one box a tick, 30 a second, whose class the detector gives as `classes`; votes halve in a second.
+    fn voted(tracker: &mut Tracker, first_tick: i64, classes: &[u32], vote_s: f32) -> Vec<(u32, i64)> {
+        let one = |(tick, class_index): (usize, &u32)| {
+            let tick = first_tick + tick as i64;
+            let mut items = [Detection { class_index: *class_index, ..at(tick as f32) }];
+            tracker.follow(&mut items, tick * 33_000_000, vote_s);
+            (items[0].class_index, items[0].track_id)
+        };
+        classes.iter().enumerate().map(one).collect()
+    }
+
+    #[test]
+    fn a_class_that_flickers_is_voted_down_and_the_number_stays() {
+        let classes: Vec<u32> = (0..60).map(|tick| if tick % 3 == 1 { 3 } else { 0 }).collect();
+        let seen = voted(&mut Tracker::default(), 0, &classes, 1.0);
+        assert!(seen.iter().all(|s| *s == (0, 0)), "{seen:?}");
+        // Without votes they are two objects.
+        let seen = voted(&mut Tracker::default(), 0, &classes, 0.0);
+        assert!(seen[1].0 == 3 && seen[1].1 != seen[0].1, "{seen:?}");
+    }
+
+    #[test]
+    fn a_class_that_stays_changed_wins_after_the_time_of_the_votes() {
+        let mut tracker = Tracker::default();
+        voted(&mut tracker, 0, &[0; 300], 1.0);
+        // Old votes are worth as much as those of one time constant; they halve while new ones come in: a second until both are alike.
+        let seen = voted(&mut tracker, 300, &[3; 60], 1.0);
+        let change = seen.iter().position(|s| s.0 == 3).expect("it changes");
+        assert!((27..=34).contains(&change), "after {change} ticks");
+        assert!(seen[change..].iter().all(|s| *s == (3, 0)), "{seen:?}");
+    }
+
+    #[test]
+    fn a_fifth_class_takes_the_place_of_the_weakest() {
+        let seen = voted(&mut Tracker::default(), 0, &[9, 9, 9, 1, 2, 3, 4, 9, 4, 4, 4, 4, 4], 100.0);
+        assert!(seen[..8].iter().all(|s| s.0 == 9), "{seen:?}");
+        assert_eq!(seen[12], (4, 0), "{seen:?}");
+    }
+
+    #[test]
+    fn tools_of_two_classes_that_pass_each_other_keep_theirs() {
+        let mut tracker = Tracker::default();
+        for tick in 0..40i64 {
+            let (left, right) = (at(tick as f32), Detection { class_index: 3, ..at(40.0 - tick as f32) });
+            let mut items = [left, right];
+            tracker.follow(&mut items, tick * 33_000_000, 1.0);
+            let got = items.map(|i| (i.class_index, i.track_id));
+            assert_eq!(got, [(0, 0), (3, 1)], "tick {tick}");
+        }
     }
 }
