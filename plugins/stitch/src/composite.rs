@@ -1,7 +1,8 @@
 //! `composite`: overlapping views and their homographies in, one wide picture out (thesis, chapter 2.2 and Alg. 2.3).
 
 use panoscope_imaging::stitch::{
-    self, BlendMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, SeamCost, SeamMethod,
+    self, BlendMethod, BorderMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, SeamCost,
+    SeamMethod,
 };
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
@@ -60,6 +61,17 @@ pub enum Exposure {
     None,
 }
 
+/// What becomes of the outer border of the panorama, which is ragged where views end.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Border {
+    /// It stays.
+    AsIs,
+    /// The picture fades to black towards it.
+    Fade,
+    /// Black outside the largest upright rectangle that the views cover.
+    Crop,
+}
+
 /// Parameters of the composite.
 #[derive(Params, Clone, PartialEq)]
 pub struct CompositeNodeParams {
@@ -99,6 +111,12 @@ pub struct CompositeNodeParams {
     /// Number of frames in a row that must leave the canvas before it grows; 0 never grows it.
     #[param(default = 0, range = 0..=10000, unit = "frames")]
     canvas_grow: u32,
+    /// What becomes of the outer border of the panorama.
+    #[param(default = "as_is")]
+    border: Border,
+    /// Width of a fading border.
+    #[param(default = 24, range = 1..=512, unit = "px")]
+    border_px: u32,
     /// Draws an arrow that points up in the left view.
     #[param(default = false)]
     up_cue: bool,
@@ -143,6 +161,12 @@ impl CompositeNodeParams {
             canvas: fixed.then_some((self.canvas_width as usize, self.canvas_height as usize)),
             canvas_margin_px: self.canvas_margin as usize,
             canvas_grow_after_frames: self.canvas_grow,
+            border: match self.border {
+                Border::AsIs => BorderMethod::AsIs,
+                Border::Fade => BorderMethod::Fade,
+                Border::Crop => BorderMethod::Crop,
+            },
+            border_px: self.border_px as usize,
             up_cue_deg: self.up_cue.then_some(self.up_deg),
             mark_lost: self.mark_lost,
             ..CompositeParams::default()

@@ -1,5 +1,6 @@
 //! The compositor: views and homographies in, panorama out.
 
+use super::border::Border;
 use super::canvas::{Bounds, CanvasHolder};
 use super::mark;
 use super::mesh::{Mapping, Mesh, MeshGrid};
@@ -24,6 +25,7 @@ pub struct Compositor {
     /// A mesh has changed since the geometry was placed.
     has_new_mesh: bool,
     pub(super) layers: Layers,
+    border: Border,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,6 +75,7 @@ impl Compositor {
         self.prepared = None;
         self.placed = None;
         self.layers.forget();
+        self.border.forget();
     }
 
     /// Draws view `view` by a mesh instead of its homography, or by its homography again with `None`, from the next frame on.
@@ -256,6 +259,7 @@ impl Compositor {
         if let Some(mask) = mask_out {
             self.layers.paint_mask(mask, pool);
         }
+        self.border.draw(&self.params, &self.layers.spans[..p.active], out, pool);
         mark::draw_marks(out, p.canvas, p.state, &self.params);
         let mut gains = [[1.0; 3]; MAX_VIEWS];
         gains[..p.active].copy_from_slice(&self.layers.gains[..p.active]);

@@ -5,6 +5,7 @@
 //! and held from frame to frame, and the pictures are blended in a zone around the seam only.
 
 mod blend;
+mod border;
 mod canvas;
 mod compositor;
 pub mod correspond;
@@ -32,7 +33,7 @@ pub use graph_cut::GridCut;
 pub use grid::{CellPoint, GridParams, GridRegistration, RectifiedView, RegisterGrid};
 pub use mesh::{Lattice, Mesh, MeshFollower, MeshParams, MeshReport};
 pub use params::{
-    BlendMethod, Canvas, CompositeError, CompositeParams, CompositeReport, ExposureMethod, GeometryFault,
+    BlendMethod, BorderMethod, Canvas, CompositeError, CompositeParams, CompositeReport, ExposureMethod, GeometryFault,
     GeometryState, MAX_VIEWS, SeamCost, SeamMethod,
 };
 pub use projective::{IDENTITY, warped_corners};

@@ -64,6 +64,18 @@ pub enum ExposureMethod {
     ChannelGain,
 }
 
+/// What becomes of the outer border of the panorama, which is ragged where views end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BorderMethod {
+    /// It stays.
+    #[default]
+    AsIs,
+    /// The picture fades to black towards it.
+    Fade,
+    /// Black outside the largest upright rectangle that the views cover.
+    Crop,
+}
+
 /// Parameters of a [`Compositor`](super::Compositor).
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompositeParams {
@@ -95,6 +107,10 @@ pub struct CompositeParams {
     pub canvas_grow_after_frames: u32,
     /// Upper bound of canvas width and height, pixels.
     pub max_canvas_side_px: usize,
+    /// What becomes of the outer border.
+    pub border: BorderMethod,
+    /// Width of a fading border, canvas pixels; 1..=1024.
+    pub border_px: usize,
     /// Direction of "up" in the reference view, degrees clockwise from the picture's top; `None` draws no cue.
     pub up_cue_deg: Option<f32>,
     /// Marks frames whose geometry is lost (red frame and text).
@@ -127,6 +143,8 @@ impl Default for CompositeParams {
             canvas_margin_px: 16,
             canvas_grow_after_frames: 15,
             max_canvas_side_px: 8192,
+            border: BorderMethod::default(),
+            border_px: 24,
             up_cue_deg: None,
             mark_lost: true,
             mark_held: false,
