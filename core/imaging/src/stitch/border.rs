@@ -284,7 +284,7 @@ mod tests {
         for y0 in (0..120).step_by(4) {
             for y1 in (y0 + 4..=120).step_by(4) {
                 let rows = (y0..y1).map(|y| covered(&spans, y));
-                let (from, to) = rows.fold((0, 200), |(f, t), (from, to)| (f.max(from), t.min(to)));
+                let (from, to) = rows.fold((0, 200), |(f, t), (from, to)| (f.max(from.min(200)), t.min(to)));
                 let width = (to / 4 * 4 - (from + 3) / 4 * 4).max(0) as usize;
                 best = best.max(width * (y1 - y0));
             }
