@@ -153,6 +153,9 @@ pub enum EvalError {
     /// A stereo algorithm refused its input.
     #[error(transparent)]
     Stereo(#[from] panoscope_imaging::stereo::StereoError),
+    /// Views could not be put together.
+    #[error(transparent)]
+    Composite(#[from] panoscope_imaging::stitch::CompositeError),
     /// A calibration file could not be read or written.
     #[error(transparent)]
     Calibration(#[from] panoscope_calibration::FileError),

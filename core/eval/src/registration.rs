@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use panoscope_engine::memory::FrameRef;
 use panoscope_graph::{Catalog, GraphText};
 
 use crate::error::{Context, EvalError, Result};
@@ -72,6 +73,8 @@ pub fn registration(rows: &Table) -> Result<Registration> {
 pub struct JudgedRun {
     /// One table per judge, in the order of [`judges`].
     pub tables: Vec<Table>,
+    /// The last panorama of each composite; none where registration alone is judged.
+    pub panoramas: Vec<Option<FrameRef>>,
     /// Packets and counters of the run.
     pub output: RunOutput,
 }
@@ -105,15 +108,19 @@ pub fn run_judged(
 ) -> Result<JudgedRun> {
     let text = wiring.judged(judged).text();
     let names = judges(wiring);
-    let ports: Vec<(&str, &str)> = names.iter().map(|(name, _)| (name.as_str(), "table")).collect();
+    let mut ports: Vec<(&str, &str)> = names.iter().map(|(name, _)| (name.as_str(), "table")).collect();
+    if judged == JudgeInputs::Pictures {
+        ports.extend(wiring.composites.iter().map(|composite| (composite.id.as_str(), "panorama")));
+    }
     let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, pace: Pace::Free };
-    let output = run::run(session, &plan)?;
+    let mut output = run::run(session, &plan)?;
+    let panoramas = output.packets.split_off(names.len());
     let mut tables = Vec::new();
     for packet in &output.packets {
         let bytes = packet.as_ref().context("the judge saw nothing")?.bytes();
         tables.push(Table::read(bytes).context("the judge's table could not be read")?);
     }
-    Ok(JudgedRun { tables, output })
+    Ok(JudgedRun { tables, panoramas, output })
 }
 
 /// How well the first composite of a graph (TOML text) is registered over `frames` ticks.

@@ -1,10 +1,10 @@
 //! `evaluate_stitch`: registration and panorama beside the truth, one row per tick.
 
 use panoscope_imaging::Rect;
-use panoscope_imaging::geometry::{Homography as Map, Point, Ransac, RansacParams};
-use panoscope_imaging::stitch::correspond::{CorrespondParams, correspondences};
-use panoscope_imaging::stitch::evaluate::{Gray, RegionSimilarity, TruePairs, likeness, overlap, seam_band};
-use panoscope_imaging::stitch::placement::{Placement, ghost_pct};
+use panoscope_imaging::geometry::Homography as Map;
+use panoscope_imaging::stitch::evaluate::TruePairs;
+use panoscope_imaging::stitch::judge::{DrawnPanorama, PictureMarks, WideTruth, compare_pictures, correlated};
+use panoscope_imaging::stitch::placement::Placement;
 use panoscope_imaging::stitch::{Lattice, Mesh};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
@@ -38,14 +38,8 @@ const COLUMNS: [&str; 21] = [
     "ghost_pct",
     "stretch_pct",
 ];
-/// Correspondences by correlation that lie further from every plane are mistakes, px.
-const CORRELATED_REACH_PX: f64 = 12.0;
 /// State of a tick without a homography.
 const STATE_NONE: f64 = 3.0;
-/// What the truth shows within this many pixels may be shown along the seam.
-const GHOST_REACH_PX: usize = 2;
-/// Differences below this are noise and shading.
-const GHOST_LEVELS: f32 = 16.0;
 
 /// Parameters of the evaluation.
 #[derive(Params, Clone, PartialEq)]
@@ -165,27 +159,6 @@ fn between(map: &Map, truth: &Map, left: (usize, usize), right: (usize, usize), 
     (count > 0).then(|| ((squares / count as f64).sqrt(), count))
 }
 
-/// Root mean square distance of a placement and of the best plane from correspondences found by correlation, and how many there are.
-/// Tissue is no plane: the second number is what parallax leaves to any homography.
-fn correlated(placed: &Placement, input: &In<'_>, pool: &dyn panoscope_node::Parallel) -> [f64; 3] {
-    let (left, right) = (Gray::of_bgr(input.left.view()), Gray::of_bgr(input.right.view()));
-    let found = correspondences(&left, &right, &CorrespondParams::default(), pool);
-    let (from, to): (Vec<Point>, Vec<Point>) = found.iter().map(|pair| (pair.right, pair.left)).unzip();
-    let mut inliers = Vec::new();
-    // Wide: parallax is no mistake of the correlation, but the far end of the picture is.
-    let loose = RansacParams { threshold_px: CORRELATED_REACH_PX, ..RansacParams::default() };
-    let Ok(fit) = Ransac::new().estimate(&from, &to, &loose, &mut inliers) else { return [f64::NAN, f64::NAN, 0.0] };
-    let best = fit.homography.refine(&from, &to, |index| inliers[index], 20);
-    let rms = |map: &Map| {
-        let kept = (0..from.len()).filter(|index| inliers[*index]);
-        (kept.map(|index| map.squared_error(from[index], to[index])).sum::<f64>() / fit.inliers.max(1) as f64).sqrt()
-    };
-    let errors =
-        (0..from.len()).filter(|index| inliers[*index]).filter_map(|index| placed.error_px(from[index], to[index]));
-    let (squares, count) = errors.fold((0.0, 0usize), |(sum, count), error| (sum + error * error, count + 1));
-    [(squares / count.max(1) as f64).sqrt(), rms(&best), fit.inliers as f64]
-}
-
 /// Share of the right view that is mapped outside the panorama, percent.
 fn cropped_pct(map: &Map, right: (usize, usize), canvas: &Roi, panorama: (usize, usize)) -> f64 {
     let mut outside = 0;
@@ -197,27 +170,6 @@ fn cropped_pct(map: &Map, right: (usize, usize), canvas: &Roi, panorama: (usize,
         outside += i32::from(!inside);
     }
     f64::from(outside) * 100.0 / 1024.0
-}
-
-/// The part of the wide truth under the panorama; false in the mask where there is none.
-fn truth_on_canvas(wide: View<'_, u8>, offset: (i32, i32), canvas: &Roi, size: (usize, usize)) -> (Gray, Vec<bool>) {
-    let all = Gray::of_bgr(wide);
-    let mut out = Gray { data: vec![0.0; size.0 * size.1], width: size.0, height: size.1 };
-    let mut known = vec![false; size.0 * size.1];
-    for y in 0..size.1 {
-        let v = y as i64 - i64::from(canvas.y) + i64::from(offset.1);
-        if v < 0 || v >= all.height as i64 {
-            continue;
-        }
-        for x in 0..size.0 {
-            let u = x as i64 - i64::from(canvas.x) + i64::from(offset.0);
-            if u >= 0 && u < all.width as i64 {
-                out.data[y * size.0 + x] = all.data[v as usize * all.width + u as usize];
-                known[y * size.0 + x] = true;
-            }
-        }
-    }
-    (out, known)
 }
 
 /// Column and row of the wide truth at which the left view begins.
@@ -251,39 +203,17 @@ fn areas(shown: View<'_, u8>, footprint: Option<View<'_, u8>>, canvas: Roi, offs
     [covered, truth, both]
 }
 
-/// Comparison of a panorama with the wide truth; `None` where there is nothing to compare.
-#[derive(Default)]
-struct Pictures {
-    whole: Option<RegionSimilarity>,
-    /// Along the seam.
-    seam: Option<RegionSimilarity>,
-    /// Share of the band along the seam that shows what is nowhere near in the truth, percent.
-    ghost_pct: Option<f64>,
-}
-
-impl EvaluateStitch {
-    fn pictures(&self, input: &In<'_>, map: &Map, params: &EvaluateParams) -> Pictures {
-        let (Some(panorama), Some(canvas), Some(wide)) = (&input.panorama, &input.canvas, &input.wide) else {
-            return Pictures::default();
-        };
-        let (panorama, wide) = (panorama.view(), wide.view());
-        let size = (panorama.width, panorama.height);
-        let left = (input.left.width(), input.left.height());
-        let offset = left_in_wide(input, (wide.width, wide.height), params);
-        let (truth, known) = truth_on_canvas(wide, offset, canvas, size);
-        let right = (input.right.width(), input.right.height());
-        let mut region = overlap(size, (canvas.x, canvas.y), left, right, map);
-        region.iter_mut().zip(&known).for_each(|(r, known)| *r &= known);
-        let picture = Gray::of_bgr(panorama);
-        let whole = likeness(&picture, &truth, &region);
-        let seam = input.shown.as_ref().filter(|s| (s.width(), s.height()) == size).and_then(|shown| {
-            let mut band = seam_band(shown.view(), params.seam_band as usize);
-            band.iter_mut().zip(&region).for_each(|(b, r)| *b &= r);
-            let ghosts = ghost_pct(&picture, &truth, &band, GHOST_REACH_PX, GHOST_LEVELS);
-            Some((likeness(&picture, &truth, &band)?, ghosts?))
-        });
-        Pictures { whole, seam: seam.map(|(likeness, _)| likeness), ghost_pct: seam.map(|(_, ghosts)| ghosts) }
-    }
+/// Compares the panorama with the wide truth, where both are connected.
+fn pictures(input: &In<'_>, map: &Map, params: &EvaluateParams) -> PictureMarks {
+    let (Some(panorama), Some(canvas), Some(wide)) = (&input.panorama, &input.canvas, &input.wide) else {
+        return PictureMarks::default();
+    };
+    let sizes = [&input.left, &input.right].map(|view| (view.width(), view.height()));
+    let shown = input.shown.as_ref().map(Image::view);
+    let panorama = DrawnPanorama { picture: panorama.view(), left_at: (canvas.x, canvas.y), shown };
+    let left_at = left_in_wide(input, (wide.width(), wide.height()), params);
+    let wide = WideTruth { picture: wide.view(), left_at };
+    compare_pictures(&panorama, &wide, sizes, map, params.seam_band as usize)
 }
 
 impl Node for EvaluateStitch {
@@ -335,7 +265,8 @@ impl Node for EvaluateStitch {
                     (row[3], row[4], row[5]) = (align, 0.0, count as f64);
                 }
             } else if params.correlate && self.ticks.is_multiple_of(u64::from(params.every)) {
-                [row[3], row[4], row[5]] = correlated(placed, &input, cx.pool());
+                let marks = correlated(placed, input.left.view(), input.right.view(), cx.pool());
+                [row[3], row[4], row[5]] = [marks.align_px, marks.floor_px, marks.points as f64];
             }
             row[6] = self.previous.as_ref().and_then(|previous| placed.motion_px(previous, right)).unwrap_or(NONE);
             if let (Some(shown), Some(canvas)) = (&input.shown, &input.canvas) {
@@ -350,7 +281,7 @@ impl Node for EvaluateStitch {
                 row[20] = placed.stretch_pct(shown.view(), view, whole, left_at).unwrap_or(NONE);
             }
             if self.ticks.is_multiple_of(u64::from(params.every)) {
-                let Pictures { whole, seam, ghost_pct } = self.pictures(&input, map, params);
+                let PictureMarks { whole, seam, ghost_pct } = pictures(&input, map, params);
                 (row[7], row[8]) = whole.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
                 (row[9], row[10]) = seam.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
                 row[19] = ghost_pct.unwrap_or(NONE);

@@ -305,61 +305,79 @@ impl Wiring {
         Some(out)
     }
 
+    /// What the judge of a pair of views of a composite reads, by its input, and its parameters: the composite, and what truth the source has.
+    fn judge_inputs(&self, composite: &Composite, pair: usize, judged: JudgeInputs) -> (Vec<(&'static str, String)>, Table) {
+        let source = node_of(&composite.views[0]);
+        let is = |kind: &str| self.node(source).is_some_and(|node| is_type(node, kind));
+        let mut inputs = vec![
+            ("left", composite.views[0].clone()),
+            ("right", composite.views[pair + 1].clone()),
+            ("homography", composite.homographies[pair].clone()),
+        ];
+        let mut params = Table::new();
+        params.insert("view".to_owned(), (pair as i64 + 2).into());
+        let mut wire = |names: &[(&'static str, &str)], node: &str| {
+            inputs.extend(names.iter().map(|(port, output)| (*port, format!("{node}.{output}"))));
+        };
+        // A mesh is part of the registration.
+        if self.node(&composite.id).is_some_and(|node| is_type(node, MESH)) {
+            wire(&[("mesh", "mesh")], &composite.id);
+        }
+        if judged != JudgeInputs::Registration {
+            wire(&[("panorama", "panorama"), ("canvas", "canvas"), ("shown", "shown")], &composite.id);
+        }
+        // The phantom's disparity is that of its first two cameras; the others stand as many baselines away from the first.
+        let camera = camera_of(&composite.views[pair + 1]);
+        match () {
+            () if is("phantom") && camera == Some(1) => {
+                wire(&[("disparity", "disparity"), ("visible", "visible"), ("truth", "homography")], source);
+            }
+            () if is("phantom") && camera.is_some() => {
+                wire(&[("disparity", "disparity")], source);
+                let camera = camera.unwrap_or_default();
+                params.insert("along_x".to_owned(), f64::from(camera % 2).into());
+                params.insert("along_y".to_owned(), f64::from(camera / 2).into());
+            }
+            () if is("cut_views") => wire(&[("truth", "homography"), ("left_in_wide", "left_in_image")], source),
+            () => _ = params.insert("correlate".to_owned(), true.into()),
+        }
+        match judged {
+            JudgeInputs::Pictures if is("phantom") => wire(&[("wide", "wide")], source),
+            JudgeInputs::Area if is("phantom") => wire(&[("footprint", "footprint")], source),
+            _ => {}
+        }
+        if judged == JudgeInputs::Pictures && is("cut_views") {
+            let whole = self.node(source).map(references).unwrap_or_default();
+            inputs.extend(whole.into_iter().map(|from| ("wide", from)));
+        }
+        (inputs, params)
+    }
+
     /// Puts an `evaluate_stitch` behind each pair of views of each composite, wired to what truth the source has.
     pub fn judged(&self, judged: JudgeInputs) -> Self {
         let mut out = self.clone();
         out.plugin("stitch");
         for composite in &self.composites {
-            let source = node_of(&composite.views[0]);
-            let is = |kind: &str| self.node(source).is_some_and(|node| is_type(node, kind));
             for pair in 0..composite.pairs() {
-                let mut inputs = vec![
-                    ("left", composite.views[0].clone()),
-                    ("right", composite.views[pair + 1].clone()),
-                    ("homography", composite.homographies[pair].clone()),
-                ];
-                let mut params = Table::new();
-                params.insert("view".to_owned(), (pair as i64 + 2).into());
-                let mut wire = |names: &[(&'static str, &str)], node: &str| {
-                    inputs.extend(names.iter().map(|(port, output)| (*port, format!("{node}.{output}"))));
-                };
-                // A mesh is part of the registration.
-                if self.node(&composite.id).is_some_and(|node| is_type(node, MESH)) {
-                    wire(&[("mesh", "mesh")], &composite.id);
-                }
-                if judged != JudgeInputs::Registration {
-                    wire(&[("panorama", "panorama"), ("canvas", "canvas"), ("shown", "shown")], &composite.id);
-                }
-                // The phantom's disparity is that of its first two cameras; the others stand as many baselines away from the first.
-                let camera = camera_of(&composite.views[pair + 1]);
-                match () {
-                    () if is("phantom") && camera == Some(1) => {
-                        wire(&[("disparity", "disparity"), ("visible", "visible"), ("truth", "homography")], source);
-                    }
-                    () if is("phantom") && camera.is_some() => {
-                        wire(&[("disparity", "disparity")], source);
-                        let camera = camera.unwrap_or_default();
-                        params.insert("along_x".to_owned(), f64::from(camera % 2).into());
-                        params.insert("along_y".to_owned(), f64::from(camera / 2).into());
-                    }
-                    () if is("cut_views") => {
-                        wire(&[("truth", "homography"), ("left_in_wide", "left_in_image")], source)
-                    }
-                    () => _ = params.insert("correlate".to_owned(), true.into()),
-                }
-                match judged {
-                    JudgeInputs::Pictures if is("phantom") => wire(&[("wide", "wide")], source),
-                    JudgeInputs::Area if is("phantom") => wire(&[("footprint", "footprint")], source),
-                    _ => {}
-                }
-                if judged == JudgeInputs::Pictures && is("cut_views") {
-                    let whole = self.node(source).map(references).unwrap_or_default();
-                    inputs.extend(whole.into_iter().map(|from| ("wide", from)));
-                }
+                let (inputs, params) = self.judge_inputs(composite, pair, judged);
                 out.add(&composite.judge(pair), "evaluate_stitch", &inputs, params);
             }
         }
         out
+    }
+
+    /// The pictures alone, without what stitches them, and where the views and the truth of the first composite's first pair come from: inputs of a
+    /// judge and `node.port`. `None` where there are more than two views.
+    pub fn pictures(&self) -> Option<(Self, Vec<(&'static str, String)>)> {
+        let composite = self.composites.first().filter(|composite| composite.pairs() == 1)?;
+        let (mut inputs, _) = self.judge_inputs(composite, 0, JudgeInputs::Pictures);
+        let keep = self.upstream(&composite.views.iter().map(String::as_str).collect::<Vec<_>>(), None);
+        inputs.retain(|(_, from)| keep.contains(node_of(from)));
+        let mut out = self.clone();
+        if let Some(nodes) = out.nodes() {
+            nodes.retain(|id, _| keep.contains(id));
+        }
+        Some((out, inputs))
     }
 
     /// As graph text.

@@ -27,9 +27,13 @@ fn is_known(corner: &Corner) -> bool {
     !corner.place[0].is_nan()
 }
 
-/// Whether two corners rise more steeply than `slope`.
+/// Whether two points in the camera's frame (mm, z forward) differ in depth by more than `slope` times their distance across the line of sight.
+///
+/// Off the camera's axis points on one line of sight differ in x and y too. That is no distance across: a step in depth near the picture's edge would
+/// pass for a slope.
 pub fn is_steep(a: [f32; 3], b: [f32; 3], slope: f32) -> bool {
-    (b[2] - a[2]).abs() > slope * (b[0] - a[0]).hypot(b[1] - a[1]).max(1e-6)
+    let across = (b[0] / b[2] - a[0] / a[2]).hypot(b[1] / b[2] - a[1] / a[2]) * (a[2] + b[2]) / 2.0;
+    (b[2] - a[2]).abs() > slope * across.max(1e-6)
 }
 
 impl Rims {
@@ -206,6 +210,18 @@ mod tests {
             .collect()
     }
 
+    /// Corners as a camera above the middle sees them, 0.01 of their depth apart.
+    fn seen(depth: impl Fn(usize, usize) -> f32) -> Vec<Corner> {
+        let mut corners = grid(depth);
+        for (at, corner) in corners.iter_mut().enumerate().filter(|(_, corner)| is_known(corner)) {
+            let z = corner.world[2];
+            let across = |k: usize| (k as f32 - SIDE as f32 / 2.0) * 0.01 * z;
+            corner.world = [across(at % SIDE), across(at / SIDE), z];
+            corner.place = corner.world;
+        }
+        corners
+    }
+
     fn known(corners: &[Corner], x: usize, y: usize) -> bool {
         is_known(&corners[y * SIDE + x])
     }
@@ -213,7 +229,7 @@ mod tests {
     #[test]
     fn the_ramp_between_two_depths_is_cut_and_both_stay() {
         // 20 mm in 8 corners: each step alone is no steeper than a surface may be.
-        let mut corners = grid(|x, _| 50.0 + 2.5 * (x as f32 - 16.0).clamp(0.0, 8.0));
+        let mut corners = seen(|x, _| 50.0 + 2.5 * (x as f32 - 16.0).clamp(0.0, 8.0));
         assert!(!is_steep(corners[17].world, corners[18].world, 6.0));
         Rims::default().clean(&mut corners, SIDE, 6.0);
         assert!((17..24).all(|x| !known(&corners, x, 20)), "the ramp");
@@ -222,7 +238,7 @@ mod tests {
 
     #[test]
     fn a_slanted_surface_stays_whole() {
-        let mut corners = grid(|x, y| 40.0 + 0.8 * x as f32 + 0.3 * y as f32);
+        let mut corners = seen(|x, y| 40.0 + 0.8 * x as f32 + 0.3 * y as f32);
         Rims::default().clean(&mut corners, SIDE, 6.0);
         assert!(corners.iter().all(is_known));
     }
@@ -232,7 +248,7 @@ mod tests {
         let is_tooth = |x: usize, y: usize| x == 30 && (4..20).contains(&y);
         let is_island = |x: usize, y: usize| (34..36).contains(&x) && (30..32).contains(&y);
         let is_hole = |x: usize, y: usize| (8..16).contains(&x) && (8..16).contains(&y);
-        let mut corners = grid(|x, y| {
+        let mut corners = seen(|x, y| {
             let is_there = (x < 28 && !is_hole(x, y)) || is_tooth(x, y) || is_island(x, y);
             if is_there { 50.0 } else { f32::NAN }
         });
@@ -245,7 +261,7 @@ mod tests {
     fn a_strip_along_the_edge_goes_though_it_hangs_on_the_surface() {
         // An instrument leaves the picture; beside it, along the edge, depths fade from the tissue's to its own.
         let is_instrument = |y: usize| (14..26).contains(&y);
-        let mut corners = grid(|x, y| match (x, y) {
+        let mut corners = seen(|x, y| match (x, y) {
             (36.., 14..20) => 70.0 - 0.5 * (y - 14) as f32,
             (36.., 20..26) => 70.0 - 0.5 * (26 - y) as f32,
             (20.., y) if is_instrument(y) => 40.0,
@@ -254,6 +270,19 @@ mod tests {
         Rims::default().clean(&mut corners, SIDE, 6.0);
         assert!((17..23).all(|y| !known(&corners, SIDE - 1, y)), "the strip");
         assert!(known(&corners, 28, 20) && known(&corners, SIDE - 1, 5) && known(&corners, SIDE - 1, 34));
+    }
+
+    #[test]
+    fn a_step_in_depth_is_steep_wherever_the_picture_has_it() {
+        for column in [0.0f32, 0.2, 0.45] {
+            for row in [0.0f32, -0.3] {
+                // Neighbouring pixels, an instrument before tissue.
+                let (front, behind) = ([45.0 * column, 45.0 * row, 45.0], [67.0 * (column + 0.006), 67.0 * row, 67.0]);
+                assert!(is_steep(front, behind, 6.0) && is_steep(behind, front, 6.0), "at {column}, {row}");
+                let beside = [45.2 * (column + 0.006), 45.2 * row, 45.2];
+                assert!(!is_steep(front, beside, 6.0), "at {column}, {row}");
+            }
+        }
     }
 
     #[test]

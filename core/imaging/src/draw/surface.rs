@@ -310,6 +310,33 @@ mod tests {
         assert!(inside[..last].iter().any(|b| !**b), "a gap between the two halves");
     }
 
+    /// Tissue at 67 mm and, at the picture's right edge, an instrument 45 mm away, as a camera sees them.
+    struct Instrument;
+    impl SurfacePoints for Instrument {
+        fn size(&self) -> (usize, usize) {
+            (160, 120)
+        }
+        fn at(&self, x: usize, y: usize) -> Option<([f32; 3], Color)> {
+            let is_instrument = x >= 100 && (40..80).contains(&y);
+            let (z, color) = if is_instrument { (45.0, [60; 3]) } else { (67.0, [200; 3]) };
+            Some(([(x as f32 - 80.0) / 175.0 * z, (y as f32 - 60.0) / 175.0 * z, z], color))
+        }
+    }
+
+    #[test]
+    fn no_thread_joins_an_instrument_at_the_edge_to_the_tissue() {
+        for (yaw, pitch) in [(0.5, 0.4), (-0.5, 0.4), (0.9, -0.3)] {
+            let mut data = vec![0; 320 * 240 * 3];
+            let orbit = Orbit { yaw, pitch, zoom: 0.6, step: 1, shading: 0.0, ..Orbit::default() };
+            SurfacePainter::default().paint(&Instrument, &orbit, &mut ViewMut::new(&mut data, 320, 240, 3));
+            // The ruler and its words are below.
+            let drawn: Vec<u8> = data[..320 * 200 * 3].chunks_exact(3).map(|p| p[0]).collect();
+            assert!(drawn.iter().filter(|v| **v == 60).count() > 300, "the instrument, from {yaw}");
+            let between = drawn.iter().filter(|v| (64..196).contains(*v)).count();
+            assert_eq!(between, 0, "pixels of both, from {yaw}, {pitch}");
+        }
+    }
+
     #[test]
     fn what_turns_away_gets_narrower() {
         assert!(painted(0.0, 1.2).0 < painted(0.0, 0.1).0 * 6 / 10);

@@ -14,6 +14,7 @@ pub mod disparity_plane;
 pub mod evaluate;
 mod graph_cut;
 pub mod grid;
+pub mod judge;
 mod mark;
 pub mod mesh;
 mod paint;

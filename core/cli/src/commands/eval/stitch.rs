@@ -39,9 +39,12 @@ pub struct Arguments {
     set: Vec<String>,
     #[command(flatten)]
     given: Given,
-    /// Leaves OpenCV's conventional pipeline out.
+    /// Leaves out what the graph is compared with: OpenCV's conventional pipeline and as-projective-as-possible warps.
     #[arg(long)]
     no_peer: bool,
+    /// Writes the last panorama of each case, with those of its peers below it, into this folder.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["fov", "speeds", "cases"])]
+    pictures: Option<PathBuf>,
     #[command(flatten)]
     fov: Fov,
     #[command(flatten)]
@@ -113,6 +116,7 @@ pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>
                 settings,
                 given,
                 with_peer: !arguments.no_peer,
+                pictures: arguments.pictures.clone(),
             };
             stitch::judge(session, &options)?
         }

@@ -1,10 +1,13 @@
-//! Registration and panorama of a graph beside the truth and beside OpenCV's conventional pipeline.
+//! Registration and panorama of a graph beside the truth, beside OpenCV's conventional pipeline and as-projective-as-possible warps.
 
+mod apap;
 mod beside;
 pub mod cases;
 pub mod fov;
 mod graphs;
 mod incidents;
+mod pictures;
+mod reference;
 mod sources;
 mod speed_list;
 pub mod speeds;
@@ -33,6 +36,8 @@ pub use speed_list::{SpeedList, SpeedListError};
 /// Ticks that a still scene's registration has to settle.
 const SETTLE: usize = 5;
 const PEER: &str = "OpenCV SIFT, full graph cut";
+/// What figures of the reference method end with.
+const REFERENCE: &str = "apap";
 
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
@@ -53,8 +58,10 @@ pub struct Options {
     pub settings: Vec<String>,
     /// Overlays of the graphs, and values of their arguments.
     pub given: GraphOptions,
-    /// Runs OpenCV's conventional pipeline on the same pictures.
+    /// Runs OpenCV's conventional pipeline and as-projective-as-possible warps on the same pictures.
     pub with_peer: bool,
+    /// Folder for the last panorama of each case: the graph's and each peer's, one above the other.
+    pub pictures: Option<PathBuf>,
 }
 
 /// Measures of one pair of views in all runs of a case; NaN where there is no truth.
@@ -111,6 +118,21 @@ fn judge_all(
         }
     }
     Ok(Some((all, main)))
+}
+
+/// As-projective-as-possible warps on the pictures of a case.
+fn reference_of(
+    session: &dyn Session,
+    case: &Case,
+    path: &Path,
+    frames: u64,
+) -> Result<Option<reference::Reference>> {
+    let still = (!case.still.is_empty()).then(|| {
+        let mut still = case.wiring.clone();
+        case.still.iter().for_each(|(node, param, value)| still.set(node, param, value.clone()));
+        still
+    });
+    reference::judge(session, &case.wiring, still.as_ref(), path, frames)
 }
 
 fn csv(rows: &Table) -> String {
@@ -257,6 +279,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         let peer = if options.with_peer { judge_all(session, &case, path, options.frames, true)? } else { None };
         let peer_marks = peer.as_ref().and_then(|(marks, _)| marks.first());
         let peer_rows = peer.as_ref().and_then(|(_, run)| run.tables.first());
+        let reference = if options.with_peer { reference_of(session, &case, path, options.frames)? } else { None };
         let input = format!("{}, {} frames", case.input, options.frames);
         let title =
             [graph.name.as_str(), case.name].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
@@ -271,6 +294,16 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
                 file.push(format!("{case}-{}.csv", judge.trim_start_matches("judge_")));
                 std::fs::write(&file, csv(rows)).on_file(FileAction::Write, Path::new(&file))?;
             }
+        }
+        if let Some(reference) = &reference {
+            let named = [title.as_str(), REFERENCE].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
+            out.extend(figures(session, &named, &reference.marks, None, &input));
+        }
+        if let Some(folder) = &options.pictures {
+            let mut panels = pictures::panels(&main, "ours");
+            panels.extend(peer.iter().flat_map(|(_, run)| pictures::panels(run, "OpenCV")));
+            panels.extend(reference.into_iter().filter_map(|r| r.picture).map(|picture| ("APAP".to_owned(), picture)));
+            pictures::write(folder, &title, &panels)?;
         }
         stages(session, &main);
         if let Some((_, run)) = &peer {

@@ -1,8 +1,8 @@
 //! The mesh over time: fitted to each disparity map, steady while nothing moves, held while nothing is seen.
 
 use super::super::grid::RectifiedView;
-use super::energy::{Energy, Stiffness};
-use super::observe::Observations;
+use super::energy::{Energy, Inside, Stiffness};
+use super::observe::{Observations, Sampling};
 use super::{Lattice, Mesh};
 use crate::geometry::{Homography, Point};
 use crate::{Parallel, Simd, View};
@@ -19,6 +19,8 @@ const MOST_VERTICES: usize = 8192;
 const BLOCK_CELLS: usize = 4;
 /// Observations of a block that tells of motion.
 const LEAST_BLOCK: f64 = 4.0;
+/// The other view reaches beyond a side of the reference view when it does so by more than this many cells.
+const BEYOND_CELLS: f64 = 4.0;
 /// Multiples of the outlier limit in the passes of a first fit; the first pass weighs all observations alike.
 const FIRST_PASSES: [f64; 6] = [f64::INFINITY, 8.0, 4.0, 2.0, 1.0, 1.0];
 /// A mesh that moves by less than this stays as it is, px: what follows from it need not be computed again.
@@ -39,6 +41,8 @@ pub struct MeshParams {
     pub bend: f64,
     /// Weight of first differences: how soon it fades into the shifted homography where nothing is observed.
     pub slope: f64,
+    /// The same where only the other view sees: more keeps lengths there, less keeps what both views see beside it exact.
+    pub slope_outside: f64,
     /// Distance from the mesh at which an observation counts half.
     pub outlier_px: f64,
     /// Weight of the frame before while the views move.
@@ -55,6 +59,9 @@ pub struct MeshParams {
     pub reach_px: f64,
     /// Observations below which the mesh is held.
     pub least_observations: usize,
+    /// Where the other camera stands, in units of the baseline of the disparity: `[1, 0]` for the right one of a pair, `[0, 1]` for one as far below
+    /// the left one.
+    pub along: [f64; 2],
 }
 
 impl Default for MeshParams {
@@ -66,6 +73,7 @@ impl Default for MeshParams {
             agree_px: 2.0,
             bend: 0.05,
             slope: 0.02,
+            slope_outside: 0.12,
             outlier_px: 6.0,
             hold_moving: 0.005,
             hold_still: 10.0,
@@ -74,6 +82,7 @@ impl Default for MeshParams {
             jump_px: 12.0,
             reach_px: 96.0,
             least_observations: 24,
+            along: [1.0, 0.0],
         }
     }
 }
@@ -180,7 +189,9 @@ impl MeshFollower {
         report.is_new = self.mesh.source.is_empty();
         let cell = (lattice.cell_px / p.observations.max(1)).max(4);
         let step = ((p.step_px as f64 * scale).round() as usize).max(1);
-        self.observations.gather(disparity, [left, right], cell, step, (p.agree_px * scale) as f32, pool);
+        let agree_px = (p.agree_px * scale) as f32;
+        let sampling = Sampling { cell_px: cell, step_px: step, agree_px, along: p.along };
+        self.observations.gather(disparity, [left, right], &sampling, pool);
         self.locate(p.reach_px * scale);
         report.observations = self.located.len();
         if self.located.len() < p.least_observations {
@@ -195,8 +206,9 @@ impl MeshFollower {
             (report.motion_px, shared) = self.motion();
             report.is_new = report.motion_px > p.jump_px * scale;
         }
-        let stiffness = Stiffness { bend: p.bend, slope: p.slope, place: 1e-4 };
-        self.energy.reset(lattice.columns, lattice.rows, stiffness);
+        let stiffness = Stiffness { bend: p.bend, slope: p.slope, slope_outside: p.slope_outside, place: 1e-4 };
+        let inside = seen_by_reference(&lattice, left_from_right, left.size, right.size);
+        self.energy.reset(lattice.columns, lattice.rows, stiffness, inside);
         let limit_px = p.outlier_px * scale;
         let solved = if report.is_new {
             self.shift.clear();
@@ -386,6 +398,27 @@ impl MeshFollower {
         mesh.source.clear();
         mesh.source.extend(positions.map(|at| at.map(|v| v as f32)));
     }
+}
+
+/// Vertices within the reference view; on sides beyond which the other view does not reach, all.
+fn seen_by_reference(
+    lattice: &Lattice,
+    left_from_right: &Homography,
+    left: (usize, usize),
+    right: (usize, usize),
+) -> Inside {
+    let Some(corners) = left_from_right.map_corners(right.0, right.1) else { return Inside::default() };
+    let cell_px = lattice.cell_px as f64;
+    let range = |k: usize, size: usize, count: usize| {
+        let along = corners.map(|corner| corner[k]);
+        let low = along.iter().copied().fold(f64::MAX, f64::min);
+        let high = along.iter().copied().fold(f64::MIN, f64::max);
+        let vertex = |px: f64| (px / cell_px - f64::from(lattice.first[k])).clamp(0.0, count as f64);
+        let first = if low < -BEYOND_CELLS * cell_px { vertex(0.0).ceil() as usize } else { 0 };
+        let is_beyond = high > size as f64 + BEYOND_CELLS * cell_px;
+        [first, if is_beyond { vertex(size as f64).floor() as usize } else { usize::MAX }]
+    };
+    Inside { columns: range(0, left.0, lattice.columns), rows: range(1, left.1, lattice.rows) }
 }
 
 /// Of the values, which are reordered; 0 without any.

@@ -39,18 +39,16 @@ pub struct Observations {
 impl Observations {
     /// Reads a disparity map: px of the left rectified view at full size, NaN where unmatched.
     ///
-    /// Pixels of a cell agree when they lie within `agree_px` of its median disparity.
     pub fn gather(
         &mut self,
         disparity: View<'_, f32>,
         [left, right]: [&RectifiedView; 2],
-        cell_px: usize,
-        step_px: usize,
-        agree_px: f32,
+        sampling: &Sampling,
         pool: &dyn Parallel,
     ) {
-        let cell_px = cell_px.max(2);
-        let step = step_px.max(cell_px.div_ceil(MOST_SAMPLES));
+        let cell_px = sampling.cell_px.max(2);
+        let step_px = sampling.step_px.max(cell_px.div_ceil(MOST_SAMPLES));
+        let sampling = Sampling { cell_px, step_px, ..*sampling };
         let (columns, rows) = (disparity.width.div_ceil(cell_px), disparity.height.div_ceil(cell_px));
         (self.cell_px, self.columns, self.rows) = (cell_px, columns, rows);
         self.cells.clear();
@@ -61,9 +59,11 @@ impl Observations {
                 // SAFETY: each row of cells belongs to one chunk.
                 let out = unsafe { cells.part(row * columns, columns) };
                 for (column, out) in out.iter_mut().enumerate() {
-                    let Some(found) = cell(disparity, column, row, cell_px, step, agree_px) else { continue };
+                    let Some(found) = cell(disparity, column, row, &sampling) else { continue };
                     let at = left.unrectify([found.x, found.y]);
-                    let source = right.unrectify([found.x - found.disparity, found.y]);
+                    let [along_x, along_y] = sampling.along;
+                    let source =
+                        right.unrectify([found.x - along_x * found.disparity, found.y - along_y * found.disparity]);
                     // A rim pixel is compared with less of its surroundings, and its neighbours cannot correct it.
                     let rim = row == 0 || row + 1 == rows || column == 0 || column + 1 == columns;
                     let weight = found.weight * if rim { 0.25 } else { 1.0 };
@@ -76,6 +76,19 @@ impl Observations {
     }
 }
 
+/// How a disparity map is read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sampling {
+    /// Side of a cell, px.
+    pub cell_px: usize,
+    /// Spacing of the disparities that are read.
+    pub step_px: usize,
+    /// Pixels of a cell agree when they lie within this of its median disparity.
+    pub agree_px: f32,
+    /// Where the other camera stands, in units of the baseline of the disparity: a point at `(x, y)` lies at `(x, y) - disparity * along` there.
+    pub along: [f64; 2],
+}
+
 struct Agreed {
     x: f64,
     y: f64,
@@ -83,7 +96,9 @@ struct Agreed {
     weight: f32,
 }
 
-fn cell(map: View<'_, f32>, column: usize, row: usize, cell_px: usize, step: usize, agree_px: f32) -> Option<Agreed> {
+fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> Option<Agreed> {
+    let Sampling { cell_px, step_px: step, agree_px, along } = *sampling;
+    let along = along.map(|v| v as f32);
     let (x0, y0) = (column * cell_px, row * cell_px);
     let (x1, y1) = ((x0 + cell_px).min(map.width), (y0 + cell_px).min(map.height));
     let mut samples = [(0.0f32, 0u32, 0u32); MOST_SAMPLES * MOST_SAMPLES];
@@ -93,8 +108,10 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, cell_px: usize, step: usi
         for x in (x0 + step / 2..x1).step_by(step) {
             total += 1;
             let d = line[x];
-            // NaN fails both; what lies outside the other view is not matched.
-            if d <= x as f32 && x as f32 - d < map.width as f32 && count < samples.len() {
+            let (u, v) = (x as f32 - d * along[0], y as f32 - d * along[1]);
+            // NaN fails; what lies outside the other view is not matched.
+            let is_inside = u >= 0.0 && v >= 0.0 && u < map.width as f32 && v < map.height as f32;
+            if is_inside && count < samples.len() {
                 samples[count] = (d, x as u32, y as u32);
                 count += 1;
             }

@@ -103,6 +103,50 @@ fn the_mesh_fades_into_the_homography_without_stretching_it() {
 }
 
 #[test]
+fn lengths_are_kept_where_only_the_other_view_sees() {
+    // Folds that the border of the left view cuts.
+    let folds = |x: f64, y: f64| 220.0 + x / 40.0 + 6.0 * (x / 30.0).sin() * (y / 20.0).cos();
+    let stretch = |slope_outside: f64| {
+        let mut follower = MeshFollower::new(MeshParams { slope_outside, ..MeshParams::default() });
+        update(&mut follower, &map(folds, 0.3, 0), &plane());
+        let mesh = follower.mesh().expect("a mesh").clone();
+        let exact = errors(&mesh, folds, 12).1;
+        let placed = Placement::new(plane(), Some(mesh)).expect("an inverse");
+        let shown = vec![2u8; 872 * 480];
+        let left = crate::Rect::whole(SIZE.0, SIZE.1);
+        (placed.stretch_pct(View::new(&shown, 872, 480, 1), 2, left, (0, 0)).expect("a place"), exact)
+    };
+    let MeshParams { slope, slope_outside, .. } = MeshParams::default();
+    let (alike, kept) = (stretch(slope), stretch(slope_outside));
+    assert!(kept.0 < 0.9 * alike.0, "{kept:?} % and px, {alike:?} with one weight");
+    assert!(kept.1 < 1.0, "{kept:?}");
+}
+
+#[test]
+fn a_camera_below_is_followed_along_its_own_direction() {
+    // Depth that is known everywhere, as two pairs of cameras know it together.
+    let disparity: Vec<f32> = (0..SIZE.0 * SIZE.1)
+        .map(|i| hills((i % SIZE.0) as f64, (i / SIZE.0) as f64) as f32)
+        .collect();
+    for (along, columns) in [([0.0, 1.0], 12..628), ([1.0, 1.0], 272..628)] {
+        let mut follower = MeshFollower::new(MeshParams { along, ..MeshParams::default() });
+        let plane = Homography::translation(232.0 * along[0], 232.0 * along[1]);
+        let report = update(&mut follower, &disparity, &plane);
+        assert!(report.is_new && !report.is_held && report.residual_px < 0.6, "{report:?}");
+        let mesh = follower.mesh().expect("a mesh");
+        for y in (272..468).step_by(14) {
+            for x in columns.clone().step_by(14) {
+                let (x, y) = (x as f64, y as f64);
+                let d = hills(x, y);
+                let [u, v] = mesh.map([x, y]).expect("inside");
+                let error = (u - (x - along[0] * d)).hypot(v - (y - along[1] * d));
+                assert!(error < 2.0, "{error} px at {x}, {y} towards {along:?}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_tool_in_front_does_not_bend_the_tissue() {
     let is_tool = |x: f64, y: f64| (420.0..560.0).contains(&x) && (200.0..240.0).contains(&y);
     let with_tool = |x: f64, y: f64| if is_tool(x, y) { 300.0 } else { hills(x, y) };

@@ -1,0 +1,297 @@
+//! The reference method of [`apap`](super::apap) on the pictures of a case, judged as a composite is.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use panoscope_abi as abi;
+use panoscope_base::packet;
+use panoscope_base::parallel::Serial;
+use panoscope_engine::Listener;
+use panoscope_engine::memory::FrameRef;
+use panoscope_imaging::features::{RegisterParams, RegisterSurf};
+use panoscope_imaging::geometry::{Homography, Point};
+use panoscope_imaging::stitch::evaluate::TruePairs;
+use panoscope_imaging::stitch::judge::{DrawnPanorama, PictureMarks, WideTruth, compare_pictures, correlated};
+use panoscope_imaging::stitch::placement::Placement;
+use panoscope_imaging::stitch::{
+    BlendMethod, CompositeParams, Compositor, GeometryState, IDENTITY, Mesh, SeamMethod,
+};
+use panoscope_imaging::{Rect, View, ViewMut};
+
+use super::apap::{self, MovingDlt};
+use super::pictures::Picture;
+use super::{Marks, SETTLE};
+use crate::error::{Context, Result};
+use crate::inputs::wiring::Wiring;
+use crate::packets;
+use crate::registration::Registration;
+use crate::run::{self, Pace, Plan};
+use crate::session::{Session, check_cancelled};
+use crate::statistics::{finite, mean, rms};
+
+/// Every so many ticks are judged: as often as a judge compares pictures.
+const EVERY: u64 = 3;
+/// Half the width of the band along the seam that is compared, px.
+const BAND_PX: usize = 16;
+/// Spacing of the true correspondences, px.
+const STEP_PX: usize = 8;
+/// Number of the further view in what a compositor says is shown.
+const VIEW: u8 = 2;
+
+/// Packets of one tick, by the input of a judge that they would go to.
+type Packets = HashMap<&'static str, FrameRef>;
+
+/// One warp and the panorama drawn by it.
+struct Stitched {
+    placed: Placement,
+    left_from_right: Homography,
+    size: (usize, usize),
+    left_at: (i32, i32),
+    picture: Vec<u8>,
+    shown: Vec<u8>,
+}
+
+/// Measures of one tick; NaN where there is no truth.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    align_px: f64,
+    floor_px: f64,
+    psnr_overlap_db: f64,
+    ssim_overlap: f64,
+    psnr_seam_db: f64,
+    ssim_seam: f64,
+    seam_break_px: (f64, f64),
+    ghost_pct: f64,
+    stretch_pct: f64,
+    fov_pct: f64,
+    motion_px: f64,
+}
+
+/// A picture or map as its packet holds it.
+fn view(frame: &FrameRef, channels: usize) -> Option<View<'_, u8>> {
+    let (described, bytes) = (frame.frame(), frame.bytes());
+    let (width, height, stride) =
+        (described.width as usize, described.height as usize, described.stride_bytes as usize);
+    let fits = stride >= width * channels && bytes.len() >= stride * height.saturating_sub(1) + width * channels;
+    fits.then(|| View { data: bytes, width, height, channels, stride })
+}
+
+/// Registers by the matches of our SURF and draws with our seam and blending: only the warp differs.
+fn stitch(surf: &mut RegisterSurf, left: View<'_, u8>, right: View<'_, u8>) -> Result<Option<Stitched>> {
+    surf.reset();
+    surf.register(left, right, &Serial);
+    let (features, (matches, _)) = (surf.features(), surf.matches());
+    let pairs = matches.iter().map(|m| {
+        (features.0.keypoints.position(m.left as usize), features.1.keypoints.position(m.right as usize))
+    });
+    let (reference, other): (Vec<Point>, Vec<Point>) = pairs.unzip();
+    let Some(moving) = apap::inliers(&reference, &other).and_then(|(r, o)| MovingDlt::new(&r, &o)) else {
+        return Ok(None);
+    };
+    let Some(left_from_right) = moving.whole().inverse() else { return Ok(None) };
+    let Some(mesh) = moving.mesh((right.width, right.height)) else { return Ok(None) };
+    draw(left, right, left_from_right, mesh)
+}
+
+fn draw(
+    left: View<'_, u8>,
+    right: View<'_, u8>,
+    left_from_right: Homography,
+    mesh: Mesh,
+) -> Result<Option<Stitched>> {
+    let params = CompositeParams {
+        seam: SeamMethod::DynamicProgramming,
+        blend: BlendMethod::Feather,
+        blend_px: 24,
+        ..CompositeParams::default()
+    };
+    let (mut kernel, views, maps) = (Compositor::new(params), [left, right], [IDENTITY, left_from_right.0]);
+    kernel.set_mesh(1, Some(&mesh));
+    if !kernel.accepts(&views, &maps, GeometryState::Fresh)? {
+        return Ok(None);
+    }
+    let canvas = kernel.canvas(&views, &maps, GeometryState::Fresh)?;
+    let size = (canvas.width, canvas.height);
+    let (mut picture, mut shown) = (vec![0; size.0 * size.1 * 3], vec![0; size.0 * size.1]);
+    let out = &mut ViewMut::new(&mut picture, size.0, size.1, 3);
+    kernel.compose(&views, &maps, GeometryState::Fresh, &Serial, out, None)?;
+    kernel.shown(&mut ViewMut::new(&mut shown, size.0, size.1, 1))?;
+    let Some(placed) = Placement::new(left_from_right, Some(mesh)) else { return Ok(None) };
+    Ok(Some(Stitched { placed, left_from_right, size, left_at: (canvas.left, canvas.top), picture, shown }))
+}
+
+fn judge_tick(
+    stitched: &Stitched,
+    previous: Option<&Placement>,
+    packets: &Packets,
+    [left, right]: [View<'_, u8>; 2],
+) -> Option<Row> {
+    const NONE: f64 = f64::NAN;
+    let placed = &stitched.placed;
+    let shown = View::new(&stitched.shown, stitched.size.0, stitched.size.1, 1);
+    let truth = packets.get("truth").and_then(|frame| packet::decode::<abi::Homography>(frame.bytes()).ok());
+    let values = packets.get("disparity").and_then(packets::floats);
+    let disparity = values.as_ref().map(|values| View::new(values, left.width, left.height, 1));
+    let visible = packets.get("visible").and_then(|frame| view(frame, 1));
+    let pairs = |step: usize| {
+        disparity.map(|disparity| TruePairs { disparity, visible, along: [1.0, 0.0], step })
+    };
+    let (align_px, floor_px) = match (pairs(STEP_PX), &truth) {
+        (Some(pairs), Some(truth)) => {
+            let floor = pairs.alignment(&Homography(truth.left_from_right));
+            (placed.alignment(&pairs)?.0, floor.map_or(NONE, |(rms, _)| rms))
+        }
+        (Some(pairs), None) => (placed.alignment(&pairs)?.0, pairs.floor_px().unwrap_or(NONE)),
+        // Cut out of one picture: a plane.
+        (None, Some(truth)) => (from_plane(placed, &Homography(truth.left_from_right), [left, right]), 0.0),
+        (None, None) => {
+            let marks = correlated(placed, left, right, &Serial);
+            (marks.align_px, marks.floor_px)
+        }
+    };
+    let sizes = [(left.width, left.height), (right.width, right.height)];
+    let wide = packets.get("wide").and_then(|frame| view(frame, 3));
+    let left_at = packets.get("left_in_wide").and_then(|frame| packet::decode::<abi::Roi>(frame.bytes()).ok());
+    let marks = wide.map_or_else(PictureMarks::default, |wide| {
+        // As in the phantom: an eighth of the extra width and height.
+        let eighth = |wide: usize, left: usize| (wide as i32 - left as i32) / 8;
+        let begin = left_at.map_or((eighth(wide.width, left.width), eighth(wide.height, left.height)), |at| (at.x, at.y));
+        let panorama = DrawnPanorama {
+            picture: View::new(&stitched.picture, stitched.size.0, stitched.size.1, 3),
+            left_at: stitched.left_at,
+            shown: Some(shown),
+        };
+        let wide = WideTruth { picture: wide, left_at: begin };
+        compare_pictures(&panorama, &wide, sizes, &stitched.left_from_right, BAND_PX)
+    });
+    let covered = stitched.shown.iter().filter(|view| **view != 0).count();
+    Some(Row {
+        align_px,
+        floor_px,
+        psnr_overlap_db: marks.whole.map_or(NONE, |l| l.psnr_db),
+        ssim_overlap: marks.whole.map_or(NONE, |l| l.ssim),
+        psnr_seam_db: marks.seam.map_or(NONE, |l| l.psnr_db),
+        ssim_seam: marks.seam.map_or(NONE, |l| l.ssim),
+        seam_break_px: pairs(1)
+            .and_then(|pairs| placed.seam_break(&pairs, shown, VIEW, stitched.left_at))
+            .unwrap_or((NONE, NONE)),
+        ghost_pct: marks.ghost_pct.unwrap_or(NONE),
+        stretch_pct: placed
+            .stretch_pct(shown, VIEW, Rect::whole(left.width, left.height), stitched.left_at)
+            .unwrap_or(NONE),
+        fov_pct: 100.0 * covered as f64 / (left.width * left.height).max(1) as f64,
+        motion_px: previous.and_then(|previous| placed.motion_px(previous, sizes[1])).unwrap_or(NONE),
+    })
+}
+
+/// Root mean square distance of a placement from a plane over the points of the right view that the plane brings into the left one.
+fn from_plane(placed: &Placement, truth: &Homography, [left, right]: [View<'_, u8>; 2]) -> f64 {
+    let at = (0..right.height).step_by(STEP_PX).flat_map(|y| (0..right.width).step_by(STEP_PX).map(move |x| (x, y)));
+    let errors = at.filter_map(|(x, y)| {
+        let point = [x as f64, y as f64];
+        let [u, v] = truth.map(point);
+        let is_inside = u >= 0.0 && v >= 0.0 && u < left.width as f64 && v < left.height as f64;
+        is_inside.then(|| placed.error_px(point, [u, v])).flatten()
+    });
+    rms(&errors.collect::<Vec<_>>())
+}
+
+/// The packets of every [`EVERY`]th tick of these ports.
+fn collect(
+    session: &dyn Session,
+    pictures: &Wiring,
+    ports: &[(&'static str, String)],
+    path: &Path,
+    frames: u64,
+) -> Result<BTreeMap<u64, Packets>> {
+    let kept: Arc<Mutex<BTreeMap<u64, Packets>>> = Arc::default();
+    let listen = ports.iter().filter_map(|(input, from)| {
+        let (node, output) = from.split_once('.')?;
+        let (input, kept) = (*input, Arc::clone(&kept));
+        Some(Listener {
+            node: node.to_owned(),
+            output: output.to_owned(),
+            hear: Arc::new(move |frame| {
+                let seq = frame.tick().seq;
+                if seq.is_multiple_of(EVERY) {
+                    let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+                    kept.entry(seq).or_default().insert(input, frame.clone());
+                }
+            }),
+        })
+    });
+    let text = pictures.text();
+    let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &[], pace: Pace::Free };
+    run::run_and_listen(session, &plan, listen.collect(), None)?;
+    let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+    Ok(std::mem::take(&mut *kept))
+}
+
+/// A row for each judged tick, `None` where there is no warp, and the last panorama.
+type Rows = (Vec<Option<Row>>, Option<Picture>);
+
+fn rows(session: &dyn Session, wiring: &Wiring, path: &Path, frames: u64) -> Result<Option<Rows>> {
+    let Some((pictures, ports)) = wiring.pictures() else { return Ok(None) };
+    let ticks = collect(session, &pictures, &ports, path, frames)?;
+    let mut surf = RegisterSurf::new(RegisterParams { roi: false, ..RegisterParams::default() });
+    let (mut rows, mut previous, mut picture) = (Vec::new(), None, None);
+    for packets in ticks.values() {
+        check_cancelled(session)?;
+        let of = |name: &str| packets.get(name).and_then(|frame| view(frame, 3));
+        let (Some(left), Some(right)) = (of("left"), of("right")) else { continue };
+        let stitched = stitch(&mut surf, left, right)?;
+        let row = stitched.as_ref().and_then(|s| judge_tick(s, previous.as_ref(), packets, [left, right]));
+        rows.push(row);
+        previous = stitched.map(|s| {
+            picture = Some(Picture { width: s.size.0, height: s.size.1, bgr: s.picture });
+            s.placed
+        });
+    }
+    Ok(Some((rows, picture)))
+}
+
+/// What the reference comes to.
+pub(super) struct Reference {
+    /// Its measures.
+    pub marks: Marks,
+    /// The last panorama.
+    pub picture: Option<Picture>,
+}
+
+/// Measures of the reference on the pictures of a graph; `None` for more than two views. `still`: the same with views that hold still.
+pub(super) fn judge(
+    session: &dyn Session,
+    wiring: &Wiring,
+    still: Option<&Wiring>,
+    path: &Path,
+    frames: u64,
+) -> Result<Option<Reference>> {
+    let Some((rows, picture)) = self::rows(session, wiring, path, frames)? else { return Ok(None) };
+    let count = rows.len();
+    let rows: Vec<Row> = rows.into_iter().flatten().collect();
+    let column = |of: fn(&Row) -> f64| rows.iter().map(of).collect::<Vec<f64>>();
+    let mut jitter_px = f64::NAN;
+    if let Some(still) = still {
+        let (rows, _) = self::rows(session, still, path, frames.min(40))?.context("the views are the same")?;
+        let motion_px: Vec<f64> = rows.into_iter().flatten().map(|row| row.motion_px).collect();
+        jitter_px = rms(motion_px.get(SETTLE.div_ceil(EVERY as usize)..).unwrap_or_default());
+    }
+    let registration = Registration {
+        stitched_pct: 100.0 * rows.len() as f64 / count.max(1) as f64,
+        align_px: rms(&column(|row| row.align_px)),
+        floor_px: rms(&column(|row| row.floor_px)),
+        psnr_overlap_db: mean(&column(|row| row.psnr_overlap_db)),
+        ssim_overlap: mean(&column(|row| row.ssim_overlap)),
+        psnr_seam_db: mean(&column(|row| row.psnr_seam_db)),
+        ssim_seam: mean(&column(|row| row.ssim_seam)),
+        seam_break_px: (mean(&column(|row| row.seam_break_px.0)), mean(&column(|row| row.seam_break_px.1))),
+        ghost_pct: mean(&column(|row| row.ghost_pct)),
+        stretch_pct: finite(&column(|row| row.stretch_pct)).fold(f64::NAN, f64::max),
+        fov_pct: mean(&column(|row| row.fov_pct)),
+        // Its canvas always covers both views.
+        cropped_pct: f64::NAN,
+    };
+    let marks = Marks { registration, jitter_px, recovery: Vec::new() };
+    Ok(Some(Reference { marks, picture }))
+}
