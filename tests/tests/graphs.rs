@@ -115,8 +115,8 @@ fn refusal(graph: &str, source: &str) -> Option<(&'static str, &'static str)> {
     const NO_SCOPE: &str = "replaces nothing: the graph has no node of that name";
     let has_tip = matches!(graph, "surgeon" | "thesis_chapter6" | "arm_closed_loop");
     match (graph, source) {
-        ("four_cameras", "four_files") => None,
-        ("four_cameras", _) => Some(("it looks at four views, the source has two", NO_SCOPE)),
+        ("four_cameras" | "four_cameras_mesh", "four_files") => None,
+        ("four_cameras" | "four_cameras_mesh", _) => Some(("it looks at four views, the source has two", NO_SCOPE)),
         (_, "four_files") => Some(("it looks at two views", NO_SCOPE)),
         (_, "cameras_on_arm") if has_tip => None,
         (_, "cameras_on_arm") => Some(("it follows no tip that an arm could follow", "there is no node `follow`")),

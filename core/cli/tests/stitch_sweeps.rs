@@ -149,3 +149,43 @@ fn a_graph_of_parts_is_judged_on_the_source_of_an_overlay() {
     let (code, out, err) = run(Some(&folder), &wrong);
     assert!(code == 2 && out.contains("argument `seed` must be a whole number"), "{code} {out}{err}");
 }
+
+#[test]
+fn one_run_judges_a_graph_opencv_and_as_projective_as_possible_warps() {
+    let Some(folder) = plugins(&["phantom", "stitch", "opencv", "capture", "sinks", "overlay"]) else { return };
+    // A pair from files: without the phantom's incidents OpenCV takes seconds.
+    let render = file("render.toml");
+    let sink = |side: &str| {
+        format!(
+            "[nodes.{side}]\ntype = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {:?}, at_end = true }}\n",
+            file(&format!("{side}.png"))
+        )
+    };
+    let scope = "[nodes.scope]\ntype = \"phantom\"\nparams = { scene = \"bowel\", seed = 7, width = 320, height = 240 }\n";
+    let text = format!("mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n{scope}{}{}", sink("left"), sink("right"));
+    std::fs::write(&render, text).expect("a graph");
+    let (code, out, err) = run(Some(&folder), &["run", &render.display().to_string(), "--frames", "1", "--headless"]);
+    assert_eq!(code, 0, "{out}{err}");
+    let (json, pictures) = (file("beside.json"), file("panoramas"));
+    let texts = [file("left.png"), file("right.png"), json.clone(), pictures.clone()].map(|p| p.display().to_string());
+    let [left, right, json_text, pictures_text] = &texts;
+    let graph = graph("panorama_files.toml");
+    let own = [
+        "eval", "stitch", &graph, "--left", left, "--right", right, "--frames", "12", "--json", json_text, "--pictures",
+        pictures_text,
+    ];
+    let (code, out, err) = run(Some(&folder), &own);
+    assert_eq!(code, 0, "{out}{err}");
+    let figures = figures(&json);
+    let ours = value(&figures, "align_px/panorama_files").unwrap_or_else(|| panic!("{out}"));
+    let apap = value(&figures, "align_px/panorama_files_apap").unwrap_or_else(|| panic!("{out}"));
+    // One homography leaves the parallax; many do not.
+    assert!(apap < 0.7 * ours, "{ours} px by one homography, {apap} px by many");
+    assert_eq!(value(&figures, "stitched_share/panorama_files_apap"), Some(100.0));
+    let listed = figures.as_array().expect("a list").iter();
+    let beside = listed.clone().find(|f| f["name"] == "align_px/panorama_files").expect("ours");
+    assert!(beside["peer"].as_str().is_some_and(|peer| peer.starts_with("OpenCV")), "{beside}");
+    let picture = image::open(pictures.join("panorama_files.png")).expect("the panoramas");
+    assert!(picture.width() > 400 && picture.height() > 3 * 240, "three panoramas: {}x{}", picture.width(), picture.height());
+    assert!(run(None, &["eval", "stitch", &graph, "--fov", "--pictures", "x"]).2.contains("cannot be used with"));
+}

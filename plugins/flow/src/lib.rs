@@ -9,6 +9,7 @@ pub mod level;
 pub mod pass;
 pub mod ports;
 pub mod smooth;
+pub mod transpose;
 
 use panoscope_node::export_plugin;
 
@@ -22,4 +23,5 @@ export_plugin![
     every_nth::EveryNth,
     level::Level,
     smooth::Smooth,
+    transpose::Transpose,
 ];

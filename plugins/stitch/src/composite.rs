@@ -209,12 +209,23 @@ pub struct Composite {
     seams: u64,
 }
 
+/// Where the views of a tick come from: two of them with their homography, or a list with one homography for each but the first.
+pub(crate) struct SceneInputs<'i, 'f> {
+    pub pair: [Option<&'i Image<'f, Bgr8>>; 2],
+    pub homography: Option<&'i Homography>,
+    pub views: Option<&'i List<'f, Image<'f, Bgr8>>>,
+    pub homographies: Option<&'i List<'f, Value<'f, Homography>>>,
+}
+
 /// The views of a tick and their maps to the first one.
-struct Scene<'f> {
-    views: [View<'f, u8>; MAX_VIEWS],
-    maps: [[f64; 9]; MAX_VIEWS],
-    count: usize,
-    state: GeometryState,
+pub(crate) struct Scene<'f> {
+    pub views: [View<'f, u8>; MAX_VIEWS],
+    pub maps: [[f64; 9]; MAX_VIEWS],
+    /// State of each map.
+    pub states: [u32; MAX_VIEWS],
+    pub count: usize,
+    /// The worst of all.
+    pub state: GeometryState,
 }
 
 impl<'f> Scene<'f> {
@@ -222,6 +233,7 @@ impl<'f> Scene<'f> {
         Self {
             views: [View::new(&[], 0, 0, 3); MAX_VIEWS],
             maps: [stitch::IDENTITY; MAX_VIEWS],
+            states: [abi::STATE_FRESH; MAX_VIEWS],
             count: 0,
             state: GeometryState::Fresh,
         }
@@ -233,7 +245,7 @@ impl<'f> Scene<'f> {
         }
         self.views[self.count] = view;
         if let Some(map) = map {
-            self.maps[self.count] = map.left_from_right;
+            (self.maps[self.count], self.states[self.count]) = (map.left_from_right, map.state);
             // The worst state of all views decides.
             self.state = match (map.state, self.state) {
                 (abi::STATE_LOST, _) | (_, GeometryState::Lost) => GeometryState::Lost,
@@ -245,12 +257,13 @@ impl<'f> Scene<'f> {
         Ok(())
     }
 
-    fn of(input: &In<'f>) -> Result<Option<Self>> {
+    /// `None` while a view or its homography is missing.
+    pub(crate) fn of(input: &SceneInputs<'_, 'f>) -> Result<Option<Self>> {
         let mut scene = Self::new();
-        if let Some(views) = &input.views {
+        if let Some(views) = input.views {
             let Some(first) = views.get(0) else { return Ok(None) };
             scene.push(first.view(), None)?;
-            let maps = input.homographies.as_ref();
+            let maps = input.homographies;
             let given = maps.map_or(0, List::len);
             if given + 1 != views.len() {
                 return Err(error!(
@@ -267,10 +280,10 @@ impl<'f> Scene<'f> {
             }
             return Ok(Some(scene));
         }
-        let (Some(left), Some(right)) = (&input.left, &input.right) else { return Ok(None) };
+        let [Some(left), Some(right)] = input.pair else { return Ok(None) };
         scene.push(left.view(), None)?;
         let lost = Homography { left_from_right: stitch::IDENTITY, rms_px: 0.0, inliers: 0, state: abi::STATE_LOST };
-        scene.push(right.view(), Some(input.homography.as_deref().unwrap_or(&lost)))?;
+        scene.push(right.view(), Some(input.homography.unwrap_or(&lost)))?;
         Ok(Some(scene))
     }
 }
@@ -307,6 +320,26 @@ pub(crate) fn draw(
     slots.canvas.set(Roi { x: canvas.left, y: canvas.top, width, height })
 }
 
+/// Finds views and homographies that are connected in numbers that do not fit together.
+pub(crate) fn check_views(check: &mut Validation<'_>) {
+    let count = |name: &str| check.connections(name);
+    let (Some(views), Some(maps), Some(left), Some(right)) =
+        (count("views"), count("homographies"), count("left"), count("right"))
+    else {
+        return;
+    };
+    if views > MAX_VIEWS {
+        check.node_error(format!("{views} views are connected, {MAX_VIEWS} are the most"), "connect fewer");
+    } else if views > 0 && maps + 1 != views {
+        check.node_error(
+            format!("{views} views need {} homographies, {maps} are connected", views - 1),
+            "connect one homography for each view but the first",
+        );
+    } else if views == 0 && (left == 0 || right == 0) {
+        check.node_warning("there are no two views to put together", "connect `left` and `right`, or `views`");
+    }
+}
+
 impl Node for Composite {
     const INFO: NodeInfo = NodeInfo::compute(
         "composite",
@@ -318,22 +351,7 @@ impl Node for Composite {
     type Params = CompositeNodeParams;
 
     fn validate(_: &CompositeNodeParams, check: &mut Validation<'_>) {
-        let count = |name: &str| check.connections(name);
-        let (Some(views), Some(maps), Some(left), Some(right)) =
-            (count("views"), count("homographies"), count("left"), count("right"))
-        else {
-            return;
-        };
-        if views > MAX_VIEWS {
-            check.node_error(format!("{views} views are connected, {MAX_VIEWS} are the most"), "connect fewer");
-        } else if views > 0 && maps + 1 != views {
-            check.node_error(
-                format!("{views} views need {} homographies, {maps} are connected", views - 1),
-                "connect one homography for each view but the first",
-            );
-        } else if views == 0 && (left == 0 || right == 0) {
-            check.node_warning("there are no two views to put together", "connect `left` and `right`, or `views`");
-        }
+        check_views(check);
     }
 
     fn open(_: &Open<'_>, params: &CompositeNodeParams) -> Result<Self> {
@@ -351,7 +369,13 @@ impl Node for Composite {
         if *self.kernel.params() != wanted {
             self.kernel.set_params(wanted);
         }
-        let Some(scene) = Scene::of(&input)? else { return Ok(()) };
+        let inputs = SceneInputs {
+            pair: [input.left.as_ref(), input.right.as_ref()],
+            homography: input.homography.as_deref(),
+            views: input.views.as_ref(),
+            homographies: input.homographies.as_ref(),
+        };
+        let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
         if params.on_lost == OnLost::Skip && !self.kernel.accepts(views, maps, scene.state)? {
             return Ok(());

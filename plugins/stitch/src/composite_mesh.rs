@@ -1,20 +1,22 @@
-//! `composite_mesh`: two views, their homography and their disparity in, one wide picture without parallax at the seam out.
+//! `composite_mesh`: views, their homographies and their disparity in, one wide picture without parallax at the seam out.
 
 use panoscope_imaging::geometry;
 use panoscope_imaging::stitch::{
-    self, Compositor, GeometryState, Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners,
+    Compositor, Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners,
 };
 use panoscope_node::abi::{self, Calibration, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData,
-    Validation, Value, error,
+    Bgr8, Context, Disparity, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData,
+    Validation, Value, View, error,
 };
 
-use crate::composite::{CompositeNodeParams, OnLost, Slots, draw};
+use crate::composite::{CompositeNodeParams, OnLost, Scene, SceneInputs, Slots, check_views, draw};
 use crate::register_grid;
 
 /// Columns of the table of vertices.
 pub const VERTEX_COLUMNS: [&str; 4] = ["x_px", "y_px", "right_x_px", "right_y_px"];
+/// Columns of the table of vertices of more than two views: the number of the view as in `shown`, then the same.
+pub const VIEW_VERTEX_COLUMNS: [&str; 5] = ["view", "x_px", "y_px", "right_x_px", "right_y_px"];
 
 /// Parameters of the composite. Lengths of the mesh are for views 640 px wide and grow with the views.
 #[derive(Params, Clone, PartialEq)]
@@ -28,19 +30,28 @@ pub struct CompositeMeshParams {
     /// How soon the mesh fades into the homography where only one camera sees: weight of its slopes.
     #[param(default = 0.02, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
     fade: f64,
+    /// The same where only the other camera sees: more keeps lengths there, less keeps the rim of what both see exact.
+    #[param(default = 0.08, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
+    fade_outside: f64,
     /// Distance from the mesh at which an observation counts half: those of an instrument in front of the tissue count little.
     #[param(default = 6.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
     outlier_px: f64,
     /// Weight of the mesh of the frame before while nothing moves; 0 fits each frame anew.
     #[param(default = 10.0, range = 0.0..=1000.0, step = 1.0, unit = "ratio")]
     steady: f64,
+    /// Number of `views` side by side in one row of cameras, which stand one baseline apart with parallel axes.
+    #[param(default = 2, range = 1..=8)]
+    camera_columns: u32,
     #[param(flatten)]
     composite: CompositeNodeParams,
 }
 
 impl CompositeMeshParams {
-    fn mesh(&self) -> MeshParams {
+    /// For the camera that stands `along` baselines right of and below the first.
+    fn mesh(&self, along: [f64; 2]) -> MeshParams {
         MeshParams {
+            along,
+            slope_outside: self.fade_outside,
             cell_px: f64::from(self.cell),
             bend: self.bend,
             slope: self.fade,
@@ -51,19 +62,25 @@ impl CompositeMeshParams {
     }
 }
 
-/// Inputs of the composite.
+/// Inputs of the composite: `left`, `right`, `homography` and `disparity`, or `views`, `homographies` and `disparities`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Left view; the panorama lies in its plane.
-    left: Image<'f, Bgr8>,
+    left: Option<Image<'f, Bgr8>>,
     /// Right view of the same instant.
-    right: Image<'f, Bgr8>,
+    right: Option<Image<'f, Bgr8>>,
     /// Maps right-view pixels to left-view pixels: where only the right camera sees.
     homography: Option<Value<'f, Homography>>,
     /// Disparity of the left rectified view, full size: where both cameras see. Without it the homography places the right view alone.
     disparity: Option<Image<'f, Disparity>>,
     /// Calibration of the views. Unconnected, they are taken as rectified.
     calibration: Option<Value<'f, Calibration>>,
+    /// Two to eight views instead of `left` and `right`, row by row, of cameras one baseline apart with parallel axes.
+    views: Option<List<'f, Image<'f, Bgr8>>>,
+    /// One homography for each further view of `views`, which maps its pixels to the first view's.
+    homographies: Option<List<'f, Value<'f, Homography>>>,
+    /// Disparities of the first of `views` with cameras one baseline away, each full size. The first that is known in a pixel counts.
+    disparities: Option<List<'f, Image<'f, Disparity>>>,
 }
 
 /// Outputs of the composite.
@@ -77,14 +94,19 @@ pub struct Out<'f> {
     canvas: Slot<'f, Roi>,
     /// View that each pixel shows: 0 none, 1 the left, 2 the right one.
     shown: Slot<'f, Gray8>,
-    /// Vertices of the mesh: where each point of the left view's plane lies in the right view. Empty before the first mesh.
+    /// Vertices of the mesh: where each point of the left view's plane lies in the right view. Empty before the first mesh. With `views` those of all
+    /// further views, one after the other, after the number of the view.
     mesh: Slot<'f, TableData>,
 }
 
 /// See the module.
 pub struct CompositeMesh {
     kernel: Compositor,
-    follower: MeshFollower,
+    /// One for each further view.
+    followers: Vec<MeshFollower>,
+    /// Disparity that several maps make together.
+    joined: Vec<f32>,
+    rows: Vec<f64>,
     seams: u64,
 }
 
@@ -101,47 +123,136 @@ fn rectified(size: (usize, usize)) -> RectifiedView {
     }
 }
 
-/// Writes the vertices, row after row.
-fn set_vertices(slot: &mut Slot<'_, TableData>, mesh: &Mesh) -> Result<()> {
+/// Appends the vertices, row after row.
+fn push_vertices(rows: &mut Vec<f64>, view: Option<usize>, mesh: &Mesh) {
     let lattice = mesh.lattice();
-    let mut rows = Vec::with_capacity(lattice.len() * VERTEX_COLUMNS.len());
     for (index, source) in mesh.source().iter().enumerate() {
+        rows.extend(view.map(|view| view as f64));
         rows.extend(lattice.position(index % lattice.columns, index / lattice.columns));
         rows.extend(source.map(f64::from));
     }
-    slot.set_table(&VERTEX_COLUMNS, &rows)
+}
+
+/// The first view and a further one, as the disparity sees them.
+fn cameras(calibration: Option<&Calibration>, sizes: [(usize, usize); 2]) -> Result<[RectifiedView; 2]> {
+    let Some(c) = calibration else { return Ok(sizes.map(rectified)) };
+    let is_rectified = c.is_rectified != 0;
+    let left = register_grid::view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified);
+    let right = register_grid::view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified);
+    if [left.size, right.size] != sizes {
+        let [(width, height), (right_width, right_height)] = sizes;
+        return Err(error!(
+            "the views are {width}x{height} and {right_width}x{right_height}, the calibration is for {}x{} and {}x{}: connect the calibration of these views",
+            left.size.0,
+            left.size.1,
+            right.size.0,
+            right.size.1
+        ));
+    }
+    Ok([left, right])
+}
+
+/// Takes from each map what the ones before it do not know.
+fn join(joined: &mut Vec<f32>, maps: &List<'_, Image<'_, Disparity>>, (width, height): (usize, usize)) -> Result<()> {
+    joined.clear();
+    joined.resize(width * height, f32::NAN);
+    for map in maps.iter().flatten() {
+        let map = map.view();
+        if (map.width, map.height) != (width, height) {
+            return Err(error!(
+                "a disparity is {}x{}, the first view {width}x{height}: connect disparities of the first view at full size",
+                map.width,
+                map.height
+            ));
+        }
+        for (y, row) in joined.chunks_exact_mut(width).enumerate() {
+            for (known, new) in row.iter_mut().zip(map.row(y)).filter(|(known, _)| known.is_nan()) {
+                *known = *new;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What two meshes of a tick report together: the worst of both.
+fn worst(a: MeshReport, b: MeshReport) -> MeshReport {
+    MeshReport {
+        observations: a.observations.min(b.observations),
+        residual_px: a.residual_px.max(b.residual_px),
+        motion_px: a.motion_px.max(b.motion_px),
+        is_held: a.is_held || b.is_held,
+        is_new: a.is_new || b.is_new,
+    }
 }
 
 impl CompositeMesh {
-    /// Brings the mesh up to this tick, where both the homography and the disparity are good.
-    fn follow(&mut self, cx: &Context<'_>, input: &In<'_>, homography: &Homography) -> Result<Option<MeshReport>> {
-        let Some(disparity) = &input.disparity else { return Ok(None) };
-        let (width, height) = (input.right.width(), input.right.height());
-        let plausible = warped_corners(&homography.left_from_right, width, height, 1).is_ok();
-        if homography.state != abi::STATE_FRESH || !plausible {
+    /// Brings the mesh of a further view up to this tick, where both its homography and the disparity are good.
+    fn follow(
+        &mut self,
+        cx: &Context<'_>,
+        (scene, view): (&Scene<'_>, usize),
+        disparity: Option<View<'_, f32>>,
+        calibration: Option<&Calibration>,
+    ) -> Result<Option<MeshReport>> {
+        let (Some(disparity), map) = (disparity, scene.maps[view]) else { return Ok(None) };
+        let sizes = [0, view].map(|view| (scene.views[view].width, scene.views[view].height));
+        let plausible = warped_corners(&map, sizes[1].0, sizes[1].1, view).is_ok();
+        if scene.states[view] != abi::STATE_FRESH || !plausible {
             return Ok(None);
         }
-        let [left, right] = match input.calibration.as_deref() {
-            Some(c) => {
-                let is_rectified = c.is_rectified != 0;
-                let left = register_grid::view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified);
-                [left, register_grid::view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified)]
+        let [first, other] = cameras(calibration, sizes)?;
+        let map = geometry::Homography(map);
+        Ok(Some(self.followers[view - 1].update(disparity, &first, &other, &map, cx.pool())))
+    }
+
+    /// Brings all meshes up to this tick.
+    fn follow_all(
+        &mut self,
+        cx: &Context<'_>,
+        input: &In<'_>,
+        scene: &Scene<'_>,
+        params: &CompositeMeshParams,
+    ) -> Result<Option<MeshReport>> {
+        let size = (scene.views[0].width, scene.views[0].height);
+        let mut joined = std::mem::take(&mut self.joined);
+        let disparity = match (&input.views, &input.disparities) {
+            (None, _) => input.disparity.as_ref().map(Image::view),
+            (_, Some(maps)) => {
+                join(&mut joined, maps, size)?;
+                Some(View::new(&joined, size.0, size.1, 1))
             }
-            None => [(input.left.width(), input.left.height()), (width, height)].map(rectified),
+            (_, None) => None,
         };
-        if left.size != (input.left.width(), input.left.height()) || right.size != (width, height) {
-            return Err(error!(
-                "the views are {}x{} and {width}x{height}, the calibration is for {}x{} and {}x{}: connect the calibration of these views",
-                input.left.width(),
-                input.left.height(),
-                left.size.0,
-                left.size.1,
-                right.size.0,
-                right.size.1
-            ));
+        while self.followers.len() + 1 < scene.count {
+            self.followers.push(MeshFollower::default());
         }
-        let map = geometry::Homography(homography.left_from_right);
-        Ok(Some(self.follower.update(disparity.view(), &left, &right, &map, cx.pool())))
+        let mut all: Option<MeshReport> = None;
+        for view in 1..scene.count {
+            let columns = if input.views.is_some() { params.camera_columns as usize } else { 2 };
+            let along = [view % columns, view / columns].map(|steps| steps as f64);
+            self.followers[view - 1].set_params(params.mesh(along));
+            if let Some(report) = self.follow(cx, (scene, view), disparity, input.calibration.as_deref())? {
+                all = Some(all.map_or(report, |others| worst(others, report)));
+            }
+            self.kernel.set_mesh(view, self.followers[view - 1].mesh());
+        }
+        self.joined = joined;
+        Ok(all)
+    }
+
+    /// Writes the vertices of all meshes; nothing before the first.
+    fn set_vertices(&mut self, slot: &mut Slot<'_, TableData>, count: usize, is_list: bool) -> Result<()> {
+        self.rows.clear();
+        for (index, follower) in self.followers.iter().take(count - 1).enumerate() {
+            if let Some(mesh) = follower.mesh() {
+                push_vertices(&mut self.rows, is_list.then_some(index + 2), mesh);
+            }
+        }
+        match () {
+            () if self.rows.is_empty() => Ok(()),
+            () if is_list => slot.set_table(&VIEW_VERTEX_COLUMNS, &self.rows),
+            () => slot.set_table(&VERTEX_COLUMNS, &self.rows),
+        }
     }
 }
 
@@ -149,24 +260,33 @@ impl Node for CompositeMesh {
     const INFO: NodeInfo = NodeInfo::compute(
         "composite_mesh",
         "stitch",
-        "Joins two views by a mesh that follows their disparity, so that nothing breaks at the seam, and fades into the homography.",
+        "Joins views by meshes that follow their disparity, so that nothing breaks at the seam, and fade into the homography.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = CompositeMeshParams;
 
     fn validate(_: &CompositeMeshParams, check: &mut Validation<'_>) {
-        if check.is_connected("disparity") == Some(false) {
+        check_views(check);
+        let is_list = check.is_connected("views") == Some(true);
+        let depth = if is_list { "disparities" } else { "disparity" };
+        if check.is_connected(depth) == Some(false) {
             check.node_warning(
                 "there is no disparity: the homography alone places the right view",
-                "connect `disparity`, or use `composite`",
+                format!("connect `{depth}`, or use `composite`"),
+            );
+        }
+        if is_list && check.is_connected("calibration") == Some(true) {
+            check.node_error(
+                "a calibration is of two cameras, and `views` are taken as rectified",
+                "leave `calibration` unconnected, or connect `left` and `right` instead of `views`",
             );
         }
     }
 
     fn open(_: &Open<'_>, params: &CompositeMeshParams) -> Result<Self> {
         let kernel = Compositor::new(params.composite.kernel());
-        Ok(Self { kernel, follower: MeshFollower::new(params.mesh()), seams: 0 })
+        Ok(Self { kernel, followers: Vec::new(), joined: Vec::new(), rows: Vec::new(), seams: 0 })
     }
 
     fn process<'f>(
@@ -180,12 +300,14 @@ impl Node for CompositeMesh {
         if *self.kernel.params() != wanted {
             self.kernel.set_params(wanted);
         }
-        self.follower.set_params(params.mesh());
-        let lost = Homography { left_from_right: stitch::IDENTITY, rms_px: 0.0, inliers: 0, state: abi::STATE_LOST };
-        let homography = input.homography.as_deref().unwrap_or(&lost);
-        let report = self.follow(cx, &input, homography)?;
-        self.kernel.set_mesh(1, self.follower.mesh());
-        if let Some(report) = report {
+        let inputs = SceneInputs {
+            pair: [input.left.as_ref(), input.right.as_ref()],
+            homography: input.homography.as_deref(),
+            views: input.views.as_ref(),
+            homographies: input.homographies.as_ref(),
+        };
+        let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
+        if let Some(report) = self.follow_all(cx, &input, &scene, params)? {
             cx.metric("mesh_observations", report.observations as f64);
             cx.metric("mesh_held", f64::from(u8::from(report.is_held)));
             if report.residual_px.is_finite() {
@@ -195,21 +317,15 @@ impl Node for CompositeMesh {
                 cx.metric("mesh_motion_px", report.motion_px);
             }
         }
-        let state = match homography.state {
-            abi::STATE_LOST => GeometryState::Lost,
-            abi::STATE_HELD => GeometryState::Held,
-            _ => GeometryState::Fresh,
-        };
-        let views = [input.left.view(), input.right.view()];
-        let maps = [stitch::IDENTITY, homography.left_from_right];
-        if params.composite.on_lost == OnLost::Skip && !self.kernel.accepts(&views, &maps, state)? {
+        let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
+        if params.composite.on_lost == OnLost::Skip && !self.kernel.accepts(views, maps, scene.state)? {
             return Ok(());
         }
-        if let Some(mesh) = self.follower.mesh().filter(|_| out.mesh.is_read()) {
-            set_vertices(&mut out.mesh, mesh)?;
+        if out.mesh.is_read() {
+            self.set_vertices(&mut out.mesh, scene.count, input.views.is_some())?;
         }
         let Out { panorama, mask, canvas, shown, .. } = &mut out;
         let slots = Slots { panorama, mask, canvas, shown };
-        draw(&mut self.kernel, &mut self.seams, cx, (&views, &maps, state), slots)
+        draw(&mut self.kernel, &mut self.seams, cx, (views, maps, scene.state), slots)
     }
 }

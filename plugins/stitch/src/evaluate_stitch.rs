@@ -12,7 +12,7 @@ use panoscope_node::{
     Value, View, error,
 };
 
-use crate::composite_mesh::VERTEX_COLUMNS;
+use crate::composite_mesh::{VERTEX_COLUMNS, VIEW_VERTEX_COLUMNS};
 
 /// Columns of the table.
 const COLUMNS: [&str; 21] = [
@@ -119,13 +119,16 @@ pub struct EvaluateStitch {
     ticks: u64,
 }
 
-/// The mesh that `composite_mesh` wrote: vertices row after row, at the multiples of the side of a cell.
-fn mesh_of(table: &Table<'_>) -> Result<Option<Mesh>> {
+/// The mesh of a view that `composite_mesh` wrote: vertices row after row, at the multiples of the side of a cell.
+fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<Mesh>> {
     let bad = || error!("the table at `mesh` holds no mesh: connect the output `mesh` of a `composite_mesh`");
-    if !table.names().eq(VERTEX_COLUMNS) {
+    let rows: Vec<&[f64]> = if table.names().eq(VERTEX_COLUMNS) {
+        table.rows().collect()
+    } else if table.names().eq(VIEW_VERTEX_COLUMNS) {
+        table.rows().filter(|row| row[0] == f64::from(view)).map(|row| &row[1..]).collect()
+    } else {
         return Err(bad());
-    }
-    let rows: Vec<&[f64]> = table.rows().collect();
+    };
     let (Some(first), Some(second)) = (rows.first(), rows.get(1)) else { return Ok(None) };
     let columns = rows.iter().take_while(|row| row[1] == first[1]).count();
     let cell_px = second[0] - first[0];
@@ -243,7 +246,7 @@ impl Node for EvaluateStitch {
         row[1] = input.homography.as_ref().map_or(STATE_NONE, |h| f64::from(h.state));
         let right = (input.right.width(), input.right.height());
         let map = input.homography.as_ref().filter(|h| h.state != abi::STATE_LOST).map(|h| Map(h.left_from_right));
-        let mesh = input.mesh.as_ref().map(mesh_of).transpose()?.flatten();
+        let mesh = input.mesh.as_ref().map(|mesh| mesh_of(mesh, params.view)).transpose()?.flatten();
         let placed = map.and_then(|map| Placement::new(map, mesh));
         let left = (input.left.width(), input.left.height());
         if let (Some(map), Some(placed), Some(given)) = (&map, &placed, &input.homography) {

@@ -172,3 +172,82 @@ fn the_judge_reads_the_mesh() {
     let error = judge.process().err().expect("an error").to_string();
     assert!(error.contains("`mesh`") && error.contains("composite_mesh"), "{error}");
 }
+
+/// The tissue as the camera `along` baselines right of and below the left one sees it.
+fn seen_from(along: [f64; 2]) -> Vec<u8> {
+    let pixel = |i: usize| {
+        let (u, v) = ((i % SIZE.0) as f64, (i / SIZE.0) as f64);
+        let x = (0..50).fold(u + 100.0 * along[0], |x, _| u + along[0] * disparity(x));
+        tissue(x, v + along[1] * disparity(x))
+    };
+    (0..SIZE.0 * SIZE.1).flat_map(pixel).collect()
+}
+
+/// Disparity where the camera `along` baselines away sees the point too.
+fn known_with(along: [f64; 2]) -> Vec<f32> {
+    let known = |i: usize| {
+        let (x, y) = ((i % SIZE.0) as f64, (i / SIZE.0) as f64);
+        let d = disparity(x);
+        if x >= along[0] * d && y >= along[1] * d { d as f32 } else { f32::NAN }
+    };
+    (0..SIZE.0 * SIZE.1).map(known).collect()
+}
+
+#[test]
+fn four_views_follow_what_two_pairs_know_of_the_first() {
+    let cameras = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
+    let joined = |with_depth: bool| {
+        let mut node = node("");
+        for along in cameras {
+            node.input_image::<Bgr8>("views", SIZE.0, SIZE.1, &seen_from(along));
+            if along != [0.0, 0.0] {
+                let map = [1.0, 0.0, 106.0 * along[0], 0.0, 1.0, 106.0 * along[1], 0.0, 0.0, 1.0];
+                node.input_value("homographies", Homography { left_from_right: map, ..plane(abi::STATE_FRESH) });
+            }
+        }
+        for along in [cameras[1], cameras[2]].into_iter().filter(|_| with_depth) {
+            node.input_image::<Disparity>("disparities", SIZE.0, SIZE.1, &known_with(along));
+        }
+        let out = node.process().unwrap();
+        let panorama = out.plane::<Bgr8>("panorama").unwrap();
+        let mesh = (!out.is_empty("mesh").unwrap()).then(|| {
+            let table = out.table("mesh").unwrap();
+            assert_eq!(table.names().next(), Some("view"));
+            let rows: Vec<Vec<f64>> = table.rows().map(<[f64]>::to_vec).collect();
+            rows
+        });
+        let made = Made {
+            panorama: panorama.data.to_vec(),
+            size: (panorama.width, panorama.height),
+            canvas: out.value("canvas").unwrap(),
+            mesh: None,
+        };
+        (made, mesh)
+    };
+    let ((whole, mesh), (broken, none)) = (joined(true), joined(false));
+    let (whole, broken) = (difference(&whole), difference(&broken));
+    assert!(whole < 8.0 && broken > 2.0 * whole, "{whole} levels with the disparities, {broken} without");
+    assert!(none.is_none());
+    let mesh = mesh.expect("meshes");
+    for (number, along) in [(2.0, cameras[1]), (3.0, cameras[2]), (4.0, cameras[3])] {
+        // Where both see, off the rims.
+        let inside = |row: &&Vec<f64>| {
+            row[0] == number && (140.0..300.0).contains(&row[1]) && (140.0..220.0).contains(&row[2])
+        };
+        let errors = mesh.iter().filter(inside).map(|row| {
+            let d = disparity(row[1]);
+            (row[3] - (row[1] - along[0] * d)).hypot(row[4] - (row[2] - along[1] * d))
+        });
+        let errors: Vec<f64> = errors.collect();
+        assert!(errors.len() > 20 && errors.iter().all(|error| *error < 1.5), "view {number}: {errors:?}");
+    }
+}
+
+#[test]
+fn a_calibration_beside_several_views_is_an_error_of_the_graph() {
+    let connected = ["views", "views", "homographies", "disparities", "calibration"];
+    let problems = Harness::<CompositeMesh>::problems(&Setup::new(""), &connected).unwrap();
+    assert!(problems.iter().any(|problem| format!("{problem:?}").contains("leave `calibration` unconnected")), "{problems:?}");
+    let fits = Harness::<CompositeMesh>::problems(&Setup::new(""), &connected[..4]).unwrap();
+    assert!(fits.is_empty(), "{fits:?}");
+}

@@ -73,7 +73,7 @@ impl Default for MeshParams {
             agree_px: 2.0,
             bend: 0.05,
             slope: 0.02,
-            slope_outside: 0.12,
+            slope_outside: 0.08,
             outlier_px: 6.0,
             hold_moving: 0.005,
             hold_still: 10.0,
