@@ -116,11 +116,9 @@ fn lengths_are_kept_where_only_the_other_view_sees() {
         let left = crate::Rect::whole(SIZE.0, SIZE.1);
         (placed.stretch_pct(View::new(&shown, 872, 480, 1), 2, left, (0, 0)).expect("a place"), exact)
     };
-    let MeshParams { slope, slope_outside, .. } = MeshParams::default();
-    let (alike, kept, stiff) = (stretch(slope), stretch(slope_outside), stretch(1.0));
-    // What is kept there is paid for at the rim of what both see.
-    assert!(kept.0 < alike.0 && stiff.0 < 0.7 * alike.0, "{alike:?}, {kept:?}, {stiff:?}: % and px");
-    assert!(kept.1 < 0.5 && stiff.1 < 2.0, "{alike:?}, {kept:?}, {stiff:?}: % and px");
+    let (alike, stiff) = (stretch(MeshParams::default().slope), stretch(1.0));
+    assert!(stiff.0 < 0.8 * alike.0, "{alike:?}, {stiff:?}: % and px");
+    assert!(stiff.1 < 0.5, "what both see stays exact: {alike:?}, {stiff:?}: % and px");
 }
 
 #[test]
