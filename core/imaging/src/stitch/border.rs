@@ -1,4 +1,6 @@
 //! The outer border of a panorama, which is ragged where views end: faded to black, or cut straight.
+//!
+//! A view ends where its tissue does: the black that surrounds the round picture of an endoscope, or that rectification leaves, is outside.
 
 use super::params::{BorderMethod, CompositeParams};
 use super::warp::Span;
@@ -6,6 +8,8 @@ use crate::{Parallel, Rect, SharedMut, ViewMut};
 
 /// Side of a cell of the coarse grid that distances and rectangles are found on, px.
 const CELL_PX: usize = 4;
+/// Brightest level of the black around a view; noise and compression lift it off 0.
+const BLACK_LEVELS: u8 = 16;
 /// Rows of a chunk of parallel work.
 const CHUNK_ROWS: usize = 64;
 /// Share of the largest rectangle, in percent, that the last one must still have to be kept.
@@ -20,6 +24,8 @@ pub(super) struct Border {
     heights: Vec<usize>,
     /// Open rectangles of the search: first column and height.
     open: Vec<(usize, usize)>,
+    /// Black cells whose neighbours are to be looked at.
+    black: Vec<usize>,
     kept: Option<Rect>,
 }
 
@@ -38,8 +44,9 @@ impl Border {
         }
     }
 
-    /// The cells of a view's rows that are covered in all their pixels.
-    fn cells(&mut self, spans: &[Vec<Span>], (width, height): (usize, usize)) -> (usize, usize) {
+    /// The cells that views cover in all their pixels, but for the black between them and the border.
+    fn cells(&mut self, spans: &[Vec<Span>], out: &ViewMut<u8>) -> (usize, usize) {
+        let (width, height) = (out.width, out.height);
         let (columns, rows) = (width / CELL_PX, height / CELL_PX);
         self.distance_px.clear();
         self.distance_px.resize(columns * rows, 0.0);
@@ -54,11 +61,49 @@ impl Border {
             let end = (end.max(0) as usize / CELL_PX).clamp(first, columns);
             self.distance_px[row * columns + first..row * columns + end].fill(f32::INFINITY);
         }
+        self.leave_black_out(out, (columns, rows));
         (columns, rows)
     }
 
+    /// Takes out the black cells that are joined to what no view covers.
+    fn leave_black_out(&mut self, out: &ViewMut<u8>, (columns, rows): (usize, usize)) {
+        let is_black = |cell: usize| {
+            let (x, y) = (cell % columns * CELL_PX, cell / columns * CELL_PX);
+            (y..y + CELL_PX).all(|y| {
+                let from = y * out.stride + x * 3;
+                out.data[from..from + CELL_PX * 3].iter().all(|level| *level <= BLACK_LEVELS)
+            })
+        };
+        let near = |cell: usize| {
+            let (x, y) = (cell % columns, cell / columns);
+            [
+                (x > 0).then(|| cell - 1),
+                (x + 1 < columns).then(|| cell + 1),
+                (y > 0).then(|| cell - columns),
+                (y + 1 < rows).then(|| cell + columns),
+            ]
+        };
+        let distance = &mut self.distance_px;
+        self.black.clear();
+        for cell in 0..columns * rows {
+            let at_border = |d: &[f32]| near(cell).iter().any(|next| next.is_none_or(|next| d[next] == 0.0));
+            if distance[cell] > 0.0 && at_border(distance) && is_black(cell) {
+                distance[cell] = 0.0;
+                self.black.push(cell);
+            }
+        }
+        while let Some(cell) = self.black.pop() {
+            for next in near(cell).into_iter().flatten() {
+                if distance[next] > 0.0 && is_black(next) {
+                    distance[next] = 0.0;
+                    self.black.push(next);
+                }
+            }
+        }
+    }
+
     fn fade(&mut self, width_px: usize, spans: &[Vec<Span>], out: &mut ViewMut<u8>, pool: &dyn Parallel) {
-        let (columns, rows) = self.cells(spans, (out.width, out.height));
+        let (columns, rows) = self.cells(spans, out);
         if columns == 0 || rows == 0 {
             return;
         }
@@ -103,7 +148,7 @@ impl Border {
     }
 
     fn crop(&mut self, spans: &[Vec<Span>], out: &mut ViewMut<u8>) {
-        let (columns, rows) = self.cells(spans, (out.width, out.height));
+        let (columns, rows) = self.cells(spans, out);
         let best = self.largest(columns, rows);
         let is_covered = |r: &Rect| {
             r.x + r.width <= columns
@@ -298,6 +343,35 @@ mod tests {
         less[0].iter_mut().filter(|span| !span.is_empty()).for_each(|span| span.start += 9);
         let smaller = lit(&drawn(&mut border, &less, BorderMethod::Crop));
         assert!(smaller.x > first.x, "{smaller:?} after {first:?}");
+    }
+
+    #[test]
+    fn the_black_around_a_round_picture_is_outside_and_a_dark_instrument_is_not() {
+        // A disc of tissue on black, with the noise of a compressed picture; the view covers all of it.
+        let spans = vec![vec![Span { start: 0, end: SIZE.0 as u32 }; SIZE.1]];
+        let inside = |x: usize, y: usize| (x as f32 - 100.0).hypot(y as f32 - 60.0) < 56.0;
+        let is_tool = |x: usize, y: usize| (90..110).contains(&x) && (50..70).contains(&y);
+        let picture = |border: &mut Border, method| {
+            let params = CompositeParams { border: method, border_px: 24, ..CompositeParams::default() };
+            let level = |x: usize, y: usize| match inside(x, y) {
+                true if is_tool(x, y) => 3,
+                true => 200,
+                false => ((x * 7 + y * 3) % 9) as u8,
+            };
+            let mut data: Vec<u8> = (0..SIZE.0 * SIZE.1).flat_map(|k| [level(k % SIZE.0, k / SIZE.0); 3]).collect();
+            border.draw(&params, &spans, &mut ViewMut::new(&mut data, SIZE.0, SIZE.1, 3), &Serial);
+            data
+        };
+        let faded = picture(&mut Border::default(), BorderMethod::Fade);
+        let at = |data: &[u8], x: usize, y: usize| data[(y * SIZE.0 + x) * 3];
+        assert!(at(&faded, 47, 60) < 40 && at(&faded, 153, 60) < 40 && at(&faded, 100, 7) < 40, "the rim of the disc");
+        assert_eq!((at(&faded, 80, 60), at(&faded, 112, 60)), (200, 200), "beside the instrument");
+        let cropped = picture(&mut Border::default(), BorderMethod::Crop);
+        for k in (0..SIZE.0 * SIZE.1).filter(|k| cropped[k * 3] > BLACK_LEVELS) {
+            let (x, y) = (k % SIZE.0, k / SIZE.0);
+            assert!((x as f32 - 100.0).hypot(y as f32 - 60.0) < 62.0, "{x}, {y} is no tissue");
+        }
+        assert_eq!(at(&cropped, 100, 40), 200);
     }
 
     #[test]
