@@ -161,8 +161,10 @@ fn one_run_judges_a_graph_opencv_and_as_projective_as_possible_warps() {
             file(&format!("{side}.png"))
         )
     };
-    let scope = "[nodes.scope]\ntype = \"phantom\"\nparams = { scene = \"bowel\", seed = 7, width = 320, height = 240 }\n";
-    let text = format!("mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n{scope}{}{}", sink("left"), sink("right"));
+    let scope =
+        "[nodes.scope]\ntype = \"phantom\"\nparams = { scene = \"bowel\", seed = 7, width = 320, height = 240 }\n";
+    let text =
+        format!("mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n{scope}{}{}", sink("left"), sink("right"));
     std::fs::write(&render, text).expect("a graph");
     let (code, out, err) = run(Some(&folder), &["run", &render.display().to_string(), "--frames", "1", "--headless"]);
     assert_eq!(code, 0, "{out}{err}");
@@ -171,7 +173,18 @@ fn one_run_judges_a_graph_opencv_and_as_projective_as_possible_warps() {
     let [left, right, json_text, pictures_text] = &texts;
     let graph = graph("panorama_files.toml");
     let own = [
-        "eval", "stitch", &graph, "--left", left, "--right", right, "--frames", "12", "--json", json_text, "--pictures",
+        "eval",
+        "stitch",
+        &graph,
+        "--left",
+        left,
+        "--right",
+        right,
+        "--frames",
+        "12",
+        "--json",
+        json_text,
+        "--pictures",
         pictures_text,
     ];
     let (code, out, err) = run(Some(&folder), &own);
@@ -186,6 +199,11 @@ fn one_run_judges_a_graph_opencv_and_as_projective_as_possible_warps() {
     let beside = listed.clone().find(|f| f["name"] == "align_px/panorama_files").expect("ours");
     assert!(beside["peer"].as_str().is_some_and(|peer| peer.starts_with("OpenCV")), "{beside}");
     let picture = image::open(pictures.join("panorama_files.png")).expect("the panoramas");
-    assert!(picture.width() > 400 && picture.height() > 3 * 240, "three panoramas: {}x{}", picture.width(), picture.height());
+    assert!(
+        picture.width() > 400 && picture.height() > 3 * 240,
+        "three panoramas: {}x{}",
+        picture.width(),
+        picture.height()
+    );
     assert!(run(None, &["eval", "stitch", &graph, "--fov", "--pictures", "x"]).2.contains("cannot be used with"));
 }

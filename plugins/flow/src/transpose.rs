@@ -82,7 +82,8 @@ mod tests {
         node.input_image::<Disparity>("disparity", width, height, &map);
         let (turned, turned_map) = {
             let out = node.process().unwrap();
-            let (image, disparity) = (out.plane::<Bgr8>("image").unwrap(), out.plane::<Disparity>("disparity").unwrap());
+            let (image, disparity) =
+                (out.plane::<Bgr8>("image").unwrap(), out.plane::<Disparity>("disparity").unwrap());
             assert_eq!((image.width, image.height), (height, width));
             for (x, y) in [(0, 0), (69, 40), (33, 12)] {
                 assert_eq!(image.row(x)[y * 3..y * 3 + 3], picture[(y * width + x) * 3..][..3]);

@@ -31,10 +31,10 @@ pub struct CompositeMeshParams {
     #[param(default = 0.02, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
     fade: f64,
     /// The same where only the other camera sees: more keeps lengths there, less keeps the rim of what both see exact.
-    #[param(default = 0.08, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
+    #[param(default = 0.02, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
     fade_outside: f64,
-    /// Distance from the mesh at which an observation counts half: those of an instrument in front of the tissue count little.
-    #[param(default = 6.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
+    /// Distance from the mesh at which an observation counts a quarter: those of an instrument in front of the tissue do not count.
+    #[param(default = 8.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
     outlier_px: f64,
     /// Weight of the mesh of the frame before while nothing moves; 0 fits each frame anew.
     #[param(default = 10.0, range = 0.0..=1000.0, step = 1.0, unit = "ratio")]
@@ -143,10 +143,7 @@ fn cameras(calibration: Option<&Calibration>, sizes: [(usize, usize); 2]) -> Res
         let [(width, height), (right_width, right_height)] = sizes;
         return Err(error!(
             "the views are {width}x{height} and {right_width}x{right_height}, the calibration is for {}x{} and {}x{}: connect the calibration of these views",
-            left.size.0,
-            left.size.1,
-            right.size.0,
-            right.size.1
+            left.size.0, left.size.1, right.size.0, right.size.1
         ));
     }
     Ok([left, right])
@@ -161,8 +158,7 @@ fn join(joined: &mut Vec<f32>, maps: &List<'_, Image<'_, Disparity>>, (width, he
         if (map.width, map.height) != (width, height) {
             return Err(error!(
                 "a disparity is {}x{}, the first view {width}x{height}: connect disparities of the first view at full size",
-                map.width,
-                map.height
+                map.width, map.height
             ));
         }
         for (y, row) in joined.chunks_exact_mut(width).enumerate() {

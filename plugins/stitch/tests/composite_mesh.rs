@@ -231,9 +231,8 @@ fn four_views_follow_what_two_pairs_know_of_the_first() {
     let mesh = mesh.expect("meshes");
     for (number, along) in [(2.0, cameras[1]), (3.0, cameras[2]), (4.0, cameras[3])] {
         // Where both see, off the rims.
-        let inside = |row: &&Vec<f64>| {
-            row[0] == number && (140.0..300.0).contains(&row[1]) && (140.0..220.0).contains(&row[2])
-        };
+        let inside =
+            |row: &&Vec<f64>| row[0] == number && (140.0..300.0).contains(&row[1]) && (140.0..220.0).contains(&row[2]);
         let errors = mesh.iter().filter(inside).map(|row| {
             let d = disparity(row[1]);
             (row[3] - (row[1] - along[0] * d)).hypot(row[4] - (row[2] - along[1] * d))
@@ -247,7 +246,10 @@ fn four_views_follow_what_two_pairs_know_of_the_first() {
 fn a_calibration_beside_several_views_is_an_error_of_the_graph() {
     let connected = ["views", "views", "homographies", "disparities", "calibration"];
     let problems = Harness::<CompositeMesh>::problems(&Setup::new(""), &connected).unwrap();
-    assert!(problems.iter().any(|problem| format!("{problem:?}").contains("leave `calibration` unconnected")), "{problems:?}");
+    assert!(
+        problems.iter().any(|problem| format!("{problem:?}").contains("leave `calibration` unconnected")),
+        "{problems:?}"
+    );
     let fits = Harness::<CompositeMesh>::problems(&Setup::new(""), &connected[..4]).unwrap();
     assert!(fits.is_empty(), "{fits:?}");
 }

@@ -306,7 +306,12 @@ impl Wiring {
     }
 
     /// What the judge of a pair of views of a composite reads, by its input, and its parameters: the composite, and what truth the source has.
-    fn judge_inputs(&self, composite: &Composite, pair: usize, judged: JudgeInputs) -> (Vec<(&'static str, String)>, Table) {
+    fn judge_inputs(
+        &self,
+        composite: &Composite,
+        pair: usize,
+        judged: JudgeInputs,
+    ) -> (Vec<(&'static str, String)>, Table) {
         let source = node_of(&composite.views[0]);
         let is = |kind: &str| self.node(source).is_some_and(|node| is_type(node, kind));
         let mut inputs = vec![

@@ -25,12 +25,7 @@ pub struct CorrelatedMarks {
 }
 
 /// Compares a placement with correspondences found by correlation in the views (BGR).
-pub fn correlated(
-    placed: &Placement,
-    left: View<'_, u8>,
-    right: View<'_, u8>,
-    pool: &dyn Parallel,
-) -> CorrelatedMarks {
+pub fn correlated(placed: &Placement, left: View<'_, u8>, right: View<'_, u8>, pool: &dyn Parallel) -> CorrelatedMarks {
     let (left, right) = (Gray::of_bgr(left), Gray::of_bgr(right));
     let found = correspondences(&left, &right, &CorrespondParams::default(), pool);
     let (from, to): (Vec<Point>, Vec<Point>) = found.iter().map(|pair| (pair.right, pair.left)).unzip();

@@ -70,8 +70,24 @@ impl MovingDlt {
         let equations = |(r, o): (&Point, &Point)| {
             let ([x, y], [u, v]) = (from.apply(*r), to.apply(*o));
             let rows = SMatrix::<f64, 2, 9>::from_row_slice(&[
-                0.0, 0.0, 0.0, -x, -y, -1.0, v * x, v * y, v, //
-                x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y, -u,
+                0.0,
+                0.0,
+                0.0,
+                -x,
+                -y,
+                -1.0,
+                v * x,
+                v * y,
+                v, //
+                x,
+                y,
+                1.0,
+                0.0,
+                0.0,
+                0.0,
+                -u * x,
+                -u * y,
+                -u,
             ]);
             (*r, rows.transpose() * rows)
         };

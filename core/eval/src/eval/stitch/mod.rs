@@ -121,12 +121,7 @@ fn judge_all(
 }
 
 /// As-projective-as-possible warps on the pictures of a case.
-fn reference_of(
-    session: &dyn Session,
-    case: &Case,
-    path: &Path,
-    frames: u64,
-) -> Result<Option<reference::Reference>> {
+fn reference_of(session: &dyn Session, case: &Case, path: &Path, frames: u64) -> Result<Option<reference::Reference>> {
     let still = (!case.still.is_empty()).then(|| {
         let mut still = case.wiring.clone();
         case.still.iter().for_each(|(node, param, value)| still.set(node, param, value.clone()));

@@ -14,9 +14,7 @@ use panoscope_imaging::geometry::{Homography, Point};
 use panoscope_imaging::stitch::evaluate::TruePairs;
 use panoscope_imaging::stitch::judge::{DrawnPanorama, PictureMarks, WideTruth, compare_pictures, correlated};
 use panoscope_imaging::stitch::placement::Placement;
-use panoscope_imaging::stitch::{
-    BlendMethod, CompositeParams, Compositor, GeometryState, IDENTITY, Mesh, SeamMethod,
-};
+use panoscope_imaging::stitch::{BlendMethod, CompositeParams, Compositor, GeometryState, IDENTITY, Mesh, SeamMethod};
 use panoscope_imaging::{Rect, View, ViewMut};
 
 use super::apap::{self, MovingDlt};
@@ -82,9 +80,9 @@ fn stitch(surf: &mut RegisterSurf, left: View<'_, u8>, right: View<'_, u8>) -> R
     surf.reset();
     surf.register(left, right, &Serial);
     let (features, (matches, _)) = (surf.features(), surf.matches());
-    let pairs = matches.iter().map(|m| {
-        (features.0.keypoints.position(m.left as usize), features.1.keypoints.position(m.right as usize))
-    });
+    let pairs = matches
+        .iter()
+        .map(|m| (features.0.keypoints.position(m.left as usize), features.1.keypoints.position(m.right as usize)));
     let (reference, other): (Vec<Point>, Vec<Point>) = pairs.unzip();
     let Some(moving) = apap::inliers(&reference, &other).and_then(|(r, o)| MovingDlt::new(&r, &o)) else {
         return Ok(None);
@@ -94,12 +92,7 @@ fn stitch(surf: &mut RegisterSurf, left: View<'_, u8>, right: View<'_, u8>) -> R
     draw(left, right, left_from_right, mesh)
 }
 
-fn draw(
-    left: View<'_, u8>,
-    right: View<'_, u8>,
-    left_from_right: Homography,
-    mesh: Mesh,
-) -> Result<Option<Stitched>> {
+fn draw(left: View<'_, u8>, right: View<'_, u8>, left_from_right: Homography, mesh: Mesh) -> Result<Option<Stitched>> {
     let params = CompositeParams {
         seam: SeamMethod::DynamicProgramming,
         blend: BlendMethod::Feather,
@@ -134,9 +127,7 @@ fn judge_tick(
     let values = packets.get("disparity").and_then(packets::floats);
     let disparity = values.as_ref().map(|values| View::new(values, left.width, left.height, 1));
     let visible = packets.get("visible").and_then(|frame| view(frame, 1));
-    let pairs = |step: usize| {
-        disparity.map(|disparity| TruePairs { disparity, visible, along: [1.0, 0.0], step })
-    };
+    let pairs = |step: usize| disparity.map(|disparity| TruePairs { disparity, visible, along: [1.0, 0.0], step });
     let (align_px, floor_px) = match (pairs(STEP_PX), &truth) {
         (Some(pairs), Some(truth)) => {
             let floor = pairs.alignment(&Homography(truth.left_from_right));
@@ -156,7 +147,8 @@ fn judge_tick(
     let marks = wide.map_or_else(PictureMarks::default, |wide| {
         // As in the phantom: an eighth of the extra width and height.
         let eighth = |wide: usize, left: usize| (wide as i32 - left as i32) / 8;
-        let begin = left_at.map_or((eighth(wide.width, left.width), eighth(wide.height, left.height)), |at| (at.x, at.y));
+        let begin =
+            left_at.map_or((eighth(wide.width, left.width), eighth(wide.height, left.height)), |at| (at.x, at.y));
         let panorama = DrawnPanorama {
             picture: View::new(&stitched.picture, stitched.size.0, stitched.size.1, 3),
             left_at: stitched.left_at,

@@ -20,6 +20,14 @@ pub struct Stiffness {
     pub place: f64,
 }
 
+impl Stiffness {
+    /// A mesh so many times as stiff.
+    pub fn times(&self, factor: f64) -> Self {
+        let Self { bend, slope, slope_outside, place } = *self;
+        Self { bend: bend * factor, slope: slope * factor, slope_outside: slope_outside * factor, place }
+    }
+}
+
 /// Columns and rows of vertices that the reference view may see, the last ones included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Inside {

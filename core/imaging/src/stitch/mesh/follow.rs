@@ -21,8 +21,19 @@ const BLOCK_CELLS: usize = 4;
 const LEAST_BLOCK: f64 = 4.0;
 /// The other view reaches beyond a side of the reference view when it does so by more than this many cells.
 const BEYOND_CELLS: f64 = 4.0;
-/// Multiples of the outlier limit in the passes of a first fit; the first pass weighs all observations alike.
-const FIRST_PASSES: [f64; 6] = [f64::INFINITY, 8.0, 4.0, 2.0, 1.0, 1.0];
+/// Multiples of the stiffness and of the outlier limit in the passes of a first fit; the first pass weighs all observations alike. A stiff mesh follows
+/// what most of the picture shows and finds an instrument off; a mesh that is soft from the start would follow it.
+const FIRST_PASSES: [(f64, f64); 9] = [
+    (1000.0, f64::INFINITY),
+    (1000.0, 2.5),
+    (1000.0, 2.5),
+    (100.0, 2.0),
+    (30.0, 2.0),
+    (10.0, 2.0),
+    (3.0, 2.0),
+    (1.0, 2.0),
+    (1.0, 1.0),
+];
 /// A mesh that moves by less than this stays as it is, px: what follows from it need not be computed again.
 const DEAD_BAND_PX: f64 = 0.02;
 
@@ -43,7 +54,7 @@ pub struct MeshParams {
     pub slope: f64,
     /// The same where only the other view sees: more keeps lengths there, less keeps what both views see beside it exact.
     pub slope_outside: f64,
-    /// Distance from the mesh at which an observation counts half.
+    /// Distance from the mesh at which an observation counts a quarter; one much further off does not count.
     pub outlier_px: f64,
     /// Weight of the frame before while the views move.
     pub hold_moving: f64,
@@ -73,8 +84,8 @@ impl Default for MeshParams {
             agree_px: 2.0,
             bend: 0.05,
             slope: 0.02,
-            slope_outside: 0.08,
-            outlier_px: 6.0,
+            slope_outside: 0.02,
+            outlier_px: 8.0,
             hold_moving: 0.005,
             hold_still: 10.0,
             still_px: 0.15,
@@ -208,13 +219,16 @@ impl MeshFollower {
         }
         let stiffness = Stiffness { bend: p.bend, slope: p.slope, slope_outside: p.slope_outside, place: 1e-4 };
         let inside = seen_by_reference(&lattice, left_from_right, left.size, right.size);
-        self.energy.reset(lattice.columns, lattice.rows, stiffness, inside);
         let limit_px = p.outlier_px * scale;
         let solved = if report.is_new {
             self.shift.clear();
             self.shift.resize(lattice.len(), [0.0; 2]);
-            FIRST_PASSES.iter().all(|times| self.pass(times * limit_px, 0.0))
+            FIRST_PASSES.iter().all(|(stiffer, times)| {
+                self.energy.reset(lattice.columns, lattice.rows, stiffness.times(*stiffer), inside);
+                self.pass(times * limit_px, 0.0)
+            })
         } else {
+            self.energy.reset(lattice.columns, lattice.rows, stiffness, inside);
             let still = 1.0 / (1.0 + (report.motion_px / (p.still_px * scale)).powi(4));
             let hold = p.hold_moving + p.hold_still * still;
             // What only the other view sees moves along with the rest.
@@ -351,7 +365,8 @@ impl MeshFollower {
         for seen in &self.located {
             let at = lattice.interpolate(|vertex| shift[vertex], seen.cell, seen.t);
             let square = ((seen.shift[0] - at[0]).powi(2) + (seen.shift[1] - at[1]).powi(2)) / (limit_px * limit_px);
-            self.energy.observe(seen.cell, seen.t, seen.shift, seen.weight / (1.0 + square));
+            // Geman and McClure: what is far off does not pull at all.
+            self.energy.observe(seen.cell, seen.t, seen.shift, seen.weight / (1.0 + square).powi(2));
         }
         if hold > 0.0 {
             for row in 0..lattice.rows {

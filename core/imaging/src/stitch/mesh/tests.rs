@@ -124,9 +124,8 @@ fn lengths_are_kept_where_only_the_other_view_sees() {
 #[test]
 fn a_camera_below_is_followed_along_its_own_direction() {
     // Depth that is known everywhere, as two pairs of cameras know it together.
-    let disparity: Vec<f32> = (0..SIZE.0 * SIZE.1)
-        .map(|i| hills((i % SIZE.0) as f64, (i / SIZE.0) as f64) as f32)
-        .collect();
+    let disparity: Vec<f32> =
+        (0..SIZE.0 * SIZE.1).map(|i| hills((i % SIZE.0) as f64, (i / SIZE.0) as f64) as f32).collect();
     for (along, columns) in [([0.0, 1.0], 12..628), ([1.0, 1.0], 272..628)] {
         let mut follower = MeshFollower::new(MeshParams { along, ..MeshParams::default() });
         let plane = Homography::translation(232.0 * along[0], 232.0 * along[1]);
@@ -159,6 +158,41 @@ fn a_tool_in_front_does_not_bend_the_tissue() {
     }
     assert!(mesh.doubt_px([490.0, 220.0]) > 8.0, "the seam must not cross the tool");
     assert!(mesh.doubt_px([490.0, 130.0]) < 2.0);
+}
+
+#[test]
+fn a_large_instrument_keeps_its_shape_also_when_it_comes_in_slowly() {
+    // A shaft as wide as a hand's breadth of cells, from the right border, 70 px of disparity before the tissue.
+    let shaft = |tip: f64| move |x: f64, y: f64| x > tip && (180.0..290.0).contains(&y);
+    let seen = |tip: f64| move |x: f64, y: f64| hills(x, y) + if shaft(tip)(x, y) { 70.0 } else { 0.0 };
+    let check = |follower: &MeshFollower, what: &str| {
+        let mesh = follower.mesh().expect("a mesh");
+        let (mut squares, mut count) = (0.0, 0.0);
+        for x in (420..640).step_by(20) {
+            for y in (140..340).step_by(20) {
+                let (x, y) = (f64::from(x), f64::from(y));
+                let off = mesh.map([x, y]).expect("inside")[0] - (x - hills(x, y));
+                if (160.0..310.0).contains(&y) {
+                    // Nothing is known of the tissue behind it: the mesh goes on from beside it.
+                    (squares, count) = (squares + off * off, count + 1.0);
+                } else {
+                    assert!(off.abs() < 4.0, "{what}: {off} px at {x}, {y}");
+                }
+            }
+        }
+        let rms = f64::sqrt(squares / count);
+        assert!(rms < 18.0, "{what}: {rms} px of the instrument's 70");
+        assert!(mesh.doubt_px([520.0, 235.0]) > 8.0, "{what}: the seam must not cross it");
+    };
+    let mut follower = MeshFollower::new(MeshParams::default());
+    update(&mut follower, &map(seen(400.0), 0.3, 0), &plane());
+    check(&follower, "at once");
+    let mut follower = MeshFollower::new(MeshParams::default());
+    for frame in 0..60 {
+        let tip = (660.0 - 10.0 * f64::from(frame)).max(400.0);
+        update(&mut follower, &map(seen(tip), 0.3, i64::from(frame)), &plane());
+    }
+    check(&follower, "slowly");
 }
 
 #[test]
