@@ -13,6 +13,10 @@ pub fn serve() -> ! {
     panoscope_isolate::child::serve(load)
 }
 
-fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, String> {
+/// Loads a plugin in the process of a group: a path to its bytes, and its file for messages. Returns its node types in order.
+///
+/// # Errors
+/// Why it cannot be loaded, in words.
+pub fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, String> {
     load_image(image, file).map(|loaded| loaded.entries).map_err(|error| error.to_string())
 }

@@ -1,5 +1,6 @@
 //! One instance in the child: the requests of its lane, one after the other.
 
+use std::cell::Cell;
 use std::ffi::c_void;
 use std::time::{Duration, Instant};
 
@@ -15,6 +16,16 @@ use crate::wire::{BadMessage, Kind, Params, Reader, Writer};
 const MAX_IDLE: Duration = Duration::from_secs(10);
 /// Longest position of a source that is sent with every tick.
 const MAX_POSITION_BYTES: usize = 16 << 10;
+
+thread_local! {
+    /// The node type whose `open` runs on this thread.
+    static OPENING: Cell<Option<&'static NodeType>> = const { Cell::new(None) };
+}
+
+/// The node type whose `open` runs on this thread: for node types that share their functions.
+pub fn opening() -> Option<&'static NodeType> {
+    OPENING.get()
+}
 
 /// The instance of a lane.
 struct Instance<'c> {
@@ -190,11 +201,13 @@ impl<'c> Instance<'c> {
             outputs_read,
         };
         let mut raw = std::ptr::null_mut();
+        OPENING.set(Some(node_type));
         let status = match node_type.open {
             // SAFETY: the plugin contract; everything that the call points to lives until it returns, the table as long as the instance.
             Some(open) => unsafe { open(&raw mut open_call, &raw mut raw) },
             None => abi::STATUS_INVALID,
         };
+        OPENING.set(None);
         if status == abi::STATUS_OK {
             // SAFETY: a validated descriptor of a plugin that stays mapped.
             let outputs = (0..node_type.outputs_len).map(|at| unsafe { (*node_type.outputs.add(at)).formats });

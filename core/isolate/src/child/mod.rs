@@ -20,6 +20,7 @@ use panoscope_engine::isolation::Deny;
 use panoscope_engine::loading;
 use panoscope_engine::pool::{Pool, Task};
 
+pub use self::instance::opening;
 use self::table::ChildLane;
 use crate::confine::confine;
 use crate::lane::Lane;

@@ -1,0 +1,341 @@
+"""Packet types: what the inputs and outputs of a node carry.
+
+Annotate the parameters and the result of ``process`` with them. Planes of pixels are NumPy arrays (rows x columns, or rows x columns x channels),
+plain data are NumPy records with the fields of the contract.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+
+BYTES, GRAY8, BGR8, RGBA8, GRAY16, F32, CLOUD = range(7)
+"""Formats of a frame, as the plugin interface numbers them."""
+
+_PIXELS = {
+    GRAY8: (np.dtype("u1"), 1),
+    BGR8: (np.dtype("u1"), 3),
+    RGBA8: (np.dtype("u1"), 4),
+    GRAY16: (np.dtype("u2"), 1),
+    F32: (np.dtype("f4"), 1),
+}
+_CLOUD_POINT = np.dtype([("xyz_mm", "f4", 3), ("bgr", "u1", 3), ("reserved", "u1")])
+
+
+class Kind:
+    """How a packet of one type is read and written."""
+
+    packet: str
+    """Name in graph files."""
+    formats: int = 0
+    """Bit set of the formats that it may have; 0 for plain data."""
+
+    def decode(self, view: Any) -> Any:
+        """The value that ``process`` gets."""
+        raise NotImplementedError
+
+    def encode(self, value: Any, output: Output) -> None:
+        """Makes ``output`` of what ``process`` returned."""
+        raise NotImplementedError
+
+
+@dataclass
+class Output:
+    """An output of the running call."""
+
+    call: Any
+    index: int
+    name: str
+
+    def bytes(self, data: bytes) -> None:
+        """Makes it plain data."""
+        np.asarray(self.call.alloc(self.index, BYTES, 0, 0, 0, len(data)))[:] = np.frombuffer(data, "u1")
+
+    def wrong(self, value: Any, wanted: str) -> TypeError:
+        """The error for a value of another type."""
+        got = f"{value.dtype} array of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+        return TypeError(f"output `{self.name}` is to be {wanted}, not {got}")
+
+
+def _pixels(view: Any) -> np.ndarray:
+    dtype, channels = _PIXELS[view.format]
+    flat = np.asarray(view)
+    if channels == 1:
+        return np.ndarray((view.height, view.width), dtype, flat, 0, (view.stride_bytes, dtype.itemsize))
+    return np.ndarray((view.height, view.width, channels), dtype, flat, 0, (view.stride_bytes, channels, 1))
+
+
+@dataclass(frozen=True)
+class PlaneKind(Kind):
+    """A plane of pixels as an array."""
+
+    packet: str
+    format_list: tuple[int, ...]
+
+    @property
+    def formats(self) -> int:  # type: ignore[override]
+        return sum(1 << format for format in self.format_list)
+
+    def decode(self, view: Any) -> np.ndarray:
+        return _pixels(view)
+
+    def format_of(self, shape: tuple[int, ...], dtype: np.dtype) -> int | None:
+        """The format of an array of this shape and type; none if it cannot be one."""
+        if len(shape) not in (2, 3):
+            return None
+        channels = shape[2] if len(shape) == 3 else 1
+        return next((f for f in self.format_list if _PIXELS[f] == (dtype, channels)), None)
+
+    def wanted(self) -> str:
+        """The arrays that it takes, in words."""
+        shapes = []
+        for format in self.format_list:
+            dtype, channels = _PIXELS[format]
+            shapes.append(f"{dtype} of shape (rows, columns{f', {channels}' if channels > 1 else ''})")
+        return f"`{self.packet}`: an array of " + " or ".join(shapes)
+
+    def allocate(self, call: Any, index: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray | None:
+        """A writable array in the host's memory."""
+        format = self.format_of(shape, dtype)
+        if format is None:
+            return None
+        height, width = shape[:2]
+        stride_bytes = width * _PIXELS[format][1] * dtype.itemsize
+        array = _pixels(call.alloc(index, format, width, height, stride_bytes, stride_bytes * height))
+        return array if len(shape) == 2 or shape[2] > 1 else array[:, :, None]
+
+    def encode(self, value: Any, output: Output) -> None:
+        if not isinstance(value, np.ndarray):
+            raise output.wrong(value, self.wanted())
+        format = self.format_of(value.shape, value.dtype)
+        if format is None:
+            raise output.wrong(value, self.wanted())
+        address = value.__array_interface__["data"][0]
+        if value.flags.c_contiguous and output.call.is_made(output.index, address, value.nbytes):
+            return
+        height, width = value.shape[:2]
+        if value.strides[-1] == value.itemsize and output.call.forward(output.index, address, format, width, height, value.strides[0]):
+            return
+        self.allocate(output.call, output.index, value.shape, value.dtype)[...] = value  # type: ignore[index]
+
+
+@dataclass(frozen=True)
+class RecordKind(Kind):
+    """Plain data of a fixed layout as a NumPy record."""
+
+    packet: str
+    dtype: np.dtype
+
+    def decode(self, view: Any) -> np.record:
+        return np.asarray(view).view(self.dtype).view(np.recarray)[0]
+
+    def encode(self, value: Any, output: Output) -> None:
+        if not isinstance(value, np.void) or value.dtype != self.dtype:
+            raise output.wrong(value, f"`{self.packet}`: a record, as panoscope.packets.record(\"{self.packet}\") makes it")
+        output.bytes(value.tobytes())
+
+
+class ScalarKind(Kind):
+    """One number."""
+
+    packet = "scalar"
+
+    def decode(self, view: Any) -> float:
+        return float(np.asarray(view)[:8].view("f8")[0])
+
+    def encode(self, value: Any, output: Output) -> None:
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+            raise output.wrong(value, "`scalar`: a number")
+        data = np.zeros(1, _SCALAR)
+        data["value"], data["name"] = value, output.name.encode()[:31]
+        output.bytes(data.tobytes())
+
+
+class TextKind(Kind):
+    """A text."""
+
+    packet = "text"
+
+    def decode(self, view: Any) -> str:
+        return bytes(np.asarray(view)).decode()
+
+    def encode(self, value: Any, output: Output) -> None:
+        if not isinstance(value, str):
+            raise output.wrong(value, "`text`: a str")
+        output.bytes(value.encode())
+
+
+class CloudKind(Kind):
+    """A point per pixel as a structured array (rows x columns) with ``xyz_mm`` and ``bgr``."""
+
+    packet = "cloud"
+    formats = 1 << CLOUD
+
+    def decode(self, view: Any) -> np.ndarray:
+        return np.ndarray((view.height, view.width), _CLOUD_POINT, np.asarray(view), 0, (view.stride_bytes, 16))
+
+    def encode(self, value: Any, output: Output) -> None:
+        if not isinstance(value, np.ndarray) or value.dtype != _CLOUD_POINT or value.ndim != 2:
+            raise output.wrong(value, "`cloud`: a structured array (rows, columns) of panoscope.packets.CLOUD_POINT")
+        height, width = value.shape
+        view = output.call.alloc(output.index, CLOUD, width, height, width * 16, height * width * 16)
+        np.ndarray((height, width), _CLOUD_POINT, np.asarray(view))[...] = value
+
+
+CLOUD_POINT = _CLOUD_POINT
+"""One point of a cloud: mm in the camera's frame, and its colour."""
+
+
+@dataclass
+class Table:
+    """Rows of numbers under names with units, such as ``x_mm``."""
+
+    columns: list[str]
+    rows: np.ndarray
+    """Rows x columns, float64."""
+
+    def __getitem__(self, column: str) -> np.ndarray:
+        return self.rows[:, self.columns.index(column)]
+
+
+class TableKind(Kind):
+    """A :class:`Table`."""
+
+    packet = "table"
+
+    def decode(self, view: Any) -> Table:
+        data = np.asarray(view)
+        rows, columns, names_len, _ = (int(n) for n in data[:16].view("u4"))
+        names = bytes(data[16 : 16 + names_len]).rstrip(b"\0").decode()
+        values = data[16 + names_len : 16 + names_len + 8 * rows * columns].view("f8").reshape(rows, columns)
+        return Table(names.split("\n") if columns else [], values)
+
+    def encode(self, value: Any, output: Output) -> None:
+        if not isinstance(value, Table):
+            raise output.wrong(value, "`table`: a panoscope.Table")
+        rows = np.ascontiguousarray(value.rows, "f8").reshape(-1, len(value.columns))
+        names = "\n".join(value.columns).encode()
+        names += bytes(-len(names) % 8)
+        header = np.array([len(rows), len(value.columns), len(names), 0], "u4")
+        output.bytes(header.tobytes() + names + rows.tobytes())
+
+
+DETECTION = np.dtype(
+    [("x_px", "f4"), ("y_px", "f4"), ("width_px", "f4"), ("height_px", "f4"), ("score", "f4"), ("class_index", "u4"), ("track_id", "i8")]
+)
+"""One box of :class:`Detections`."""
+_DETECTIONS = np.dtype([("count", "u4"), ("labels_len", "u4"), ("image_width", "u4"), ("image_height", "u4"), ("masks_len", "u8")])
+
+
+@dataclass
+class Detections:
+    """Boxes with their label table."""
+
+    boxes: np.ndarray
+    """Structured array of :data:`DETECTION`."""
+    labels: list[str] = field(default_factory=list)
+    image_size: tuple[int, int] = (0, 0)
+    """Width and height in px of the image that was searched."""
+
+
+class DetectionsKind(Kind):
+    """A :class:`Detections`."""
+
+    packet = "detections"
+
+    def decode(self, view: Any) -> Detections:
+        data = np.asarray(view)
+        head = data[:24].view(_DETECTIONS)[0]
+        end = 24 + 32 * int(head["count"])
+        labels = bytes(data[end : end + int(head["labels_len"])]).decode()
+        size = (int(head["image_width"]), int(head["image_height"]))
+        return Detections(data[24:end].view(DETECTION), labels.split("\n") if labels else [], size)
+
+    def encode(self, value: Any, output: Output) -> None:
+        if not isinstance(value, Detections) or value.boxes.dtype != DETECTION:
+            raise output.wrong(value, "`detections`: a panoscope.Detections whose boxes are of panoscope.packets.DETECTION")
+        labels = "\n".join(value.labels).encode()
+        head = np.array([(len(value.boxes), len(labels), *value.image_size, 0)], _DETECTIONS)
+        output.bytes(head.tobytes() + value.boxes.tobytes() + labels)
+
+
+_CAMERA = np.dtype(
+    [("width", "u4"), ("height", "u4"), ("fx", "f8"), ("fy", "f8"), ("cx", "f8"), ("cy", "f8"), ("distortion", "f8", 14)]
+)
+_SCALAR = np.dtype([("value", "f8"), ("name", "S32"), ("unit", "S16")])
+RECORDS = {
+    "homography": np.dtype([("left_from_right", "f8", (3, 3)), ("rms_px", "f8"), ("inliers", "u4"), ("state", "u4")]),
+    "roi": np.dtype([("x", "i4"), ("y", "i4"), ("width", "i4"), ("height", "i4")]),
+    "calibration": np.dtype(
+        [
+            ("left", _CAMERA),
+            ("right", _CAMERA),
+            ("right_from_left_rotation", "f8", (3, 3)),
+            ("right_from_left_mm", "f8", 3),
+            ("rectified_from_left", "f8", (3, 3)),
+            ("rectified_from_right", "f8", (3, 3)),
+            ("left_projection", "f8", (3, 4)),
+            ("right_projection", "f8", (3, 4)),
+            ("baseline_mm", "f8"),
+            ("rms_px", "f8"),
+            ("is_rectified", "u4"),
+            ("reserved", "u4"),
+        ]
+    ),
+    "tip": np.dtype(
+        [("u_px", "f8"), ("v_px", "f8"), ("xyz_mm", "f8", 3), ("score", "f8"), ("class_index", "u4"), ("xyz_valid", "u4"), ("track_id", "i8")]
+    ),
+    "pose": np.dtype([("a_from_b_wxyz", "f8", 4), ("a_from_b_mm", "f8", 3), ("a", "S16"), ("b", "S16")]),
+    "joints": np.dtype([("position_rad", "f8", 8), ("velocity_rad_s", "f8", 8), ("count", "u4"), ("reserved", "u4")]),
+}
+"""Layouts of plain data. Angles are in rad, lengths in mm; matrices are row-major."""
+
+
+def record(packet: str, **fields: Any) -> np.record:
+    """A new record of a packet type with these fields; the others are 0."""
+    new = np.zeros(1, RECORDS[packet]).view(np.recarray)
+    for name, value in fields.items():
+        new[name] = value
+    return new[0]
+
+
+def _plane(packet: str, *formats: int) -> Any:
+    return Annotated[np.ndarray, PlaneKind(packet, formats)]
+
+
+def _record(packet: str) -> Any:
+    return Annotated[np.record, RecordKind(packet, RECORDS[packet])]
+
+
+Gray8 = _plane("image", GRAY8)
+"""Image, one byte per pixel. As an input it takes colour too: the host converts."""
+Bgr8 = _plane("image", BGR8)
+"""Image, blue, green and red bytes."""
+Rgba8 = _plane("image", RGBA8)
+"""Image, red, green, blue and alpha bytes."""
+Gray16 = _plane("image", GRAY16)
+"""Image, one 16-bit number per pixel."""
+GrayF32 = _plane("image", F32)
+"""Image, one float per pixel."""
+AnyImage = _plane("image", GRAY8, BGR8, RGBA8, GRAY16, F32)
+"""Image of any format."""
+Mask = _plane("mask", GRAY8)
+"""0 or 255."""
+Disparity = _plane("disparity", F32)
+"""Pixels of the left rectified view, positive; NaN is unmatched."""
+Confidence = _plane("confidence", F32)
+"""0 (unreliable) to 1."""
+Depth = _plane("depth", F32)
+"""mm along the left rectified camera's axis; NaN is unknown."""
+Cloud = Annotated[np.ndarray, CloudKind()]
+Scalar = Annotated[float, ScalarKind()]
+Text = Annotated[str, TextKind()]
+Homography = _record("homography")
+Roi = _record("roi")
+Calibration = _record("calibration")
+Tip = _record("tip")
+Pose = _record("pose")
+Joints = _record("joints")
+KIND_OF_CLASS = {Table: TableKind(), Detections: DetectionsKind()}

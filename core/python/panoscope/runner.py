@@ -1,0 +1,109 @@
+"""Loads the file of a plugin and runs one instance of a node. Called by the native part of the package."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+import types
+from pathlib import Path
+from typing import Any
+
+from . import call as calls
+from . import nodes
+from .packets import Output
+
+
+def load(source: bytes, file: str) -> list[nodes.NodeType]:
+    """Runs a plugin's file and returns its node types."""
+    path = Path(file)
+    folder = str(path.parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    module = types.ModuleType(path.stem)
+    module.__file__ = file
+    sys.modules[path.stem] = module
+    nodes.NODES.clear()
+    exec(compile(source, file, "exec"), module.__dict__)
+    found = list(nodes.NODES)
+    if not found:
+        raise nodes.NodeError("it declares no node: put `@panoscope.node(...)` in front of a class")
+    return found
+
+
+def explain(error: BaseException) -> str:
+    """An exception with its traceback, without the frames of this package."""
+    trace = error.__traceback__
+    while trace is not None and "panoscope" in Path(trace.tb_frame.f_code.co_filename).parent.name and trace.tb_next is not None:
+        trace = trace.tb_next
+    if isinstance(error, nodes.NodeError):
+        return str(error)
+    return "".join(traceback.format_exception(type(error), error, trace)).strip()
+
+
+class Runner:
+    """An instance of a node."""
+
+    def __init__(self, node_type: nodes.NodeType, values: tuple[Any, ...], node: str, graph_folder: str) -> None:
+        self.type = node_type
+        self.node = node_type.cls.__new__(node_type.cls)
+        self.node.node_name, self.node.graph_folder = node, graph_folder
+        self.set_params(values)
+        init = node_type.cls.__init__
+        if init is not object.__init__:
+            init(self.node)
+
+    def set_params(self, values: tuple[Any, ...]) -> None:
+        """Sets the attributes of the parameters."""
+        for declared, value in zip(self.type.params, values):
+            setattr(self.node, declared.name, Path(value) if declared.kind == 6 else value)
+
+    def process(self, call: Any, views: tuple[Any, ...]) -> None:
+        """One tick: a view, a list of views or none for each input."""
+        node_type = self.type
+        arguments = []
+        for port, view in zip(node_type.inputs, views):
+            decode = port.kind.decode
+            if isinstance(view, list):
+                arguments.append([decode(one) for one in view])
+            else:
+                arguments.append(None if view is None else decode(view))
+        calls.begin(call, node_type.outputs)
+        try:
+            result = self.node.process(*arguments)
+            self._give(call, result)
+        finally:
+            calls.end()
+
+    def _give(self, call: Any, result: Any) -> None:
+        outputs = self.type.outputs
+        if not outputs or result is None:
+            return
+        if not self.type.returns_dict:
+            outputs[0].kind.encode(result, Output(call, 0, outputs[0].name))
+            return
+        if not isinstance(result, dict):
+            names = ", ".join(f'"{port.name}": ...' for port in outputs)
+            raise TypeError(f"`process` of a node with these outputs returns a dict {{{names}}}, not {type(result).__name__}")
+        unknown = set(result) - {port.name for port in outputs}
+        if unknown:
+            raise TypeError(f"`process` returned `{min(unknown)}`, which is no output of the node")
+        for index, port in enumerate(outputs):
+            if result.get(port.name) is not None:
+                port.kind.encode(result[port.name], Output(call, index, port.name))
+
+    def save_state(self) -> bytes | None:
+        """The state that the next instance takes over, if the class saves one."""
+        save = getattr(self.node, "save_state", None)
+        return None if save is None else bytes(save())
+
+    def load_state(self, state: bytes) -> None:
+        """Takes over the state of an earlier instance."""
+        load = getattr(self.node, "load_state", None)
+        if load is not None:
+            load(state)
+
+    def close(self) -> None:
+        """Gives back what the node holds."""
+        close = getattr(self.node, "close", None)
+        if close is not None:
+            close()
