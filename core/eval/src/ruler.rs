@@ -179,7 +179,11 @@ impl Ruler {
         add("lengths", self.lengths.len() as f64, "1");
         for distance_mm in DISTANCES_MM {
             let here = self.depths.iter().filter(|m| m.distance_mm == distance_mm);
-            add(&format!("point_depth_error_mm/{distance_mm:.0}"), percentile(&here.map(Measured::off_mm).collect::<Vec<_>>(), 0.5), "mm");
+            add(
+                &format!("point_depth_error_mm/{distance_mm:.0}"),
+                percentile(&here.map(Measured::off_mm).collect::<Vec<_>>(), 0.5),
+                "mm",
+            );
         }
         add("point_depth_within_stated", within(&self.depths), "%");
         out

@@ -23,7 +23,9 @@ mod socket;
 mod wire;
 
 pub use confine::{Kernel, kernel};
-pub use host::{DescribeError, Describer, Description, PluginImage, Processes, describe, remember, remember_described};
+pub use host::{
+    DescribeError, Describer, Description, Launch, PluginImage, Processes, describe, remember, remember_described,
+};
 
 /// First argument of the program that makes it the child process of a group: `panoscope isolated-nodes GROUP`. Its standard input is the socket;
 /// the name is for lists of processes.

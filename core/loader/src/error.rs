@@ -6,6 +6,7 @@ use panoscope_graph::PluginProblem;
 use panoscope_isolate::DescribeError;
 
 use crate::elf::ElfError;
+use crate::python::NoPython;
 
 /// Why a plugin was not loaded.
 #[derive(Debug, thiserror::Error)]
@@ -58,6 +59,20 @@ pub enum LoadError {
         /// What happened to the process.
         cause: DescribeError,
     },
+    /// A Python file without node classes.
+    #[error("{file} is not used: it declares no node, as `@panoscope.node(...)` in front of a class does", file = file.display())]
+    NoNodes {
+        /// The file.
+        file: PathBuf,
+    },
+    /// A Python file that cannot run.
+    #[error("{file} cannot be used: {cause}", file = file.display())]
+    NoPython {
+        /// The file.
+        file: PathBuf,
+        /// What is missing.
+        cause: NoPython,
+    },
     /// It was loaded, but its descriptor is invalid.
     #[error("the descriptor of {file} is invalid: {cause}", file = file.display())]
     BadDescriptor {
@@ -77,6 +92,8 @@ impl LoadError {
             | Self::Link { file, .. }
             | Self::NotLocked { file }
             | Self::Undescribed { file, .. }
+            | Self::NoNodes { file }
+            | Self::NoPython { file, .. }
             | Self::BadDescriptor { file, .. } => file,
         }
     }
@@ -89,6 +106,12 @@ impl LoadError {
             Self::Undescribed { .. } => {
                 "repair or replace the plugin; nothing of it has run in this process".to_owned()
             }
+            Self::NoNodes { .. } => "declare a node in it, or move it out of the plugin folder".to_owned(),
+            Self::NoPython { cause: NoPython::Interpreter { .. }, .. } => {
+                "name one that exists as `python` of [tool.panoscope] in the file's `# /// script` block".to_owned()
+            }
+            Self::NoPython { cause: NoPython::Package { .. }, .. } => "install panoscope again".to_owned(),
+            Self::NoPython { cause: NoPython::Metadata { .. }, .. } => "write the block as PEP 723 has it".to_owned(),
             Self::Link { .. } => "install the library named above, or rebuild the plugin".to_owned(),
             Self::Unreadable { .. } => "check the path and its permissions".to_owned(),
         }

@@ -14,6 +14,7 @@ use panoscope_isolate::{Describer, Description};
 
 use crate::elf::{self, Note};
 use crate::error::LoadError;
+use crate::python::{self, Python};
 use crate::sealed::SealedWriter;
 
 /// A plugin's file and its note.
@@ -23,6 +24,8 @@ pub struct PluginFile {
     pub file: PathBuf,
     /// The note in the file.
     pub note: Note,
+    /// The interpreter that runs it, if it is no library.
+    pub python: Option<Python>,
 }
 
 /// A loaded plugin. It stays mapped until the process ends.
@@ -38,13 +41,16 @@ pub struct Loaded {
 
 /// Reads a plugin's note without loading it.
 pub fn inspect(file: &Path) -> Result<PluginFile, LoadError> {
+    if python::is_python(file) {
+        return python::inspect(file);
+    }
     let parts = elf::OnDisk::open(file).map_err(|cause| LoadError::Unreadable { file: file.to_owned(), cause })?;
     let note = elf::read_note(&parts).map_err(|cause| LoadError::BadFile { file: file.to_owned(), cause })?;
     if note.abi_major != abi::ABI_MAJOR {
         let (found, expected) = (note.abi_major, abi::ABI_MAJOR);
         return Err(LoadError::AbiMismatch { file: file.to_owned(), found, expected });
     }
-    Ok(PluginFile { file: file.to_owned(), note })
+    Ok(PluginFile { file: file.to_owned(), note, python: None })
 }
 
 /// Loads a plugin from a private copy of its file, so that a rebuild does not change mapped memory.
@@ -82,20 +88,24 @@ fn verified_copy(plugin: &PluginFile, sha256: Option<&str>) -> Result<PrivateCop
         return Err(LoadError::NotLocked { file: file.clone() });
     }
     // The copy is checked again, because the file may have changed since it was found.
-    elf::read_note(&copy.parts).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
+    if plugin.python.is_none() {
+        elf::read_note(&copy.parts).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
+    }
     Ok(copy)
 }
 
 /// Loads a plugin from an image of its file, in a process of isolated nodes. The process that sent the image verified it.
 pub(crate) fn load_image(image: &Path, file: &Path) -> Result<Loaded, LoadError> {
     let PluginFile { note, .. } = inspect(image)?;
-    map(&PluginFile { file: file.to_owned(), note }, image)
+    map(&PluginFile { file: file.to_owned(), note, python: None }, image)
 }
 
 /// Asks a process of its own what a plugin offers.
 fn describe(plugin: &PluginFile, image: &Path, limit: Duration) -> Result<Loaded, LoadError> {
-    let PluginFile { file, note } = plugin;
-    let described = panoscope_isolate::describe(image, file, &note.name, limit);
+    let PluginFile { file, note, python } = plugin;
+    let launch = python.as_ref().map(Python::launch).transpose();
+    let launch = launch.map_err(|cause| LoadError::NoPython { file: file.clone(), cause })?;
+    let described = panoscope_isolate::describe(image, file, &note.name, launch, limit);
     let Description { plugin: descriptor, describer } =
         described.map_err(|cause| LoadError::Undescribed { file: file.clone(), cause })?;
     // SAFETY: what another process wrote was read into memory that is never freed; its lengths are those of that memory.
@@ -103,6 +113,9 @@ fn describe(plugin: &PluginFile, image: &Path, limit: Duration) -> Result<Loaded
     for (index, node_type) in node_types.iter_mut().enumerate().filter(|(_, node_type)| node_type.validator.is_some()) {
         let describer = Arc::clone(&describer);
         node_type.validator = Some(Validator::new(move |setup| problems(&describer, index as u32, setup)));
+    }
+    if let Some(python) = python {
+        node_types.iter_mut().for_each(|node_type| node_type.interpreter = Some(python.interpreter.clone()));
     }
     panoscope_isolate::remember_described(&entries, &describer);
     loading::remember(&entries, file);
@@ -134,7 +147,7 @@ unsafe fn checked(
     descriptor: *const abi::Plugin,
     plugin: &PluginFile,
 ) -> Result<(Vec<NodeType>, Vec<&'static abi::NodeType>), LoadError> {
-    let PluginFile { file, note } = plugin;
+    let PluginFile { file, note, .. } = plugin;
     let bad = |cause: String| LoadError::BadDescriptor { file: file.clone(), cause };
     // SAFETY: the caller's promise; `node_types` checks every field before it uses it.
     let mut node_types =

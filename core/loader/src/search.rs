@@ -18,6 +18,7 @@ use crate::elf::ElfError;
 use crate::error::LoadError;
 use crate::lock::Lock;
 use crate::map::{Loaded, PluginFile, describe_verified, inspect, load_verified};
+use crate::python::is_python;
 
 /// How long a plugin may take to load and to describe itself in another process.
 const MAX_DESCRIBE: Duration = Duration::from_secs(20);
@@ -59,6 +60,10 @@ pub struct Loader {
     /// How long a plugin may take to describe itself, if not [`MAX_DESCRIBE`].
     describe_limit: Option<Duration>,
     loaded: Mutex<BTreeMap<LoadKey, Result<Loaded, PluginProblem>>>,
+}
+
+fn is_library(file: &Path) -> bool {
+    file.extension() == Some(OsStr::new("so"))
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -105,7 +110,7 @@ impl Loader {
             let Ok(entries) = std::fs::read_dir(folder) else { continue };
             let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
             files.sort();
-            for file in files.into_iter().filter(|f| f.extension() == Some(OsStr::new("so"))) {
+            for file in files.into_iter().filter(|file| is_library(file) || is_python(file)) {
                 // Taken before the file is read: if the file changes meanwhile, its stamp will differ.
                 this.stamps.insert(file.clone(), Stamp::of(&file));
                 match inspect(&file) {
@@ -113,7 +118,7 @@ impl Loader {
                         this.found.entry(found.note.name.clone()).or_insert(found);
                     }
                     // The folder may contain other libraries; only files with a damaged note are reported.
-                    Err(LoadError::BadFile { cause: ElfError::NoNote, .. }) => {}
+                    Err(LoadError::BadFile { cause: ElfError::NoNote, .. } | LoadError::NoNodes { .. }) => {}
                     Err(error) => this.problems.push(error.problem(&stem(&file))),
                 }
             }
@@ -250,7 +255,8 @@ impl Loader {
 
     /// Loads a plugin, or has it described if its nodes all run in processes of their own; a second call returns the result of the first.
     pub fn load(&self, plugin: &str) -> Result<Loaded, PluginProblem> {
-        let is_isolated = lock(&self.isolated).contains(plugin);
+        let is_python = self.found.get(plugin).is_some_and(|found| found.python.is_some());
+        let is_isolated = is_python || lock(&self.isolated).contains(plugin);
         let key = (plugin.to_owned(), is_isolated);
         let mut loaded = lock(&self.loaded);
         if let Some(done) = loaded.get(&key) {

@@ -18,7 +18,8 @@ NODES: list[NodeType] = []
 
 _FAMILIES = ("source", "filter", "stereo", "stitch", "tools", "arm", "overlay", "sink")
 _KINDS = {"compute": 0, "blocking": 1}
-_OPTIONAL, _LIST = 1, 2
+OPTIONAL, LIST = 1, 2
+"""Flags of a port."""
 _REOPEN, _MUST_EXIST, _WRITES = 1, 2, 32
 
 
@@ -179,12 +180,12 @@ def _input(cls: type, parameter: inspect.Parameter, annotation: Any) -> Port:
     flags = 0
     members = typing.get_args(annotation)
     if typing.get_origin(annotation) in (typing.Union, types.UnionType) and type(None) in members:
-        flags |= _OPTIONAL
+        flags |= OPTIONAL
         annotation = next(member for member in members if member is not type(None))
     elif parameter.default is None:
-        flags |= _OPTIONAL
+        flags |= OPTIONAL
     if typing.get_origin(annotation) is list:
-        flags |= _LIST
+        flags |= LIST
         annotation = typing.get_args(annotation)[0]
     kind, doc = _kind(cls, f"input `{parameter.name}`", annotation)
     return Port(parameter.name, doc, kind, flags)

@@ -63,8 +63,8 @@ class Runner:
         arguments = []
         for port, view in zip(node_type.inputs, views):
             decode = port.kind.decode
-            if isinstance(view, list):
-                arguments.append([decode(one) for one in view])
+            if port.flags & nodes.LIST:
+                arguments.append([decode(one) for one in (view if isinstance(view, list) else [view]) if one is not None])
             else:
                 arguments.append(None if view is None else decode(view))
         calls.begin(call, node_type.outputs)

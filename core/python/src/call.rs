@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use panoscope_abi::{self as abi, Frame, Host, Status, Str};
 use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyValueError};
+use pyo3::ffi;
 use pyo3::prelude::*;
 
 use crate::view::View;
@@ -33,9 +34,10 @@ impl Call {
     }
 
     /// Ends it: frames that somebody still has a view of are kept.
-    pub fn end(&self, py: Python<'_>) {
+    pub fn end(&self, _locked: Python<'_>) {
         for view in self.views.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
-            if view.get_refcnt(py) > 1 {
+            // SAFETY: a live object, under the interpreter's lock.
+            if unsafe { ffi::Py_REFCNT(view.as_ptr()) } > 1 {
                 view.get().retain();
             }
         }
@@ -82,8 +84,12 @@ impl Call {
         });
         match (status, Self::output(call, output)) {
             (abi::STATUS_OK, Some(frame)) => self.view(py, &frame, true),
-            (abi::STATUS_EXHAUSTED, _) => Err(PyMemoryError::new_err(format!("no frame memory of {len} bytes is left"))),
-            _ => Err(PyValueError::new_err(format!("the host refuses a frame of {width}x{height} for output {output}"))),
+            (abi::STATUS_EXHAUSTED, _) => {
+                Err(PyMemoryError::new_err(format!("no frame memory of {len} bytes is left")))
+            }
+            _ => {
+                Err(PyValueError::new_err(format!("the host refuses a frame of {width}x{height} for output {output}")))
+            }
         }
     }
 

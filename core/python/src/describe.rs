@@ -27,7 +27,11 @@ fn text(of: &Bound<'_, PyAny>, name: &str) -> PyResult<Str> {
     Ok(leak(of.getattr(name)?.extract()?))
 }
 
-fn list<T>(of: &Bound<'_, PyAny>, name: &str, read: impl Fn(&Bound<'_, PyAny>) -> PyResult<T>) -> PyResult<&'static [T]> {
+fn list<T>(
+    of: &Bound<'_, PyAny>,
+    name: &str,
+    read: impl Fn(&Bound<'_, PyAny>) -> PyResult<T>,
+) -> PyResult<&'static [T]> {
     let values: Vec<T> = of.getattr(name)?.try_iter()?.map(|value| read(&value?)).collect::<PyResult<_>>()?;
     Ok(Box::leak(values.into_boxed_slice()))
 }

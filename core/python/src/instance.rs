@@ -106,7 +106,11 @@ pub unsafe extern "C" fn open(call: *mut abi::OpenCall, instance: *mut *mut c_vo
         let class = describe::class_of(py, node_type);
         // SAFETY: the contract, for the texts and the values.
         let (node, graph_dir, values) = unsafe {
-            (call.node_id.text().unwrap_or(""), call.graph_dir.text().unwrap_or(""), values(py, call.params, call.params_len)?)
+            (
+                call.node_id.text().unwrap_or(""),
+                call.graph_dir.text().unwrap_or(""),
+                values(py, call.params, call.params_len)?,
+            )
         };
         let runner = py.import(RUNNER)?.getattr("Runner")?.call1((class, values, node, graph_dir))?.unbind();
         let new = Instance { runner, call: Py::new(py, Call::new(host))?, host, params_version: 0 };

@@ -44,7 +44,8 @@ fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, String> {
 
 /// An exception with its traceback, in words.
 fn explain(py: Python<'_>, error: &PyErr) -> String {
-    let explained = || -> PyResult<String> { py.import(RUNNER)?.call_method1("explain", (error.value(py),))?.extract() };
+    let explained =
+        || -> PyResult<String> { py.import(RUNNER)?.call_method1("explain", (error.value(py),))?.extract() };
     explained().unwrap_or_else(|_| error.to_string())
 }
 

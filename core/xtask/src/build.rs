@@ -21,6 +21,10 @@ const THEATRE: &str = "panoscope-theatre";
 /// The process that guards an arm, which `arm_serial` and `arm_ur` start; it is built beside the program.
 const GUARD_PACKAGE: &str = "panoscope-arm-guard";
 const GUARD: &str = "panoscope-arm";
+/// The Python package: the folder of its crate, and what Python calls its native part.
+const PYTHON: &str = "core/python";
+const PYTHON_PACKAGE: &str = "panoscope-python";
+const NATIVE: &str = "_native.abi3.so";
 /// Folder beside the program for plugins that only tests use.
 const TEST_PLUGIN_DIR: &str = "test_plugins";
 
@@ -120,6 +124,8 @@ fn compile(workspace: &Workspace, profile: Profile, plugins: &[&Plugin]) -> Resu
         PROGRAM_PACKAGE,
         "--package",
         GUARD_PACKAGE,
+        "--package",
+        PYTHON_PACKAGE,
     ]);
     for plugin in plugins {
         cargo.args(["--package", &plugin.package]);
@@ -151,7 +157,17 @@ impl Artifacts {
         let plugin_dir = program.with_file_name("plugins");
         lay_out(&workspace.plugins, &self.libraries, &plugin_dir)?;
         lay_out_models(workspace, &plugin_dir, Means::Link)?;
+        self.lay_out_python(workspace, &python_package(&program))?;
         Ok(Built { program, plugin_dir })
+    }
+
+    /// Puts the Python package where the program looks for it.
+    fn lay_out_python(&self, workspace: &Workspace, package: &Path) -> Result<()> {
+        let folder = workspace.root.join(PYTHON);
+        let native =
+            self.libraries.get(&folder).with_context(|| format!("{PYTHON_PACKAGE} makes no shared library"))?;
+        place_files(&folder.join("panoscope"), package, &["py"], Means::Link)?;
+        place(native, &package.join(NATIVE), Means::Link)
     }
 
     /// Takes one line of cargo's output; false when it is none of cargo's messages.
@@ -205,6 +221,11 @@ fn lay_out(plugins: &[Plugin], libraries: &BTreeMap<PathBuf, PathBuf>, plugin_di
         }
     }
     Ok(())
+}
+
+/// The Python package of a build, beside its program.
+pub fn python_package(program: &Path) -> PathBuf {
+    program.with_file_name("python").join("panoscope")
 }
 
 /// Puts the models that come with plugins where the program looks for them: `NAME/models` beside the library of plugin NAME.

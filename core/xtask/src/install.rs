@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 
 use crate::build::{
     Built, Means, Profile, Windows, build, build_windows, guard_name, lay_out_models, library_name, place, place_files,
-    program_name, window_names,
+    program_name, python_package, window_names,
 };
 use crate::onnxruntime;
 use crate::workspace::Workspace;
@@ -83,6 +83,8 @@ impl Tree<'_> {
             place(&self.built.plugin_dir.join(&name), &plugin_dir.join(&name), means)?;
         }
         lay_out_models(workspace, &plugin_dir, means)?;
+        let package = python_package(&self.built.program);
+        place_files(&package, &python_package(&library.join(program_name())), &["py", "so"], means)?;
         if let Some(runtime) = self.runtime {
             // Beside the program, where the `tools` plugin looks for it.
             let folder = library.join("onnxruntime");

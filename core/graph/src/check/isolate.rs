@@ -1,7 +1,9 @@
 //! Which nodes run in processes of their own, and which cannot.
 
+use std::path::PathBuf;
+
 use super::Checker;
-use crate::catalog::NodeKind;
+use crate::catalog::{NodeKind, NodeType};
 use crate::checked::Deny;
 use crate::file::NodeText;
 use crate::nearest::{list, nearest};
@@ -13,6 +15,12 @@ impl GraphText {
     pub(crate) fn group_of<'t>(&'t self, node: &'t NodeText, plugin: &str) -> Option<&'t Spanned<String>> {
         let of_plugin = || self.isolate.iter().rev().find(|(name, _)| name.value == plugin).map(|(_, group)| group);
         node.isolate.as_ref().or_else(of_plugin)
+    }
+
+    /// The group that a node runs in: as [`Self::group_of`], else, if another program runs it, a group of its plugin's name.
+    pub(crate) fn group_name<'t>(&'t self, node: &'t NodeText, node_type: &'t NodeType) -> Option<&'t str> {
+        let of_plugin = || node_type.interpreter.as_ref().map(|_| node_type.plugin.as_str());
+        self.group_of(node, &node_type.plugin).map(|group| group.value.as_str()).or_else(of_plugin)
     }
 
     /// What a group may not do.
@@ -40,6 +48,10 @@ impl Checker<'_> {
         let nodes = text.flat.nodes.iter().filter_map(|node| node.isolate.as_ref());
         let groups: Vec<&str> =
             text.isolate.iter().map(|(_, group)| group).chain(nodes).map(|group| group.value.as_str()).collect();
+        let used = (0..text.flat.nodes.len()).filter_map(|index| self.type_of(index));
+        let interpreted = used.filter(|node_type| node_type.interpreter.is_some());
+        let groups: Vec<&str> =
+            groups.into_iter().chain(interpreted.map(|node_type| node_type.plugin.as_str())).collect();
         for (group, _) in &text.deny {
             if groups.contains(&group.value.as_str()) || text.incomplete {
                 continue;
@@ -50,6 +62,7 @@ impl Checker<'_> {
                 .label(near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default())
                 .help("groups are what `isolate` names");
         }
+        self.interpreters();
         for (index, node) in text.flat.nodes.iter().enumerate() {
             let Some(node_type) = self.type_of(index) else { continue };
             let Some(group) = text.group_of(node, &node_type.plugin) else { continue };
@@ -66,6 +79,37 @@ impl Checker<'_> {
                     format!("`{id}` has `cpu` and `isolate`; the thread that works for it is in another process");
                 self.error("isolated-cpu", &group.span, message).help("remove one of the two");
             }
+        }
+    }
+
+    /// One program runs a group: nodes of two Python environments, or of Python and of a library, cannot share it.
+    fn interpreters(&mut self) {
+        let text = self.text;
+        let mut first: Vec<(&str, &Option<PathBuf>, String)> = Vec::new();
+        let mut errors = Vec::new();
+        for (index, node) in text.flat.nodes.iter().enumerate() {
+            let Some(node_type) = self.type_of(index) else { continue };
+            let Some(group) = text.group_name(node, node_type) else { continue };
+            let Some((_, program, other)) = first.iter().find(|(known, ..)| *known == group) else {
+                first.push((group, &node_type.interpreter, self.id(index).to_owned()));
+                continue;
+            };
+            if **program != node_type.interpreter {
+                let message = format!(
+                    "`{}` and `{other}` are in group `{group}`, but different programs run them",
+                    self.id(index)
+                );
+                let runs = |program: &Option<PathBuf>| {
+                    program.as_ref().map_or("panoscope".to_owned(), |program| program.display().to_string())
+                };
+                let label = format!("{} here, {} there", runs(&node_type.interpreter), runs(program));
+                errors.push((node.id.span.clone(), message, label));
+            }
+        }
+        for (span, message, label) in errors {
+            self.error("group-of-two-programs", &span, message)
+                .label(label)
+                .help("give them different groups with `isolate`");
         }
     }
 }

@@ -179,6 +179,7 @@ impl<'a> Checker<'a> {
             // Without errors every type is known.
             let Some(type_index) = *type_index else { continue };
             let node_type = &self.catalog.node_types[type_index];
+            let group = self.text.group_name(node, node_type).map(str::to_owned);
             nodes.push(Node {
                 id: node.id.value.clone(),
                 type_index,
@@ -189,11 +190,8 @@ impl<'a> Checker<'a> {
                 budget_ms: node.budget_ms,
                 max_rate_hz: node.max_rate_hz,
                 cpu: node.cpu,
-                isolate: self.text.group_of(node, &node_type.plugin).map(|group| group.value.clone()),
-                deny: self
-                    .text
-                    .group_of(node, &node_type.plugin)
-                    .map_or_else(Deny::default, |group| self.text.denied_to(&group.value)),
+                deny: group.as_deref().map_or_else(Deny::default, |group| self.text.denied_to(group)),
+                isolate: group,
                 span: self.text.sources.of(&node.id.span).local(&node.id.span),
                 line: self.text.sources.line(&node.id.span),
             });

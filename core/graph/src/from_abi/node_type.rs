@@ -86,6 +86,7 @@ pub(super) unsafe fn node_type(
             outputs: ports(&place, "output", slice(&place, "outputs", node.outputs, node.outputs_len, MOST_PORTS)?)?,
             params: params(&place, slice(&place, "params", node.params, node.params_len, MOST_PARAMS)?)?,
             shipped_dir: PathBuf::new(),
+            interpreter: None,
             validator: node.validate.map(validator::of),
             name,
         };

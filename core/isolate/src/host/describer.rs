@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use panoscope_abi::{self as abi, NodeType, Plugin, Status, Str};
 use panoscope_engine::isolation::{Deny, GroupSettings};
 
-use super::process::{self, NodeLane, Process};
+use super::process::{Launch, NodeLane, Process};
 use super::{PluginImage, Totals, lock};
 use crate::description;
 use crate::lane::{Lost, Side};
@@ -71,12 +71,18 @@ struct Running {
 /// Loads a plugin in a process of its own and asks what it offers.
 ///
 /// `image` is a path to its bytes that stays valid until this process ends, `file` the plugin's file, `name` what its note calls it,
-/// `limit` the time that it may take.
+/// `launch` the program that can run it, if not this one, `limit` the time that it may take.
 ///
 /// # Errors
 /// See [`DescribeError`].
-pub fn describe(image: &Path, file: &Path, name: &str, limit: Duration) -> Result<Description, DescribeError> {
-    let image = Arc::new(PluginImage::new(image, file));
+pub fn describe(
+    image: &Path,
+    file: &Path,
+    name: &str,
+    launch: Option<Launch>,
+    limit: Duration,
+) -> Result<Description, DescribeError> {
+    let image = Arc::new(PluginImage::new(image, file, launch));
     let describer = Arc::new(Describer { image, plugin: name.to_owned(), running: Mutex::default() });
     let node_types = describer.node_types(limit)?;
     let pointers: Vec<*const NodeType> =
@@ -172,7 +178,8 @@ impl Describer {
     }
 
     fn start(&self) -> Result<Running, DescribeError> {
-        let program = process::program().map_err(DescribeError::Unreachable)?;
+        let own = || Launch::own().map_err(DescribeError::Unreachable);
+        let launch = self.image.launch.clone().map_or_else(own, Ok)?;
         let settings = GroupSettings {
             name: format!("describes {}", self.plugin),
             threads: 1,
@@ -180,8 +187,8 @@ impl Describer {
             deny: Deny { network: true, new_files: true },
         };
         let what = "the process that describes it".to_owned();
-        let process = Process::start(&program, &settings, what, 0, &Arc::new(Totals::default()))
-            .map_err(|cause| DescribeError::Start { program, cause })?;
+        let process = Process::start(&launch, &settings, what, 0, &Arc::new(Totals::default()))
+            .map_err(|cause| DescribeError::Start { program: launch.program, cause })?;
         let lane = process.give_plugin(&self.image).and_then(|()| process.lane("", "its code".to_owned()));
         match lane {
             Ok(lane) => Ok(Running { process, lane }),

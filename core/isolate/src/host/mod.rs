@@ -17,6 +17,7 @@ use panoscope_engine::isolation::{Group, GroupReport, GroupSettings, Isolator};
 use panoscope_engine::memory::{Domain, SharedFrames};
 
 pub use self::describer::{DescribeError, Describer, Description, describe};
+pub use self::process::Launch;
 use self::process::Process;
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -50,6 +51,8 @@ pub struct PluginImage {
     image: PathBuf,
     /// The plugin's file, for messages.
     file: PathBuf,
+    /// The program that can run it, if not this one.
+    launch: Option<Launch>,
 }
 
 type Images = HashMap<usize, (Arc<PluginImage>, u32)>;
@@ -60,10 +63,10 @@ static IMAGES: LazyLock<Mutex<Images>> = LazyLock::new(Mutex::default);
 static PROXIES: LazyLock<Mutex<HashMap<usize, &'static NodeType>>> = LazyLock::new(Mutex::default);
 
 impl PluginImage {
-    fn new(image: &Path, file: &Path) -> Self {
+    fn new(image: &Path, file: &Path, launch: Option<Launch>) -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(1);
         let id = NEXT.fetch_add(1, Ordering::Relaxed);
-        Self { id, image: image.to_owned(), file: file.to_owned() }
+        Self { id, image: image.to_owned(), file: file.to_owned(), launch }
     }
 }
 
@@ -71,7 +74,7 @@ impl PluginImage {
 ///
 /// `image` is a path to them that stays valid until this process ends, `file` the plugin's file, `entries` its node types in order.
 pub fn remember(entries: &[&'static NodeType], image: &Path, file: &Path) {
-    put(entries, &Arc::new(PluginImage::new(image, file)));
+    put(entries, &Arc::new(PluginImage::new(image, file, None)));
 }
 
 /// A plugin was described: processes of isolated nodes map the bytes that its process mapped. `entries` are its node types in order.
@@ -94,17 +97,15 @@ impl Isolator for Processes {
     fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, String> {
         let frames = SharedFrames::begin().map_err(|error| error.to_string())?;
         let domain = Domain::written_elsewhere().map_err(|error| error.to_string())?;
-        let program = process::program()?;
         let settings = settings.clone();
         let totals = Arc::default();
-        Ok(Arc::new(Isolated { settings, program, process: Mutex::default(), domain, totals, _frames: frames }))
+        Ok(Arc::new(Isolated { settings, process: Mutex::default(), domain, totals, _frames: frames }))
     }
 }
 
 /// A group. Its process lives as long as one of its instances is open.
 struct Isolated {
     settings: GroupSettings,
-    program: PathBuf,
     process: Mutex<Weak<Process>>,
     domain: Domain,
     totals: Arc<Totals>,
@@ -112,8 +113,8 @@ struct Isolated {
 }
 
 impl Isolated {
-    /// The running process, or a new one.
-    fn process(&self) -> std::io::Result<Arc<Process>> {
+    /// The running process, or a new one that can run the code of `image`.
+    fn process(&self, image: &PluginImage) -> Result<Arc<Process>, String> {
         let mut process = lock(&self.process);
         if let Some(old) = process.upgrade() {
             if !old.is_ending() {
@@ -123,7 +124,12 @@ impl Isolated {
             old.wait_for_end();
         }
         let what = format!("the process of group `{}`", self.settings.name);
-        let new = Process::start(&self.program, &self.settings, what, self.domain.number(), &self.totals)?;
+        let launch = image.launch.clone().map_or_else(Launch::own, Ok)?;
+        let started = Process::start(&launch, &self.settings, what, self.domain.number(), &self.totals);
+        let new = started.map_err(|cause| {
+            let (group, program) = (&self.settings.name, launch.program.display());
+            format!("the process of group `{group}` could not be started from {program}: {cause}")
+        })?;
         *process = Arc::downgrade(&new);
         Ok(new)
     }
@@ -149,12 +155,9 @@ impl Group for Isolated {
         let Some((image, index)) = known else {
             return refuse("its plugin was not loaded from a file, so that no other process can load it".to_owned());
         };
-        let process = match self.process() {
+        let process = match self.process(&image) {
             Ok(process) => process,
-            Err(cause) => {
-                let (group, program) = (&self.settings.name, self.program.display());
-                return refuse(format!("the process of group `{group}` could not be started from {program}: {cause}"));
-            }
+            Err(words) => return refuse(words),
         };
         // SAFETY: the caller's promise.
         unsafe { remote::open(process, &image, index, call, instance) }

@@ -1,5 +1,6 @@
 //! A child process: its start, what it was given, and its end.
 
+use std::ffi::OsString;
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
@@ -26,8 +27,31 @@ const MAX_LEAVE: Duration = Duration::from_secs(1);
 /// Name of the program whose processes run isolated nodes.
 const PROGRAM: &str = "panoscope";
 
-/// The program to start: this one, or the one that is installed beside it.
-pub(super) fn program() -> Result<PathBuf, String> {
+/// The program whose processes run isolated nodes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Launch {
+    /// Its file.
+    pub program: PathBuf,
+    /// Arguments before the name of the group.
+    pub arguments: Vec<OsString>,
+    /// Environment variables besides those of this process.
+    pub environment: Vec<(OsString, OsString)>,
+}
+
+impl Launch {
+    /// This program, or the one that is installed beside it.
+    pub(super) fn own() -> Result<Self, String> {
+        Ok(Self { program: program()?, arguments: vec![COMMAND.into()], environment: Vec::new() })
+    }
+
+    fn start(&self, group: &str, socket: OwnedFd) -> io::Result<Child> {
+        let mut command = Command::new(&self.program);
+        command.args(&self.arguments).arg(group).envs(self.environment.iter().map(|(name, value)| (name, value)));
+        command.stdin(Stdio::from(socket)).spawn()
+    }
+}
+
+fn program() -> Result<PathBuf, String> {
     let me = std::env::current_exe().map_err(|cause| format!("this program's own file is unknown: {cause}"))?;
     if me.file_name().is_some_and(|name| name == PROGRAM) {
         // The running version, even if its file was replaced meanwhile.
@@ -165,14 +189,14 @@ pub(super) struct Process {
 impl Process {
     /// Starts a process. `what` names it in messages, `domain` is that of its own pools, `totals` counts what its calls cost.
     pub fn start(
-        program: &Path,
+        launch: &Launch,
         settings: &GroupSettings,
         what: String,
         domain: u32,
         totals: &Arc<Totals>,
     ) -> io::Result<Arc<Self>> {
         let (ours, theirs) = socket::pair()?;
-        let mut child = Command::new(program).arg(COMMAND).arg(&settings.name).stdin(Stdio::from(theirs)).spawn()?;
+        let mut child = launch.start(&settings.name, theirs)?;
         let begun = pidfd(&child).and_then(|pidfd| {
             let mut hello = Vec::new();
             Writer(&mut hello).u32(Tag::Hello as u32).u32(PROTOCOL);
