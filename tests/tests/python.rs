@@ -133,7 +133,8 @@ fn parameters_numbers_texts_and_tables_cross() {
     assert_eq!(names, ["gain", "invert", "rounds", "how", "label", "curve", "file"]);
     assert_eq!((node_type.inputs[0].doc.as_str(), node_type.outputs.len()), ("What is brightened", 4));
     assert_eq!(node_type.doc, "Brightens a picture, and says by how much.");
-    let engine = Engine::start(graph, &catalog, &loader, Options { frames: Some(3), ..Options::default() }).expect("starts");
+    let engine =
+        Engine::start(graph, &catalog, &loader, Options { frames: Some(3), ..Options::default() }).expect("starts");
     let shown = || engine.preview("gain", "label");
     assert!(engine.wait(Some(MAX_RUN)), "{:?}", engine.recent_log());
     let outcome = engine.close(Duration::from_secs(30));
@@ -182,7 +183,10 @@ fn an_exception_is_a_fault_with_its_traceback() {
     let run = run(&folder, &failing("raise"), 10, |_| ());
     let [fault] = &run.faults[..] else { panic!("{:?}", run.faults) };
     let words = &fault.words;
-    assert!(words.contains("ZeroDivisionError") && words.contains("in divide") && words.contains("turned.py"), "{words}");
+    assert!(
+        words.contains("ZeroDivisionError") && words.contains("in divide") && words.contains("turned.py"),
+        "{words}"
+    );
     assert!(!words.contains("runner.py"), "frames of the package are noise: {words}");
     assert_eq!(run.report.nodes["fails"].count, 10);
     assert_eq!(run.report.groups["turned"].processes, 1, "the process lives on");
@@ -257,7 +261,10 @@ fn a_saved_file_is_swapped_in_and_state_is_kept() {
     let mut live = Live::new(&engine, &path, text.to_owned(), Vec::new(), loader);
     let file = folder.join("turned.py");
     let source = std::fs::read_to_string(&file).expect("the plugin");
-    let changed = source.replace("picture[:] = self.count % 256", "picture[:] = 1000 < self.count\n        ps.metric(\"state\", self.count)");
+    let changed = source.replace(
+        "picture[:] = self.count % 256",
+        "picture[:] = 1000 < self.count\n        ps.metric(\"state\", self.count)",
+    );
     std::fs::write(&file, changed.replace("ps.empty((4, 6))", "ps.empty((4, 8))")).expect("saved");
     let before = counted(&engine);
     let applied = live.reload_plugins().unwrap_or_else(|error| panic!("{error}"));
@@ -266,7 +273,11 @@ fn a_saved_file_is_swapped_in_and_state_is_kept() {
     let state = engine.report().nodes["count"].metrics["state"];
     assert!(state > before as f64, "the count goes on: {state} after {before}");
     // A file with a mistake is refused, and the old code runs on.
-    std::fs::write(&file, "import panoscope as ps\n@ps.node()\nclass Count:\n    def process(self, image) -> ps.Gray8: pass\n").expect("saved");
+    std::fs::write(
+        &file,
+        "import panoscope as ps\n@ps.node()\nclass Count:\n    def process(self, image) -> ps.Gray8: pass\n",
+    )
+    .expect("saved");
     let error = live.reload_plugins().expect_err("a mistake").to_string();
     assert!(error.contains("`image` needs a packet type"), "{error}");
     let counted_then = counted(&engine);

@@ -12,6 +12,7 @@ mod install;
 mod interlock;
 mod licences;
 mod lint;
+mod numpy;
 mod onnxruntime;
 mod package;
 mod packages;

@@ -9,6 +9,7 @@ use anyhow::{Context, Result, bail};
 use crate::build::{Profile, build_for_tests};
 use crate::generated::test_environment;
 use crate::lint;
+use crate::numpy;
 use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
@@ -165,6 +166,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
     if let Err(error) = onnxruntime::fetch(workspace) {
         println!("ONNX Runtime was not fetched: {error:#}");
     }
+    let numpy = numpy::folder(workspace);
     if request.suite.lints {
         timed("format", || lint::format(workspace))?;
         timed("clippy", || lint::clippy(workspace))?;
@@ -176,6 +178,9 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
             Some(sanitizer) => sanitizer.cargo(workspace)?,
         };
         test_environment(&mut cargo, workspace, &built)?;
+        if let Some(folder) = &numpy {
+            cargo.env("PYTHONPATH", folder);
+        }
         for (name, value) in request.suite.env.iter().filter(|(name, _)| std::env::var_os(name).is_none()) {
             cargo.env(name, value);
         }

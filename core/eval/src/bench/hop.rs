@@ -3,6 +3,7 @@
 use super::death;
 use super::graph::{self, INPUT, Pace};
 use super::gstreamer::GStreamer;
+use super::python;
 use crate::error::Result;
 use crate::figures::Figure;
 use crate::session::{Session, note};
@@ -68,6 +69,7 @@ pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     figures.extend(paced(session, quick, gst.as_ref())?);
     figures.extend(isolated(session, quick)?);
     figures.extend(death::measure(session, quick)?);
+    figures.extend(python::measure(session, quick)?);
     figures.extend(copies(session, quick)?);
     Ok(figures)
 }

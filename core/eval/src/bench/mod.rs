@@ -5,6 +5,7 @@ pub mod editor;
 mod graph;
 mod gstreamer;
 pub mod hop;
+mod python;
 pub mod scale;
 pub mod start;
 pub mod stereo;
