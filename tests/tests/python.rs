@@ -63,6 +63,8 @@ fn run(folder: &Path, text: &str, frames: u64, mut disturb: impl FnMut(&Engine))
         threads: 2,
         frames: Some(frames),
         graph_dir: folder.to_owned(),
+        // In batch a call hangs after 30 times this.
+        hang: Duration::from_millis(100),
         faults: Some(Box::new(move |fault: &Fault| heard.lock().expect("no panic").push(fault.clone()))),
         observer: Some(Arc::clone(&recorder) as _),
         ..Options::default()
@@ -133,13 +135,15 @@ fn parameters_numbers_texts_and_tables_cross() {
     assert_eq!(names, ["gain", "invert", "rounds", "how", "label", "curve", "file"]);
     assert_eq!((node_type.inputs[0].doc.as_str(), node_type.outputs.len()), ("What is brightened", 4));
     assert_eq!(node_type.doc, "Brightens a picture, and says by how much.");
-    let engine =
-        Engine::start(graph, &catalog, &loader, Options { frames: Some(3), ..Options::default() }).expect("starts");
-    let shown = || engine.preview("gain", "label");
+    let options = Options { frames: Some(3), ..Options::default() };
+    let engine = Engine::start(graph, &catalog, &loader, options).expect("starts");
+    let label = engine.preview("gain", "label").expect("the output");
     assert!(engine.wait(Some(MAX_RUN)), "{:?}", engine.recent_log());
+    let label = label.take().expect("a text");
+    assert_eq!(std::str::from_utf8(label.bytes()), Ok("mine [0.0, 0.5, 1.0] gain"));
+    drop(label);
     let outcome = engine.close(Duration::from_secs(30));
     assert_eq!(outcome, Outcome::Done, "{:?}", engine.recent_faults());
-    let _ = shown;
     drop(engine);
     let run = run(&folder, &text, 3, |_| ());
     assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
@@ -189,7 +193,10 @@ fn an_exception_is_a_fault_with_its_traceback() {
     );
     assert!(!words.contains("runner.py"), "frames of the package are noise: {words}");
     assert_eq!(run.report.nodes["fails"].count, 10);
-    assert_eq!(run.report.groups["turned"].processes, 1, "the process lives on");
+    assert!(
+        words.starts_with("ZeroDivisionError") && words.lines().next().is_some_and(|line| line.contains("in divide")),
+        "{words}"
+    );
     let _ = std::fs::remove_dir_all(&folder);
 }
 
@@ -230,7 +237,7 @@ fn too_much_memory_is_an_exception() {
     let run = run(&folder, &failing("memory"), 6, |_| ());
     let words = &run.faults.first().expect("a fault").words;
     assert!(words.contains("MemoryError"), "{words}");
-    assert_eq!(run.report.groups["turned"].processes, 1);
+    assert_eq!(run.port("fails.image").len(), 5, "all but that one");
     let _ = std::fs::remove_dir_all(&folder);
 }
 

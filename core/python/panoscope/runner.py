@@ -31,13 +31,16 @@ def load(source: bytes, file: str) -> list[nodes.NodeType]:
 
 
 def explain(error: BaseException) -> str:
-    """An exception with its traceback, without the frames of this package."""
-    trace = error.__traceback__
-    while trace is not None and "panoscope" in Path(trace.tb_frame.f_code.co_filename).parent.name and trace.tb_next is not None:
-        trace = trace.tb_next
+    """An exception in one line, with its place, and below it the calls that led there, without those of this package."""
+    what = "".join(traceback.format_exception_only(type(error), error)).strip()
     if isinstance(error, nodes.NodeError):
         return str(error)
-    return "".join(traceback.format_exception(type(error), error, trace)).strip()
+    package = str(Path(__file__).parent)
+    calls = [call for call in traceback.extract_tb(error.__traceback__) if not call.filename.startswith(package)]
+    if not calls:
+        return what
+    place = f"{Path(calls[-1].filename).name}, line {calls[-1].lineno}, in {calls[-1].name}"
+    return f"{what} ({place})\n" + "".join(traceback.format_list(calls)).rstrip()
 
 
 class Runner:
