@@ -190,14 +190,14 @@ fn one_run_judges_a_graph_opencv_and_as_projective_as_possible_warps() {
     let (code, out, err) = run(Some(&folder), &own);
     assert_eq!(code, 0, "{out}{err}");
     let figures = figures(&json);
-    let ours = value(&figures, "align_px/panorama_files").unwrap_or_else(|| panic!("{out}"));
     let apap = value(&figures, "align_px/panorama_files_apap").unwrap_or_else(|| panic!("{out}"));
-    // One homography leaves the parallax; many do not.
-    assert!(apap < 0.7 * ours, "{ours} px by one homography, {apap} px by many");
     assert_eq!(value(&figures, "stitched_share/panorama_files_apap"), Some(100.0));
     let listed = figures.as_array().expect("a list").iter();
     let beside = listed.clone().find(|f| f["name"] == "align_px/panorama_files").expect("ours");
     assert!(beside["peer"].as_str().is_some_and(|peer| peer.starts_with("OpenCV")), "{beside}");
+    // Neither holds its homography near a shift; one alone cannot follow the parallax.
+    let opencv = beside["peer_value"].as_f64().expect("OpenCV's");
+    assert!(apap < 0.9 * opencv, "{opencv} px by one homography, {apap} px by many");
     let picture = image::open(pictures.join("panorama_files.png")).expect("the panoramas");
     assert!(
         picture.width() > 400 && picture.height() > 3 * 240,

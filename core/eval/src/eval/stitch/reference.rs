@@ -72,7 +72,7 @@ fn view(frame: &FrameRef, channels: usize) -> Option<View<'_, u8>> {
     let (width, height, stride) =
         (described.width as usize, described.height as usize, described.stride_bytes as usize);
     let fits = stride >= width * channels && bytes.len() >= stride * height.saturating_sub(1) + width * channels;
-    fits.then(|| View { data: bytes, width, height, channels, stride })
+    fits.then_some(View { data: bytes, width, height, channels, stride })
 }
 
 /// Registers by the matches of our SURF and draws with our seam and blending: only the warp differs.
