@@ -41,7 +41,11 @@ fn built(folder: &Path, flags: &[&str]) -> Option<PathBuf> {
 }
 
 fn graph(folder: &Path, isolate: &str, odd: u32) -> GraphText {
-    let text = format!(
+    GraphText::parse(&folder.join("graph.toml"), &graph_text(folder, isolate, odd))
+}
+
+fn graph_text(folder: &Path, isolate: &str, odd: u32) -> String {
+    format!(
         r#"
 mode = "batch"
 plugins = ["flow", "constructor"]
@@ -59,8 +63,7 @@ type = "drain"
 inputs = {{ image = "passes.image" }}
 "#,
         folder.display()
-    );
-    GraphText::parse(&folder.join("graph.toml"), &text)
+    )
 }
 
 const ISOLATED: &str = "[isolate]\nconstructor = \"foreign\"";
@@ -88,13 +91,13 @@ fn has_mapped(name: &str) -> bool {
     std::fs::read_to_string("/proc/self/maps").expect("the system lists memory").contains(name)
 }
 
-#[test]
-fn a_constructor_of_an_isolated_plugin_does_not_run_here() {
+/// Runs a graph that isolates the plugin; none of its code runs in this process.
+fn runs_elsewhere(name: &str, isolate: impl Fn(&Path) -> GraphText) {
     let _alone = alone();
-    let folder = scratch("described-mark");
+    let folder = scratch(name);
     let mark = folder.join("mark");
     let Some(_) = built(&folder, &[&format!("-DMARK=\"{}\"", mark.display())]) else { return };
-    let text = graph(&folder, ISOLATED, 1);
+    let text = isolate(&folder);
     let loader = loader(&text);
     let catalog = loader.catalog_of(&text);
     let me = std::process::id();
@@ -117,6 +120,35 @@ fn a_constructor_of_an_isolated_plugin_does_not_run_here() {
     assert!(!ran.is_empty() && !ran.contains(&me), "it ran in the process of its group: {ran:?}");
     assert!(!has_mapped("libconstructor"), "this process never mapped the file");
     drop(engine);
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn a_constructor_of_an_isolated_plugin_does_not_run_here() {
+    runs_elsewhere("described-mark", |folder| graph(folder, ISOLATED, 1));
+}
+
+/// `graph` with `isolate` at the node, not for the plugin; `more` follows.
+fn with_isolated_node(folder: &Path, more: &str) -> GraphText {
+    let text = graph_text(folder, "", 1).replace("type = \"passes\"", "type = \"passes\"\nisolate = \"foreign\"");
+    GraphText::parse(&folder.join("graph.toml"), &format!("{text}{more}"))
+}
+
+#[test]
+fn a_constructor_of_a_plugin_whose_nodes_are_isolated_does_not_run_here() {
+    runs_elsewhere("described-nodes", |folder| with_isolated_node(folder, ""));
+}
+
+#[test]
+fn a_plugin_with_one_node_that_is_not_isolated_is_loaded() {
+    let _alone = alone();
+    let folder = scratch("described-one");
+    let mark = folder.join("mark");
+    let Some(_) = built(&folder, &[&format!("-DMARK=\"{}\"", mark.display())]) else { return };
+    let more = "[nodes.also]\ntype = \"passes\"\ninputs = { image = \"source.image\" }\n";
+    let text = with_isolated_node(&folder, more);
+    let _ = loader(&text).catalog_of(&text);
+    assert_eq!(marks(&mark), [std::process::id()], "its other node runs here");
     let _ = std::fs::remove_dir_all(&folder);
 }
 

@@ -45,7 +45,7 @@ fn a_trial_refuses_what_crashes_hangs_or_exhausts_its_process() {
     };
     assert_eq!(refusal("good").0, "");
     for (model, words) in [
-        ("abort", "in node `net`: SIGABRT"),
+        ("abort", "in node `net`: SIGABRT (abort, or out of memory); it wrote: the reader gives up"),
         ("stack", "in node `net`: SIGSEGV"),
         ("memory", "in node `net`: SIGABRT"),
         ("refuse", "refuse.onnx is no model"),
@@ -79,6 +79,9 @@ fn commands_refuse_a_model_that_would_end_them() {
             let output = Command::new(&program).args(arguments).arg(&file).output().expect("it starts");
             let text = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
             assert_eq!(output.status.code(), Some(code), "{arguments:?} {model}: {text}");
+            // What the process wrote is in the reason, and nowhere else.
+            let said = text.matches("the reader gives up").count();
+            assert_eq!(said, usize::from(model.starts_with("abort")), "{arguments:?} {model}: {text}");
             let words = if code == 0 { "" } else { words };
             assert!(text.contains(words) && (code == 0 || text.contains("net")), "{arguments:?} {model}: {text}");
         }

@@ -2,6 +2,8 @@
 //!
 //! Field numbers are those of `onnx.proto3`.
 
+pub mod work;
+
 use std::ffi::OsStr;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -63,10 +65,11 @@ impl Message {
     }
 }
 
-/// One field of a message: its number and, where it is length-delimited, its bytes.
+/// One field of a message: its number and, where it is length-delimited, its bytes, or else its value where that is a number.
 struct Field {
     number: u64,
     bytes: Option<Range<usize>>,
+    value: u64,
 }
 
 struct Reader<'a> {
@@ -103,9 +106,9 @@ impl<'a> Reader<'a> {
     fn field(&self, at: &mut usize, end: usize) -> Result<Field, Malformed> {
         let tag = self.varint(at, end)?;
         let number = tag >> 3;
-        let mut bytes = None;
+        let (mut bytes, mut value) = (None, 0);
         match tag & 7 {
-            0 => drop(self.varint(at, end)?),
+            0 => value = self.varint(at, end)?,
             1 => *at += 8,
             5 => *at += 4,
             2 => {
@@ -121,7 +124,7 @@ impl<'a> Reader<'a> {
         if *at > end {
             return Err(Malformed { reason: "a number reaches past the end", offset: *at });
         }
-        Ok(Field { number, bytes })
+        Ok(Field { number, bytes, value })
     }
 
     fn message(&mut self, kind: Message, range: Range<usize>, depth: usize) -> Result<(), Malformed> {
@@ -131,7 +134,7 @@ impl<'a> Reader<'a> {
         let mut at = range.start;
         let (mut key, mut value) = (0..0, 0..0);
         while at < range.end {
-            let Field { number, bytes: Some(bytes) } = self.field(&mut at, range.end)? else { continue };
+            let Field { number, bytes: Some(bytes), .. } = self.field(&mut at, range.end)? else { continue };
             self.has_graph |= kind == Message::Model && number == 7;
             if let Some(child) = kind.child(number) {
                 self.message(child, bytes.clone(), depth + 1)?;
@@ -221,8 +224,8 @@ pub fn unbundle(bytes: &[u8]) -> Result<Bundle, Malformed> {
         let (mut name, mut content, mut inside) = (None, None, inner.start);
         while inside < inner.end {
             match reader.field(&mut inside, inner.end)? {
-                Field { number: 1, bytes: Some(range) } => name = std::str::from_utf8(&bytes[range]).ok(),
-                Field { number: 2, bytes: Some(range) } => content = Some(range),
+                Field { number: 1, bytes: Some(range), .. } => name = std::str::from_utf8(&bytes[range]).ok(),
+                Field { number: 2, bytes: Some(range), .. } => content = Some(range),
                 _ => {}
             }
         }

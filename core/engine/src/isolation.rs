@@ -37,6 +37,8 @@ pub struct GroupSettings {
     pub memory_bytes: u64,
     /// What its nodes may not do.
     pub deny: Deny,
+    /// Whether what the process writes to its standard error goes into the words about its end, and not to that of this process.
+    pub keeps_stderr: bool,
 }
 
 /// The nodes of one name of `isolate`: they run in one process, which is started again after it died.
@@ -147,6 +149,7 @@ impl Groups {
             threads: self.threads,
             memory_bytes,
             deny: Deny::default(),
+            keeps_stderr: true,
         };
         match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
@@ -173,7 +176,7 @@ impl Groups {
             return Ok(Some(group));
         }
         let (threads, memory_bytes) = (self.threads, self.memory_bytes);
-        let settings = GroupSettings { name: name.clone(), threads, memory_bytes, deny };
+        let settings = GroupSettings { name: name.clone(), threads, memory_bytes, deny, keeps_stderr: false };
         let made = match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
             None => Err("this program runs no processes for nodes".to_owned()),

@@ -25,6 +25,10 @@ static OUTSIDE: Mutex<Vec<(Plugin, BufferId)>> = Mutex::new(Vec::new());
 /// Requests refused outside every call.
 static REFUSED_OUTSIDE: AtomicU64 = AtomicU64::new(0);
 
+/// Frames that one instance, or all plugins outside every call, may retain at any moment. What an instance may keep between calls is
+/// less, and checked after each.
+const MAX_AT_ONCE: usize = 4096;
+
 /// A plugin: the address where its file is mapped, 0 if unknown.
 pub(crate) type Plugin = usize;
 
@@ -192,12 +196,15 @@ fn list(inner: &Inner) {
     keepers.push(weak);
 }
 
-/// A node, or a thread of `plugin`, retains a buffer. Refused if nobody holds the buffer, because it may belong to somebody else next.
+/// A node, or a thread of `plugin`, retains a buffer. Refused if nobody holds the buffer, because it may belong to somebody else next, and beyond
+/// [`MAX_AT_ONCE`], because a node that does nothing else would use up memory and overflow the count of the buffer.
 pub(crate) fn retain(plugin: Plugin, id: BufferId) {
-    if !memory().retain_held(id) {
+    let inner = keeper();
+    let held = inner.map_or_else(|| lock(&OUTSIDE).len(), |inner| inner.count.load(Ordering::Relaxed));
+    if held >= MAX_AT_ONCE || !memory().retain_held(id) {
         return refuse();
     }
-    let Some(inner) = keeper() else {
+    let Some(inner) = inner else {
         return lock(&OUTSIDE).push((plugin, id));
     };
     if !inner.listed.swap(true, Ordering::Relaxed) {
@@ -251,6 +258,18 @@ mod tests {
         let (buffer, data) = memory().allocate(64).expect("memory");
         // SAFETY: the one reference of a new buffer.
         (unsafe { FrameRef::adopt(Frame { buffer, data, len: 64, ..Frame::EMPTY }) }, buffer)
+    }
+
+    #[test]
+    fn no_call_retains_without_end() {
+        let (held, id) = frame();
+        let ours = RetainedFrames::new(plugins()[0]);
+        ours.during(|| (0..MAX_AT_ONCE + 10).for_each(|_| retain(0, id)));
+        assert_eq!((ours.count(), ours.take_refused()), (MAX_AT_ONCE, 10));
+        assert_eq!(memory().references(id), MAX_AT_ONCE as u32 + 1);
+        ours.reclaim();
+        assert_eq!(memory().references(id), 1);
+        drop(held);
     }
 
     #[test]

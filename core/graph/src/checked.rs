@@ -66,7 +66,7 @@ pub struct Graph {
     pub mode: Mode,
     /// Plugins the file lists, without repetitions.
     pub plugins: Vec<String>,
-    /// Those whose nodes all run in processes of their own, by `[isolate]`: the process of the graph need not load them.
+    /// Those whose nodes all run in processes of their own, see [`crate::GraphText::isolated_plugins`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub isolated_plugins: Vec<String>,
     /// Nodes in file order.

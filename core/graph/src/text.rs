@@ -1,6 +1,7 @@
 //! A graph file as read, before any name of it is looked up.
 
 use crate::args::{Arg, ArgUse, Bindings};
+use crate::catalog::Offer;
 use crate::checked::{Deny, Mode};
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
 use crate::file::{PinText, Role, ViewText};
@@ -263,10 +264,31 @@ impl GraphText {
         names
     }
 
-    /// Those of [`Self::plugins`] whose nodes all run in processes of their own, by `[isolate]`: the process of the graph need not load them.
-    pub fn isolated_plugins(&self) -> Vec<String> {
-        let is_isolated = |plugin: &String| self.isolate.iter().any(|(name, _)| name.value == *plugin);
-        self.plugins().into_iter().filter(is_isolated).collect()
+    /// Those of [`Self::plugins`] whose nodes all run in processes of their own: the process of the graph need not load them. `[isolate]` names them,
+    /// or each of their nodes says `isolate`.
+    ///
+    /// `offers` has the node types of the plugins. Where a node that is not isolated is of a type that no plugin offers, only those that `[isolate]`
+    /// names count: what is offered is not known completely.
+    pub fn isolated_plugins(&self, offers: &[Offer]) -> Vec<String> {
+        let plugins = self.plugins();
+        let of_plugin = |plugin: &str| offers.iter().find(|offer| offer.plugin == plugin);
+        let may_be_of = |plugin: &str, type_name: &str| {
+            let (named, name) = type_name.split_once('/').map_or((None, type_name), |(plugin, name)| (Some(plugin), name));
+            named.is_none_or(|named| named == plugin)
+                && of_plugin(plugin).is_some_and(|offer| offer.node_types.iter().any(|known| known == name))
+        };
+        let types = || self.flat.nodes.iter().filter_map(|node| Some((node, node.type_name.as_ref()?.value.as_str())));
+        let is_complete = types().all(|(node, type_name)| {
+            node.isolate.is_some() || plugins.iter().any(|plugin| may_be_of(plugin, type_name))
+        });
+        let has_isolated_nodes = |plugin: &str| {
+            let mut nodes = types().filter(|(_, type_name)| may_be_of(plugin, type_name)).peekable();
+            nodes.peek().is_some() && nodes.all(|(node, _)| node.isolate.is_some())
+        };
+        let is_isolated = |plugin: &String| {
+            self.isolate.iter().any(|(name, _)| name.value == *plugin) || (is_complete && has_isolated_nodes(plugin))
+        };
+        plugins.iter().filter(|plugin| is_isolated(plugin)).cloned().collect()
     }
 
     /// Extra folders to look for plugins, each resolved against the folder of its file.

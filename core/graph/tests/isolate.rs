@@ -3,7 +3,7 @@
 mod common;
 
 use panoscope_graph::edit::FileEdits;
-use panoscope_graph::{Graph, GraphOptions, GraphText, NodeKind, check, to_dot};
+use panoscope_graph::{Graph, GraphOptions, GraphText, NodeKind, Offer, check, to_dot};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -148,7 +148,39 @@ fn a_group_is_denied_what_the_file_or_the_last_overlay_says() {
     assert_eq!(deny(&checked(&GraphText::parse(&path("graph.toml"), &flat))), expected, "{flat}");
     let over = parsed(&graph, Some("[deny]\nmatching = []\n"));
     assert_eq!(deny(&checked(&over))[1].1, Vec::<&str>::new(), "an overlay decides for a group");
-    assert_eq!(checked(&text).isolated_plugins, ["phantom", "stereo"], "single nodes do not isolate a plugin");
+}
+
+#[test]
+fn a_plugin_is_isolated_if_all_its_nodes_are() {
+    let catalog = common::catalog();
+    let offers: Vec<Offer> = ["phantom", "stereo", "sinks"]
+        .into_iter()
+        .map(|plugin| {
+            let types = catalog.node_types.iter().filter(|node_type| node_type.plugin == plugin);
+            Offer { plugin: plugin.to_owned(), node_types: types.map(|node_type| node_type.name.clone()).collect() }
+        })
+        .collect();
+    let both = |text: &GraphText| {
+        let isolated = text.isolated_plugins(&offers);
+        assert_eq!(checked(text).isolated_plugins, isolated, "the text and the checked graph agree");
+        isolated
+    };
+    assert_eq!(both(&parsed(GRAPH, None)), ["phantom", "stereo", "sinks"]);
+    let plain = GRAPH.replace("isolate = \"views\"\n", "");
+    assert_eq!(both(&parsed(&plain, None)), ["phantom", "stereo"], "a node of the process of the graph needs its plugin");
+    let two = format!("{GRAPH}[nodes.also]\ntype = \"preview\"\ninputs = {{ packet = \"depth.disparity\" }}\n");
+    assert_eq!(both(&parsed(&two, None)), ["phantom", "stereo"], "one of two nodes");
+    let nobody = GRAPH.replace("stereo = \"matching\"", "");
+    assert_eq!(both(&parsed(&nobody, None)), ["phantom", "sinks"], "one of two nodes, in a part");
+    // Types by the name of their plugin, and types that no note has.
+    let long = plain.replace("type = \"preview\"", "type = \"sinks/preview\"");
+    assert_eq!(both(&parsed(&long, None)), ["phantom", "stereo"]);
+    let lacking: Vec<Offer> = offers.iter().filter(|offer| offer.plugin != "sinks").cloned().collect();
+    let only_phantom = GRAPH.replace("[isolate]\nphantom = \"renderer\"\n", "[isolate]\n").replace("\"phantom\"\n", "\"phantom\"\nisolate = \"a\"\n");
+    assert_eq!(parsed(&only_phantom, None).isolated_plugins(&offers), ["phantom", "stereo", "sinks"]);
+    let only_phantom = only_phantom.replace("isolate = \"views\"\n", "");
+    assert_eq!(parsed(&only_phantom, None).isolated_plugins(&offers), ["phantom", "stereo"]);
+    assert_eq!(parsed(&only_phantom, None).isolated_plugins(&lacking), ["stereo"], "the node may be of any plugin");
 }
 
 #[test]

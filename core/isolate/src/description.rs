@@ -2,6 +2,7 @@
 //!
 //! Functions do not cross. Where the plugin has an optional one, the copy has one that refuses, so that it is known to exist.
 
+use std::any::Any;
 use std::ffi::c_void;
 
 use panoscope_abi::{self as abi, Host, NodeType, Param, Port, Status, Str};
@@ -75,35 +76,65 @@ unsafe fn write_param(param: &Param, out: &mut Writer<'_>) {
     }
 }
 
-/// Reads node types. They live until the process ends, as those of a plugin do. Nothing is checked but the lengths.
-pub(crate) fn read(bytes: &[u8]) -> Result<Vec<NodeType>, BadMessage> {
-    let mut reader = Reader(bytes);
-    let node_types = (0..reader.count(TYPE_BYTES)?).map(|_| read_type(&mut reader)).collect::<Result<_, _>>()?;
-    if reader.0.is_empty() { Ok(node_types) } else { Err(BadMessage) }
+/// Node types that were read, and the memory that they point to.
+pub(crate) struct Described {
+    pub node_types: Vec<NodeType>,
+    memory: Memory,
 }
 
-fn text(reader: &mut Reader<'_>) -> Result<Str, BadMessage> {
-    let text: &'static [u8] = Box::leak(reader.bytes()?.into());
-    Ok(Str { ptr: text.as_ptr(), len: text.len() })
+impl Described {
+    /// From here on they live until the process ends, as those of a plugin do.
+    pub fn into_static(self) -> Vec<NodeType> {
+        std::mem::forget(self.memory);
+        self.node_types
+    }
+}
+
+/// Lists and texts, which do not move.
+#[derive(Default)]
+struct Memory(Vec<Box<dyn Any>>);
+
+impl Memory {
+    /// Keeps some values; returns where they are and how many.
+    fn keep<T: 'static>(&mut self, values: Vec<T>) -> (*const T, usize) {
+        let values = values.into_boxed_slice();
+        let kept = (values.as_ptr(), values.len());
+        self.0.push(Box::new(values));
+        kept
+    }
+}
+
+/// Reads node types. Nothing is checked but the lengths.
+pub(crate) fn read(bytes: &[u8]) -> Result<Described, BadMessage> {
+    let (mut reader, mut memory) = (Reader(bytes), Memory::default());
+    let node_types =
+        (0..reader.count(TYPE_BYTES)?).map(|_| read_type(&mut reader, &mut memory)).collect::<Result<_, _>>()?;
+    if reader.0.is_empty() { Ok(Described { node_types, memory }) } else { Err(BadMessage) }
+}
+
+fn text(reader: &mut Reader<'_>, memory: &mut Memory) -> Result<Str, BadMessage> {
+    let (ptr, len) = memory.keep(reader.bytes()?.to_vec());
+    Ok(Str { ptr, len })
 }
 
 /// As many values as the message says, each of at least `least` bytes.
-fn list<T>(
+fn list<T: 'static>(
     reader: &mut Reader<'_>,
+    memory: &mut Memory,
     least: usize,
-    read: impl Fn(&mut Reader<'_>) -> Result<T, BadMessage>,
-) -> Result<&'static [T], BadMessage> {
-    let values = (0..reader.count(least)?).map(|_| read(reader)).collect::<Result<Vec<T>, _>>()?;
-    Ok(Box::leak(values.into_boxed_slice()))
+    read: impl Fn(&mut Reader<'_>, &mut Memory) -> Result<T, BadMessage>,
+) -> Result<(*const T, usize), BadMessage> {
+    let values = (0..reader.count(least)?).map(|_| read(reader, memory)).collect::<Result<Vec<T>, _>>()?;
+    Ok(memory.keep(values))
 }
 
-fn read_type(reader: &mut Reader<'_>) -> Result<NodeType, BadMessage> {
+fn read_type(reader: &mut Reader<'_>, memory: &mut Memory) -> Result<NodeType, BadMessage> {
     let (kind, flags, functions) = (reader.u32()?, reader.u32()?, reader.u32()?);
     let has = |bit: u32| functions & bit != 0;
-    let (name, family, doc) = (text(reader)?, text(reader)?, text(reader)?);
-    let inputs = list(reader, PORT_BYTES, read_port)?;
-    let outputs = list(reader, PORT_BYTES, read_port)?;
-    let params = list(reader, PARAM_BYTES, read_param)?;
+    let (name, family, doc) = (text(reader, memory)?, text(reader, memory)?, text(reader, memory)?);
+    let (inputs, inputs_len) = list(reader, memory, PORT_BYTES, read_port)?;
+    let (outputs, outputs_len) = list(reader, memory, PORT_BYTES, read_port)?;
+    let (params, params_len) = list(reader, memory, PARAM_BYTES, read_param)?;
     Ok(NodeType {
         struct_size: size_of::<NodeType>() as u32,
         kind,
@@ -112,12 +143,12 @@ fn read_type(reader: &mut Reader<'_>) -> Result<NodeType, BadMessage> {
         name,
         family,
         doc,
-        inputs: inputs.as_ptr(),
-        inputs_len: inputs.len(),
-        outputs: outputs.as_ptr(),
-        outputs_len: outputs.len(),
-        params: params.as_ptr(),
-        params_len: params.len(),
+        inputs,
+        inputs_len,
+        outputs,
+        outputs_len,
+        params,
+        params_len,
         open: Some(open),
         process: Some(process),
         close: Some(close),
@@ -128,18 +159,18 @@ fn read_type(reader: &mut Reader<'_>) -> Result<NodeType, BadMessage> {
     })
 }
 
-fn read_port(reader: &mut Reader<'_>) -> Result<Port, BadMessage> {
-    let (name, doc, packet) = (text(reader)?, text(reader)?, text(reader)?);
+fn read_port(reader: &mut Reader<'_>, memory: &mut Memory) -> Result<Port, BadMessage> {
+    let (name, doc, packet) = (text(reader, memory)?, text(reader, memory)?, text(reader, memory)?);
     Ok(Port { name, doc, packet, layout_hash: reader.u64()?, formats: reader.u32()?, flags: reader.u32()? })
 }
 
-fn read_param(reader: &mut Reader<'_>) -> Result<Param, BadMessage> {
-    let (name, doc, unit) = (text(reader)?, text(reader)?, text(reader)?);
+fn read_param(reader: &mut Reader<'_>, memory: &mut Memory) -> Result<Param, BadMessage> {
+    let (name, doc, unit) = (text(reader, memory)?, text(reader, memory)?, text(reader, memory)?);
     let (kind, flags) = (reader.u32()?, reader.u32()?);
     let (default_number, min, max, step) = (reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?);
-    let default_text = text(reader)?;
-    let choices = list(reader, 8, text)?;
-    let default_floats = list(reader, 8, |reader| reader.f64())?;
+    let default_text = text(reader, memory)?;
+    let (choices, choices_len) = list(reader, memory, 8, text)?;
+    let (default_floats, default_floats_len) = list(reader, memory, 8, |reader, _| reader.f64())?;
     Ok(Param {
         name,
         doc,
@@ -151,10 +182,10 @@ fn read_param(reader: &mut Reader<'_>) -> Result<Param, BadMessage> {
         max,
         step,
         default_text,
-        choices: choices.as_ptr(),
-        choices_len: choices.len(),
-        default_floats: default_floats.as_ptr(),
-        default_floats_len: default_floats.len(),
+        choices,
+        choices_len,
+        default_floats,
+        default_floats_len,
     })
 }
 
@@ -261,11 +292,12 @@ mod tests {
         // SAFETY: a descriptor whose parts live until the process ends.
         unsafe { write(&[&node_type], &mut Writer(&mut first)) };
         let read = read(&first).expect("what was written");
-        // SAFETY: as above.
-        unsafe { write(&[&read[0]], &mut Writer(&mut second)) };
+        let copy = &read.node_types[0];
+        // SAFETY: `read` holds what the copy points to.
+        unsafe { write(&[copy], &mut Writer(&mut second)) };
         assert_eq!(first, second);
-        assert!(read[0].save_state.is_some() && read[0].validate.is_some());
-        assert!(read[0].load_state.is_none() && read[0].finish.is_none());
+        assert!(copy.save_state.is_some() && copy.validate.is_some());
+        assert!(copy.load_state.is_none() && copy.finish.is_none());
     }
 
     #[test]

@@ -132,12 +132,18 @@ impl Lane {
 
     /// Writes a message and passes the turn to the other side. The caller has the turn.
     pub fn post(&self, from: Side, kind: Kind, message: &[u8]) {
+        let len = message.len().min(MAX_MESSAGE_BYTES);
+        self.post_as(from, kind as u32, len as u32, message);
+    }
+
+    /// As [`Self::post`], with any numbers in the head of the message.
+    pub fn post_as(&self, from: Side, kind: u32, stated_len: u32, message: &[u8]) {
         self.posts.fetch_add(1, Ordering::Relaxed);
         let len = message.len().min(MAX_MESSAGE_BYTES);
         // SAFETY: `len` bytes lie inside the mapping behind the head; the other side reads them after its turn begins.
         unsafe { std::ptr::copy_nonoverlapping(message.as_ptr(), self.base.add(HEAD_BYTES), len) };
-        self.head().kind.store(kind as u32, Ordering::Relaxed);
-        self.head().len.store(len as u32, Ordering::Relaxed);
+        self.head().kind.store(kind, Ordering::Relaxed);
+        self.head().len.store(stated_len, Ordering::Relaxed);
         self.pass(if from == Side::Host { CHILD } else { HOST });
     }
 

@@ -22,6 +22,9 @@ mod lane;
 mod socket;
 mod wire;
 
+#[doc(hidden)]
+pub use host::played;
+
 pub use confine::{Kernel, kernel};
 pub use host::{
     DescribeError, Describer, Description, Launch, PluginImage, Processes, describe, remember, remember_described,

@@ -2,6 +2,13 @@
 
 use panoscope_abi::{self as abi, BufferId, Frame, ParamValue, Str, Tick};
 
+/// Problems of one node that are passed on.
+pub(crate) const MAX_PROBLEMS: usize = 64;
+/// Longest text of a problem.
+pub(crate) const MAX_PROBLEM_BYTES: usize = 4096;
+/// Longest text of a log line, a fault or a path that is passed on.
+pub(crate) const MAX_TEXT_BYTES: usize = 64 << 10;
+
 /// What a message is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
@@ -265,6 +272,12 @@ pub(crate) struct Params {
     floats: Vec<Box<[f64]>>,
 }
 
+/// Words of another process, for a person: of limited length, without characters that control a terminal.
+pub(crate) fn plain_words(bytes: &[u8]) -> String {
+    let words = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_PROBLEM_BYTES)]);
+    words.chars().map(|c| if c.is_control() && c != '\n' { ' ' } else { c }).collect()
+}
+
 /// Whether a status is one that a plugin may return. Others would be taken for the host's own.
 pub(crate) fn plain_status(status: abi::Status) -> abi::Status {
     if (abi::STATUS_STOPPED..=abi::STATUS_END).contains(&status) { status } else { abi::STATUS_ERROR }
@@ -323,5 +336,7 @@ mod tests {
         assert!(Reader(&bytes[..7]).u64().is_err() && Reader(&bytes).frame().is_err());
         assert!(Kind::of(99).is_none() && Kind::of(103) == Some(Kind::MakeMut));
         assert_eq!(plain_status(abi::Status::MIN), abi::STATUS_ERROR);
+        assert_eq!(plain_words(b"a\x1b[31m\xff\nb\0"), "a [31m\u{fffd}\nb ");
+        assert_eq!(plain_words(&[b'x'; 2 * MAX_PROBLEM_BYTES]).len(), MAX_PROBLEM_BYTES);
     }
 }

@@ -277,10 +277,24 @@ impl Loader {
         result
     }
 
+    /// What the plugins that were found offer, from their notes.
+    fn offers(&self) -> Vec<Offer> {
+        let offer = |(plugin, found): (&String, &PluginFile)| Offer {
+            plugin: plugin.clone(),
+            node_types: found.note.node_types.clone(),
+        };
+        self.found.iter().map(offer).collect()
+    }
+
+    /// The plugins of a graph's text that [`Self::catalog_of`] does not load into this process.
+    pub fn isolated_plugins(&self, text: &GraphText) -> Vec<String> {
+        text.isolated_plugins(&self.offers())
+    }
+
     /// The catalogue for a graph's text, as [`Self::catalog`] with its plugins. From here on plugins whose nodes all run in processes of their own,
-    /// by `[isolate]`, are not loaded into this process: another process describes them.
+    /// see [`GraphText::isolated_plugins`], are not loaded into this process: another process describes them.
     pub fn catalog_of(&self, text: &GraphText) -> Catalog {
-        self.set_isolated(text.isolated_plugins());
+        self.set_isolated(self.isolated_plugins(text));
         self.catalog(&text.plugins())
     }
 

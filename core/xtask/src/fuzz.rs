@@ -25,19 +25,21 @@ const MOST_FILES: usize = 60;
 const MOST_BYTES: u64 = 100 << 10;
 
 /// What the command line asks for.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq, Eq)]
 struct Request {
     target: Option<String>,
     seconds: u64,
     /// Put a minimized selection of what was found into the repository.
     keep: bool,
-    /// Show the lines of the parsers that the corpora reach, and fuzz nothing.
+    /// Show the share of the parsers' lines that the corpora reach, and fuzz nothing.
     coverage: bool,
+    /// With `coverage`: also the lines that they do not reach.
+    missed: bool,
 }
 
 impl Request {
     fn parse(args: &[String]) -> Result<Self> {
-        let mut request = Self { target: None, seconds: SECONDS, keep: false, coverage: false };
+        let mut request = Self { seconds: SECONDS, ..Self::default() };
         let mut words = args.iter();
         while let Some(word) = words.next() {
             match word.as_str() {
@@ -47,6 +49,7 @@ impl Request {
                 }
                 "--keep" => request.keep = true,
                 "--coverage" => request.coverage = true,
+                "--missed" => (request.coverage, request.missed) = (true, true),
                 name if request.target.is_none() && !name.starts_with('-') => request.target = Some(name.to_owned()),
                 other => bail!("unexpected argument `{other}`"),
             }
@@ -104,7 +107,7 @@ pub fn fuzz(workspace: &Workspace, args: &[String]) -> Result<bool> {
     let request = Request::parse(args)?;
     let work = workspace.target.join("fuzz");
     if request.coverage {
-        return coverage::coverage(workspace, &work);
+        return coverage::coverage(workspace, &work, request.missed);
     }
     let source = workspace.root.join("tests/fuzz");
     let mut targets = targets(&source.join("fuzz_targets"))?;
@@ -282,8 +285,8 @@ mod tests {
     #[test]
     fn arguments_choose_target_and_time() {
         let parse = |text: &str| Request::parse(&text.split_whitespace().map(str::to_owned).collect::<Vec<_>>());
-        assert_eq!(parse("").unwrap(), Request { target: None, seconds: SECONDS, keep: false, coverage: false });
-        let graph = Request { target: Some("graph".to_owned()), seconds: 5, keep: true, coverage: false };
+        assert_eq!(parse("").unwrap(), Request { seconds: SECONDS, ..Request::default() });
+        let graph = Request { target: Some("graph".to_owned()), seconds: 5, keep: true, ..Request::default() };
         assert_eq!(parse("graph --seconds 5 --keep").unwrap(), graph);
         assert!(parse("graph urdf").unwrap_err().to_string().contains("`urdf`"));
         assert!(parse("--seconds").unwrap_err().to_string().contains("a number"));

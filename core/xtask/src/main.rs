@@ -46,10 +46,10 @@ cargo xtask COMMAND
                        sim
   interlock [--coverage | --mutants]
                        judges the tests of the arm's interlock: branch coverage (nightly compiler) and mutants; takes an hour
-  fuzz [TARGET] [--seconds N] [--keep] | fuzz --coverage
+  fuzz [TARGET] [--seconds N] [--keep] | fuzz --coverage | fuzz --missed
                        feeds the parsers of foreign files with inputs that look for crashes, N seconds each (60); needs the nightly toolchain;
-                       --keep puts a small selection of what it found into tests/fuzz/corpus; --coverage shows which lines of the parsers
-                       the corpora reach
+                       --keep puts a small selection of what it found into tests/fuzz/corpus; --coverage shows the share of the parsers' lines that
+                       the corpora reach, --missed also which they do not
   setup                installs the system packages that are missing
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`

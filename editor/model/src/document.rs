@@ -374,7 +374,7 @@ impl Document {
         self.adopt(&parsed);
         self.args = parsed.args().to_vec();
         self.missing_args = parsed.missing_args().into_iter().map(str::to_owned).collect();
-        let (plugins, isolated) = (parsed.plugins(), parsed.isolated_plugins());
+        let (plugins, isolated) = (parsed.plugins(), self.loader.isolated_plugins(&parsed));
         if plugins != self.plugins || isolated != self.isolated_plugins {
             self.catalog = Arc::new(self.loader.catalog_of(&parsed));
             (self.plugins, self.isolated_plugins) = (plugins, isolated);

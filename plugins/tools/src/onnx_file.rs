@@ -1,4 +1,4 @@
-//! A look into an ONNX file before ONNX Runtime sees it: what it would read outside itself, how deep it nests.
+//! A look into an ONNX file before ONNX Runtime sees it: what it would read outside itself, how deep it nests, how much work it is.
 //!
 //! An ONNX file may name other files for its weights. Only files in the model's own folder are accepted, or those that a host appended to the
 //! model itself ([`panoscope_base::onnx::bundle_header`]).
@@ -6,6 +6,7 @@
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
+use panoscope_base::onnx::work::{self, TooMuch};
 use panoscope_base::onnx;
 
 /// Largest file that the format allows, bytes.
@@ -39,6 +40,14 @@ pub enum OnnxFileError {
         reason: &'static str,
         /// Position in the file, bytes.
         offset: usize,
+    },
+    /// Opening it would take too long.
+    #[error("{path} would keep ONNX Runtime busy: {reason}; export it again, simplified (onnxsim), or use another model", path = path.display())]
+    TooMuch {
+        /// The file.
+        path: PathBuf,
+        /// What there is too much of.
+        reason: TooMuch,
     },
     /// Weights outside the model's folder.
     #[error("{path} reads its weights from `{location}`, which is not in its own folder: refused", path = path.display())]
@@ -86,6 +95,10 @@ pub fn read(path: &Path) -> Result<OnnxFile, OnnxFileError> {
         |onnx::Malformed { reason, offset }| OnnxFileError::Malformed { path: path.to_owned(), reason, offset };
     let bundle = onnx::unbundle(&data).map_err(malformed)?;
     let locations = onnx::weight_files(&data[..bundle.model_len]).map_err(malformed)?;
+    work::check(&data[..bundle.model_len]).map_err(|reason| match reason {
+        TooMuch::Malformed(reason) => malformed(reason),
+        reason => OnnxFileError::TooMuch { path: path.to_owned(), reason },
+    })?;
     let weights: Vec<(String, Arc<[u8]>)> =
         bundle.weights.into_iter().map(|(name, range)| (name, Arc::from(&data[range]))).collect();
     data.truncate(bundle.model_len);

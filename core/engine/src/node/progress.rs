@@ -15,6 +15,9 @@ use crate::sync::lock;
 /// Size changes that are kept: a reader may lag a few ticks behind.
 const SIZE_CHANGES: usize = 8;
 
+/// Names of metrics of one node. A report with more is no use to anybody, and each costs memory until the end of the run.
+const MAX_METRICS: usize = 1024;
+
 /// An output changed its size.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SizeChange {
@@ -38,9 +41,11 @@ impl Progress {
     /// Keeps the newest value of a metric.
     pub fn set_metric(&self, name: &str, value: f64) {
         let mut metrics = lock(&self.metrics);
+        let is_full = metrics.len() >= MAX_METRICS;
         match metrics.iter_mut().find(|(known, _)| known == name) {
             Some((_, newest)) => *newest = value,
-            None => metrics.push((name.to_owned(), value)),
+            None if !is_full => metrics.push((name.to_owned(), value)),
+            None => {}
         }
     }
 
@@ -95,4 +100,18 @@ impl Progress {
 /// The bit of an output; 0 beyond the 64th.
 fn port_bit(output: usize) -> u64 {
     1u64.checked_shl(output as u32).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_metrics_are_limited() {
+        let progress = Progress::default();
+        (0..MAX_METRICS + 5).for_each(|k| progress.set_metric(&format!("m{k}"), k as f64));
+        progress.set_metric("m0", -1.0);
+        let metrics = progress.metrics();
+        assert_eq!((metrics.len(), metrics[0].1), (MAX_METRICS, -1.0), "known names have new values");
+    }
 }

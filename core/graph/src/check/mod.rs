@@ -198,11 +198,17 @@ impl<'a> Checker<'a> {
         }
         let mut edges: Vec<Edge> = self.links.iter().filter_map(edge).collect();
         edges.sort_by_key(|e| (e.to_node, e.to_port, e.list_index));
+        let isolated_plugins = self.text.plugins().into_iter().filter(|plugin| {
+            let mut nodes = nodes.iter().filter(|node| node.plugin == *plugin).peekable();
+            let is_named = self.text.isolate.iter().any(|(name, _)| name.value == *plugin);
+            is_named || (nodes.peek().is_some() && nodes.all(|node| node.isolate.is_some()))
+        });
+        let isolated_plugins = isolated_plugins.collect();
         let graph = Graph {
             name: self.text.name().to_owned(),
             mode: self.text.mode,
             plugins: self.text.plugins(),
-            isolated_plugins: self.text.isolated_plugins(),
+            isolated_plugins,
             nodes,
             edges,
             order,

@@ -7,11 +7,7 @@ use panoscope_abi::{self as abi, Str};
 use super::Child;
 use crate::description;
 use crate::lane::MAX_MESSAGE_BYTES;
-use crate::wire::{BadMessage, Reader, Writer};
-
-/// Problems of one node that are passed on, and the bytes of each text.
-const MAX_PROBLEMS: usize = 64;
-const MAX_TEXT_BYTES: usize = 4096;
+use crate::wire::{BadMessage, MAX_PROBLEM_BYTES, MAX_PROBLEMS, Reader, Writer};
 
 /// Writes whether the plugin could be loaded, and its node types or why not.
 pub(super) fn describe(child: &Child, reader: &mut Reader<'_>, out: &mut Vec<u8>) -> Result<(), BadMessage> {
@@ -54,7 +50,7 @@ unsafe extern "C" fn invalid(call: *mut c_void, severity: u32, param: u32, messa
     for text in [message, help] {
         // SAFETY: the plugin's texts are readable for the length of this function.
         let bytes = unsafe { text.bytes() };
-        out.bytes(&bytes[..bytes.len().min(MAX_TEXT_BYTES)]);
+        out.bytes(&bytes[..bytes.len().min(MAX_PROBLEM_BYTES)]);
     }
 }
 

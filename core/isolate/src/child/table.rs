@@ -14,10 +14,8 @@ use panoscope_engine::{pool, random_seed};
 
 use super::pools;
 use crate::lane::{Lane, Side};
-use crate::wire::{BadMessage, Kind, Reader, Writer};
+use crate::wire::{BadMessage, Kind, MAX_TEXT_BYTES, Reader, Writer};
 
-/// Longest text of a log line, a fault or a path that is passed on.
-const MAX_TEXT_BYTES: usize = 64 << 10;
 /// Bytes of a saved state that one message takes.
 const STATE_PART_BYTES: usize = 512 << 10;
 /// More than this is not written down, but sent at once.

@@ -8,7 +8,7 @@ use panoscope_engine::memory::{FrameRef, Memory, memory};
 
 use super::process::Process;
 use super::stock::Stock;
-use crate::wire::{BadMessage, Kind, Reader, Writer};
+use crate::wire::{BadMessage, Kind, MAX_TEXT_BYTES, Reader, Writer};
 
 /// What the functions of the host need while a request is in the child.
 #[derive(Clone, Copy)]
@@ -91,6 +91,30 @@ impl Habits {
     }
 }
 
+/// Most bytes of a state that the host keeps for an instance in another process.
+const MAX_STATE_BYTES: usize = 256 << 20;
+/// Most files that a node in another process may claim in one call, and the longest path that the system accepts.
+const MAX_CLAIMS: usize = 1024;
+const MAX_PATH_BYTES: usize = 4096;
+/// Longest name of a metric.
+const MAX_NAME_BYTES: usize = 256;
+
+/// What the child asked for during one request, as far as it takes memory of the host.
+#[derive(Default)]
+pub(super) struct Spent {
+    state_bytes: usize,
+    claims: usize,
+    /// What it has asked too much of.
+    pub objection: Option<&'static str>,
+}
+
+impl Spent {
+    fn refuse(&mut self, objection: &'static str) -> BadMessage {
+        self.objection = Some(objection);
+        BadMessage
+    }
+}
+
 /// Runs functions of the host for one instance.
 pub(super) struct Answerer<'r> {
     pub host: &'r Host,
@@ -98,6 +122,7 @@ pub(super) struct Answerer<'r> {
     pub process: &'r Process,
     pub stock: &'r mut Stock,
     pub habits: &'r mut Habits,
+    pub spent: &'r mut Spent,
 }
 
 impl Answerer<'_> {
@@ -163,6 +188,9 @@ impl Answerer<'_> {
             }
             Kind::Metric => {
                 let (name, value) = (reader.bytes()?, reader.f64()?);
+                if name.len() > MAX_NAME_BYTES {
+                    return Err(BadMessage);
+                }
                 if let Some(metric) = host.metric {
                     // SAFETY: the running call; the name lives until the call returns.
                     unsafe { metric(call, Str { ptr: name.as_ptr(), len: name.len() }, value) };
@@ -194,6 +222,10 @@ impl Answerer<'_> {
         }
         if asked == Kind::Save {
             let bytes = reader.bytes()?;
+            self.spent.state_bytes += bytes.len();
+            if self.spent.state_bytes > MAX_STATE_BYTES {
+                return Err(self.spent.refuse("has a state of more than 256 MB"));
+            }
             // SAFETY: the table that came with the sink takes bytes for it.
             if let Some(save) = unsafe { (*self.target.host).save }.filter(|_| !self.target.sink.is_null()) {
                 // SAFETY: the bytes live until the call returns.
@@ -204,7 +236,7 @@ impl Answerer<'_> {
         if call.is_null() {
             return Err(BadMessage);
         }
-        let text = |bytes: &[u8]| Str { ptr: bytes.as_ptr(), len: bytes.len() };
+        let text = |bytes: &[u8]| Str { ptr: bytes.as_ptr(), len: bytes.len().min(MAX_TEXT_BYTES) };
         match asked {
             Kind::Alloc => {
                 let output = reader.u32()?;
@@ -247,6 +279,10 @@ impl Answerer<'_> {
             }
             Kind::ClaimFile => {
                 let (action, path) = (reader.u32()?, reader.text()?);
+                self.spent.claims += 1;
+                if self.spent.claims > MAX_CLAIMS || path.len() > MAX_PATH_BYTES {
+                    return Err(self.spent.refuse("claims more than 1024 files in one call, or a path of more than 4096 bytes"));
+                }
                 let mut file = Str::EMPTY;
                 // SAFETY: the running call; path and place for the answer live until the call returns.
                 let status = host.claim_file.map_or(abi::STATUS_INVALID, |claim| unsafe {

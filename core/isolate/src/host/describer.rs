@@ -10,9 +10,9 @@ use panoscope_engine::isolation::{Deny, GroupSettings};
 
 use super::process::{Launch, NodeLane, Process};
 use super::{PluginImage, Totals, lock};
-use crate::description;
+use crate::description::{self, Described};
 use crate::lane::{Lost, Side};
-use crate::wire::{BadMessage, Kind, Reader, Writer};
+use crate::wire::{BadMessage, Kind, MAX_PROBLEM_BYTES, MAX_PROBLEMS, Reader, Writer, plain_words};
 
 /// How long a check of parameters may take.
 const MAX_VALIDATE: Duration = Duration::from_secs(10);
@@ -89,21 +89,26 @@ pub fn describe(
         node_types.into_iter().map(|node_type| std::ptr::from_ref(Box::leak(Box::new(node_type)))).collect();
     let pointers: &'static [*const NodeType] = Box::leak(pointers.into_boxed_slice());
     let name: &'static str = Box::leak(name.to_owned().into_boxed_str());
-    let plugin = Plugin {
+    let plugin = descriptor(name, pointers);
+    Ok(Description { plugin: Box::leak(Box::new(plugin)), describer })
+}
+
+/// The descriptor of a plugin with this name and these node types, which live as long as it is used.
+pub(super) fn descriptor(name: &str, node_types: &[*const NodeType]) -> Plugin {
+    Plugin {
         magic: abi::MAGIC,
         abi_major: abi::ABI_MAJOR,
         abi_minor: abi::ABI_MINOR,
         struct_size: size_of::<Plugin>() as u32,
         reserved: 0,
-        name: Str::new(name),
+        name: Str::borrow(name),
         version: Str::EMPTY,
         doc: Str::EMPTY,
-        node_types: pointers.as_ptr(),
-        node_types_len: pointers.len(),
+        node_types: node_types.as_ptr(),
+        node_types_len: node_types.len(),
         note: std::ptr::null(),
         attach: None,
-    };
-    Ok(Description { plugin: Box::leak(Box::new(plugin)), describer })
+    }
 }
 
 impl Describer {
@@ -114,8 +119,8 @@ impl Describer {
         let mut reader = Reader(&answer);
         let nonsense = |BadMessage| DescribeError::Nonsense;
         match reader.i32().map_err(nonsense)? {
-            abi::STATUS_OK => description::read(reader.0).map_err(nonsense),
-            _ => Err(DescribeError::Refused(reader.text().map_err(nonsense)?.to_owned())),
+            abi::STATUS_OK => description::read(reader.0).map(Described::into_static).map_err(nonsense),
+            _ => Err(DescribeError::Refused(plain_words(reader.bytes().map_err(nonsense)?))),
         }
     }
 
@@ -145,20 +150,8 @@ impl Describer {
         connections.iter().for_each(|count| _ = out.u32(*count));
         out.u64(call.outputs_read);
         let answer = self.ask(Kind::Validate, &request, MAX_VALIDATE)?;
-        let mut reader = Reader(&answer);
-        let mut report = || {
-            let status = reader.i32()?;
-            for _ in 0..reader.count(24)? {
-                let (severity, param, message, help) = (reader.u32()?, reader.u32()?, reader.bytes()?, reader.bytes()?);
-                let text = |bytes: &[u8]| Str { ptr: bytes.as_ptr(), len: bytes.len() };
-                if let Some(invalid) = call.invalid {
-                    // SAFETY: the caller's promise; the texts live until the function returns.
-                    unsafe { invalid(call.call, severity, param, text(message), text(help)) };
-                }
-            }
-            Ok(status)
-        };
-        report().map_err(|BadMessage| DescribeError::Nonsense)
+        // SAFETY: the caller's promise.
+        unsafe { report(&answer, call) }.map_err(|BadMessage| DescribeError::Nonsense)
     }
 
     /// Has the process do something; returns what it says.
@@ -185,6 +178,7 @@ impl Describer {
             threads: 1,
             memory_bytes: MEMORY_BYTES,
             deny: Deny { network: true, new_files: true },
+            keeps_stderr: false,
         };
         let what = "the process that describes it".to_owned();
         let process = Process::start(&launch, &settings, what, 0, &Arc::new(Totals::default()))
@@ -196,6 +190,28 @@ impl Describer {
             Err(cause) => Err(DescribeError::Unreachable(format!("the process that describes it: {cause}"))),
         }
     }
+}
+
+/// Passes the problems in the answer of a process on to `call`; returns the status.
+///
+/// # Safety
+/// The handle of the call lives until this returns.
+pub(super) unsafe fn report(answer: &[u8], call: &abi::ValidateCall) -> Result<Status, BadMessage> {
+    let mut reader = Reader(answer);
+    let status = reader.i32()?;
+    let count = reader.count(24)?;
+    if count > MAX_PROBLEMS {
+        return Err(BadMessage);
+    }
+    for _ in 0..count {
+        let (severity, param, message, help) = (reader.u32()?, reader.u32()?, reader.bytes()?, reader.bytes()?);
+        let text = |bytes: &[u8]| Str { ptr: bytes.as_ptr(), len: bytes.len().min(MAX_PROBLEM_BYTES) };
+        if let Some(invalid) = call.invalid {
+            // SAFETY: the caller's promise; the texts live until the function returns.
+            unsafe { invalid(call.call, severity, param, text(message), text(help)) };
+        }
+    }
+    Ok(status)
 }
 
 fn exchange(running: Option<&Running>, kind: Kind, request: &[u8], limit: Duration) -> Result<Vec<u8>, DescribeError> {

@@ -2,6 +2,8 @@
 
 mod answer;
 mod describer;
+#[doc(hidden)]
+pub mod played;
 mod process;
 mod remote;
 mod stock;

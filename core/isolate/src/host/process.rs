@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+use std::os::unix::fs::FileExt;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -19,11 +20,15 @@ use panoscope_engine::memory::{MOST_POOLS, Memory, PoolFile, memory};
 use super::{PluginImage, Totals, lock};
 use crate::lane::Lane;
 use crate::socket::{self, Tag};
-use crate::wire::Writer;
+use crate::wire::{Reader, Writer, plain_words};
 use crate::{COMMAND, EXIT_CONFINED, PROTOCOL};
 
 /// How long a process may take to leave after its last instance closed, or to die after it was killed.
 const MAX_LEAVE: Duration = Duration::from_secs(1);
+/// Bytes of standard error that are kept.
+const STDERR_BYTES: u64 = 16 << 10;
+/// Most characters of them in a message.
+const MAX_SAID: usize = 300;
 /// Name of the program whose processes run isolated nodes.
 const PROGRAM: &str = "panoscope";
 
@@ -44,9 +49,13 @@ impl Launch {
         Ok(Self { program: program()?, arguments: vec![COMMAND.into()], environment: Vec::new() })
     }
 
-    fn start(&self, group: &str, socket: OwnedFd) -> io::Result<Child> {
+    /// Starts the program; its standard error goes to `stderr`, if that is given.
+    fn start(&self, group: &str, socket: OwnedFd, stderr: Option<&File>) -> io::Result<Child> {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).arg(group).envs(self.environment.iter().map(|(name, value)| (name, value)));
+        if let Some(stderr) = stderr {
+            command.stderr(stderr.try_clone()?);
+        }
         command.stdin(Stdio::from(socket)).spawn()
     }
 }
@@ -79,9 +88,12 @@ pub(super) struct NodeLane {
 struct Life {
     /// For messages: "the process of group `readers`".
     what: String,
-    /// Its number, which is another process's once it ended.
+    /// Its number, which is another process's once it ended; 0 for one that is played.
     id: u32,
-    pidfd: OwnedFd,
+    /// `None` where a thread of this process plays it, for tests.
+    pidfd: Option<OwnedFd>,
+    /// Its standard error, where that is kept.
+    stderr: Option<File>,
     state: Mutex<LifeState>,
     ended: Condvar,
     /// Set before the lanes are closed.
@@ -102,7 +114,11 @@ impl Life {
     /// Records the end and wakes all that wait for an answer.
     fn end(&self, status: io::Result<ExitStatus>) {
         let mut state = lock(&self.state);
-        state.words = Some(words(&self.what, &state, status));
+        if state.words.is_some() {
+            return;
+        }
+        let said = self.stderr.as_ref().and_then(said);
+        state.words = Some(words(&self.what, &state, status, said));
         self.is_dead.store(true, Ordering::SeqCst);
         state.lanes.iter().for_each(|lane| lane.lane.close());
         drop(state);
@@ -112,8 +128,13 @@ impl Life {
     fn kill(&self, reason: &str) {
         lock(&self.state).reason.get_or_insert_with(|| reason.to_owned());
         self.is_killed.store(true, Ordering::Release);
-        // SAFETY: a plain system call; the file descriptor names this process even after its end.
-        unsafe { libc::syscall(libc::SYS_pidfd_send_signal, self.pidfd.as_raw_fd(), libc::SIGKILL, 0, 0) };
+        match &self.pidfd {
+            // SAFETY: a plain system call; the file descriptor names this process even after its end.
+            Some(pidfd) => unsafe {
+                libc::syscall(libc::SYS_pidfd_send_signal, pidfd.as_raw_fd(), libc::SIGKILL, 0, 0);
+            },
+            None => self.end(Ok(ExitStatus::from_raw(libc::SIGKILL))),
+        }
     }
 
     /// Waits for the end; `false` if it does not come in time.
@@ -128,8 +149,38 @@ impl Life {
     }
 }
 
-/// How a process ended, and in which node.
-fn words(what: &str, state: &LifeState, status: io::Result<ExitStatus>) -> String {
+/// A file of a fixed size for standard error: it takes memory of nobody who writes without end.
+fn new_stderr() -> io::Result<File> {
+    // SAFETY: the name is a zero-terminated text.
+    let fd = unsafe { libc::memfd_create(c"panoscope-stderr".as_ptr(), libc::MFD_CLOEXEC | libc::MFD_ALLOW_SEALING) };
+    if fd < 0 {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: `memfd_create` returned this file descriptor, and nothing else owns it.
+    let file = unsafe { File::from_raw_fd(fd) };
+    file.set_len(STDERR_BYTES)?;
+    // SAFETY: a plain system call on a file that is open.
+    match unsafe { libc::fcntl(fd, libc::F_ADD_SEALS, libc::F_SEAL_SHRINK | libc::F_SEAL_GROW | libc::F_SEAL_SEAL) } {
+        0 => Ok(file),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
+
+/// The last two lines in a file of [`new_stderr`]; `None` without one.
+fn said(stderr: &File) -> Option<String> {
+    let mut bytes = vec![0; STDERR_BYTES as usize];
+    let len = stderr.read_at(&mut bytes, 0).ok()?;
+    let written = bytes[..len].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+    // The end counts: a line may be longer than what is shown.
+    let text = plain_words(&bytes[written.saturating_sub(4 * MAX_SAID)..written]);
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    let last = lines[lines.len().saturating_sub(2)..].join("; ");
+    let skipped = last.chars().count().saturating_sub(MAX_SAID);
+    (!last.is_empty()).then(|| last.chars().skip(skipped).collect())
+}
+
+/// How a process ended, and in which node. `said` is what it wrote at last.
+fn words(what: &str, state: &LifeState, status: io::Result<ExitStatus>, said: Option<String>) -> String {
     if let Some(reason) = &state.reason {
         return format!("{what} was ended: {reason}");
     }
@@ -153,7 +204,8 @@ fn words(what: &str, state: &LifeState, status: io::Result<ExitStatus>) -> Strin
             (None, code) => format!("ended {location}: exit({})", code.unwrap_or(0)),
         },
     };
-    format!("{what} {how}")
+    let said = said.map(|said| format!("; it wrote: {said}")).unwrap_or_default();
+    format!("{what} {how}{said}")
 }
 
 fn signal_words(signal: i32) -> String {
@@ -196,7 +248,8 @@ impl Process {
         totals: &Arc<Totals>,
     ) -> io::Result<Arc<Self>> {
         let (ours, theirs) = socket::pair()?;
-        let mut child = launch.start(&settings.name, theirs)?;
+        let stderr = if settings.keeps_stderr { Some(new_stderr()?) } else { None };
+        let mut child = launch.start(&settings.name, theirs, stderr.as_ref())?;
         let begun = pidfd(&child).and_then(|pidfd| {
             let mut hello = Vec::new();
             Writer(&mut hello).u32(Tag::Hello as u32).u32(PROTOCOL);
@@ -210,7 +263,8 @@ impl Process {
         let life = Arc::new(Life {
             what,
             id: child.id(),
-            pidfd,
+            pidfd: Some(pidfd),
+            stderr,
             state: Mutex::default(),
             ended: Condvar::new(),
             is_dead: AtomicBool::new(false),
@@ -232,16 +286,65 @@ impl Process {
                 end(&mut child);
             }
         })?;
-        Ok(Arc::new(Self {
+        Ok(Self::new(life, ours, domain, totals, watcher))
+    }
+
+    fn new(life: Arc<Life>, socket: OwnedFd, domain: u32, totals: &Arc<Totals>, watcher: JoinHandle<()>) -> Arc<Self> {
+        Arc::new(Self {
             life,
-            socket: Mutex::new(Some(ours)),
+            socket: Mutex::new(Some(socket)),
             known_pools: [const { AtomicU64::new(0) }; MOST_POOLS / 64 + 1],
             files: Mutex::default(),
             plugins: Mutex::default(),
             domain,
             totals: Arc::clone(totals),
             watcher: Mutex::new(Some(watcher)),
-        }))
+        })
+    }
+
+    /// A process that a thread of this one plays: `play` gets each lane that the process would be given, and ends the process when it returns.
+    pub fn played(
+        domain: u32,
+        totals: &Arc<Totals>,
+        play: impl Fn(&Lane) + Clone + Send + 'static,
+    ) -> io::Result<Arc<Self>> {
+        let (ours, theirs) = socket::pair()?;
+        let life = Arc::new(Life {
+            what: "the process".to_owned(),
+            id: 0,
+            pidfd: None,
+            stderr: None,
+            state: Mutex::default(),
+            ended: Condvar::new(),
+            is_dead: AtomicBool::new(false),
+            is_killed: AtomicBool::new(false),
+        });
+        let lived = Arc::clone(&life);
+        let watcher = std::thread::Builder::new().name("played".to_owned()).spawn(move || {
+            let mut lanes = Vec::new();
+            while let Ok((message, file)) = socket::receive(theirs.as_fd())
+                && let Some(tag) = Reader(&message).u32().ok().and_then(Tag::of)
+            {
+                if tag == Tag::Lane
+                    && let Some(lane) = file.and_then(|file| Lane::map(&File::from(file)).ok())
+                {
+                    let (life, play, lane) = (Arc::clone(&lived), play.clone(), Arc::new(lane));
+                    let served = Arc::clone(&lane);
+                    let thread = std::thread::spawn(move || {
+                        play(&served);
+                        life.kill("it has no more to say");
+                    });
+                    lanes.push((lane, thread));
+                }
+            }
+            lived.end(Ok(ExitStatus::from_raw(0)));
+            for (lane, thread) in lanes {
+                // One that is no longer used is closed by nobody else.
+                lane.close();
+                let _ = thread.join();
+            }
+        })?;
+        Ok(Self::new(life, ours, domain, totals, watcher))
     }
 
     /// The domain of its own pools.
@@ -388,5 +491,29 @@ fn pidfd(child: &Child) -> io::Result<OwnedFd> {
         // SAFETY: the system returned this file descriptor, and nothing else owns it.
         Ok(fd) if fd >= 0 => Ok(unsafe { OwnedFd::from_raw_fd(fd) }),
         _ => Err(io::Error::last_os_error()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn the_last_lines_of_standard_error_are_kept() {
+        let mut file = new_stderr().expect("memory");
+        assert_eq!(said(&file), None);
+        file.write_all(b"first\n\n\x1b[31mterminate called\n  what():  bad\xff\n").expect("room");
+        assert_eq!(said(&file).as_deref(), Some("[31mterminate called; what():  bad\u{fffd}"));
+        let mut written = 0;
+        while let Ok(len) = file.write(&[b'x'; 1000]) {
+            written += len;
+        }
+        assert!(written < STDERR_BYTES as usize, "nobody makes it larger");
+        assert_eq!(said(&file).map(|said| said.len()), Some(MAX_SAID));
+        let state = LifeState::default();
+        let aborted = || Ok(ExitStatus::from_raw(libc::SIGABRT));
+        let plain = words("the process", &state, aborted(), None);
+        assert_eq!(words("the process", &state, aborted(), Some("bad".to_owned())), format!("{plain}; it wrote: bad"));
     }
 }

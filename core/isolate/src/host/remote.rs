@@ -10,7 +10,7 @@ use panoscope_engine::isolation::{self, STATUS_DIED};
 use panoscope_engine::memory::{FrameRef, Memory, memory};
 
 use super::PluginImage;
-use super::answer::{Answerer, Habits, Target};
+use super::answer::{Answerer, Habits, Spent, Target};
 use super::process::{NodeLane, Process};
 use super::stock::Stock;
 use crate::lane::{Lost, MAX_MESSAGE_BYTES, Side};
@@ -31,6 +31,7 @@ struct Remote {
     copies: Vec<FrameRef>,
     stock: Stock,
     habits: Habits,
+    spent: Spent,
 }
 
 /// Why the child gets no input.
@@ -108,6 +109,7 @@ pub(super) unsafe fn open(
         copies: Vec::new(),
         stock: Stock::default(),
         habits: Habits::default(),
+        spent: Spent::default(),
     };
     let threads = remote.host.threads;
     remote.begin().u32(image.id).u32(index).u32(open.flags).u32(threads).u64(open.outputs_read);
@@ -168,8 +170,8 @@ impl Remote {
             Ok(status) => status,
             Err(lost) => {
                 if lost == Lost::Bad {
-                    let node = &self.lane.node;
-                    self.process.kill(&format!("node `{node}` sent a message that makes no sense"));
+                    let objection = self.spent.objection.unwrap_or("sent a message that makes no sense");
+                    self.process.kill(&format!("node `{}` {objection}", self.lane.node));
                 }
                 let words = self.process.death();
                 // SAFETY: the caller's promise.
@@ -183,6 +185,7 @@ impl Remote {
             return Err(Lost::Gone);
         }
         self.lane.in_call.store(true, Ordering::Relaxed);
+        self.spent = Spent::default();
         let mut kind = kind;
         loop {
             self.lane.lane.post(Side::Host, kind, &self.out);
@@ -193,8 +196,8 @@ impl Remote {
             let asked = self.lane.lane.receive(Side::Host, &mut self.message)?;
             let mut message = Reader(&self.message);
             let (host, process) = (&self.host, &*self.process);
-            let (stock, habits) = (&mut self.stock, &mut self.habits);
-            let mut answerer = Answerer { host, target, process, stock, habits };
+            let (stock, habits, spent) = (&mut self.stock, &mut self.habits, &mut self.spent);
+            let mut answerer = Answerer { host, target, process, stock, habits, spent };
             // SAFETY: the caller's promise.
             unsafe { answerer.run_deferred(message.bytes()?)? };
             if asked == Kind::Done {

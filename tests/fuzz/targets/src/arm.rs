@@ -169,7 +169,33 @@ pub fn urdf_seeds() -> Vec<Vec<u8>> {
         format!("<robot name=\"a\">{}", "<link name=\"b\">".repeat(300)),
         "<!DOCTYPE a [<!ENTITY b \"&c;&c;\">]><robot name=\"&b;\"/>".to_owned(),
     ];
-    texts.into_iter().map(String::into_bytes).collect()
+    let joint = |name: &str, kind: &str, from: &str, to: &str| {
+        format!(
+            "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{from}\"/><child link=\"{to}\"/><axis xyz=\"0 0 1\"/>\
+             <limit lower=\"-1\" upper=\"1\" effort=\"1\" velocity=\"1\"/></joint>"
+        )
+    };
+    let more = [
+        ("name=\"left_camera\"", "name=\"other\""),
+        ("name=\"scope_tip\"", "name=\"other\""),
+        ("name=\"left_lens\" type=\"fixed\"", "name=\"left_lens\" type=\"revolute\""),
+        ("name=\"wall\" type=\"fixed\"", "name=\"wall\" type=\"revolute\""),
+        ("name=\"turn\" type=\"revolute\"", "name=\"turn\" type=\"fixed\""),
+        ("parent link=\"scope_tip\"", "parent link=\"flange\""),
+        ("parent link=\"base_link\"", "parent link=\"flange\""),
+        ("xyz=\"0.42 0 0.21\"", "xyz=\"0.43 0 0.21\""),
+        ("xyz=\"0 0 0.2\"", "xyz=\"nan 0 0.2\""),
+        ("xyz=\"0 0 0.2\"", "xyz=\"inf 0 0.2\""),
+        ("axis xyz=\"0 0 1\"", "axis xyz=\"0 0 0\""),
+        ("lower=\"-2.6\"", "lower=\"0.1\""),
+        ("upper=\"2.6\"", "upper=\"-0.1\""),
+        ("upper=\"2.6\"", "upper=\"inf\""),
+        ("velocity=\"0.4\"", "velocity=\"0\""),
+        ("velocity=\"0.4\"", "velocity=\"nan\""),
+    ];
+    let changed = more.iter().map(|(old, new)| shipped.replacen(old, new, 1));
+    let circle = shipped.replace("</robot>", &format!("{}</robot>", joint("back", "fixed", "left_camera", "base_link")));
+    texts.into_iter().chain(changed).chain([circle]).map(String::into_bytes).collect()
 }
 
 /// The stream of a robot's controller.
@@ -210,5 +236,23 @@ pub fn rtde_seeds() -> Vec<Vec<u8>> {
         package(b'P', &[0]),
         package(b'U', &values),
     ];
-    vec![all.concat(), package(b'U', &values), all.concat()[..40].to_vec(), vec![0, 2, b'V'], vec![0xff; 8]]
+    let wrong = [
+        package(b'V', &[2]),
+        package(b'V', &[]),
+        package(b'v', &[0; 15]),
+        package(b'M', b"\x09hello"),
+        package(b'M', b"\x01h\x09"),
+        package(b'M', b"\x01h\x01u"),
+        package(b'O', &[]),
+        package(b'O', &[1, 0xff, 0xfe]),
+        package(b'S', &[1, 1]),
+        package(b'P', &[7]),
+        package(b'U', &[]),
+        package(b'X', &[1]),
+    ];
+    let mut all = vec![all.concat(), package(b'U', &values), all.concat()[..40].to_vec(), vec![0, 2, b'V'], vec![0xff; 8]];
+    all.push(wrong.concat());
+    // Values that end inside each field.
+    all.push((1..values.len()).step_by(4).flat_map(|len| package(b'U', &values[..len])).collect());
+    all
 }

@@ -170,14 +170,211 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
+/// A text as [`text`] draws it.
+fn seed_text(text: &str) -> Vec<u8> {
+    [&[0, text.len() as u8], text.as_bytes()].concat()
+}
+
+/// A port as [`port`] draws it; `packet` is a position in its list.
+fn seed_port(name: &str, packet: u8, formats: u8, flags: u8) -> Vec<u8> {
+    [&seed_text(name)[..], &[packet], &seed_text("A port."), &[0; 8], &[formats, flags]].concat()
+}
+
+/// A parameter as [`run`] draws it, with the lists as they are. Numbers are bytes that stand for themselves less 100.
+fn seed_param(name: &str, kind: u8, flags: u8, numbers: [u8; 4], text: &str) -> Vec<u8> {
+    let texts = [seed_text(name), seed_text("A parameter."), seed_text("px")].concat();
+    [&[0, 0], &texts[..], &[kind, flags], &numbers, &seed_text(text)].concat()
+}
+
+/// A plugin with one node.
+struct Seed {
+    choices: Vec<&'static str>,
+    /// As numbers of a parameter.
+    floats: Vec<u8>,
+    inputs: Vec<Vec<u8>>,
+    outputs: Vec<Vec<u8>>,
+    params: Vec<Vec<u8>>,
+    /// Bits of functions that are missing; how the lists of inputs, outputs and parameters are changed; struct size, kind, flags.
+    node: [u8; 7],
+    name: &'static str,
+    /// A null pointer among the node types; how their list is changed; magic, version and size are right if 0.
+    plugin: [u8; 5],
+    plugin_name: &'static str,
+}
+
+impl Seed {
+    fn plain() -> Self {
+        Self {
+            choices: vec!["near", "far"],
+            floats: vec![101, 102],
+            inputs: vec![seed_port("input", 0, 2, 0)],
+            outputs: vec![seed_port("output", 0, 6, 0), seed_port("depth", 2, 0, 0)],
+            params: Vec::new(),
+            node: [0; 7],
+            name: "blur",
+            plugin: [0; 5],
+            plugin_name: "filters",
+        }
+    }
+
+    fn with(change: impl FnOnce(&mut Self)) -> Vec<u8> {
+        let mut seed = Self::plain();
+        change(&mut seed);
+        seed.bytes()
+    }
+
+    fn param(param: Vec<u8>) -> Vec<u8> {
+        Self::with(|seed| seed.params = vec![param])
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        let list = |items: &[Vec<u8>]| [&[items.len() as u8], &items.concat()[..]].concat();
+        let choices: Vec<Vec<u8>> = self.choices.iter().map(|choice| seed_text(choice)).collect();
+        let floats: Vec<Vec<u8>> = self.floats.iter().map(|value| vec![*value]).collect();
+        let node = [&[1][..], &self.node, &seed_text(self.name), &seed_text("filter"), &seed_text("Blurs.")].concat();
+        let lists = [list(&choices), list(&floats), list(&self.inputs), list(&self.outputs), list(&self.params)].concat();
+        let plugin = [seed_text(self.plugin_name), seed_text("0.1"), seed_text("Filters.")].concat();
+        [&lists[..], &node, &self.plugin, &plugin].concat()
+    }
+}
+
 pub fn seeds() -> Vec<Vec<u8>> {
-    // No choices and floats; one input `in`, one output `out`, no parameter; one node.
-    let text = |text: &str| [&[0, text.len() as u8], text.as_bytes()].concat();
-    let port = |name: &str| [text(name), text("a port"), vec![0], vec![0; 8], vec![2, 0]].concat();
-    let node = [vec![0, 0, 0, 0, 0, 0, 0], text("blur"), text("filter"), text("Blurs.")].concat();
-    let tail = [vec![0, 0, 0, 0, 0], text("filters"), text("0.1"), text("Filters.")].concat();
-    let plain = [vec![0, 0, 1], port("input"), vec![1], port("output"), vec![0, 1], node, tail].concat();
-    let mut many = plain.clone();
-    many.extend((0..200u8).map(|n| n.wrapping_mul(37)));
-    vec![plain, many, vec![0; 40], vec![255; 60], (0..=255).collect()]
+    let [boolean, int, float, choice, text, path, floats] =
+        [abi::PARAM_BOOL, abi::PARAM_INT, abi::PARAM_FLOAT, abi::PARAM_CHOICE, abi::PARAM_TEXT, abi::PARAM_PATH, abi::PARAM_FLOATS]
+            .map(|kind| kind as u8);
+    let [exists, points, rectangles, file, writes, shipped] = [
+        abi::PARAM_MUST_EXIST,
+        abi::PARAM_POINTS,
+        abi::PARAM_RECTANGLES,
+        abi::PARAM_FILE,
+        abi::PARAM_WRITES,
+        abi::PARAM_SHIPPED,
+    ]
+    .map(|flag| flag as u8);
+    let range = [105, 100, 110, 101];
+    let endless = [105, 253, 254, 100];
+    let mut all = vec![Seed::plain().bytes()];
+    // Parameters: kind, flags, default, least, most, step.
+    let params: [(u8, u8, [u8; 4]); 34] = [
+        (boolean, 1, [101, 100, 100, 100]),
+        (boolean, 0, [102, 100, 100, 100]),
+        (int, 0, range),
+        (int, 0, endless),
+        (int, 0, [105, 100, 110, 102]),
+        (int, 0, [104, 100, 110, 102]),
+        (int, 0, [252, 100, 254, 100]),
+        (int, 0, [120, 100, 110, 101]),
+        (int, 0, [105, 110, 100, 101]),
+        (int, 0, [105, 100, 110, 254]),
+        (int, 0, [105, 100, 110, 99]),
+        (int, 0, [105, 252, 110, 100]),
+        (float, 0, range),
+        (float, 0, endless),
+        (float, 0, [254, 253, 254, 100]),
+        (choice, 0, [101, 100, 100, 100]),
+        (choice, 0, [109, 100, 100, 100]),
+        (text, file, range),
+        (text, points, range),
+        (text, exists, range),
+        (path, exists, range),
+        (path, file, range),
+        (path, writes, range),
+        (path, writes | exists, range),
+        (path, shipped | 1, range),
+        (floats, points, [100, 100, 110, 100]),
+        (floats, rectangles, [100, 101, 254, 100]),
+        (floats, points | rectangles, range),
+        (floats, file, range),
+        (floats, 0, [100, 103, 110, 100]),
+        (int, writes, range),
+        (int, shipped, range),
+        (8, 0, range),
+        (int, 128, range),
+    ];
+    all.extend(params.iter().map(|(kind, flags, numbers)| Seed::param(seed_param("size", *kind, *flags, *numbers, "a"))));
+    // Numbers in full: a default, a limit and a step that are no whole numbers, and NaN.
+    for value in [0.5, f64::NAN] {
+        for at in 0..4 {
+            let mut numbers: Vec<Vec<u8>> = range.iter().map(|byte| vec![*byte]).collect();
+            numbers[at] = [&[255][..], &f64::to_le_bytes(value)].concat();
+            for kind in [int, float] {
+                let texts = [seed_text("size"), seed_text(""), seed_text("")].concat();
+                all.push(Seed::param([&[0, 0], &texts[..], &[kind, 0], &numbers.concat(), &seed_text("")].concat()));
+            }
+        }
+    }
+    let param = |name: &str| seed_param(name, int, 0, range, "");
+    all.push(Seed::with(|seed| seed.params = vec![param("a"), param("a")]));
+    all.push(Seed::with(|seed| seed.params = vec![param("a"), param("b"), param("9")]));
+    for choices in [vec!["a", "a"], vec![""], vec!["a\n"], vec![]] {
+        all.push(Seed::with(|seed| {
+            (seed.choices, seed.params) = (choices, vec![seed_param("side", choice, 0, [100, 100, 100, 100], "")]);
+        }));
+    }
+    all.push(Seed::with(|seed| {
+        (seed.floats, seed.params) = (vec![254], vec![seed_param("points", floats, 0, [100, 100, 110, 100], "")]);
+    }));
+    // Lists of a parameter that are null, misaligned or too long.
+    for (choices, values) in [(250, 0), (251, 0), (252, 0), (253, 0), (0, 250), (0, 251), (0, 252), (0, 253)] {
+        let kind = if choices == 0 { floats } else { choice };
+        let mut changed = seed_param("side", kind, 0, [100, 100, 110, 100], "");
+        (changed[0], changed[1]) = (choices, values);
+        all.push(Seed::param(changed));
+    }
+    // Ports.
+    let ports = [
+        seed_port("a", 0, 0, 0),
+        seed_port("a", 0, 128, 0),
+        seed_port("a", 1, 4, 0),
+        seed_port("a", 1, 2, 1),
+        seed_port("a", 3, 0, 2),
+        seed_port("a", 4, 0, 3),
+        seed_port("a", 5, 0, 4),
+        seed_port("a b", 0, 2, 0),
+        seed_port("", 6, 0, 0),
+        [&seed_text("a")[..], &[255], &seed_text("own packet"), &seed_text(""), &[0; 8], &[0, 0]].concat(),
+        [&seed_text("a")[..], &[255], &seed_text("own"), &[250], &[0; 8], &[0, 0]].concat(),
+        [&seed_text("a")[..], &[255], &seed_text("own"), &[251], &[0; 8], &[0, 0]].concat(),
+        [&seed_text("a")[..], &[255], &seed_text("own"), &[0, 2, 0xff, 0xfe], &[0; 8], &[0, 0]].concat(),
+    ];
+    for port in ports {
+        all.push(Seed::with(|seed| seed.inputs = vec![port.clone()]));
+        all.push(Seed::with(|seed| seed.outputs = vec![port]));
+    }
+    all.push(Seed::with(|seed| seed.inputs = vec![seed_port("a", 0, 2, 0); 2]));
+    all.push(Seed::with(|seed| seed.inputs.clear()));
+    all.push(Seed::with(|seed| (seed.inputs, seed.node) = (Vec::new(), [0, 0, 0, 0, 0, 0, 1])));
+    // Nodes and plugins.
+    let nodes: [[u8; 7]; 15] = [
+        [1, 0, 0, 0, 0, 0, 0],
+        [2, 0, 0, 0, 0, 0, 0],
+        [4, 0, 0, 0, 0, 0, 0],
+        [0, 250, 0, 0, 0, 0, 0],
+        [0, 251, 0, 0, 0, 0, 0],
+        [0, 252, 0, 0, 0, 0, 0],
+        [0, 0, 253, 0, 0, 0, 0],
+        [0, 0, 251, 0, 0, 0, 0],
+        [0, 0, 0, 252, 0, 0, 0],
+        [0, 0, 0, 0, 254, 1, 0],
+        [0, 0, 0, 0, 0, 2, 6],
+        [0, 0, 0, 0, 0, 3, 0],
+        [0, 0, 0, 0, 0, 0, 8],
+        [0, 0, 0, 251, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0, 7],
+    ];
+    all.extend(nodes.iter().map(|node| Seed::with(|seed| seed.node = *node)));
+    all.push(Seed::with(|seed| seed.name = "no name"));
+    all.push(Seed::with(|seed| seed.plugin_name = "9"));
+    all.push(Seed::with(|seed| seed.plugin_name = "two-words"));
+    for plugin in [[255, 0, 0, 0, 0], [0, 250, 0, 0, 0], [0, 251, 0, 0, 0], [0, 252, 0, 0, 0], [0, 253, 0, 0, 0]] {
+        all.push(Seed::with(|seed| seed.plugin = plugin));
+    }
+    let whole = Seed::plain().bytes();
+    // Sizes and numbers in full: the bytes behind the 255 are the number.
+    let at = whole.len() - seed_text("filters").len() - seed_text("0.1").len() - seed_text("Filters.").len();
+    for (place, number) in [(3, &[9u8; 8][..]), (2, &[9; 4]), (1, &[9, 0, 0, 0])] {
+        all.push([&whole[..at - place], &[255], number, &whole[at - place + 1..]].concat());
+    }
+    all.extend([vec![0; 40], vec![255; 60], (0..=255).collect()]);
+    all
 }

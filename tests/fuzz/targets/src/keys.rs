@@ -2,7 +2,7 @@
 
 use std::os::unix::fs::PermissionsExt;
 
-use panoscope_loader::keys::{PublicKey, SecretKey};
+use panoscope_loader::keys::{PublicKey, SecretKey, Trust};
 
 use crate::scratch;
 
@@ -18,6 +18,13 @@ pub fn run(bytes: &[u8]) {
             assert!(text.contains(&hex), "the key is not the one in the file");
         }
         Err(error) => assert!(error.to_string().contains("hospital.pub"), "{error}"),
+    }
+    // An installation reads all keys of its folders; one that is damaged is not left out.
+    let _ = std::fs::remove_file(scratch::path("keys/copy.pub"));
+    let folder = file.parent().expect("it is in a folder").to_owned();
+    match Trust::in_folders(&[folder.join("absent"), folder]) {
+        Ok(trust) => assert!(trust.keys().iter().map(PublicKey::name).eq(["hospital"]), "{:?}", trust.keys()),
+        Err(error) => assert!(PublicKey::read(&file).is_err() && error.to_string().contains("hospital.pub"), "{error}"),
     }
     let file = scratch::file("keys/secret", bytes);
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).expect("its own file");

@@ -10,6 +10,7 @@ mod calibration;
 mod descriptor;
 mod draw;
 mod graph;
+mod isolated;
 mod keys;
 mod labels;
 mod model;
@@ -40,11 +41,13 @@ pub const TARGETS: &[Target] = &[
     Target { name: "calibration", run: calibration::file, seeds: calibration::file_seeds },
     Target { name: "coco", run: labels::coco, seeds: labels::coco_seeds },
     Target { name: "descriptor", run: descriptor::run, seeds: descriptor::seeds },
+    Target { name: "described_plugin", run: isolated::description, seeds: isolated::description_seeds },
     Target { name: "digests", run: recording::digests, seeds: recording::digest_seeds },
     Target { name: "event", run: recording::event, seeds: recording::event_seeds },
     Target { name: "float_image", run: numbers::float_image, seeds: numbers::float_image_seeds },
     Target { name: "graph", run: graph::run, seeds: graph::seeds },
     Target { name: "guard_message", run: arm::message, seeds: arm::message_seeds },
+    Target { name: "isolated_call", run: isolated::calls, seeds: isolated::call_seeds },
     Target { name: "keys", run: keys::run, seeds: keys::seeds },
     Target { name: "labelme", run: labels::labelme, seeds: labels::labelme_seeds },
     Target { name: "latch", run: arm::latch, seeds: arm::latch_seeds },

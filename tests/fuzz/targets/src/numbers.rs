@@ -44,6 +44,19 @@ pub fn float_image_seeds() -> Vec<Vec<u8>> {
         npy("{'descr': '<f4', 'fortran_order': False, 'shape': (0, 9), }\n", 0),
         b"Pf\n65536 65536\n-1\n".to_vec(),
         b"PF\n1 1\n-1\n".to_vec(),
+        b"Pf\n65537 1\n-1\n".to_vec(),
+        b"Pf\na b c\n".to_vec(),
+        b"Pf\n2 2\n-1\nabc".to_vec(),
+        b"no picture".to_vec(),
+        npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1, 2), }\n", 16),
+        npy("{'descr': '>f4', 'fortran_order': False, 'shape': (1, 2), }\n", 8),
+        npy("{'descr': '<i4', 'fortran_order': False, 'shape': (1, 2), }\n", 8),
+        npy("{'fortran_order': False, 'shape': (1, 2), }\n", 8),
+        npy("{'descr': '<f4', 'shape': (1, 2, 3), }\n", 24),
+        npy("{'descr': '<f4', 'shape': (x, 2), }\n", 8),
+        [b"\x93NUMPY\x02\x00\x35\x00\x00\x00", &b"{'descr': '<f4', 'fortran_order': False, 'shape': (1,1)}\n"[..53], &[0; 8]].concat(),
+        b"\x93NUMPY\x09\x00\x00\x00\x00\x00".to_vec(),
+        b"\x93NUMPY\x01\x00\xff\xff\x00\x00".to_vec(),
     ]
 }
 
@@ -112,6 +125,38 @@ pub fn truth_file_seeds() -> Vec<Vec<u8>> {
     add("tif", &tiff(65536, 65536, &[(118, 8)], &floats));
     // Every strip is the whole file.
     add("tif", &tiff(65536, 65536, &[(0, 500); 60], &floats));
+    let big = |bytes: Vec<u8>| {
+        // The same file with the other byte order: all its numbers are those of `tiff`.
+        let mut out = bytes;
+        out[..4].copy_from_slice(b"MM\0\x2a");
+        out[4..8].reverse();
+        out[8..10].reverse();
+        for entry in 0..8 {
+            let at = 10 + 12 * entry;
+            out[at..at + 2].reverse();
+            let is_short = out[at + 2] == 3;
+            out[at + 2..at + 4].reverse();
+            out[at + 4..at + 8].reverse();
+            if is_short { out[at + 8..at + 10].reverse() } else { out[at + 8..at + 12].reverse() }
+        }
+        out
+    };
+    let floats_big = [1.5f32, 2.5].map(f32::to_be_bytes).concat();
+    add("tif", &big(tiff(2, 1, &[(118, 8)], &floats_big)));
+    add("tif", &tiff(2, 1, &[(126, 4), (130, 4)], &[&[0; 8][..], &floats].concat()));
+    add("tif", &tiff(0, 1, &[(118, 8)], &floats));
+    add("tif", &tiff(2, 2, &[(118, 8)], &[&floats[..], &[0; 64]].concat()));
+    add("tif", &tiff(2, 1, &[(118, 800)], &floats));
+    let mut other = tiff(2, 1, &[(118, 8)], &floats);
+    // Another number of bits, and another type of a tag.
+    other[10 + 2 * 12 + 8] = 16;
+    add("tif", &other);
+    let mut other = tiff(2, 1, &[(118, 8)], &floats);
+    other[10 + 2] = 5;
+    add("tif", &other);
+    add("tif", b"no TIFF");
+    add("xyz", b"");
+    add("xyz", b"1 2\n");
     add("xyz", b"# points\n1 2 3\n4;5;6 7\n");
     add("txt", b"1,2\n");
     let header =
@@ -119,8 +164,21 @@ pub fn truth_file_seeds() -> Vec<Vec<u8>> {
     add("ply", [&header.replace("FORMAT", "ascii"), "1 2 3\n"].concat().as_bytes());
     add("ply", &[header.replace("FORMAT", "binary_little_endian").as_bytes(), &[0; 16]].concat());
     add("ply", header.replace("FORMAT", "ascii").replace("vertex 1", "vertex 99999999999").as_bytes());
+    add("ply", header.replace("FORMAT", "binary_big_endian").as_bytes());
+    add("ply", header.replace("FORMAT", "ascii").replace("vertex 1", "vertex one").as_bytes());
+    add("ply", header.replace("FORMAT", "ascii").replace("float x", "float w").as_bytes());
+    add("ply", b"ply\n");
+    let other = "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty uchar a\nproperty short b\nproperty double x\n\
+        property float y\nproperty int z\nelement face 0\nproperty list uchar int vertex_indices\nend_header\n";
+    add("ply", &[other.as_bytes(), &[1; 2 * 19]].concat());
+    add("ply", &[other.as_bytes(), &[1; 19]].concat());
     let mut png = Vec::new();
     let picture = image::GrayImage::from_fn(3, 2, |x, y| image::Luma([(x + y) as u8]));
+    picture.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).expect("a PNG");
+    add("png", &png);
+    add("png", b"no PNG");
+    let mut png = Vec::new();
+    let picture = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_fn(3, 2, |x, y| image::Luma([(x * y) as u16]));
     picture.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).expect("a PNG");
     add("png", &png);
     all

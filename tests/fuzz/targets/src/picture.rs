@@ -13,6 +13,22 @@ pub fn run(bytes: &[u8]) {
             assert!(picture.width > 0 && picture.height > 0);
             // Rows of three values; each value takes a byte or more.
             assert!(picture.bytes() >= 3 * picture.width * picture.height);
+            // As the node uses it: the depth that holds the brightest value, then rows of eight bits.
+            let white = match picture.peak() {
+                None => 255.0,
+                Some(peak) => match picture.white_for(peak) {
+                    Ok(white) => white,
+                    Err(peak) => {
+                        assert!(peak > 65_535.0, "{peak}");
+                        return;
+                    }
+                },
+            };
+            let mut row = vec![0; 3 * picture.width];
+            for y in [0, picture.height - 1] {
+                picture.write_row(0, y, white, &mut row);
+            }
+            picture.write_row(picture.width - 1, 0, white, &mut row[..3]);
         }
         Some(Err(error)) => assert!(!error.to_string().is_empty()),
         // A format that GStreamer decodes.

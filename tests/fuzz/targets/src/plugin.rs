@@ -2,10 +2,12 @@
 
 use std::borrow::Cow;
 use std::cell::Cell;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use panoscope_abi as abi;
-use panoscope_loader::elf::{ElfError, Parts, read_note};
+use panoscope_loader::elf::{ElfError, OnDisk, Parts, read_note};
+use panoscope_loader::keys::{SecretKey, Trust};
 use panoscope_loader::lock::Lock;
 
 use crate::scratch;
@@ -33,6 +35,8 @@ pub fn note(bytes: &[u8]) {
     let found = read_note(&counted);
     // The search for plugins reads every file of a folder.
     assert!(counted.read.get() <= 4 * bytes.len() as u64 + (1 << 20), "{} bytes are read", counted.read.get());
+    let on_disk = OnDisk::open(&scratch::file("plugin.so", bytes)).expect("its own file");
+    assert_eq!(read_note(&on_disk), found, "on disk as in memory");
     match found {
         Ok(note) => {
             let holds = |text: &str| text.is_empty() || bytes.windows(text.len()).any(|part| part == text.as_bytes());
@@ -117,7 +121,7 @@ pub fn note_seeds() -> Vec<Vec<u8>> {
     ]
 }
 
-/// A lock file beside a graph.
+/// A lock file beside a graph, with a trusted key and without one.
 pub fn lock(bytes: &[u8]) {
     let file = scratch::file("lock/graph.toml.lock", bytes);
     let graph = file.with_file_name("graph.toml");
@@ -127,10 +131,50 @@ pub fn lock(bytes: &[u8]) {
             let copy = scratch::path("lock/copy.toml");
             lock.write(&copy).expect("written");
             assert_eq!(Lock::read(&copy).expect("its own text"), Some(lock.clone()));
-            assert!(lock.differences(&lock).is_empty() || has_repeated_names(&lock));
+            // A file that could not be read when it was locked never fits.
+            let has_unread = lock.files.iter().any(|file| file.sha256.is_empty());
+            assert!(lock.differences(&lock).is_empty() || has_unread || has_repeated_names(&lock));
+            judge(&graph, lock);
         }
         Err(error) => assert!(error.to_string().contains("graph.toml.lock"), "{error}"),
     }
+}
+
+/// Whether a lock is believed: only as its key signed it.
+fn judge(graph: &Path, mut lock: Lock) {
+    let secret = secret_key();
+    let (nobody, mut trust) = (Trust::default(), Trust::default());
+    trust.add(secret.public());
+    for trusted in [&nobody, &trust] {
+        match lock.check_signature(graph, trusted) {
+            Ok(None) => assert!(trusted.is_empty(), "a key is needed"),
+            Ok(Some(name)) => assert!(!trusted.is_empty() && name == secret.public().name(), "{name}"),
+            Err(error) => assert!(error.to_string().contains("graph.toml.lock"), "{error}"),
+        }
+    }
+    let unsigned = lock.digest();
+    lock.sign(&secret);
+    assert_eq!(lock.digest(), unsigned, "a signature is of what it signs, not of itself");
+    assert!(matches!(lock.check_signature(graph, &trust), Ok(Some(_))), "its own signature");
+    assert!(lock.check_signature(graph, &nobody).is_err(), "a key that nobody trusts");
+    let Some(first) = lock.files.first_mut() else { return };
+    first.bytes ^= 1;
+    assert!(lock.check_signature(graph, &trust).is_err(), "another length");
+    let before = lock.clone();
+    lock.files.remove(0);
+    assert!(lock.check_signature(graph, &trust).is_err(), "a file less");
+    assert!(!before.differences(&lock).is_empty() && !lock.differences(&before).is_empty());
+}
+
+/// The same key in every run, so that inputs that it signed stay valid.
+fn secret_key() -> SecretKey {
+    let file = scratch::path("lock/key");
+    if !file.exists() {
+        let text = format!("panoscope-secret-key 1 {}\n", "07".repeat(32));
+        scratch::file("lock/key", text.as_bytes());
+        std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).expect("its own file");
+    }
+    SecretKey::read(&file).expect("a key")
 }
 
 fn has_repeated_names(lock: &Lock) -> bool {
@@ -143,16 +187,35 @@ pub fn lock_seeds() -> Vec<Vec<u8>> {
     let file = |kind: &str, name: &str| {
         format!("[[file]]\nkind = \"{kind}\"\nname = \"{name}\"\nbytes = 3\nsha256 = \"{}\"\n", "ab".repeat(32))
     };
-    let head = "version = 1\nprogram = \"0.1.0\"\n";
+    let head = "version = 2\nprogram = \"0.1.0\"\n";
+    let kinds = [
+        "graph", "part", "overlay", "plugin", "library", "program", "model", "weights", "runtime", "calibration", "file",
+        "input",
+    ];
+    let of_each_kind: String = kinds.iter().map(|kind| file(kind, "a;2")).collect();
+    let good = format!("{head}{}", file("graph", "g.toml"));
+    let signature = |key: &str, signature: &str| format!("{good}[signature]\nkey = \"{key}\"\ned25519 = \"{signature}\"\n");
+    let public = secret_key().public().hex();
+    let mut signed = Lock::parse(&good).expect("a lock");
+    signed.sign(&secret_key());
+    let place = scratch::path("lock/signed.toml");
+    let signed = signed.write(&place).and_then(|file| Ok(std::fs::read_to_string(&file).expect("its own file")));
     let texts = [
-        [head, &file("graph", "g.toml"), &file("plugin", "stitch"), &file("calibration", "scope.calibration;2")]
-            .concat(),
+        format!("{head}{of_each_kind}"),
         format!("{head}file = []\n"),
         "version = 7\nprogram = \"1\"\nfile = []\n".to_owned(),
+        "version = 2\nprogram = 1\n".to_owned(),
         [head, &file("graph", "g.toml"), &file("graph", "g.toml")].concat(),
+        good.replace(&"ab".repeat(32), ""),
+        signed.expect("written"),
+        signature(&public, &"0".repeat(128)),
+        signature(&public, "no digits"),
+        signature("", ""),
+        good.clone(),
         "a.".repeat(500),
     ];
     let mut all: Vec<Vec<u8>> = texts.into_iter().map(String::into_bytes).collect();
+    all.push(vec![0xff, 0xfe]);
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../graphs");
     let locks = std::fs::read_dir(shipped).into_iter().flatten().flatten().map(|entry| entry.path());
     all.extend(locks.filter(|p| p.extension().is_some_and(|e| e == "lock")).filter_map(|p| std::fs::read(p).ok()));

@@ -169,7 +169,51 @@ pub fn file_seeds() -> Vec<Vec<u8>> {
     foreign.record(6, &[0; 60]);
     let mut long = begin(1);
     long.record(5, &[0xff; 30]);
-    vec![plain.0, cut, other.0, sealed.0, foreign.0, long.0, b"\x89MCAP0\r\n".to_vec(), b"no recording".to_vec()]
+    let file = scratch::path("recorded.mcap");
+    crate::isolated::recorded(&file);
+    let whole = std::fs::read(&file).expect("a recording");
+    let damaged = |at: usize| {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1;
+        bytes
+    };
+    let unfinished = whole[..whole.len() * 2 / 3].to_vec();
+    let mut no_mark = whole.clone();
+    no_mark.truncate(whole.len() - 8);
+    let mut wrong_mark = whole.clone();
+    if let Some(last) = wrong_mark.last_mut() {
+        *last ^= 1;
+    }
+    let real = vec![damaged(whole.len() / 2), damaged(whole.len() - 60), damaged(40), unfinished, no_mark, wrong_mark, whole];
+    // Channels, edits and drops of a source that is removed.
+    let mut edited = begin(1);
+    edited.channel(2, "no port", "panoscope.packet");
+    edited.packet(2, moment, b"abcd", 0);
+    edited.message(9, b"nobody's");
+    let mut short = begin(1);
+    short.channel(1, "scope.left", "panoscope.packet");
+    short.message(1, b"short");
+    let mut missing = begin(1);
+    missing.message(0, &json(&tick(1, 2)));
+    let mut no_head = Mcap::new();
+    no_head.header();
+    no_head.channel(0, EVENTS, "json");
+    no_head.message(0, br#"{"event":"end","gaps":0}"#);
+    let mut unreadable = Mcap::new();
+    unreadable.header();
+    unreadable.channel(0, EVENTS, "json");
+    unreadable.message(0, br#"{"format":7,"version":"9"}"#);
+    let mut chunked = Mcap::new();
+    chunked.record(6, &[0; 60]);
+    let mut damaged_channel = begin(1);
+    damaged_channel.record(4, &[0xff; 12]);
+    let mut unknown = begin(1);
+    unknown.record(99, &[0; 4]);
+    let more = [edited, short, missing, no_head, unreadable, chunked, damaged_channel, unknown];
+    let more = more.into_iter().map(|mcap| mcap.0).chain(real);
+    let mut all: Vec<Vec<u8>> = more.collect();
+    all.extend([plain.0, cut, other.0, sealed.0, foreign.0, long.0, b"\x89MCAP0\r\n".to_vec(), b"no recording".to_vec()]);
+    all
 }
 
 /// Digests of a run, as JSON.
