@@ -119,6 +119,7 @@ pub(crate) struct Groups {
     known: Mutex<BTreeMap<String, Known>>,
     threads: usize,
     memory_bytes: u64,
+    keeps_stderr: bool,
 }
 
 /// Why a node cannot be isolated.
@@ -131,8 +132,8 @@ pub(crate) struct NotIsolated {
 }
 
 impl Groups {
-    pub fn new(isolator: Option<Arc<dyn Isolator>>, threads: usize, memory_bytes: u64) -> Self {
-        Self { isolator: Mutex::new(isolator), known: Mutex::default(), threads, memory_bytes }
+    pub fn new(isolator: Option<Arc<dyn Isolator>>, threads: usize, memory_bytes: u64, keeps_stderr: bool) -> Self {
+        Self { isolator: Mutex::new(isolator), known: Mutex::default(), threads, memory_bytes, keeps_stderr }
     }
 
     /// New groups are made by this one from now on.
@@ -175,8 +176,8 @@ impl Groups {
         {
             return Ok(Some(group));
         }
-        let (threads, memory_bytes) = (self.threads, self.memory_bytes);
-        let settings = GroupSettings { name: name.clone(), threads, memory_bytes, deny, keeps_stderr: false };
+        let Self { threads, memory_bytes, keeps_stderr, .. } = *self;
+        let settings = GroupSettings { name: name.clone(), threads, memory_bytes, deny, keeps_stderr };
         let made = match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
             None => Err("this program runs no processes for nodes".to_owned()),

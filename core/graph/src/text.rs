@@ -273,7 +273,8 @@ impl GraphText {
         let plugins = self.plugins();
         let of_plugin = |plugin: &str| offers.iter().find(|offer| offer.plugin == plugin);
         let may_be_of = |plugin: &str, type_name: &str| {
-            let (named, name) = type_name.split_once('/').map_or((None, type_name), |(plugin, name)| (Some(plugin), name));
+            let (named, name) =
+                type_name.split_once('/').map_or((None, type_name), |(plugin, name)| (Some(plugin), name));
             named.is_none_or(|named| named == plugin)
                 && of_plugin(plugin).is_some_and(|offer| offer.node_types.iter().any(|known| known == name))
         };

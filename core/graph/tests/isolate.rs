@@ -167,7 +167,11 @@ fn a_plugin_is_isolated_if_all_its_nodes_are() {
     };
     assert_eq!(both(&parsed(GRAPH, None)), ["phantom", "stereo", "sinks"]);
     let plain = GRAPH.replace("isolate = \"views\"\n", "");
-    assert_eq!(both(&parsed(&plain, None)), ["phantom", "stereo"], "a node of the process of the graph needs its plugin");
+    assert_eq!(
+        both(&parsed(&plain, None)),
+        ["phantom", "stereo"],
+        "a node of the process of the graph needs its plugin"
+    );
     let two = format!("{GRAPH}[nodes.also]\ntype = \"preview\"\ninputs = {{ packet = \"depth.disparity\" }}\n");
     assert_eq!(both(&parsed(&two, None)), ["phantom", "stereo"], "one of two nodes");
     let nobody = GRAPH.replace("stereo = \"matching\"", "");
@@ -176,7 +180,9 @@ fn a_plugin_is_isolated_if_all_its_nodes_are() {
     let long = plain.replace("type = \"preview\"", "type = \"sinks/preview\"");
     assert_eq!(both(&parsed(&long, None)), ["phantom", "stereo"]);
     let lacking: Vec<Offer> = offers.iter().filter(|offer| offer.plugin != "sinks").cloned().collect();
-    let only_phantom = GRAPH.replace("[isolate]\nphantom = \"renderer\"\n", "[isolate]\n").replace("\"phantom\"\n", "\"phantom\"\nisolate = \"a\"\n");
+    let only_phantom = GRAPH
+        .replace("[isolate]\nphantom = \"renderer\"\n", "[isolate]\n")
+        .replace("\"phantom\"\n", "\"phantom\"\nisolate = \"a\"\n");
     assert_eq!(parsed(&only_phantom, None).isolated_plugins(&offers), ["phantom", "stereo", "sinks"]);
     let only_phantom = only_phantom.replace("isolate = \"views\"\n", "");
     assert_eq!(parsed(&only_phantom, None).isolated_plugins(&offers), ["phantom", "stereo"]);

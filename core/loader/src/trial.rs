@@ -168,6 +168,7 @@ pub fn try_node(
         graph_dir: graph_dir.to_owned(),
         open_limit: limits.time,
         group_memory_bytes: limits.memory_bytes,
+        keep_group_stderr: true,
         ..Options::default()
     };
     match Engine::start(graph, catalog, &OnTrial(loader), options) {

@@ -84,8 +84,21 @@ const PARSERS: &[(&str, &[Source])] = &[
             functions(
                 "core/record/src/recording.rs",
                 &[
-                    "open", "verify", "bytes", "read", "digests", "ends_with_magic", "is_ours", "skip", "body", "record",
-                    "message", "index", "foreign_head", "event", "drop_unadmitted",
+                    "open",
+                    "verify",
+                    "bytes",
+                    "read",
+                    "digests",
+                    "ends_with_magic",
+                    "is_ours",
+                    "skip",
+                    "body",
+                    "record",
+                    "message",
+                    "index",
+                    "foreign_head",
+                    "event",
+                    "drop_unadmitted",
                 ],
             ),
             functions("core/record/src/digest.rs", &["packet_hash", "deserialize", "packets", "read"]),
@@ -96,7 +109,10 @@ const PARSERS: &[(&str, &[Source])] = &[
     (
         "onnx",
         &[
-            functions("core/base/src/onnx.rs", &["child", "new", "varint", "field", "message", "weight_files", "unbundle"]),
+            functions(
+                "core/base/src/onnx.rs",
+                &["child", "new", "varint", "field", "message", "weight_files", "unbundle"],
+            ),
             all("core/base/src/onnx/work.rs"),
             functions("plugins/tools/src/onnx_file.rs", &["read"]),
         ],
@@ -133,13 +149,35 @@ const PARSERS: &[(&str, &[Source])] = &[
     (
         "described_plugin, isolated_call",
         &[
-            functions("core/isolate/src/description.rs", &["read", "text", "list", "read_type", "read_port", "read_param"]),
+            functions(
+                "core/isolate/src/description.rs",
+                &["read", "text", "list", "read_type", "read_port", "read_param"],
+            ),
             functions("core/isolate/src/host/describer.rs", &["report"]),
-            functions("core/isolate/src/host/answer.rs", &["refuse", "run_deferred", "run", "answer", "made", "output"]),
+            functions(
+                "core/isolate/src/host/answer.rs",
+                &["refuse", "run_deferred", "run", "answer", "made", "output"],
+            ),
             functions("core/isolate/src/host/remote.rs", &["request", "exchange", "result", "read_tick", "process"]),
             functions(
                 "core/isolate/src/wire.rs",
-                &["is_deferred", "of", "take", "u32", "i32", "u64", "i64", "f64", "count", "bytes", "text", "buffer", "tick", "frame", "plain_status"],
+                &[
+                    "is_deferred",
+                    "of",
+                    "take",
+                    "u32",
+                    "i32",
+                    "u64",
+                    "i64",
+                    "f64",
+                    "count",
+                    "bytes",
+                    "text",
+                    "buffer",
+                    "tick",
+                    "frame",
+                    "plain_status",
+                ],
             ),
             functions("core/isolate/src/lane.rs", &["receive", "receive_until"]),
         ],
@@ -207,7 +245,8 @@ pub fn coverage(workspace: &Workspace, work: &Path, lists_missed: bool) -> Resul
                 bail!("no lines of {} were built", source.path);
             }
         }
-        let (covered, count) = parts.iter().map(|(_, counts)| share(counts)).fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+        let (covered, count) =
+            parts.iter().map(|(_, counts)| share(counts)).fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         let percent = 100.0 * covered as f64 / count.max(1) as f64;
         let mark = if percent < LEAST_PERCENT { " < 85 %" } else { "" };
         complete &= percent >= LEAST_PERCENT;
@@ -293,9 +332,9 @@ fn functions_named(text: &str, name: &str) -> Vec<RangeInclusive<u32>> {
     let begins = |line: &str| {
         let after = line.split_once(&format!("fn {name}")).map(|(before, after)| (before.trim(), after));
         after.is_some_and(|(before, after)| {
-            let is_head = before.split_whitespace().all(|word| {
-                ["const", "unsafe", "extern", "\"C\"", "pub"].contains(&word) || word.starts_with("pub(")
-            });
+            let is_head = before
+                .split_whitespace()
+                .all(|word| ["const", "unsafe", "extern", "\"C\"", "pub"].contains(&word) || word.starts_with("pub("));
             is_head && after.starts_with(['(', '<'])
         })
     };
@@ -377,7 +416,10 @@ mod tests {
         let counts = Counts::from([(1, 1), (2, 0), (5, 1), (10, 7), (12, 1)]);
         assert_eq!(share(&chosen(&counts, text, &["read"]).unwrap()), (2, 3));
         assert_eq!(chosen(&counts, text, &[]).unwrap(), counts);
-        assert!(chosen(&counts, text, &["gone"]).unwrap_err().to_string().contains("`gone`"), "a moved function is noticed");
+        assert!(
+            chosen(&counts, text, &["gone"]).unwrap_err().to_string().contains("`gone`"),
+            "a moved function is noticed"
+        );
     }
 
     #[test]

@@ -6,8 +6,8 @@
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
-use panoscope_base::onnx::work::{self, TooMuch};
 use panoscope_base::onnx;
+use panoscope_base::onnx::work::{self, TooMuch};
 
 /// Largest file that the format allows, bytes.
 const MAX_BYTES: u64 = 2 << 30;

@@ -84,7 +84,7 @@ impl Engine {
             n => n,
         };
         let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
-        let groups = Groups::new(plugins.isolator(), threads, options.group_memory_bytes);
+        let groups = Groups::new(plugins.isolator(), threads, options.group_memory_bytes, options.keep_group_stderr);
         let mut runtimes = Vec::with_capacity(graph.nodes.len());
         for node in 0..graph.nodes.len() {
             let node_type = plan::entry_of(&graph, node, &entry)

@@ -42,6 +42,8 @@ pub struct Options {
     pub close_limit: Duration,
     /// Most bytes of private memory that the process of a group of isolated nodes may have.
     pub group_memory_bytes: u64,
+    /// Whether what the process of a group writes to its standard error goes into the words about its end, and not to that of this process.
+    pub keep_group_stderr: bool,
     /// Heap allocations of the process so far, where the program counts them.
     pub process_allocations: Option<fn() -> u64>,
     /// Heap allocations of the calling thread so far, where the program counts them.
@@ -66,6 +68,7 @@ impl Default for Options {
             open_limit: Duration::from_secs(30),
             close_limit: Duration::from_secs(10),
             group_memory_bytes: 8 << 30,
+            keep_group_stderr: false,
             process_allocations: None,
             thread_allocations: None,
         }

@@ -281,7 +281,9 @@ impl Answerer<'_> {
                 let (action, path) = (reader.u32()?, reader.text()?);
                 self.spent.claims += 1;
                 if self.spent.claims > MAX_CLAIMS || path.len() > MAX_PATH_BYTES {
-                    return Err(self.spent.refuse("claims more than 1024 files in one call, or a path of more than 4096 bytes"));
+                    return Err(self
+                        .spent
+                        .refuse("claims more than 1024 files in one call, or a path of more than 4096 bytes"));
                 }
                 let mut file = Str::EMPTY;
                 // SAFETY: the running call; path and place for the answer live until the call returns.

@@ -139,7 +139,8 @@ impl Sent {
             Kind::Process => {
                 reader.u32()?;
                 reader.tick()?;
-                (reader.u64()?, reader.u64()?);
+                reader.u64()?;
+                reader.u64()?;
                 if reader.u32()? == 1 {
                     reader.params()?;
                 }

@@ -194,7 +194,8 @@ pub fn urdf_seeds() -> Vec<Vec<u8>> {
         ("velocity=\"0.4\"", "velocity=\"nan\""),
     ];
     let changed = more.iter().map(|(old, new)| shipped.replacen(old, new, 1));
-    let circle = shipped.replace("</robot>", &format!("{}</robot>", joint("back", "fixed", "left_camera", "base_link")));
+    let circle =
+        shipped.replace("</robot>", &format!("{}</robot>", joint("back", "fixed", "left_camera", "base_link")));
     texts.into_iter().chain(changed).chain([circle]).map(String::into_bytes).collect()
 }
 
@@ -250,7 +251,8 @@ pub fn rtde_seeds() -> Vec<Vec<u8>> {
         package(b'U', &[]),
         package(b'X', &[1]),
     ];
-    let mut all = vec![all.concat(), package(b'U', &values), all.concat()[..40].to_vec(), vec![0, 2, b'V'], vec![0xff; 8]];
+    let mut all =
+        vec![all.concat(), package(b'U', &values), all.concat()[..40].to_vec(), vec![0, 2, b'V'], vec![0xff; 8]];
     all.push(wrong.concat());
     // Values that end inside each field.
     all.push((1..values.len()).step_by(4).flat_map(|len| package(b'U', &values[..len])).collect());

@@ -232,16 +232,24 @@ impl Seed {
         let choices: Vec<Vec<u8>> = self.choices.iter().map(|choice| seed_text(choice)).collect();
         let floats: Vec<Vec<u8>> = self.floats.iter().map(|value| vec![*value]).collect();
         let node = [&[1][..], &self.node, &seed_text(self.name), &seed_text("filter"), &seed_text("Blurs.")].concat();
-        let lists = [list(&choices), list(&floats), list(&self.inputs), list(&self.outputs), list(&self.params)].concat();
+        let lists =
+            [list(&choices), list(&floats), list(&self.inputs), list(&self.outputs), list(&self.params)].concat();
         let plugin = [seed_text(self.plugin_name), seed_text("0.1"), seed_text("Filters.")].concat();
         [&lists[..], &node, &self.plugin, &plugin].concat()
     }
 }
 
 pub fn seeds() -> Vec<Vec<u8>> {
-    let [boolean, int, float, choice, text, path, floats] =
-        [abi::PARAM_BOOL, abi::PARAM_INT, abi::PARAM_FLOAT, abi::PARAM_CHOICE, abi::PARAM_TEXT, abi::PARAM_PATH, abi::PARAM_FLOATS]
-            .map(|kind| kind as u8);
+    let [boolean, int, float, choice, text, path, floats] = [
+        abi::PARAM_BOOL,
+        abi::PARAM_INT,
+        abi::PARAM_FLOAT,
+        abi::PARAM_CHOICE,
+        abi::PARAM_TEXT,
+        abi::PARAM_PATH,
+        abi::PARAM_FLOATS,
+    ]
+    .map(|kind| kind as u8);
     let [exists, points, rectangles, file, writes, shipped] = [
         abi::PARAM_MUST_EXIST,
         abi::PARAM_POINTS,
@@ -291,7 +299,9 @@ pub fn seeds() -> Vec<Vec<u8>> {
         (8, 0, range),
         (int, 128, range),
     ];
-    all.extend(params.iter().map(|(kind, flags, numbers)| Seed::param(seed_param("size", *kind, *flags, *numbers, "a"))));
+    all.extend(
+        params.iter().map(|(kind, flags, numbers)| Seed::param(seed_param("size", *kind, *flags, *numbers, "a"))),
+    );
     // Numbers in full: a default, a limit and a step that are no whole numbers, and NaN.
     for value in [0.5, f64::NAN] {
         for at in 0..4 {

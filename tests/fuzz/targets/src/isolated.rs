@@ -156,7 +156,8 @@ pub fn recorded(file: &Path) {
     let head = panoscope_record::head(&graph, &host.catalog, &loader, "graph.toml".as_ref(), text, &[]);
     let options = RecordOptions { file: Some(file.to_owned()), ..RecordOptions::default() };
     let recorder = Recorder::start(options, head).expect("a recording");
-    let options = Options { threads: 1, frames: Some(2), paced: false, observer: Some(recorder.clone()), ..Options::default() };
+    let options =
+        Options { threads: 1, frames: Some(2), paced: false, observer: Some(recorder.clone()), ..Options::default() };
     let plugins = With { host, script: Arc::new([]) };
     let engine = Engine::start(graph, &host.catalog, &plugins, options).expect("a run");
     assert!(engine.wait(Some(Duration::from_secs(30))), "the run does not end");
@@ -437,7 +438,9 @@ pub fn call_seeds() -> Vec<Vec<u8>> {
         Script::default().around(|s| s.made(&forward, &[INPUT.to_vec()])),
         (1..FRAMES).fold(alloc(begin()).made(&[], &[MADE.to_vec()]), |s, _| s.made(&placed, &in_stock)).done(&[]),
         Script::default().around(|s| {
-            s.step(FORWARD, &[small(0), small(1), INPUT.to_vec()]).step(MAKE_MUT, &[small(0)]).made(&[], &[MADE.to_vec()])
+            s.step(FORWARD, &[small(0), small(1), INPUT.to_vec()])
+                .step(MAKE_MUT, &[small(0)])
+                .made(&[], &[MADE.to_vec()])
         }),
         Script::default().around(|s| s.made(&[], &none)),
         // A table, logs, metrics, ages, files.
@@ -449,10 +452,14 @@ pub fn call_seeds() -> Vec<Vec<u8>> {
                 .step(AGE, &[vec![1, 0xff, 0xff, 0xff, 0xff]])
                 .step(CLAIM_FILE, &[small(0), text(b"/nowhere/a.csv")])
                 .step(FLUSH, &[])
-                .step(DONE, &[&[small(0), raw(&[0; 24]), long(2), raw(&[0; 60])][..], &[MADE.to_vec(), text(b"")]].concat())
+                .step(
+                    DONE,
+                    &[&[small(0), raw(&[0; 24]), long(2), raw(&[0; 60])][..], &[MADE.to_vec(), text(b"")]].concat(),
+                )
         }),
         Script::default().around(|s| {
-            let metric = [kind(METRIC), text(b"share"), long(1), kind(SET_LAG), longest(), kind(SET_ARRIVED), longest()];
+            let metric =
+                [kind(METRIC), text(b"share"), long(1), kind(SET_LAG), longest(), kind(SET_ARRIVED), longest()];
             s.made(&metric, &none)
         }),
         Script::default().around(|s| s.made(&[&retain[..], &release].concat(), &none)),

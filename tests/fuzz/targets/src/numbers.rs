@@ -54,7 +54,12 @@ pub fn float_image_seeds() -> Vec<Vec<u8>> {
         npy("{'fortran_order': False, 'shape': (1, 2), }\n", 8),
         npy("{'descr': '<f4', 'shape': (1, 2, 3), }\n", 24),
         npy("{'descr': '<f4', 'shape': (x, 2), }\n", 8),
-        [b"\x93NUMPY\x02\x00\x35\x00\x00\x00", &b"{'descr': '<f4', 'fortran_order': False, 'shape': (1,1)}\n"[..53], &[0; 8]].concat(),
+        [
+            b"\x93NUMPY\x02\x00\x35\x00\x00\x00",
+            &b"{'descr': '<f4', 'fortran_order': False, 'shape': (1,1)}\n"[..53],
+            &[0; 8],
+        ]
+        .concat(),
         b"\x93NUMPY\x09\x00\x00\x00\x00\x00".to_vec(),
         b"\x93NUMPY\x01\x00\xff\xff\x00\x00".to_vec(),
     ]

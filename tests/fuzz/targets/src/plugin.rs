@@ -189,17 +189,28 @@ pub fn lock_seeds() -> Vec<Vec<u8>> {
     };
     let head = "version = 2\nprogram = \"0.1.0\"\n";
     let kinds = [
-        "graph", "part", "overlay", "plugin", "library", "program", "model", "weights", "runtime", "calibration", "file",
+        "graph",
+        "part",
+        "overlay",
+        "plugin",
+        "library",
+        "program",
+        "model",
+        "weights",
+        "runtime",
+        "calibration",
+        "file",
         "input",
     ];
     let of_each_kind: String = kinds.iter().map(|kind| file(kind, "a;2")).collect();
     let good = format!("{head}{}", file("graph", "g.toml"));
-    let signature = |key: &str, signature: &str| format!("{good}[signature]\nkey = \"{key}\"\ned25519 = \"{signature}\"\n");
+    let signature =
+        |key: &str, signature: &str| format!("{good}[signature]\nkey = \"{key}\"\ned25519 = \"{signature}\"\n");
     let public = secret_key().public().hex();
     let mut signed = Lock::parse(&good).expect("a lock");
     signed.sign(&secret_key());
     let place = scratch::path("lock/signed.toml");
-    let signed = signed.write(&place).and_then(|file| Ok(std::fs::read_to_string(&file).expect("its own file")));
+    let signed = signed.write(&place).map(|file| std::fs::read_to_string(&file).expect("its own file"));
     let texts = [
         format!("{head}{of_each_kind}"),
         format!("{head}file = []\n"),

@@ -184,7 +184,8 @@ pub fn file_seeds() -> Vec<Vec<u8>> {
     if let Some(last) = wrong_mark.last_mut() {
         *last ^= 1;
     }
-    let real = vec![damaged(whole.len() / 2), damaged(whole.len() - 60), damaged(40), unfinished, no_mark, wrong_mark, whole];
+    let real =
+        vec![damaged(whole.len() / 2), damaged(whole.len() - 60), damaged(40), unfinished, no_mark, wrong_mark, whole];
     // Channels, edits and drops of a source that is removed.
     let mut edited = begin(1);
     edited.channel(2, "no port", "panoscope.packet");
@@ -212,7 +213,16 @@ pub fn file_seeds() -> Vec<Vec<u8>> {
     let more = [edited, short, missing, no_head, unreadable, chunked, damaged_channel, unknown];
     let more = more.into_iter().map(|mcap| mcap.0).chain(real);
     let mut all: Vec<Vec<u8>> = more.collect();
-    all.extend([plain.0, cut, other.0, sealed.0, foreign.0, long.0, b"\x89MCAP0\r\n".to_vec(), b"no recording".to_vec()]);
+    all.extend([
+        plain.0,
+        cut,
+        other.0,
+        sealed.0,
+        foreign.0,
+        long.0,
+        b"\x89MCAP0\r\n".to_vec(),
+        b"no recording".to_vec(),
+    ]);
     all
 }
 
