@@ -134,7 +134,20 @@ const PARSERS: &[(&str, &[Source])] = &[
             all("core/eval/src/eval/disparity/truth_files.rs"),
         ],
     ),
-    ("coco, labelme, via, voc, yolo_labels", &[all("core/eval/src/eval/detect/truth/")]),
+    (
+        "coco, labelme, via, voc, yolo_labels",
+        &[
+            functions(
+                "core/eval/src/eval/detect/truth/mod.rs",
+                &["normal_name", "class", "size_of", "picture_called", "files", "one_file", "read", "outlined"],
+            ),
+            all("core/eval/src/eval/detect/truth/coco.rs"),
+            all("core/eval/src/eval/detect/truth/labelme.rs"),
+            all("core/eval/src/eval/detect/truth/via.rs"),
+            all("core/eval/src/eval/detect/truth/voc.rs"),
+            all("core/eval/src/eval/detect/truth/yolo_text.rs"),
+        ],
+    ),
     ("arm_line", &[all("core/arm/src/line.rs")]),
     ("guard_message", &[all("core/arm_guard/src/message.rs")]),
     ("latch", &[functions("core/arm_guard/src/latch.rs", &["open", "decode"])]),

@@ -136,6 +136,10 @@ pub fn via_seeds() -> Vec<Vec<u8>> {
             "{{\"a.png1\":{{\"filename\":\"a.png\",\"size\":1,\"regions\":[{{\"shape_attributes\":{shape},\"region_attributes\":{{\"class\":\"hook\"}}}}]}}}}"
         )
     };
+    let of_class = |attributes: &str| {
+        let shape = "{\"name\":\"rect\",\"x\":1,\"y\":1,\"width\":4,\"height\":3}";
+        whole(shape).replace("{\"class\":\"hook\"}", attributes)
+    };
     owned(&[
         &whole("{\"name\":\"polygon\",\"all_points_x\":[1,5,5],\"all_points_y\":[1,1,6]}"),
         &whole("{\"name\":\"rect\",\"x\":1,\"y\":1,\"width\":4,\"height\":3}"),
@@ -143,6 +147,16 @@ pub fn via_seeds() -> Vec<Vec<u8>> {
         &whole("{\"name\":\"ellipse\",\"cx\":5,\"cy\":5,\"rx\":3,\"ry\":1e308,\"theta\":0.3}"),
         &whole("{\"name\":\"point\",\"cx\":5,\"cy\":5}"),
         "{\"_via_img_metadata\":{\"a\":{\"filename\":\"a.png\",\"regions\":{\"10\":{},\"9\":{}}}}}",
+        "{\"a\":{\"filename\":\"a.png\",\"regions\":7}}",
+        "{\"a\":{\"filename\":\"a.png\",\"regions\":null}}",
+        &of_class("{\"Type\":\"hook\",\"class\":\"grasper\",\"other\":1}"),
+        &of_class("{\"a\":\"hook\",\"b\":\"grasper\"}"),
+        &of_class("{\"class\":3}"),
+        &of_class("{\"class\":{\"hook\":true,\"grasper\":false}}"),
+        &of_class("{\"class\":{\"hook\":true,\"grasper\":true}}"),
+        &of_class("{\"class\":[]}"),
+        &of_class("{\"class\":\" \"}"),
+        &of_class("{}"),
     ])
 }
 

@@ -51,6 +51,39 @@ pub fn seeds() -> Vec<Vec<u8>> {
     write(float.into(), image::ImageFormat::OpenExr);
     let deep = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_fn(3, 2, |x, y| image::Luma([(x * y) as u16]));
     write(deep.into(), image::ImageFormat::Png);
+    let mut write = |picture: image::DynamicImage, format: image::ImageFormat| {
+        let mut bytes = Vec::new();
+        picture.write_to(&mut std::io::Cursor::new(&mut bytes), format).expect("a format that is built in");
+        all.push(bytes);
+    };
+    let small =
+        image::DynamicImage::from(image::RgbaImage::from_fn(3, 2, |x, y| image::Rgba([x as u8, y as u8, 9, 255])));
+    write(small.clone(), image::ImageFormat::Tiff);
+    write(small.to_luma8().into(), image::ImageFormat::Tiff);
+    write(small.to_luma8().into(), image::ImageFormat::Jpeg);
+    write(small.to_luma16().into(), image::ImageFormat::Tiff);
+    write(small.to_rgb16().into(), image::ImageFormat::Tiff);
+    write(small.to_rgb32f().into(), image::ImageFormat::Tiff);
+    write(
+        image::RgbImage::from_fn(40, 33, |x, y| image::Rgb([(x * y) as u8, (x ^ y) as u8, x as u8])).into(),
+        image::ImageFormat::Jpeg,
+    );
+    let jpegs: Vec<Vec<u8>> = all.iter().filter(|bytes| bytes.starts_with(&[0xff, 0xd8])).cloned().collect();
+    for jpeg in jpegs {
+        // As Motion JPEG has them, without tables; with fill bytes before each marker; with more behind the end; cut off.
+        all.push(changed_segments(&jpeg, |marker, segment| if marker == 0xc4 { Vec::new() } else { segment.to_vec() }));
+        all.push(changed_segments(&jpeg, |_, segment| [&[0xff, 0xff], segment].concat()));
+        all.push(changed_segments(&jpeg, |marker, segment| if marker == 0xda { Vec::new() } else { segment.to_vec() }));
+        all.push([&jpeg[..], b"more"].concat());
+        all.push(jpeg[..jpeg.len() - 2].to_vec());
+        all.push([&jpeg[..jpeg.len() - 2], &[0xff, 0xff, 0xd9]].concat());
+        all.push([&jpeg[..jpeg.len() - 12], &[0xff, 0xd9]].concat());
+        let mut scan = jpeg.clone();
+        for (at, byte) in scan.iter_mut().enumerate().rev().skip(3).take(40) {
+            *byte ^= (at * 37) as u8 & 0x7f;
+        }
+        all.push(scan);
+    }
     all.push(b"P5\n2 2\n255\nabcd".to_vec());
     all.push(b"P6\n2 1\n65535\nabcdefghijkl".to_vec());
     all.push(b"P2\n2 1\n9\n1 2\n".to_vec());
@@ -65,4 +98,19 @@ pub fn seeds() -> Vec<Vec<u8>> {
     bmp.extend([1, 2, 3, 4, 5, 6, 0, 0]);
     all.push(bmp);
     all
+}
+
+/// A JPEG with each of its segments changed; what follows the head of the scan stays.
+fn changed_segments(jpeg: &[u8], change: impl Fn(u8, &[u8]) -> Vec<u8>) -> Vec<u8> {
+    let (mut out, mut at) = (jpeg[..2].to_vec(), 2);
+    while let Some(&[0xff, marker, high, low]) = jpeg.get(at..at + 4) {
+        let end = at + 2 + usize::from(u16::from_be_bytes([high, low]));
+        out.extend(change(marker, &jpeg[at..end]));
+        at = end;
+        if marker == 0xda {
+            break;
+        }
+    }
+    out.extend(&jpeg[at..]);
+    out
 }
