@@ -194,6 +194,9 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         }
         // Without it libtest hides the output of passing tests, which has the reasons of skips.
         cargo.args(request.cargo_args).args(["--", "--show-output"]).args(request.test_args);
+        if request.suite.sanitizer.is_some() {
+            cargo.args(Sanitizer::test_arguments());
+        }
         timed("tests", || {
             let status = process::filter(&mut cargo, |line| tally.read(line))?;
             process::check(&cargo, status)
