@@ -30,9 +30,9 @@ mod tests {
     #[test]
     fn a_block_is_mapped_after_a_larger_one_was_freed() {
         super::keep_large_blocks_apart();
-        drop(std::hint::black_box(vec![1u8; 16 << 20]));
+        drop(core::hint::black_box(vec![1u8; 16 << 20]));
         let before = mapped();
-        let block = std::hint::black_box(vec![1u8; 4 << 20]);
+        let block = core::hint::black_box(vec![1u8; 4 << 20]);
         assert!(mapped() >= before + block.len(), "the block lies in the heap");
     }
 }
