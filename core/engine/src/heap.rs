@@ -31,8 +31,12 @@ mod tests {
     fn a_block_is_mapped_after_a_larger_one_was_freed() {
         super::keep_large_blocks_apart();
         drop(core::hint::black_box(vec![1u8; 16 << 20]));
-        let before = mapped();
-        let block = core::hint::black_box(vec![1u8; 4 << 20]);
-        assert!(mapped() >= before + block.len(), "the block lies in the heap");
+        let is_mapped = || {
+            let before = mapped();
+            let block = core::hint::black_box(vec![1u8; 4 << 20]);
+            mapped() >= before + block.len()
+        };
+        // Other tests of this process allocate and free meanwhile.
+        assert!((0..50).any(|_| is_mapped()), "the block lies in the heap");
     }
 }
