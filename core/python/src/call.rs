@@ -51,9 +51,9 @@ impl Call {
         Ok(view)
     }
 
-    fn running(&self) -> PyResult<&mut abi::Call> {
+    fn running(&self) -> PyResult<&abi::Call> {
         // SAFETY: not null only while the call runs; see the type about who may be here meanwhile.
-        let running = unsafe { self.running.load(Ordering::Acquire).as_mut() };
+        let running = unsafe { self.running.load(Ordering::Acquire).as_ref() };
         running.ok_or_else(|| PyRuntimeError::new_err("this works only while the node's `process` runs"))
     }
 
@@ -135,7 +135,9 @@ impl Call {
 
     /// Sets the capture time of a source's tick.
     fn set_capture_ns(&self, capture_ns: i64) -> PyResult<()> {
-        self.running()?.tick.capture_ns = capture_ns;
+        self.running()?;
+        // SAFETY: the call runs, as just checked; nobody else has a reference to its tick.
+        unsafe { (*self.running.load(Ordering::Acquire)).tick.capture_ns = capture_ns };
         Ok(())
     }
 
