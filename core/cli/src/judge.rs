@@ -26,7 +26,7 @@ pub struct Facts<'a> {
     pub faults: &'a [Fault],
     /// How the engine says it ended.
     pub outcome: &'a Outcome,
-    /// Nodes with `on_fault = "bypass"`.
+    /// Nodes whose faults do not fail the run: those with `on_fault = "bypass"`, and those whose faults the command causes.
     pub bypassed: BTreeSet<&'a str>,
     /// Ticks of each source that were asked for.
     pub frames: Option<u64>,

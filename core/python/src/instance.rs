@@ -87,7 +87,7 @@ unsafe fn values<'py>(py: Python<'py>, params: *const ParamValue, len: usize) ->
             abi::PARAM_FLOAT => param.float_value.into_pyobject(py)?.into_any(),
             // SAFETY: the caller's promise, for what a value points to.
             abi::PARAM_FLOATS => PyList::new(py, unsafe { slice(param.floats, param.floats_len) })?.into_any(),
-            // SAFETY: as above.
+            // SAFETY: the caller's promise covers the texts of values.
             _ => unsafe { param.text.text() }.unwrap_or("").into_pyobject(py)?.into_any(),
         })
     };

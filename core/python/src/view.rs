@@ -6,7 +6,7 @@ use panoscope_abi::{BufferId, Frame, Host};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// The bytes of a frame: NumPy makes an array over them without a copy. Whoever keeps the view keeps the frame.
+/// The bytes of a frame: NumPy makes an array over them without a copy. A view that is kept keeps its frame.
 #[pyclass(frozen, module = "panoscope._native")]
 pub struct View {
     address: usize,

@@ -139,7 +139,7 @@ class Loop(unittest.TestCase):
             pause = Pause(path, poll_s=0.01)
             self.assertEqual(pause.wait(), 0.0)
             path.touch()
-            # Removed by another process, as whoever measures does it.
+            # Another process removes it when its measurement ends.
             with subprocess.Popen([sys.executable, "-c", f"import pathlib, time; time.sleep(0.2); pathlib.Path({str(path)!r}).unlink()"]):
                 self.assertGreater(pause.wait(), 0.0)
 

@@ -1,5 +1,6 @@
 //! `panoscope replay`: a recording played again, to the byte, or another graph on its pictures.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -154,7 +155,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         engine.stop();
         follows.join()
     });
-    let mut verdict = run::close(engine, on_duty, None, &progress);
+    let mut verdict = run::close(engine, on_duty, None, &progress, &BTreeSet::new());
     let followed = if let Ok(Err(error)) = followed { Some(error) } else { None };
     for error in followed.into_iter().chain(replay.verdict().err()) {
         let words = error.to_string();

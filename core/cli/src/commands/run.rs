@@ -1,5 +1,6 @@
 //! `panoscope run`.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -133,8 +134,15 @@ fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, St
     })
 }
 
-/// A graph that runs, with what it was checked against.
-pub type Running<'e> = (Live<&'e Engine>, &'e Catalog);
+/// A graph that runs.
+pub struct Running<'e> {
+    /// Its engine and its text.
+    pub live: Live<&'e Engine>,
+    /// What it was checked against.
+    pub catalog: &'e Catalog,
+    /// Nodes whose faults do not fail the run, because the command causes them.
+    pub expected_faults: BTreeSet<String>,
+}
 
 /// Runs a graph to its end, recorded where wanted, with a look at it ten times a second.
 pub fn run_with(
@@ -207,23 +215,29 @@ pub fn run_with(
     });
     let mut live = Live::new(&engine, &arguments.graph, text, settings, ready.loader);
     live.set_seal(seal);
-    let mut running = (live, &ready.catalog);
+    let mut running = Running { live, catalog: &ready.catalog, expected_faults: BTreeSet::new() };
     watch(&engine, &mut progress, || {
         look(&mut running);
         if let Some(files) = &mut files {
-            apply_changes(files, &mut running.0, &given);
+            apply_changes(files, &mut running.live, &given);
         }
     });
-    drop(running);
-    let mut verdict = close(&engine, on_duty, arguments.frames, &progress);
+    let Running { expected_faults, .. } = running;
+    let mut verdict = close(&engine, on_duty, arguments.frames, &progress, &expected_faults);
     if let Some(path) = &arguments.report {
         report_into(path, &engine.report(), &mut verdict);
     }
     Ok(RunEnd::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
 }
 
-/// Closes a run that is over or to end, shows its summary and judges it.
-pub fn close(engine: &Engine, on_duty: signals::OnDuty, frames: Option<u64>, progress: &Progress) -> Verdict {
+/// Closes a run that is over or to end, shows its summary and judges it. Faults of the nodes in `expected_faults` do not fail it.
+pub fn close(
+    engine: &Engine,
+    on_duty: signals::OnDuty,
+    frames: Option<u64>,
+    progress: &Progress,
+    expected_faults: &BTreeSet<String>,
+) -> Verdict {
     let stopped_by = signals::asked();
     // Held until the process leaves: a signal that comes now finds the end being made.
     std::mem::forget(on_duty.finishing());
@@ -231,7 +245,8 @@ pub fn close(engine: &Engine, on_duty: signals::OnDuty, frames: Option<u64>, pro
     let (graph, report, faults) = (engine.graph(), engine.report(), engine.recent_faults());
     progress.finish();
     raw(&summary::text(&graph, &report));
-    let bypassed = graph.nodes.iter().filter(|n| n.on_fault == OnFault::Bypass).map(|n| n.id.as_str()).collect();
+    let bypassed = graph.nodes.iter().filter(|n| n.on_fault == OnFault::Bypass).map(|n| n.id.as_str());
+    let bypassed = bypassed.chain(expected_faults.iter().map(String::as_str)).collect();
     let stopped_by = stopped_by.map(|signal| signal.to_string());
     judge(&Facts { report: &report, faults: &faults, outcome: &outcome, bypassed, frames, stopped_by })
 }

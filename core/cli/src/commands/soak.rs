@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use panoscope_eval::soak::{Change, Disturbances, Disturber, Done, Soak};
 
-use super::run::{self, RunEnd};
+use super::run::{self, RunEnd, Running};
 use crate::End;
 use crate::judge::Weight;
 use crate::numbers::{NumberError, number_in};
@@ -23,7 +23,8 @@ pub struct Arguments {
     /// Changes the running graph every so many seconds: in turn a parameter moves, it moves back, a sink leaves, it comes back.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     edit_every: Option<f64>,
-    /// Kills the process of a group of isolated nodes every so many seconds, of each group in turn.
+    /// Kills the process of a group of isolated nodes every so many seconds, of each group in turn. Faults of isolated nodes are then expected
+    /// and do not fail the run.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     kill_every: Option<f64>,
     /// Writes every sample: seconds, memory, frames, frame memory, drops, faults, threads, open files, isolated processes.
@@ -44,9 +45,13 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let mut soak = Soak::default();
     let settings = Disturbances { edit_every_s: arguments.edit_every, kill_every_s: arguments.kill_every };
     let mut disturber = None;
-    let ran = run::run_with(&arguments.run, None, |(live, catalog)| {
+    let ran = run::run_with(&arguments.run, None, |Running { live, catalog, expected_faults }| {
         let disturber = disturber.get_or_insert_with(|| {
             let graph = live.engine().graph();
+            if arguments.kill_every.is_some() {
+                let isolated = graph.nodes.iter().filter(|node| node.isolate.is_some());
+                expected_faults.extend(isolated.map(|node| node.id.clone()));
+            }
             Disturber::new(settings, live.text(), &graph, catalog)
         });
         if let Some(reason) = disturber.disturb(live) {

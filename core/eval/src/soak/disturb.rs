@@ -117,8 +117,8 @@ impl Disturber {
         };
         let share = 2.0 * unit(self.random.bits()) - 1.0;
         let moved = (value + 0.1 * share * (max - min)).clamp(*min, *max);
-        let told = |error: SetError| format!("{node}.{param} = {moved}: {error}");
-        engine.set_param(node, param, ParamValue::Float(moved)).map_err(told)?;
+        let refusal = |error: SetError| format!("{node}.{param} = {moved}: {error}");
+        engine.set_param(node, param, ParamValue::Float(moved)).map_err(refusal)?;
         Ok(true)
     }
 
