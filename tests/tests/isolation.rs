@@ -408,7 +408,9 @@ fn children() -> Vec<u32> {
         .filter(|process: &u32| {
             let read = |file: &str| std::fs::read_to_string(format!("/proc/{process}/{file}")).unwrap_or_default();
             let parent = read("stat").rsplit_once(") ").and_then(|(_, rest)| rest.split(' ').nth(1)?.parse().ok());
-            parent == Some(own) && read("cmdline").contains("isolated-nodes")
+            let command = read("cmdline");
+            // Those that describe a plugin belong to no group; they leave when nobody asks them any more.
+            parent == Some(own) && command.contains("isolated-nodes") && !command.contains("\0describes ")
         })
         .collect();
     found.sort_unstable();

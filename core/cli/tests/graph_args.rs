@@ -246,7 +246,7 @@ fn a_soaked_graph_is_edited_and_its_processes_are_killed() {
     let done = out.lines().find(|line| line.contains(" edits, ")).unwrap_or_else(|| panic!("{code} {out}{err}"));
     let counts: Vec<u64> = done.split(|c: char| !c.is_ascii_digit()).filter_map(|n| n.parse().ok()).collect();
     let [edits, refused, kills, processes] = counts[..] else { panic!("{done}") };
-    assert!(edits >= 2 && refused == 0 && kills >= 3 && processes > kills, "{done}\n{out}{err}");
+    assert!(edits >= 2 && refused == 0 && kills >= 3 && processes >= kills, "{done}\n{out}{err}");
     assert!(out.contains("threads: ") && out.contains("open files: "), "{out}");
     assert!(err.contains("warning: node `") && !err.contains("error: node `"), "kills are expected: {err}");
     let samples = folder.read("s.csv");
