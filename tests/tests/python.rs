@@ -128,6 +128,10 @@ fn parameters_numbers_texts_and_tables_cross() {
          [nodes.numbers]\ntype = \"numbers\"\n\
          inputs = {{ calibration = \"scope.calibration\", detections = \"scope.detections\", images = [\"scope.left\", \"scope.right\"] }}\n"
     );
+    // Nodes that nobody reads do not run.
+    let end = "[nodes.end]\ntype = \"reads\"\n[nodes.end.inputs]\nlabel = \"gain.label\"\nstats = \"gain.stats\"\n\
+        calibration = \"numbers.calibration\"\nboxes = \"numbers.boxes\"\ncount = \"numbers.count\"\n";
+    let text = format!("{text}{end}");
     let path = folder.join("graph.toml");
     let given = format!("plugin_paths = [\".\"]\n{text}");
     let (graph, catalog, loader) = load(&path, &given).unwrap_or_else(|mistakes| panic!("{mistakes}"));
@@ -149,6 +153,8 @@ fn parameters_numbers_texts_and_tables_cross() {
     assert_eq!(*labels.lock().expect("no panic"), [b"mine [0.0, 0.5, 1.0] gain"; 3]);
     let run = run(&folder, &text, 3, |_| ());
     assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
+    let read = &run.report.nodes["end"].metrics;
+    assert_eq!((read["columns"], read["count"], read["baseline_mm"]), (2.0, 2.0, 15.0), "{read:?}");
     assert_eq!(run.port("numbers.calibration"), run.port("scope.calibration"));
     assert_eq!(run.port("numbers.boxes"), run.port("scope.detections"));
     let _ = std::fs::remove_dir_all(&folder);

@@ -144,7 +144,10 @@ def _node_type(cls: type, family: str, name: str, blocking: bool, side_effects: 
         if parameter.name not in hints:
             raise NodeError(f"{cls.__name__}.process: input `{parameter.name}` needs a packet type, as in `{parameter.name}: ps.Gray8`")
         inputs.append(_input(cls, parameter, hints[parameter.name]))
-    outputs = _outputs(cls, hints.get("return", returns), process)
+    if isinstance(returns, str):
+        # `from __future__ import annotations` makes a dict a text.
+        returns = eval(returns, process.__globals__)
+    outputs = _outputs(cls, returns if isinstance(returns, dict) else hints.get("return"))
     is_source = family == "source"
     if is_source and inputs:
         raise NodeError(f"{cls.__name__}.process: a source has no inputs")
@@ -191,11 +194,9 @@ def _input(cls: type, parameter: inspect.Parameter, annotation: Any) -> Port:
     return Port(parameter.name, doc, kind, flags)
 
 
-def _outputs(cls: type, annotation: Any, process: Callable[..., Any]) -> tuple[Port, ...]:
+def _outputs(cls: type, annotation: Any) -> tuple[Port, ...]:
     if annotation is None or annotation is type(None):
         return ()
-    if isinstance(annotation, str):
-        annotation = eval(annotation, process.__globals__)  # `from __future__ import annotations` makes a dict a text.
     if not isinstance(annotation, dict):
         kind, doc = _kind(cls, "the result", annotation)
         return (Port(kind.packet, doc, kind, 0),)

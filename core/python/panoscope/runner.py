@@ -23,7 +23,7 @@ def load(source: bytes, file: str) -> list[nodes.NodeType]:
     module.__file__ = file
     sys.modules[path.stem] = module
     nodes.NODES.clear()
-    exec(compile(source, file, "exec"), module.__dict__)
+    exec(compile(source, file, "exec", dont_inherit=True), module.__dict__)
     found = list(nodes.NODES)
     if not found:
         raise nodes.NodeError("it declares no node: put `@panoscope.node(...)` in front of a class")

@@ -147,3 +147,13 @@ class Shows:
     def process(self, image: ps.Gray8) -> None:
         print("a line of a node in Python")
         ps.log(f"mean {image.mean():.1f}")
+
+
+@ps.node(family="sink")
+class Reads:
+    """Reads what is no picture."""
+
+    def process(self, label: ps.Text, stats: ps.Table, calibration: ps.Calibration, boxes: ps.Detections, count: ps.Scalar) -> None:
+        ps.metric("columns", len(stats.columns) if stats["mean"].shape == (1,) and label.startswith("mine") else -1)
+        ps.metric("count", count)
+        ps.metric("baseline_mm", calibration.baseline_mm if boxes.image_size == (160, 120) else -1)
