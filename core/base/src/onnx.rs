@@ -267,7 +267,7 @@ mod tests {
     use super::*;
 
     /// A field with bytes.
-    fn field(number: u64, bytes: &[u8]) -> Vec<u8> {
+    pub(super) fn field(number: u64, bytes: &[u8]) -> Vec<u8> {
         let mut out = Vec::new();
         push_varint(&mut out, number << 3 | 2);
         push_varint(&mut out, bytes.len() as u64);

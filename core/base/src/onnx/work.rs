@@ -385,15 +385,8 @@ fn known(scopes: &[Scope<'_>], name: &[u8]) -> Option<Constant> {
 #[cfg(test)]
 mod tests {
     use super::super::push_varint;
+    use super::super::tests::field;
     use super::*;
-
-    fn field(number: u64, bytes: &[u8]) -> Vec<u8> {
-        let mut out = Vec::new();
-        push_varint(&mut out, number << 3 | 2);
-        push_varint(&mut out, bytes.len() as u64);
-        out.extend_from_slice(bytes);
-        out
-    }
 
     fn number(field: u64, value: u64) -> Vec<u8> {
         let mut out = Vec::new();

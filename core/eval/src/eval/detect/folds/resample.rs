@@ -11,6 +11,7 @@ use super::super::score::Ranking;
 use super::super::truth::Picture;
 use super::file::Folds;
 use crate::error::{Context, Result};
+use crate::statistics::percentile;
 
 /// Redrawn samples per figure.
 pub const RESAMPLES: usize = 1000;
@@ -83,11 +84,6 @@ pub fn resampled(rankings: &[Ranking], blocks: &Blocks, pictures: usize, seed: u
 
 /// Bounds that 95 % of `values` lie between; NaN without a finite value.
 pub fn interval(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    let mut sorted: Vec<f64> = values.filter(|v| v.is_finite()).collect();
-    sorted.sort_by(f64::total_cmp);
-    let at = |share: f64| {
-        let index = (share * sorted.len().saturating_sub(1) as f64).round() as usize;
-        sorted.get(index).copied().unwrap_or(f64::NAN)
-    };
-    [at(0.025), at(0.975)]
+    let values: Vec<f64> = values.collect();
+    [percentile(&values, 0.025), percentile(&values, 0.975)]
 }
