@@ -138,6 +138,8 @@ pub(crate) struct Join {
     pub staged_take: Option<(Tick, bool)>,
     exact: bool,
     batch: bool,
+    /// Whether the inputs of a source were staged for a tick that it has not made: no producer makes a value for it.
+    is_unmade: bool,
     /// Packets beyond their capacity that trigger slots may queue after a pause.
     spare: usize,
     /// Time in ns of the host's clock after which the node stops waiting for a `nearest` slot; 0 when it does not wait.
@@ -361,10 +363,9 @@ impl Join {
         self.slots[slot].queue.len()
     }
 
-    /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still being made. `again`: the
-    /// last staging led to no tick, so no producer made a value for it.
-    pub fn take_source(&mut self, tick: Tick, again: bool) -> bool {
-        if again {
+    /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still being made.
+    pub fn take_source(&mut self, tick: Tick) -> bool {
+        if self.is_unmade {
             self.slots.iter_mut().for_each(|s| s.expects = false);
         }
         if self.slots.iter().any(Slot::waits_for_delayed) {
@@ -372,7 +373,13 @@ impl Join {
         }
         self.stage(tick, None);
         self.staged_take = None;
+        self.is_unmade = true;
         true
+    }
+
+    /// A source has made the tick that its inputs were staged for.
+    pub fn made_tick(&mut self) {
+        self.is_unmade = false;
     }
 
     fn take_exact(&mut self, now_ns: u64) -> Take {

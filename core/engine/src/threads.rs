@@ -44,8 +44,6 @@ struct Pace {
     /// Capture and wall time of the first tick.
     first: Option<(i64, u64)>,
     last_capture_ns: Option<i64>,
-    /// Whether the last staging of inputs led to no tick.
-    again: bool,
 }
 
 impl Shared {
@@ -82,6 +80,11 @@ impl Shared {
         let handle = builder.spawn(work)?;
         threads.insert(number, OwnThread { node, runtime: owner, handle });
         Ok(())
+    }
+
+    /// Forgets threads that have ended. Their stacks and nodes stay in memory until then.
+    pub fn forget_ended_threads(&self) {
+        lock(&self.own_threads).retain(|_, thread| !thread.handle.is_finished());
     }
 
     /// Runs until the node finishes or leaves. Returns whether the watchdog abandoned this thread.
@@ -167,12 +170,10 @@ impl Shared {
         }
         let capture_ns = pace.last_capture_ns.map_or(0, |last| last.saturating_add(DEFAULT_FRAME_NS));
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
-        if !lock(&runtime.join).take_source(tick, pace.again) {
-            pace.again = false;
+        if !lock(&runtime.join).take_source(tick) {
             runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
-        pace.again = true;
         let Some(mut exec) = runtime.exec.take() else { return Step::End };
         scratch.inputs.append(&mut lock(&runtime.join).staged);
         let start_ns = clock::now_ns();
@@ -212,7 +213,7 @@ impl Shared {
             self.wait_for_next_frame(runtime, start_ns);
             return Step::Next;
         }
-        pace.again = false;
+        lock(&runtime.join).made_tick();
         let mut allowance_ns = 0;
         if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
             let period_ns = tick.capture_ns.abs_diff(last);

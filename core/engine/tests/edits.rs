@@ -113,6 +113,37 @@ fn a_change_loses_no_frame_on_the_paths_it_does_not_touch_nor_on_those_it_does()
     );
 }
 
+/// Pages that nobody may touch, as the system puts one below the stack of each thread.
+#[cfg(target_os = "linux")]
+fn guard_pages() -> usize {
+    const PAGE_BYTES: u64 = 4096;
+    let maps = std::fs::read_to_string("/proc/self/maps").expect("the system's list");
+    let is_guard = |line: &str| {
+        let (from, rest) = line.split_once('-')?;
+        let (to, rest) = rest.split_once(' ')?;
+        let bytes = u64::from_str_radix(to, 16).ok()?.checked_sub(u64::from_str_radix(from, 16).ok()?)?;
+        (bytes == PAGE_BYTES && rest.starts_with("---p")).then_some(())
+    };
+    maps.lines().filter_map(is_guard).count()
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn nodes_that_left_keep_no_memory_of_their_threads() {
+    const ROUNDS: usize = 100;
+    let text = [HEAD, &source("a", 200.0), &node("sink", "drain", "a.image")].concat();
+    let mut live = live(&text, loader());
+    let before = guard_pages();
+    for _ in 0..ROUNDS {
+        live.edit(|d| d.add_node("n", "pass_blocking").and_then(|()| d.set_input("n", "image", &["a.image"])))
+            .expect("a good change");
+        live.remove_node("n").expect("a good change");
+    }
+    // Other tests of this process start threads meanwhile.
+    let after = guard_pages();
+    assert!(after < before + ROUNDS / 2, "{before} threads' stacks before {ROUNDS} nodes came and went, {after} after");
+}
+
 #[test]
 fn a_change_that_fails_changes_nothing() {
     let text = [HEAD, &source("a", 200.0), &node("p", "pass", "a.image"), &node("sink", "drain", "p.image")].concat();

@@ -422,6 +422,34 @@ fn a_terminal_that_nobody_reads_stops_neither_watchdog_nor_nodes() {
     drop(go);
 }
 
+/// A source that waits for what comes of its last tick does not wait for a tick that it never made.
+#[test]
+fn a_source_in_a_loop_goes_on_after_a_call_that_failed_or_did_not_return() {
+    for harm in ["hang", "error"] {
+        let text = format!(
+            r#"
+mode = "live"
+plugins = ["flow", "chaos"]
+[nodes.bad]
+type = "chaos_source"
+inputs = {{ before = {{ from = "back.image", delay = 1 }} }}
+params = {{ harm = "{harm}", first = 20, ticks = 1, {HANGS_MS} }}
+[nodes.back]
+type = "pass"
+inputs = {{ image = "bad.image" }}
+[nodes.end]
+type = "drain"
+inputs = {{ image = "back.image" }}
+"#
+        );
+        let (engine, _live) = start(&text, Options { hang: Duration::from_millis(300), ..options() });
+        let engine = &*engine;
+        until(engine, "the fault is seen", || engine.recent_faults().iter().any(|f| f.node == "bad"));
+        goes_on(engine, "end", "the source makes ticks again");
+        closes_in_time(engine);
+    }
+}
+
 #[test]
 fn wires_on_which_packets_wait_for_their_time_have_a_bound() {
     let text = r#"

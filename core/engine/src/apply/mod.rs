@@ -484,6 +484,7 @@ impl Engine {
             let (instances, _) = runtime.take_instances();
             self.shared.close_guarded(runtime, instances);
         }
+        self.shared.forget_ended_threads();
     }
 }
 

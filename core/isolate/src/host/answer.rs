@@ -149,6 +149,9 @@ impl Answerer<'_> {
         if let Kind::Retain | Kind::Release = kind {
             let function = if kind == Kind::Retain { host.retain } else { host.release };
             let buffer = reader.buffer()?;
+            if kind == Kind::Retain && !self.process.can_read(buffer) {
+                return Err(self.spent.refuse("kept a frame that it was not given"));
+            }
             if let Some(function) = function {
                 // SAFETY: the host checks the buffer.
                 unsafe { function(host.ctx, buffer) };
@@ -180,6 +183,10 @@ impl Answerer<'_> {
                 let (output, is_buffer) = (reader.u32()?, reader.u32()? == 1);
                 let mut frame = reader.frame()?;
                 if is_buffer {
+                    // It can read all of a pool that it was given, so that it could as well copy; of others it knows nothing.
+                    if !self.process.can_read(frame.buffer) {
+                        return Err(self.spent.refuse("forwarded a frame that it was not given"));
+                    }
                     frame.data = memory().resolve(frame.buffer);
                 }
                 let forward = host.forward.ok_or(BadMessage)?;

@@ -438,9 +438,20 @@ impl Process {
     /// Makes sure that the child can map the pool of a buffer.
     #[inline]
     pub fn give_pool(&self, buffer: BufferId) -> io::Result<()> {
-        let (word, bit) = (buffer.pool as usize / 64, 1_u64 << (buffer.pool % 64));
-        let known = self.known_pools.get(word).ok_or(io::ErrorKind::InvalidInput)?;
+        let (known, bit) = self.known_pool(buffer).ok_or(io::ErrorKind::InvalidInput)?;
         if known.load(Ordering::Acquire) & bit != 0 { Ok(()) } else { self.send_pool(buffer, known, bit) }
+    }
+
+    /// Whether the child was given the pool of a buffer.
+    #[inline]
+    pub fn can_read(&self, buffer: BufferId) -> bool {
+        self.known_pool(buffer).is_some_and(|(known, bit)| known.load(Ordering::Acquire) & bit != 0)
+    }
+
+    /// The word and the bit that say whether the child knows the pool of a buffer.
+    #[inline]
+    fn known_pool(&self, buffer: BufferId) -> Option<(&AtomicU64, u64)> {
+        Some((self.known_pools.get(buffer.pool as usize / 64)?, 1_u64 << (buffer.pool % 64)))
     }
 
     #[cold]

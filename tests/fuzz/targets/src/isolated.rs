@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use panoscope_abi as abi;
 use panoscope_base::packet::Table;
 use panoscope_engine::isolation::Isolator;
-use panoscope_engine::memory::memory;
+use panoscope_engine::memory::{Domain, FrameRef, memory};
 use panoscope_engine::{Engine, Options, Plugins};
 use panoscope_graph::{Catalog, Graph, GraphText, check, from_abi};
 use panoscope_isolate::played::{self, Piece, Played, Step};
@@ -124,6 +124,7 @@ pub fn calls(bytes: &[u8]) {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let host = host();
     let script: Arc<[Step]> = script(bytes).into();
+    let _secret = secret();
     let before = memory().in_use_bytes();
     let options = Options {
         threads: 1,
@@ -148,6 +149,22 @@ pub fn calls(bytes: &[u8]) {
         assert!(Instant::now() < end, "frames are never given back");
         std::thread::sleep(Duration::from_millis(1));
     }
+}
+
+/// What another group keeps in memory that the played process is never given.
+const SECRET: &[u8] = b"a picture of another group";
+
+/// A frame of another group.
+fn secret() -> (Domain, FrameRef) {
+    let domain = Domain::written_elsewhere().expect("a domain");
+    let len = (WIDTH * HEIGHT) as usize;
+    let (buffer, data) = memory().allocate_in(domain.number(), len).expect("a frame");
+    // SAFETY: a new buffer of at least `len` bytes, of which this is the one reference.
+    let frame = unsafe {
+        data.copy_from_nonoverlapping(SECRET.as_ptr(), SECRET.len());
+        FrameRef::adopt(abi::Frame { buffer, data, len, ..abi::Frame::EMPTY })
+    };
+    (domain, frame)
 }
 
 /// A recording of a run of this graph, without the node that is played.
@@ -332,6 +349,7 @@ unsafe extern "C" fn taste(_: *mut c_void, call: *mut abi::Call) -> abi::Status 
         // SAFETY: the host lends the bytes of an input.
         let bytes = unsafe { std::slice::from_raw_parts(input.data, input.len) };
         std::hint::black_box(bytes.iter().map(|byte| u64::from(*byte)).sum::<u64>());
+        assert!(!bytes.starts_with(SECRET), "a frame that the process was not given");
         if at == 0 {
             assert!(input.format == abi::FORMAT_GRAY8, "a picture of format {}", input.format);
             let need = (input.height as usize - 1) * input.stride_bytes as usize + input.width as usize;
@@ -426,6 +444,14 @@ fn picture() -> [Vec<u8>; 5] {
     [format, width.clone(), height, width, long((WIDTH * HEIGHT) as u8)]
 }
 
+/// A frame of another group, in the pool that it has while no other group is there.
+fn foreign() -> Vec<Vec<u8>> {
+    let [format, width, height, stride, len] = picture();
+    let buffer = secret().1.frame().buffer;
+    let buffer = raw(&[&buffer.pool.to_le_bytes()[..], &buffer.offset.to_le_bytes()].concat());
+    vec![buffer, len, format, width, height, stride, raw(&[0; 24])]
+}
+
 pub fn call_seeds() -> Vec<Vec<u8>> {
     let [format, width, height, stride, len] = picture();
     let description = [small(0), format.clone(), width.clone(), height.clone(), stride.clone(), len.clone()];
@@ -473,6 +499,7 @@ pub fn call_seeds() -> Vec<Vec<u8>> {
         Script::default().around(|s| s.made(&[&release[..]; 3].concat(), &none)),
         begin().made(&[kind(FORWARD), small(0), small(1), small(9), long(0), longest(), raw(&[0; 40])], &none),
         begin().made(&[kind(FORWARD), small(0), small(0), INPUT.to_vec()], &[INPUT.to_vec()]),
+        begin().made(&[&[kind(FORWARD), small(0), small(1)][..], &foreign()].concat(), &foreign()),
         begin().made(&[kind(PLACED), small(0), small(1), small(255), small(255), small(255), longest()], &none),
         begin().made(&[kind(COPIED), small(0)], &none),
         begin().made(&[], &[INPUT.to_vec()]),

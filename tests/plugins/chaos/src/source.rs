@@ -1,6 +1,6 @@
 //! `chaos_source`: a source of test frames that misbehaves on request.
 
-use panoscope_node::{AnyFormat, Context, Gray8, NoPorts, Node, NodeInfo, Open, Ports, Result, Slot};
+use panoscope_node::{AnyFormat, Context, Gray8, Image, Node, NodeInfo, Open, Ports, Result, Slot};
 
 use crate::harm::{Harm, Plan};
 
@@ -8,6 +8,14 @@ const WIDTH: usize = 32;
 const HEIGHT: usize = 24;
 /// 5 ms of media time per frame.
 const FRAME_NS: i64 = 5_000_000;
+
+/// What came of an earlier tick.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Not looked at: for graphs in which a source waits for what becomes of its ticks.
+    #[allow(dead_code, reason = "only that it is there matters")]
+    before: Option<Image<'f, AnyFormat>>,
+}
 
 /// The picture made.
 #[derive(Ports)]
@@ -22,7 +30,7 @@ pub struct ChaosSource;
 impl Node for ChaosSource {
     const INFO: NodeInfo =
         NodeInfo::compute("chaos_source", "source", "Makes test frames and misbehaves on request.").source();
-    type In<'f> = NoPorts;
+    type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
@@ -31,7 +39,7 @@ impl Node for ChaosSource {
         Ok(Self)
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, plan: &Plan) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, _: In<'f>, mut out: Out<'f>, plan: &Plan) -> Result<()> {
         let seq = cx.tick().seq;
         let harm = plan.at(seq);
         plan.suffer(cx, harm)?;
