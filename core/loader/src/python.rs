@@ -70,8 +70,7 @@ impl Python {
 
 /// The folder with the package: beside the program, above it for tests, or in the `lib` of an installation.
 fn package() -> Result<PathBuf, NoPython> {
-    let program = std::env::current_exe().unwrap_or_default();
-    let folder = program.parent().unwrap_or(Path::new("")).to_owned();
+    let folder = panoscope_base::program::folder().unwrap_or_default();
     let places = [folder.join("python"), folder.join("../python"), folder.join("../lib/panoscope/python")];
     let is_package = |place: &&PathBuf| place.join("panoscope/__init__.py").is_file();
     match places.iter().find(is_package) {
