@@ -339,3 +339,18 @@ Tip = _record("tip")
 Pose = _record("pose")
 Joints = _record("joints")
 KIND_OF_CLASS = {Table: TableKind(), Detections: DetectionsKind()}
+_KINDS: dict[str, Kind] = {
+    **{kind.packet: kind for kind in (ScalarKind(), TextKind(), *KIND_OF_CLASS.values())},
+    **{packet: RecordKind(packet, dtype) for packet, dtype in RECORDS.items()},
+}
+"""Packet types of plain data by their names in graph files."""
+
+
+def decode(view: Any, packet: str) -> Any:
+    """The value of any packet: its format says what pixels and points are, ``packet`` is the type of plain data. Bytes of types unknown here."""
+    if view.format in _PIXELS:
+        return _pixels(view)
+    if view.format == CLOUD:
+        return CloudKind().decode(view)
+    kind = _KINDS.get(packet)
+    return np.asarray(view) if kind is None else kind.decode(view)
