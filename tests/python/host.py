@@ -2,12 +2,16 @@
 
 import json
 import os
+import re
+import shutil
+import struct
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 import unittest
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +76,21 @@ def command(*words):
     """Runs the command; its output is shown when it fails."""
     done = subprocess.run([COMMAND, *map(str, words)], capture_output=True, text=True)
     assert done.returncode == 0, f"{words}: {done.stdout}\n{done.stderr}"
+
+
+def chunk(png, name):
+    """A chunk of a PNG file; its check sum is compared."""
+    at = png.index(name)
+    (length,) = struct.unpack(">I", png[at - 4 : at])
+    (check,) = struct.unpack(">I", png[at + 4 + length : at + 8 + length])
+    assert check == zlib.crc32(png[at : at + 4 + length])
+    return png[at + 4 : at + 4 + length]
+
+
+def read_png(file):
+    """Height and width of a PNG file."""
+    width, height = struct.unpack(">II", chunk(file.read_bytes(), b"IHDR")[:8])
+    return height, width
 
 
 class HostTest(unittest.TestCase):
@@ -261,6 +280,39 @@ class HostTest(unittest.TestCase):
         self.assertTrue(all(row["failed"] is None and row["mean"] > 0 for row in rows), rows)
         with self.assertRaisesRegex(ps.GraphError, "no_such_param"):
             ps.sweep(self.graph(), "match.no_such_param", "match.p50_ms")
+
+    def test_notebooks_show_graphs_and_pictures(self):
+        graph = self.graph()
+        result = graph.run(frames=1, watch=["scope.left", "points.depth", "scope.calibration"])
+        for output in ("scope.left", "points.depth"):
+            packet = result[output].packet(0)
+            file = self.folder / "picture.png"
+            file.write_bytes(packet._repr_png_())
+            self.assertEqual(read_png(file), packet.value.shape[:2])
+        left = result["scope.left"][0]
+        rows = zlib.decompress(chunk((self.folder / "picture.png").read_bytes(), b"IDAT"))
+        self.assertEqual(len(rows), 240 * 321, "one byte a pixel, and one a row")
+        result["scope.left"].packet(0).value[0, 0] = (1, 2, 3)
+        rows = zlib.decompress(chunk(result["scope.left"].packet(0)._repr_png_(), b"IDAT"))
+        self.assertEqual(tuple(rows[1:4]), (3, 2, 1), "red first")
+        self.assertEqual(left.shape, (240, 320, 3))
+        self.assertIsNone(result["scope.calibration"].packet(0)._repr_png_())
+        if shutil.which("dot"):
+            self.assertIn("register", graph._repr_svg_())
+        else:
+            self.assertIsNone(graph._repr_svg_())
+        self.assertIn("digraph", graph.native.dot())
+
+    def test_the_examples_of_the_readme_run(self):
+        text = (ROOT / "core" / "python" / "README.md").read_text()
+        blocks = re.findall(r"<!-- run -->\n```python\n(.*?)```", text, re.DOTALL)
+        self.assertEqual(len(blocks), 2)
+        os.chdir(self.folder)
+        names = {}
+        for block in blocks:
+            exec(block, names)
+        self.assertEqual((len(names["result"]["wide.panorama"]), len(names["rows"])), (20, 2))
+        self.assertEqual([file.name for file in self.folder.iterdir()], ["a.mcap"], "what is watched writes nothing")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import atexit
 import json
 import logging
 import os
+import shutil
 import subprocess
 import tempfile
 import weakref
@@ -295,6 +296,12 @@ class Graph:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+    def _repr_svg_(self) -> str | None:
+        """The graph as a picture, for notebooks; needs the program ``dot`` of Graphviz."""
+        if shutil.which("dot") is None:
+            return None
+        return subprocess.run(["dot", "-Tsvg"], input=self.native.dot(), capture_output=True, text=True, check=True).stdout
 
     def __repr__(self) -> str:
         return f"<graph {self.name}: {self.path}>"

@@ -8,6 +8,7 @@ from typing import Any, Callable
 import numpy as np
 
 from .packets import decode
+from .pictures import png
 
 
 class Packet:
@@ -29,6 +30,9 @@ class Packet:
     def fingerprint(self) -> str:
         """Fingerprint of the bytes, the same as in ``panoscope record --digests``."""
         return f"{self._view.fingerprint():016x}"
+
+    def _repr_png_(self) -> bytes | None:
+        return png(self.value) if isinstance(self.value, np.ndarray) else None
 
     def __repr__(self) -> str:
         value = f"{self.value.dtype} {self.value.shape}" if isinstance(self.value, np.ndarray) else repr(self.value)

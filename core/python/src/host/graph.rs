@@ -127,10 +127,13 @@ impl GraphFile {
         Ok(Running::new(run, inbox, lines, ready.watched, recorder))
     }
 
-    /// The graph for a replay: its path and text.
-    pub fn for_replay(&self, watch: &[String]) -> Result<(PathBuf, String, Vec<Watched>), Problem> {
-        let ready = self.ready(watch, !watch.is_empty())?;
-        Ok((self.text.path().to_owned(), ready.settled()?, ready.watched))
+    /// The graph for a replay with more settings: ready, and its settings with the parameters of parts replaced by those of nodes.
+    fn for_replay(&self, watch: &[String], settings: &[String]) -> Result<(Ready, Vec<String>), Problem> {
+        let mut text = self.text.clone();
+        settings.iter().for_each(|setting| text.set(setting));
+        let ready = Self { text }.ready(watch, !watch.is_empty())?;
+        let settings = ready.text.settings();
+        Ok((ready, settings))
     }
 }
 
@@ -291,12 +294,13 @@ pub fn replay(
     record: Option<PathBuf>,
 ) -> PyResult<Running> {
     let start = || {
-        let (graph, watched) = match graph {
+        let (graph, watched, settings) = match graph {
             Some(graph) => {
-                let (path, text, watched) = graph.for_replay(&watch)?;
-                (Some((path, text)), watched)
+                let (ready, settings) = graph.for_replay(&watch, &settings)?;
+                let text = ready.settled()?;
+                (Some((graph.text.path().to_owned(), text)), ready.watched, settings)
             }
-            None => (None, recording.watched(&watch)?),
+            None => (None, recording.watched(&watch)?, settings),
         };
         let (inbox, lines) = (Arc::new(Inbox::new(MOST_WAITING, Full::Wait)), Lines::default());
         let options = ReplayOptions {

@@ -10,7 +10,7 @@ use panoscope_record::Recording;
 use pyo3::prelude::*;
 
 use super::error::Problem;
-use super::running::Watched;
+use super::running::{TickParts, Watched};
 use crate::view::View;
 
 /// A recording that was scanned. Packets are read when they are asked for.
@@ -96,7 +96,7 @@ impl RecordingFile {
     }
 
     /// A packet: view, (source, number, capture time in ns). None where there is no such packet.
-    fn read(&self, py: Python<'_>, port: &str, index: usize) -> PyResult<Option<(View, (u32, u64, i64))>> {
+    fn read(&self, py: Python<'_>, port: &str, index: usize) -> PyResult<Option<(View, TickParts)>> {
         let Some(packet) = self.recording.ports.get(port).and_then(|packets| packets.get(index)) else {
             return Ok(None);
         };
@@ -106,12 +106,6 @@ impl RecordingFile {
         let (format, width, height, stride_bytes) = (head.format, head.width, head.height, head.stride_bytes);
         let frame = Frame { format, width, height, stride_bytes, ..Frame::EMPTY };
         Ok(Some((View::own(&frame, bytes), (head.tick.source, head.tick.seq, head.tick.capture_ns))))
-    }
-
-    /// Numbers and capture times in ns of the packets of a port.
-    fn ticks(&self, port: &str) -> Vec<(u64, i64)> {
-        let packets = self.recording.ports.get(port).map(Vec::as_slice).unwrap_or_default();
-        packets.iter().map(|packet| (packet.head.tick.seq, packet.head.tick.capture_ns)).collect()
     }
 
     /// The graph that was recorded: its file, its text.

@@ -66,12 +66,15 @@ impl Lines {
     }
 }
 
+/// A running graph and its text.
+type LiveGraph = Mutex<Live<Arc<Engine>>>;
+
 /// What runs.
 pub enum Run {
     /// A graph.
     Graph {
         engine: Arc<Engine>,
-        live: Box<Mutex<Live<Arc<Engine>>>>,
+        live: Box<LiveGraph>,
         /// Knows which parameters those of parts stand for.
         parts: Box<GraphText>,
     },
@@ -108,7 +111,7 @@ impl Run {
         }
     }
 
-    fn live(&self) -> Result<(&Mutex<Live<Arc<Engine>>>, &GraphText), Problem> {
+    fn live(&self) -> Result<(&LiveGraph, &GraphText), Problem> {
         match self {
             Self::Graph { live, parts, .. } => Ok((live, parts)),
             Self::Replay { .. } => Err(Problem::Edit("a replay takes its changes from the recording".to_owned())),
@@ -138,8 +141,10 @@ pub struct Running {
     closed: Mutex<Option<String>>,
 }
 
-/// Output, view, (source, number, capture time in ns), age in ms.
-type Packet = (u32, View, (u32, u64, i64), f64);
+/// Source, number and capture time in ns.
+pub type TickParts = (u32, u64, i64);
+/// Output, view, tick, age in ms.
+type Packet = (u32, View, TickParts, f64);
 
 impl Running {
     /// A run whose packets arrive in `inbox`.
