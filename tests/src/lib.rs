@@ -21,10 +21,11 @@ pub fn root() -> PathBuf {
 }
 
 /// The documents for users and contributors, relative to the root.
-pub const DOCUMENTS: [&str; 8] = [
+pub const DOCUMENTS: [&str; 9] = [
     "README.md",
     "core/README.md",
     "core/cli/README.md",
+    "core/python/README.md",
     "editor/README.md",
     "graphs/README.md",
     "plugins/README.md",

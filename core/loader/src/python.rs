@@ -68,8 +68,11 @@ impl Python {
     }
 }
 
-/// The folder with the package: beside the program, above it for tests, or in the `lib` of an installation.
-fn package() -> Result<PathBuf, NoPython> {
+/// The folder with the Python package, for `PYTHONPATH`: beside the program, above it for tests, or in the `lib` of an installation.
+///
+/// # Errors
+/// The installation has none.
+pub fn package() -> Result<PathBuf, NoPython> {
     let folder = panoscope_base::program::folder().unwrap_or_default();
     let places = [folder.join("python"), folder.join("../python"), folder.join("../lib/panoscope/python")];
     let is_package = |place: &&PathBuf| place.join("panoscope/__init__.py").is_file();
