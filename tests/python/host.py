@@ -366,6 +366,43 @@ class HostTest(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "read-only"):
             node(images=[ones])["same"][0, 0] = 1
 
+    def test_tensors_of_other_libraries_are_read_without_a_copy(self):
+        class Tensor:
+            """As a library with DLPack has it, over an array."""
+
+            def __init__(self, array):
+                self.array = array
+
+            def __dlpack__(self, **options):
+                return self.array.__dlpack__(**options)
+
+            def __dlpack_device__(self):
+                return self.array.__dlpack_device__()
+
+        class Far(Tensor):
+            def __dlpack__(self, **options):
+                raise BufferError("it is on a GPU")
+
+        @ps.node(name="of_tensors")
+        class Tensors:
+            def process(self, image: ps.Gray8) -> ps.AnyImage:
+                self.mine = ps.empty(image.shape)
+                self.mine[...] = image + 1
+                return {"made": Tensor(self.mine), "copied": Tensor(image + 2), "far": Far(image), "none": "text"}[self.how]
+
+        node = ps_testing.Node(Tensors)
+        ones = np.ones((3, 5), np.uint8)
+        node.instance.how = "made"
+        given = node(image=ones)
+        self.assertTrue(np.shares_memory(given, node.instance.mine))
+        np.testing.assert_array_equal(given, 2 * ones)
+        node.instance.how = "copied"
+        np.testing.assert_array_equal(node(image=ones), 3 * ones)
+        for how, words in (("far", "Far: it is on a GPU"), ("none", "not str")):
+            node.instance.how = how
+            with self.assertRaisesRegex(TypeError, words):
+                node(image=ones)
+
     def test_the_examples_of_the_readme_run(self):
         text = (ROOT / "core" / "python" / "README.md").read_text()
         # One is about videos that are not there.

@@ -10,7 +10,7 @@ script=$4
 frames=$5
 root=$dir/chroot
 
-inside() { chroot "$root" /usr/bin/env -i HOME=/home/user PATH=/usr/bin:/bin LC_ALL=C.UTF-8 sh -euc "cd /home/user; exec runuser -u user -- sh -euc '$1'"; }
+inside() { chroot "$root" /usr/bin/env -i HOME=/home/user PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 sh -euc "cd /home/user; exec runuser -u user -- sh -euc '$1'"; }
 fail() { echo "FAILED: $*" >&2; exit 1; }
 
 if [ ! -e "$root/etc/debian_version" ]; then
@@ -26,5 +26,5 @@ cp "$script" "$root/tmp/check_wheel.py"
 chmod -R a+rX "$root/tmp/wheels" "$root/tmp/check_wheel.py"
 inside 'python3 -m venv env; env/bin/pip install --quiet --no-index --find-links /tmp/wheels panoscope; env/bin/pip check'
 inside "env/bin/python /tmp/check_wheel.py fingerprints.json $frames" || fail "the wheel does not work"
-inside 'test "$(find . -path ./env -prune -o -type f -print | sort)" = ./fingerprints.json' || fail "graphs that are watched wrote files"
+inside 'test "$(find . -path ./env -prune -o -path "./.*" -prune -o -type f -print | sort)" = ./fingerprints.json' || fail "graphs that are watched wrote files"
 cp "$root/home/user/fingerprints.json" "$dir/fingerprints.json"

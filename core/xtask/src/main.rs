@@ -150,7 +150,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             let Packaging { dir, profile, checks } = Packaging::read(&workspace, "wheel", rest)?;
             let wheel = package::wheel(&workspace, &dir, profile)?;
             if checks {
-                package::check_wheel(&workspace, &wheel, &dir, profile)?;
+                package::check_wheel(&workspace, &wheel, &dir)?;
             }
         }
         "screens" => screens::screens(&Workspace::locate()?, rest)?,

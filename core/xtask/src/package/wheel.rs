@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail};
 
 use super::tree::{copy, copy_tree, files, write};
 use super::{check::obstacle, commit_time_s, strip};
-use crate::build::{Means, Profile, build, program_name, python_package};
+use crate::build::{Built, Means, Profile, build, program_name, python_package};
 use crate::install::{self, Kind, LIBRARY, Tree};
 use crate::process::{capture, run};
 use crate::workspace::Workspace;
@@ -24,11 +24,17 @@ const PYTHON: &str = "3.9";
 /// Ticks of the graph that a check compares.
 const FRAMES: u32 = 20;
 
-/// Builds and writes `panoscope-VERSION-cp39-abi3-manylinux_2_N_ARCH.whl` into `dir`; returns its path.
+/// A wheel and what it was made from.
+pub struct Wheel {
+    file: PathBuf,
+    built: Built,
+}
+
+/// Builds and writes `panoscope-VERSION-cp39-abi3-manylinux_2_N_ARCH.whl` into `dir`.
 ///
 /// # Errors
 /// The build fails, `python3` or `strip` is missing, ONNX Runtime cannot be had, or a file cannot be written.
-pub fn wheel(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<PathBuf> {
+pub fn wheel(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Wheel> {
     fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
     let dir = &dir.canonicalize()?;
     let built = build(workspace, profile)?;
@@ -59,7 +65,7 @@ pub fn wheel(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Path
     run(zip.arg(commit_time_s(workspace).to_string()))?;
     fs::remove_dir_all(&stage)?;
     println!("{}", file.display());
-    Ok(file)
+    Ok(Wheel { file, built })
 }
 
 /// What pip reads of a wheel.
@@ -108,7 +114,7 @@ fn newest_glibc(elf: &[u8]) -> Option<u32> {
 ///
 /// # Errors
 /// A step failed, or fingerprints differ.
-pub fn check_wheel(workspace: &Workspace, wheel: &Path, dir: &Path, profile: Profile) -> Result<()> {
+pub fn check_wheel(workspace: &Workspace, wheel: &Wheel, dir: &Path) -> Result<()> {
     if let Some(reason) = obstacle(&["debootstrap", "unshare", "chroot"]) {
         println!("not checked, the wheel was not installed: {reason}");
         return Ok(());
@@ -127,11 +133,10 @@ pub fn check_wheel(workspace: &Workspace, wheel: &Path, dir: &Path, profile: Pro
     }
     let scripts = workspace.root.join("core/xtask/package");
     let mut inside = Command::new("unshare");
-    inside.args(["--mount", "sh", "-eu"]).arg(scripts.join("check_wheel.sh")).arg(wheel).arg(&wheels).arg(dir);
+    inside.args(["--mount", "sh", "-eu"]).arg(scripts.join("check_wheel.sh")).arg(&wheel.file).arg(&wheels).arg(dir);
     run(inside.arg(scripts.join("check_wheel.py")).arg(FRAMES.to_string())).context("the wheel failed its check")?;
-    let built = build(workspace, profile)?;
     let digests = dir.join("command.json");
-    let mut record = built.panoscope();
+    let mut record = wheel.built.panoscope();
     record.current_dir(dir).arg("record").arg(workspace.root.join("graphs/panorama.toml"));
     record.args(["--headless", "--unpaced", "--all-ports", "--frames", &FRAMES.to_string(), "--output"]);
     capture(record.arg(dir.join("command.mcap")).arg("--digests").arg(&digests))?;
