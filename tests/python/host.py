@@ -403,6 +403,34 @@ class HostTest(unittest.TestCase):
             with self.assertRaisesRegex(TypeError, words):
                 node(image=ones)
 
+    def test_python_starts_for_a_description_only_when_something_changed(self):
+        starts = self.folder / "starts"
+        interpreter = self.folder / "python"
+        interpreter.write_text(f'#!/bin/sh\necho >> "{starts}"\nexec "{sys.executable}" "$@"\n')
+        interpreter.chmod(0o755)
+        plugin = self.folder / "mine.py"
+        plugin.write_text('# /// script\n# [tool.panoscope]\n# python = "python"\n# ///\n' + PYTHON_NODE)
+        graph = self.folder / "graph.toml"
+        graph.write_text(
+            'mode = "batch"\nplugin_paths = ["."]\nplugins = ["phantom", "flow", "mine"]\n[nodes.scope]\ntype = "phantom"\n'
+            '[nodes.inverse]\ntype = "invert"\ninputs = { image = "scope.left" }\n[nodes.end]\ntype = "drain"\ninputs = { image = "inverse.image" }\n'
+        )
+        environment = {**os.environ, "XDG_CACHE_HOME": str(self.folder / "cache")}
+
+        def check():
+            done = subprocess.run([COMMAND, "check", graph], env=environment, capture_output=True, text=True)
+            self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+            return len(starts.read_text().splitlines())
+
+        self.assertEqual([check(), check()], [1, 1])
+        (kept,) = (self.folder / "cache" / "panoscope" / "descriptions").iterdir()
+        kept.write_bytes(b"damaged")
+        self.assertEqual([check(), check()], [2, 2])
+        plugin.write_text(plugin.read_text().replace("255 - image", "254 - image"))
+        self.assertEqual([check(), check()], [3, 3])
+        (self.folder / "helper.py").write_text("# The plugin could import it.")
+        self.assertEqual([check(), check()], [4, 4])
+
     def test_the_examples_of_the_readme_run(self):
         text = (ROOT / "core" / "python" / "README.md").read_text()
         # One is about videos that are not there.
