@@ -76,8 +76,8 @@ impl Python {
         hash.update(concat!(env!("CARGO_PKG_VERSION"), "\0"));
         hash.update(std::fs::read(image).ok()?);
         let interpreter = self.interpreter.canonicalize().ok()?;
-        let neighbours =
-            file.parent().into_iter().chain([package().ok()?.join("panoscope").as_path()]).flat_map(code_in);
+        let package = package().ok()?.join("panoscope");
+        let neighbours = file.parent().into_iter().chain([package.as_path()]).flat_map(code_in);
         for file in [self.interpreter.clone(), interpreter, file.to_owned()].into_iter().chain(neighbours) {
             hash.update(format!("{}\0{:?}\0", file.display(), Stamp::of(&file)));
         }

@@ -308,7 +308,10 @@ class Graph:
 
 
 def check(path: str | os.PathLike[str], args: Mapping[str, Any] | Sequence[str] = (), **options: Any) -> list[Diagnostic]:
-    """Checks a graph file and returns its warnings; mistakes raise :class:`GraphError` with place and remedy. Arguments as of :class:`Graph`."""
+    """Checks a graph file and returns its warnings; mistakes raise :class:`GraphError` with place and remedy. Arguments as of :class:`Graph`.
+
+    Plugins that the graph brings in its own folders are loaded, as for a run: check no graph of strangers.
+    """
     return Graph(path, args, **options).check()
 
 

@@ -51,6 +51,9 @@ mod tests {
         assert_eq!(read(&file), None);
         write(&file, b"what it offers");
         assert_eq!(read(&file).as_deref(), Some(&b"what it offers"[..]));
+        // Times of files are coarse: several of them may be equal.
+        let old = SystemTime::now() - std::time::Duration::from_secs(60);
+        fs::File::options().write(true).open(&file).unwrap().set_modified(old).unwrap();
         (0..MOST).for_each(|number| write(&file.with_file_name(number.to_string()), b""));
         assert_eq!(fs::read_dir(folder.join("more")).unwrap().count(), MOST);
         assert_eq!(read(&file), None, "the oldest");
