@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +31,8 @@ class Diagnostic:
     @staticmethod
     def list_of(text: str) -> list[Diagnostic]:
         """Those in the JSON text of the native part."""
+        import json  # A node starts sooner without it.
+
         names = Diagnostic.__dataclass_fields__
         return [Diagnostic(**{name: entry[name] for name in names}) for entry in json.loads(text)]
 
