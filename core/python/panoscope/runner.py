@@ -49,6 +49,8 @@ class Runner:
     def __init__(self, node_type: nodes.NodeType, values: tuple[Any, ...], node: str, graph_folder: str) -> None:
         self.type = node_type
         self.outputs = calls.Outputs(node_type.outputs)
+        self.only_formats = node_type.outputs[0].kind.formats if len(node_type.outputs) == 1 and not node_type.returns_dict else 0
+        """Formats of the output, if there is one."""
         self.node = node_type.cls.__new__(node_type.cls)
         self.node.node_name, self.node.graph_folder = node, graph_folder
         self.set_params(values)
@@ -74,9 +76,17 @@ class Runner:
         calls.begin(self.outputs, call)
         try:
             result = self.node.process(*arguments)
-            self._give(call, result)
+            if not self._hand_on(call, result, arguments, views):
+                self._give(call, result)
         finally:
             calls.end(self.outputs)
+
+    def _hand_on(self, call: Any, result: Any, arguments: list[Any], views: tuple[Any, ...]) -> bool:
+        """Makes the output an input that the node returned as it came, without a look at its bytes. Others are left to the output's type."""
+        for argument, view in zip(arguments, views):
+            if argument is result and view is not None and self.only_formats >> view.format & 1:
+                return call.forward_view(0, view)
+        return False
 
     def _give(self, call: Any, result: Any) -> None:
         outputs = self.type.outputs

@@ -61,6 +61,10 @@ class _Call:
                 return True
         return False
 
+    def forward_view(self, output: int, view: _View) -> bool:
+        self.made[output] = view
+        return True
+
     def tick(self) -> tuple[int, int, int]:
         return self._tick
 

@@ -89,7 +89,8 @@ impl View {
         }
     }
 
-    fn address(&self) -> usize {
+    /// Where the bytes are.
+    pub fn address(&self) -> usize {
         match &self.memory {
             Memory::Lent { address, .. } => *address,
             Memory::Own(bytes) => bytes.0.as_ptr().cast::<u8>().addr(),
