@@ -244,7 +244,10 @@ class Graph:
             self._running = None
 
     def record(self, file: str | os.PathLike[str], *, all_ports: bool = False) -> Graph:
-        """Records the next runs: the sources' outputs, or those of all nodes. Returns the graph, as in ``graph.record("a.mcap").run(100)``."""
+        """Records the next runs, each in place of the one before: the sources' outputs, or those of all nodes.
+
+        Returns the graph, as in ``graph.record("a.mcap").run(100)``.
+        """
         self._record = (Path(file), all_ports)
         return self
 
