@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import tempfile
 import weakref
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -64,16 +65,20 @@ class Running:
         self._watch = watch
         self._types = [packet for _, _, packet in native.watched()]
         self._closed: dict[str, Any] | None = None
+        self._waiting: deque[Packet] = deque()
+        """Packets that the native part gave, and nobody took yet."""
         _running.add(self)
 
     def __iter__(self) -> Iterator[Packet]:
         while True:
+            while self._waiting:
+                yield self._waiting.popleft()
             packets = self.native.poll(_POLL_S)
             self._log()
             if packets is None:
                 break
             for port, view, tick, age_ms in packets:
-                yield Packet(self._watch[port], self._types[port], view, tick, age_ms)
+                self._waiting.append(Packet(self._watch[port], self._types[port], view, tick, age_ms))
         self.close()
 
     def _log(self) -> None:
