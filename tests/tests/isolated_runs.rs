@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
 use panoscope_engine::fault::Cause;
 use panoscope_engine::{Engine, Options, Outcome};
