@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use panoscope_engine::Listener;
 
+use super::dora;
 use super::graph::{self, Pace};
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
@@ -78,9 +79,14 @@ pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     std::fs::create_dir_all(&folder.0).on_file(FileAction::Create, &folder.0)?;
     std::fs::write(&file, PLUGIN).on_file(FileAction::Write, &file)?;
     let (frames, rounds) = if quick { (200, 1) } else { (600, 3) };
+    let has_peer = dora::is_there();
+    if !has_peer {
+        note!(session, "skipped: dora beside nodes in Python: no `dora` (pip install dora-rs dora-rs-cli pyarrow)");
+    }
     let mut figures = Vec::new();
     for (size, width, height) in SIZES {
         let (mut p50_ns, mut p99_ns) = (f64::INFINITY, f64::INFINITY);
+        let mut peer_ns: Option<f64> = None;
         for _ in 0..rounds {
             let text = graph::chain("hand_on", 1, None, Pace::Hz(RATE_HZ))
                 .replace(
@@ -93,9 +99,13 @@ pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
                 p50_ns = p50_ns.min(node.p50_ms * 1e6);
                 p99_ns = p99_ns.min(node.p99_ms * 1e6);
             }
+            if has_peer && let Some(ns) = dora::round_trip_ns(&folder.0, width, height, frames)? {
+                peer_ns = Some(peer_ns.map_or(ns, |least| least.min(ns)));
+            }
         }
         let input = format!("{size} bgr8 to a node in Python and back at 200 Hz");
-        figures.push(Figure::new(&format!("hop_python/{size}"), p50_ns, "ns", &format!("{input}, p50")));
+        let p50 = Figure::new(&format!("hop_python/{size}"), p50_ns, "ns", &format!("{input}, p50"));
+        figures.push(p50.beside("dora, from Python to Python and back", peer_ns));
         figures.push(Figure::new(&format!("hop_python/{size}/p99"), p99_ns, "ns", &format!("{input}, p99")));
     }
     let file = folder.0.join("does_harm.py");
