@@ -2,6 +2,8 @@
 
 #![forbid(unsafe_code)]
 
+mod disturbed;
+
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;
@@ -10,6 +12,8 @@ use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
 
+pub use disturbed::{DisturbedRun, run_disturbed};
+
 /// Root of the repository.
 pub fn root() -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -17,10 +21,11 @@ pub fn root() -> PathBuf {
 }
 
 /// The documents for users and contributors, relative to the root.
-pub const DOCUMENTS: [&str; 8] = [
+pub const DOCUMENTS: [&str; 9] = [
     "README.md",
     "core/README.md",
     "core/cli/README.md",
+    "core/python/README.md",
     "editor/README.md",
     "graphs/README.md",
     "plugins/README.md",
@@ -34,6 +39,21 @@ pub const DOCUMENTS: [&str; 8] = [
 /// When it cannot be read.
 pub fn document(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+/// Whether Python with NumPy is there; says why a test is skipped.
+pub fn has_python() -> bool {
+    match std::process::Command::new("python3").args(["-c", "import numpy"]).output() {
+        Ok(output) if output.status.success() => true,
+        Ok(output) => {
+            panoscope_testing::skipped!("no NumPy: {}", String::from_utf8_lossy(&output.stderr).trim());
+            false
+        }
+        Err(error) => {
+            panoscope_testing::skipped!("no python3: {error}");
+            false
+        }
+    }
 }
 
 /// A fresh folder for the files of one test.

@@ -2,64 +2,17 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use panoscope_engine::fault::{Cause, Fault};
-use panoscope_engine::{Engine, Options, Outcome, Report};
+use panoscope_engine::fault::Cause;
+use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_loader::isolated::kernel;
-use panoscope_record::{Digests, RecordOptions, Recorder, head};
-use panoscope_tests::{load, scratch};
-
-const MAX_RUN: Duration = Duration::from_secs(120);
+use panoscope_tests::{DisturbedRun, run_disturbed, scratch};
 
 /// One test at a time: they kill processes of this one.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-struct Run {
-    report: Report,
-    outcome: Outcome,
-    faults: Vec<Fault>,
-    /// Fingerprint of each packet, by port and tick.
-    packets: BTreeMap<String, BTreeMap<u64, u64>>,
-}
-
-/// Runs a graph; `disturb` is called every few milliseconds until it ends.
-fn run(folder: &Path, text: &str, options: Options, mut disturb: impl FnMut(&Engine)) -> Run {
-    let path = folder.join("graph.toml");
-    let (graph, catalog, loader) = load(&path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
-    let record = RecordOptions { digests: true, ..RecordOptions::default() };
-    let recorder = Recorder::start(record, head(&graph, &catalog, &loader, &path, text, &[]));
-    let recorder = recorder.unwrap_or_else(|error| panic!("{error}"));
-    let faults = Arc::new(Mutex::new(Vec::new()));
-    let heard = Arc::clone(&faults);
-    let hear = move |fault: &Fault| heard.lock().expect("no panic").push(fault.clone());
-    let options = Options {
-        threads: 2,
-        graph_dir: folder.to_owned(),
-        faults: Some(Box::new(hear)),
-        observer: Some(Arc::clone(&recorder) as _),
-        ..options
-    };
-    let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
-    let end = Instant::now() + MAX_RUN;
-    while !engine.wait(Some(Duration::from_millis(2))) {
-        assert!(Instant::now() < end, "the graph did not end: {:?}", engine.recent_log());
-        disturb(&engine);
-    }
-    let outcome = engine.close(Duration::from_secs(30));
-    let report = engine.report();
-    drop(engine);
-    let Digests { ports, .. } = recorder.finish().digests.expect("fingerprints");
-    let packets = ports
-        .into_iter()
-        .map(|(name, port)| (name, port.packets.iter().map(|packet| (packet.seq, packet.hash)).collect()))
-        .collect();
-    let faults = faults.lock().expect("no panic").clone();
-    Run { report, outcome, faults, packets }
 }
 
 /// A filter that forwards, one that makes pictures, one that writes to its input's pixels, one that asks for ages and a source with a clock.
@@ -99,8 +52,8 @@ fn a_call_of_a_filter_is_one_message_there_and_one_back() {
     let _alone = alone();
     const FRAMES: u64 = 60;
     let folder = scratch("isolated-messages");
-    let Run { report, outcome, faults, .. } =
-        run(&folder, FILTERS, Options { frames: Some(FRAMES), ..Options::default() }, |_| ());
+    let DisturbedRun { report, outcome, faults, .. } =
+        run_disturbed(&folder, FILTERS, Options { frames: Some(FRAMES), ..Options::default() }, |_| ());
     assert_eq!(outcome, Outcome::Done, "{faults:?}");
     assert!(faults.is_empty(), "{faults:?}");
     for (group, learns) in [("renders", 12), ("forwards", 0), ("makes", 4), ("writes", 2), ("asks", 6)] {
@@ -118,11 +71,11 @@ fn what_is_sent_with_a_call_does_not_change_a_byte() {
     let folder = scratch("isolated-sent");
     let options = || Options { frames: Some(12), ..Options::default() };
     let plain: String = FILTERS.lines().filter(|line| !line.starts_with("isolate")).map(|l| format!("{l}\n")).collect();
-    let isolated = run(&folder, FILTERS, options(), |_| ());
-    let plain = run(&folder, &plain, options(), |_| ());
+    let isolated = run_disturbed(&folder, FILTERS, options(), |_| ());
+    let plain = run_disturbed(&folder, &plain, options(), |_| ());
     assert!(isolated.packets.values().map(BTreeMap::len).sum::<usize>() > 12 * 5);
     assert_eq!(isolated.packets, plain.packets);
-    let copies = |run: &Run| run.report.nodes["marks"].copies;
+    let copies = |run: &DisturbedRun| run.report.nodes["marks"].copies;
     assert_eq!(copies(&isolated), copies(&plain), "copies are counted where they are made");
     let _ = std::fs::remove_dir_all(&folder);
 }
@@ -169,14 +122,14 @@ fn what_a_group_is_denied_fails_and_the_run_goes_on() {
         let options = || Options { frames: Some(FRAMES), ..Options::default() };
         // A table that stands before all others.
         let text = |deny: &str| confined(&folder, harm, "").replacen("mode = ", &format!("{deny}\nmode = "), 1);
-        let Run { faults, .. } = run(&folder, &text(""), options(), |_| ());
+        let DisturbedRun { faults, .. } = run_disturbed(&folder, &text(""), options(), |_| ());
         assert!(faults.is_empty(), "{harm} is possible where nothing is denied: {faults:?}");
         let _ = std::fs::remove_file(folder.join("new"));
         if !is_enforced {
             panoscope_testing::skipped!("this kernel has {kernel:?}: it cannot refuse `{harm}`");
             continue;
         }
-        let Run { report, outcome, faults, .. } = run(&folder, &text(deny), options(), |_| ());
+        let DisturbedRun { report, outcome, faults, .. } = run_disturbed(&folder, &text(deny), options(), |_| ());
         assert_eq!(outcome, Outcome::Done, "{harm}");
         let told: Vec<_> = faults.iter().map(|f| (f.node.as_str(), f.cause, f.seq)).collect();
         assert_eq!(told, [("bad", Cause::Error, Some(10))], "{harm}: {faults:?}");
@@ -255,12 +208,12 @@ inputs = {{ image = "slow.image" }}
 "#
         );
         let options = || Options { frames: Some(100), ..Options::default() };
-        let whole = run(&folder, &text, options(), |_| ());
+        let whole = run_disturbed(&folder, &text, options(), |_| ());
         assert!(whole.faults.is_empty(), "{name}: {:?}", whole.faults);
-        let cut = run(&folder, &text, options(), kill_once("slow", 30));
+        let cut = run_disturbed(&folder, &text, options(), kill_once("slow", 30));
         let told: Vec<_> = cut.faults.iter().map(|f| (f.node.as_str(), f.cause)).collect();
         assert_eq!(told, [("scope", Cause::Crash)], "{name}: {:?}", cut.faults);
-        let contents = |run: &Run| run.packets["slow.image"].values().copied().collect::<Vec<u64>>();
+        let contents = |run: &DisturbedRun| run.packets["slow.image"].values().copied().collect::<Vec<u64>>();
         let (whole, cut) = (contents(&whole), contents(&cut));
         assert!(cut.len() >= 98, "{name}: {} pictures", cut.len());
         // Neither a picture twice, nor one left out, nor the beginning again: as in the whole run, only each one tick later.
@@ -301,7 +254,7 @@ type = "drain"
 inputs = { image = "bad.image" }
 "#;
     let options = Options { frames: Some(FRAMES), ..Options::default() };
-    let Run { report, outcome, faults, .. } = run(&folder, text, options, |_| ());
+    let DisturbedRun { report, outcome, faults, .. } = run_disturbed(&folder, text, options, |_| ());
     assert_eq!(outcome, Outcome::Done, "{faults:?}");
     assert!(faults.iter().all(|fault| fault.cause == Cause::Crash), "{faults:?}");
     assert_eq!((report.nodes["late"].restarts, report.nodes["late"].dropped), (1, 0), "{faults:?}");

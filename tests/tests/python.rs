@@ -4,29 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use panoscope_engine::fault::{Cause, Fault};
+use panoscope_engine::fault::Cause;
 use panoscope_engine::memory::FrameRef;
-use panoscope_engine::{Engine, Listener, Options, Outcome, Report};
+use panoscope_engine::{Engine, Listener, Options, Outcome};
 use panoscope_loader::Live;
-use panoscope_record::{Digests, RecordOptions, Recorder, head};
-use panoscope_tests::{load, root, scratch};
+use panoscope_tests::{DisturbedRun, has_python, load, root, run_disturbed, scratch};
 
 const MAX_RUN: Duration = Duration::from_secs(120);
-
-/// Whether Python with NumPy is there; says why a test is skipped.
-fn has_python() -> bool {
-    match std::process::Command::new("python3").args(["-c", "import numpy"]).output() {
-        Ok(output) if output.status.success() => true,
-        Ok(output) => {
-            panoscope_testing::skipped!("no NumPy: {}", String::from_utf8_lossy(&output.stderr).trim());
-            false
-        }
-        Err(error) => {
-            panoscope_testing::skipped!("no python3: {error}");
-            false
-        }
-    }
-}
 
 /// A folder with the test plugin in Python.
 fn folder(name: &str) -> PathBuf {
@@ -36,52 +20,12 @@ fn folder(name: &str) -> PathBuf {
     folder
 }
 
-struct Run {
-    report: Report,
-    outcome: Outcome,
-    faults: Vec<Fault>,
-    digests: Digests,
-}
-
-impl Run {
-    /// Fingerprints of the packets of a port, in order.
-    fn port(&self, name: &str) -> Vec<u64> {
-        let port = self.digests.ports.get(name).unwrap_or_else(|| panic!("no port {name}"));
-        port.packets.iter().map(|packet| packet.hash).collect()
-    }
-}
-
-/// Runs a graph whose plugins lie in `folder`; `disturb` is called every few milliseconds until it ends.
-fn run(folder: &Path, text: &str, frames: u64, mut disturb: impl FnMut(&Engine)) -> Run {
-    let path = folder.join("graph.toml");
+/// Runs a graph whose plugins lie in `folder`.
+fn run(folder: &Path, text: &str, frames: u64) -> DisturbedRun {
     let text = format!("plugin_paths = [\".\"]\n{text}");
-    let (graph, catalog, loader) = load(&path, &text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
-    let record = RecordOptions { digests: true, ..RecordOptions::default() };
-    let recorder = Recorder::start(record, head(&graph, &catalog, &loader, &path, &text, &[])).expect("a recorder");
-    let faults = Arc::new(Mutex::new(Vec::new()));
-    let heard = Arc::clone(&faults);
-    let options = Options {
-        threads: 2,
-        frames: Some(frames),
-        graph_dir: folder.to_owned(),
-        // In batch a call hangs after 30 times this.
-        hang: Duration::from_millis(100),
-        faults: Some(Box::new(move |fault: &Fault| heard.lock().expect("no panic").push(fault.clone()))),
-        observer: Some(Arc::clone(&recorder) as _),
-        ..Options::default()
-    };
-    let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
-    let end = Instant::now() + MAX_RUN;
-    while !engine.wait(Some(Duration::from_millis(2))) {
-        assert!(Instant::now() < end, "the graph did not end: {:?}", engine.recent_log());
-        disturb(&engine);
-    }
-    let outcome = engine.close(Duration::from_secs(30));
-    let report = engine.report();
-    drop(engine);
-    let digests = recorder.finish().digests.expect("fingerprints");
-    let faults = faults.lock().expect("no panic").clone();
-    Run { report, outcome, faults, digests }
+    // In batch a call hangs after 30 times this.
+    let options = Options { frames: Some(frames), hang: Duration::from_millis(100), ..Options::default() };
+    run_disturbed(folder, &text, options, |_| ())
 }
 
 const PICTURES: &str = r#"
@@ -105,7 +49,7 @@ fn a_picture_turned_twice_is_the_picture() {
          [nodes.end]\ntype = \"drain\"\ninputs = {{ image = \"twice.image\" }}\n\
          [nodes.end_same]\ntype = \"drain\"\ninputs = {{ image = \"same.image\" }}\n"
     );
-    let run = run(&folder, &text, 8, |_| ());
+    let run = run(&folder, &text, 8);
     assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
     assert_eq!(run.port("twice.image"), run.port("scope.left"));
     assert_ne!(run.port("once.image"), run.port("scope.left"));
@@ -151,7 +95,7 @@ fn parameters_numbers_texts_and_tables_cross() {
     assert_eq!(outcome, Outcome::Done, "{:?}", engine.recent_faults());
     drop(engine);
     assert_eq!(*labels.lock().expect("no panic"), [b"mine [0.0, 0.5, 1.0] gain"; 3]);
-    let run = run(&folder, &text, 3, |_| ());
+    let run = run(&folder, &text, 3);
     assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
     let read = &run.report.nodes["end"].metrics;
     assert_eq!((read["columns"], read["count"], read["baseline_mm"]), (2.0, 2.0, 15.0), "{read:?}");
@@ -170,7 +114,7 @@ fn a_frame_that_a_node_keeps_stays_as_it_was() {
          [nodes.count]\ntype = \"count\"\nparams = { last = 40 }\n\
          [nodes.keep]\ntype = \"keep\"\ninputs = { image = \"count.image\" }\n\
          [nodes.end]\ntype = \"drain\"\ninputs = { image = \"keep.image\" }\n";
-    let run = run(&folder, text, 100, |_| ());
+    let run = run(&folder, text, 100);
     assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
     let (made, kept) = (run.port("count.image"), run.port("keep.image"));
     assert_eq!(made.len(), 40, "the source ends by itself");
@@ -192,7 +136,7 @@ fn an_exception_is_a_fault_with_its_traceback() {
         return;
     }
     let folder = folder("python-raise");
-    let run = run(&folder, &failing("raise"), 10, |_| ());
+    let run = run(&folder, &failing("raise"), 10);
     let [fault] = &run.faults[..] else { panic!("{:?}", run.faults) };
     let words = &fault.words;
     assert!(
@@ -214,7 +158,7 @@ fn a_wrong_result_is_named_with_what_is_wanted() {
         return;
     }
     let folder = folder("python-shape");
-    let run = run(&folder, &failing("shape"), 6, |_| ());
+    let run = run(&folder, &failing("shape"), 6);
     let words = &run.faults.first().expect("a fault").words;
     assert!(words.contains("output `image`") && words.contains("uint8") && words.contains("float64"), "{words}");
     let _ = std::fs::remove_dir_all(&folder);
@@ -227,7 +171,7 @@ fn a_process_that_dies_or_hangs_is_a_fault_and_comes_back() {
     }
     for (how, cause) in [("segv", Cause::Crash), ("exit", Cause::Crash), ("loop", Cause::Hang)] {
         let folder = folder(&format!("python-{how}"));
-        let run = run(&folder, &failing(how), 30, |_| ());
+        let run = run(&folder, &failing(how), 30);
         let fault = run.faults.first().unwrap_or_else(|| panic!("{how}: no fault"));
         assert_eq!((fault.node.as_str(), fault.cause), ("fails", cause), "{how}: {}", fault.words);
         assert_eq!(run.report.groups["turned"].processes, 2, "{how}: {:?}", run.faults);
@@ -242,7 +186,7 @@ fn too_much_memory_is_an_exception() {
         return;
     }
     let folder = folder("python-memory");
-    let run = run(&folder, &failing("memory"), 6, |_| ());
+    let run = run(&folder, &failing("memory"), 6);
     let words = &run.faults.first().expect("a fault").words;
     assert!(words.contains("MemoryError"), "{words}");
     assert_eq!(run.port("fails.image").len(), 5, "all but that one");

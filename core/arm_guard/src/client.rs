@@ -80,7 +80,7 @@ pub fn program() -> Result<PathBuf, GuardError> {
     if let Some(path) = std::env::var_os(PROGRAM_VARIABLE).filter(|value| !value.is_empty()) {
         return Ok(path.into());
     }
-    let own = std::env::current_exe().unwrap_or_default();
+    let own = panoscope_base::program::file().unwrap_or_default();
     let candidates: Vec<PathBuf> = own.ancestors().skip(1).take(2).map(|folder| folder.join(PROGRAM)).collect();
     candidates.iter().find(|path| path.is_file()).cloned().ok_or_else(|| GuardError::NoProgram {
         looked: candidates.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", "),

@@ -6,6 +6,7 @@
 //! - [`Parallel`]: how a kernel splits its work without knowing whose threads run it.
 //! - [`Simd`]: which instruction set a kernel may use.
 //! - [`onnx`]: which files hold the weights of a model, where ONNX Runtime is.
+//! - [`program`]: where the installation is that the running process belongs to.
 //! - [`gray`], [`random`], [`Report`]: gray conversion, reproducible random numbers, where algorithms report to.
 //!
 //! The crate sees only the contract. Unsafe code is confined to the two modules that opt in below.
@@ -17,6 +18,7 @@ pub mod gray;
 pub mod onnx;
 pub mod packet;
 pub mod parallel;
+pub mod program;
 pub mod random;
 pub mod rect;
 pub mod report;

@@ -253,7 +253,7 @@ pub fn runtime_candidates() -> Vec<PathBuf> {
         return vec![named.into()];
     }
     let mut files = Vec::new();
-    if let Ok(program) = std::env::current_exe() {
+    if let Some(program) = crate::program::file() {
         for folder in program.ancestors().skip(1).take(4) {
             files.extend(runtimes_in(&folder.join("onnxruntime")));
         }

@@ -25,6 +25,8 @@ pub enum Kind {
     Package,
     /// A folder made by `cargo xtask install`, or an unpacked tar file.
     Folder,
+    /// The Python package.
+    Wheel,
     /// A build inside the source tree.
     Build,
 }
@@ -42,8 +44,12 @@ impl Installation {
         let marker = std::fs::read_to_string(data.join(MARKER)).ok();
         let kind = match marker.as_deref().map(|text| text.parse::<toml::Table>()) {
             None => Kind::Build,
-            Some(Ok(table)) if table.get("kind").and_then(toml::Value::as_str) == Some("package") => Kind::Package,
-            Some(_) => Kind::Folder,
+            Some(Ok(table)) => match table.get("kind").and_then(toml::Value::as_str) {
+                Some("package") => Kind::Package,
+                Some("wheel") => Kind::Wheel,
+                _ => Kind::Folder,
+            },
+            Some(Err(_)) => Kind::Folder,
         };
         let graphs = (kind != Kind::Build).then(|| data.join("graphs"));
         let graph_dir = graphs.map(|dir| dir.canonicalize().unwrap_or(dir));
@@ -55,6 +61,7 @@ impl Installation {
         let kind = match self.kind {
             Kind::Package => "Debian package",
             Kind::Folder => "folder",
+            Kind::Wheel => "Python package",
             Kind::Build => "build",
         };
         format!("{kind}, programs in {}", self.program_dir.display())
@@ -65,6 +72,7 @@ impl Installation {
         match self.kind {
             Kind::Package => "reinstall them with `apt install --reinstall panoscope`",
             Kind::Folder => "unpack the archive again, or run `cargo xtask install DIR` again",
+            Kind::Wheel => "install them again with `pip install --force-reinstall panoscope`",
             Kind::Build => "build them with `cargo xtask build`",
         }
     }
@@ -84,9 +92,12 @@ mod tests {
         assert_eq!(kind(), Kind::Build);
         fs::create_dir_all(data.join("graphs")).unwrap();
         assert_eq!(kind(), Kind::Build, "only the marker makes an installation");
-        for (text, expected) in
-            [("kind = \"package\"", Kind::Package), ("kind = \"folder\"", Kind::Folder), ("not TOML", Kind::Folder)]
-        {
+        for (text, expected) in [
+            ("kind = \"package\"", Kind::Package),
+            ("kind = \"wheel\"", Kind::Wheel),
+            ("kind = \"folder\"", Kind::Folder),
+            ("not TOML", Kind::Folder),
+        ] {
             fs::write(data.join(MARKER), text).unwrap();
             assert_eq!(kind(), expected, "{text}");
         }

@@ -16,6 +16,7 @@ pub mod fault;
 mod guard;
 pub mod heap;
 mod host;
+pub mod inbox;
 mod instance;
 pub mod isolation;
 mod join;

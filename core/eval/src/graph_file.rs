@@ -3,8 +3,6 @@
 use std::path::Path;
 
 use crate::error::{Context, EvalError, Result};
-use crate::inputs::wiring::setting;
-use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphOptions, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
 
@@ -33,15 +31,7 @@ pub fn open(path: &Path, options: &GraphOptions) -> Result<Ready, Diagnostics> {
 /// The graph has mistakes.
 pub fn flattened(path: &Path, options: &GraphOptions) -> Result<String> {
     let ready = open(path, options).map_err(|diagnostics| EvalError::Check { diagnostics })?;
-    let text = ready.text.flattened(&ready.catalog).into_owned();
-    if ready.text.settings().is_empty() {
-        return Ok(text);
-    }
-    let mut edit = GraphEdit::parse(&text).context("the flattened graph")?;
-    for (node, param, value) in ready.text.settings().iter().filter_map(|text| setting(text)) {
-        edit.set_param(node, param, &value).with_context(|| format!("{node}.{param}"))?;
-    }
-    Ok(edit.text())
+    ready.text.settled(&ready.catalog).context("the settings")
 }
 
 /// Loads the plugins of a graph and checks it.

@@ -3,7 +3,7 @@
 use crate::args::{absolute, absolute_files};
 use crate::catalog::Catalog;
 use crate::checked::{Align, Mode, OnFault};
-use crate::edit::{EditError, GraphEdit, NoHome, edit_value};
+use crate::edit::{EditError, GraphEdit, NoHome, edit_value, parse_value};
 use crate::file::{NodeText, RefText};
 use crate::param::{ParamKind, Pick};
 use crate::source::{COMMAND_LINE, tidy};
@@ -114,6 +114,22 @@ impl GraphText {
     /// paths; the graph must be right.
     pub fn flattened(&self, catalog: &Catalog) -> Cow<'_, str> {
         if self.is_plain() { Cow::Borrowed(self.text()) } else { Cow::Owned(self.fitted(catalog).write(catalog)) }
+    }
+
+    /// As [`Self::flattened`], with the settings of the command line in place too.
+    ///
+    /// # Errors
+    /// As [`GraphEdit::set_param`].
+    pub fn settled(&self, catalog: &Catalog) -> Result<String, EditError> {
+        let text = self.flattened(catalog).into_owned();
+        if self.overrides.is_empty() {
+            return Ok(text);
+        }
+        let mut edit = GraphEdit::parse(&text)?;
+        for setting in &self.overrides {
+            edit.set_param(&setting.node.value, &setting.param.value, &parse_value(&setting.value.value))?;
+        }
+        Ok(edit.text())
     }
 
     fn write(&self, catalog: &Catalog) -> String {

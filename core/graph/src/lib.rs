@@ -33,6 +33,7 @@ pub mod param;
 mod parse;
 mod parts;
 mod read;
+mod reduce;
 mod schema;
 mod shape;
 mod source;

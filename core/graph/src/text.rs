@@ -54,6 +54,8 @@ pub struct GraphText {
     pub(crate) diagnostics: Diagnostics,
     /// Parts of the files could not be read, so what seems missing may only be unreadable.
     pub(crate) incomplete: bool,
+    /// Nodes were left out, so that the text as read is not the graph.
+    pub(crate) is_reduced: bool,
 }
 
 /// What a file is to a graph.
@@ -189,6 +191,7 @@ impl GraphText {
             overrides: Vec::new(),
             diagnostics,
             sources,
+            is_reduced: false,
         };
         if is_part && !options.allow_missing_args {
             let message = "this file is a part: it cannot run by itself".to_owned();
@@ -356,9 +359,9 @@ impl GraphText {
         params.peek().is_some() && params.all(|(node, (key, _))| set(&node.id.value, &key.value))
     }
 
-    /// Whether it consists of the graph file alone, without arguments, parts and overlays.
+    /// Whether it consists of the whole graph file alone, without arguments, parts and overlays.
     pub fn is_plain(&self) -> bool {
-        self.args.is_empty() && self.flat.parts.is_empty() && self.overlays.is_empty()
+        !self.is_reduced && self.args.is_empty() && self.flat.parts.is_empty() && self.overlays.is_empty()
     }
 
     /// The parameter of a node that `node.param` stands for, where `node` may be a part.

@@ -63,9 +63,8 @@ fn fingerprints(files: &[Option<&Path>]) -> Vec<Fingerprint> {
 
 /// The folder of the running program; of a test of cargo, the folder of the build.
 fn program_dir() -> Option<PathBuf> {
-    let program = std::env::current_exe().ok()?;
-    let folder = program.parent()?;
-    if folder.ends_with("deps") { folder.parent().map(Path::to_owned) } else { Some(folder.to_owned()) }
+    let folder = panoscope_base::program::folder()?;
+    if folder.ends_with("deps") { folder.parent().map(Path::to_owned) } else { Some(folder) }
 }
 
 /// The graph's files, its plugins and `extra_plugins`, the libraries that these need, and the programs. Runs no code of them.

@@ -112,7 +112,10 @@ impl LoadError {
             }
             Self::NoPython { cause: NoPython::Package { .. }, .. } => "install panoscope again".to_owned(),
             Self::NoPython { cause: NoPython::Metadata { .. }, .. } => "write the block as PEP 723 has it".to_owned(),
-            Self::Link { .. } => "install the library named above, or rebuild the plugin".to_owned(),
+            Self::Link { cause, .. } => match packages_of(cause) {
+                Some(packages) => format!("install the library: on Debian and Ubuntu `apt install {packages}`"),
+                None => "install the library named above, or rebuild the plugin".to_owned(),
+            },
             Self::Unreadable { .. } => "check the path and its permissions".to_owned(),
         }
     }
@@ -125,5 +128,38 @@ impl LoadError {
             message: self.to_string(),
             help: self.help(),
         }
+    }
+}
+
+/// Debian's packages with the library that the dynamic linker misses, as far as they are known.
+fn packages_of(message: &str) -> Option<&'static str> {
+    let library = message.split([' ', ':', '`']).find(|word| word.starts_with("lib") && word.contains(".so"))?;
+    let packages = if library.starts_with("libopencv") {
+        "libopencv-dev libopencv-contrib-dev"
+    } else if library.starts_with("libgst") {
+        "libgstreamer1.0-0 libgstreamer-plugins-base1.0-0 libgstrtspserver-1.0-0"
+    } else {
+        return None;
+    };
+    message.contains("cannot open shared object").then_some(packages)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_library_is_named_with_its_package() {
+        let help = |library: &str| {
+            let cause = format!("{library}: cannot open shared object file: No such file or directory");
+            LoadError::Link { file: "x.so".into(), cause }.help()
+        };
+        assert!(
+            help("libopencv_core.so.406").contains("`apt install libopencv-dev"),
+            "{}",
+            help("libopencv_core.so.406")
+        );
+        assert!(help("libgstrtspserver-1.0.so.0").contains("libgstrtspserver-1.0-0`"));
+        assert_eq!(help("libother.so"), "install the library named above, or rebuild the plugin");
     }
 }

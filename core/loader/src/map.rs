@@ -105,7 +105,8 @@ fn describe(plugin: &PluginFile, image: &Path, limit: Duration) -> Result<Loaded
     let PluginFile { file, note, python } = plugin;
     let launch = python.as_ref().map(Python::launch).transpose();
     let launch = launch.map_err(|cause| LoadError::NoPython { file: file.clone(), cause })?;
-    let described = panoscope_isolate::describe(image, file, &note.name, launch, limit);
+    let kept = python.as_ref().and_then(|python| python.kept_description(file, image));
+    let described = panoscope_isolate::describe(image, file, &note.name, launch, limit, kept.as_deref());
     let Description { plugin: descriptor, describer } =
         described.map_err(|cause| LoadError::Undescribed { file: file.clone(), cause })?;
     // SAFETY: what another process wrote was read into memory that is never freed; its lengths are those of that memory.

@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 
 use panoscope_abi as abi;
 use panoscope_isolate::Launch;
+use sha2::{Digest, Sha256};
 use toml::Table;
 
 use crate::elf::Note;
 use crate::error::LoadError;
 use crate::map::PluginFile;
+use crate::search::Stamp;
 
 /// Environment variable with the interpreter of plugins that name none.
 const PYTHON_VARIABLE: &str = "PANOSCOPE_PYTHON";
@@ -66,18 +68,51 @@ impl Python {
         let environment = environment.map(|(name, value)| (name.into(), value)).to_vec();
         Ok(Launch { program: self.interpreter.clone(), arguments, environment })
     }
+
+    /// Where the description of a plugin is kept: named by everything that it may depend on. These are the file's bytes in `image`, its neighbours,
+    /// which it may import, the interpreter and the package; not what else is installed for the interpreter. `None` without a home.
+    pub(crate) fn kept_description(&self, file: &Path, image: &Path) -> Option<PathBuf> {
+        let mut hash = Sha256::new();
+        hash.update(concat!(env!("CARGO_PKG_VERSION"), "\0"));
+        hash.update(std::fs::read(image).ok()?);
+        let interpreter = self.interpreter.canonicalize().ok()?;
+        let package = package().ok()?.join("panoscope");
+        let neighbours = file.parent().into_iter().chain([package.as_path()]).flat_map(code_in);
+        for file in [self.interpreter.clone(), interpreter, file.to_owned()].into_iter().chain(neighbours) {
+            hash.update(format!("{}\0{:?}\0", file.display(), Stamp::of(&file)));
+        }
+        let name = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+        Some(cache_folder()?.join("panoscope/descriptions").join(name))
+    }
 }
 
-/// The folder with the package: beside the program, above it for tests, or in the `lib` of an installation.
-fn package() -> Result<PathBuf, NoPython> {
-    let program = std::env::current_exe().unwrap_or_default();
-    let folder = program.parent().unwrap_or(Path::new("")).to_owned();
+/// The user's folder for what can be made again.
+fn cache_folder() -> Option<PathBuf> {
+    let variable = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|folder| folder.is_absolute());
+    variable("XDG_CACHE_HOME").or_else(|| Some(variable("HOME")?.join(".cache")))
+}
+
+/// The folder with the Python package, for `PYTHONPATH`: beside the program, above it for tests, or in the `lib` of an installation.
+///
+/// # Errors
+/// The installation has none.
+pub fn package() -> Result<PathBuf, NoPython> {
+    let folder = panoscope_base::program::folder().unwrap_or_default();
     let places = [folder.join("python"), folder.join("../python"), folder.join("../lib/panoscope/python")];
     let is_package = |place: &&PathBuf| place.join("panoscope/__init__.py").is_file();
     match places.iter().find(is_package) {
         Some(place) => Ok(place.clone()),
         None => Err(NoPython::Package { folder: places[0].clone() }),
     }
+}
+
+/// Files of a folder that a plugin in Python can import, in order.
+fn code_in(folder: &Path) -> Vec<PathBuf> {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut files: Vec<PathBuf> =
+        files.filter(|file| file.extension().is_some_and(|ending| ending == "py" || ending == "so")).collect();
+    files.sort();
+    files
 }
 
 /// Whether a file may be a plugin in Python.

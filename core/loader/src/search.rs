@@ -76,9 +76,7 @@ pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
     if let Some(list) = std::env::var_os(PLUGIN_PATH_VARIABLE) {
         folders.extend(std::env::split_paths(&list).filter(|p| !p.as_os_str().is_empty()));
     }
-    if let Ok(program) = std::env::current_exe()
-        && let Some(folder) = program.parent()
-    {
+    if let Some(folder) = panoscope_base::program::folder() {
         folders.push(folder.join("plugins"));
         if folder.file_name() == Some(OsStr::new("deps"))
             && let Some(up) = folder.parent()
@@ -278,7 +276,7 @@ impl Loader {
     }
 
     /// What the plugins that were found offer, from their notes.
-    fn offers(&self) -> Vec<Offer> {
+    pub fn offers(&self) -> Vec<Offer> {
         let offer = |(plugin, found): (&String, &PluginFile)| Offer {
             plugin: plugin.clone(),
             node_types: found.note.node_types.clone(),

@@ -1,4 +1,9 @@
-"""Nodes for Panoscope graphs, written in Python.
+"""Panoscope from Python: graphs, recordings, and nodes of one's own.
+
+    import panoscope as ps
+
+    result = ps.Graph("panorama.toml").run(frames=20, watch=["wide.panorama"])
+    result["wide.panorama"][0]    # a NumPy array
 
 A file with node classes is a plugin: a graph lists it under ``plugins`` by the name of the file without ``.py``.
 
@@ -16,7 +21,10 @@ A file with node classes is a plugin: a graph lists it under ``plugins`` by the 
 Nodes run in a process of their own. Inputs are read-only views of the host's frames; an array from :func:`empty` is written without a copy.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from .call import age_ms, clock_ns, empty, empty_like, log, metric, tick
+from .errors import Diagnostic, EditError, GraphError, PanoscopeError, RecordingError, RunError
 from .nodes import End, NodeError, node, param
 from .packets import (
     AnyImage,
@@ -42,8 +50,31 @@ from .packets import (
     Tip,
 )
 
+if TYPE_CHECKING:
+    from .graph import Graph, Running, check, sweep
+    from .installation import graphs
+    from .recording import Recording, replay
+    from .series import Packet, Result, Series
+
+_OF_MODULE = {
+    **dict.fromkeys(("Graph", "Running", "check", "sweep"), "graph"),
+    **dict.fromkeys(("Recording", "replay"), "recording"),
+    **dict.fromkeys(("Packet", "Result", "Series"), "series"),
+    "graphs": "installation",
+}
+"""What the process of a node has no use for, and its module: a node starts sooner without it."""
+
 __all__ = [
-    "AnyImage", "Bgr8", "Calibration", "Cloud", "Confidence", "Depth", "Detections", "Disparity", "End", "Gray8", "Gray16", "GrayF32",
-    "Homography", "Joints", "Mask", "NodeError", "Pose", "Rgba8", "Roi", "Scalar", "Table", "Text", "Tip", "age_ms", "clock_ns", "empty",
-    "empty_like", "log", "metric", "node", "param", "tick",
+    "AnyImage", "Bgr8", "Calibration", "Cloud", "Confidence", "Depth", "Detections", "Diagnostic", "Disparity", "EditError", "End", "Graph",
+    "GraphError", "Gray16", "Gray8", "GrayF32", "Homography", "Joints", "Mask", "NodeError", "Packet", "PanoscopeError", "Pose", "Recording",
+    "RecordingError", "Result", "Rgba8", "Roi", "RunError", "Running", "Scalar", "Series", "Table", "Text", "Tip", "age_ms", "check",
+    "clock_ns", "empty", "empty_like", "graphs", "log", "metric", "node", "param", "replay", "sweep", "tick",
 ]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _OF_MODULE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f".{_OF_MODULE[name]}", __name__), name)

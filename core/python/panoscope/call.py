@@ -10,25 +10,30 @@ import numpy as np
 _running = threading.local()
 
 
-class _Running:
-    """The call that runs on this thread."""
+class Outputs:
+    """The outputs of an instance, and what its running call made of them."""
 
-    def __init__(self, call: Any, ports: tuple[Any, ...]) -> None:
-        self.call = call
+    def __init__(self, ports: tuple[Any, ...]) -> None:
         self.ports = ports
+        self.index = {port.name: index for index, port in enumerate(ports)}
+        self.call: Any = None
+        self.made: dict[int, np.ndarray] = {}
+        """Arrays in the host's memory."""
 
 
-def begin(call: Any, ports: tuple[Any, ...]) -> None:
-    """Remembers the call that begins on this thread, and the outputs of its node."""
-    _running.now = _Running(call, ports)
+def begin(outputs: Outputs, call: Any) -> None:
+    """Remembers the call that begins on this thread."""
+    outputs.call = call
+    _running.now = outputs
 
 
-def end() -> None:
-    """Forgets it."""
+def end(outputs: Outputs) -> None:
+    """Forgets it. Arrays that nobody else has are gone before the call ends."""
+    outputs.made.clear()
     _running.now = None
 
 
-def _now() -> _Running:
+def _now() -> Outputs:
     now = getattr(_running, "now", None)
     if now is None:
         raise RuntimeError("this works only while the node's `process` runs, on its own thread")
@@ -41,16 +46,16 @@ def empty(shape: tuple[int, ...], dtype: Any = "u1", output: str | None = None) 
     ``output`` names the output where the node has several.
     """
     now = _now()
-    names = [port.name for port in now.ports]
-    if output is None and len(names) == 1:
-        output = names[0]
-    if output not in names:
-        raise ValueError(f"there is no output `{output}`; the outputs are {', '.join(names)}")
-    index = names.index(output)
+    index = 0 if output is None and len(now.ports) == 1 else now.index.get(output)
+    if index is None:
+        raise ValueError(f"there is no output `{output}`; the outputs are {', '.join(now.index)}")
     kind = now.ports[index].kind
     allocate = getattr(kind, "allocate", None)
     array = allocate(now.call, index, tuple(shape), np.dtype(dtype)) if allocate else None
-    if array is None:
+    if array is not None:
+        now.made[index] = array
+    else:
+        output = now.ports[index].name
         raise ValueError(f"output `{output}` of type `{kind.packet}` cannot be an array of {np.dtype(dtype)} of shape {tuple(shape)}")
     return array
 

@@ -18,6 +18,8 @@ NODES: list[NodeType] = []
 
 _FAMILIES = ("source", "filter", "stereo", "stitch", "tools", "arm", "overlay", "sink")
 _KINDS = {"compute": 0, "blocking": 1}
+_UNIONS = (typing.Union, getattr(types, "UnionType", typing.Union))
+"""``Optional[X]`` and ``X | None``, which Python 3.9 does not have."""
 OPTIONAL, LIST = 1, 2
 """Flags of a port."""
 _REOPEN, _MUST_EXIST, _WRITES = 1, 2, 32
@@ -182,7 +184,7 @@ def _kind(cls: type, what: str, annotation: Any) -> tuple[Kind, str]:
 def _input(cls: type, parameter: inspect.Parameter, annotation: Any) -> Port:
     flags = 0
     members = typing.get_args(annotation)
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType) and type(None) in members:
+    if typing.get_origin(annotation) in _UNIONS and type(None) in members:
         flags |= OPTIONAL
         annotation = next(member for member in members if member is not type(None))
     elif parameter.default is None:

@@ -67,6 +67,17 @@ def _pixels(view: Any) -> np.ndarray:
     return np.ndarray((view.height, view.width, channels), dtype, flat, 0, (view.stride_bytes, channels, 1))
 
 
+def _exchanged(value: Any, output: Output, wanted: str) -> np.ndarray:
+    """An array over the memory of a tensor of another library, by DLPack: nothing is copied."""
+    if not hasattr(value, "__dlpack__"):
+        raise output.wrong(value, wanted)
+    try:
+        return np.from_dlpack(value)
+    except (BufferError, RuntimeError, TypeError) as error:
+        what = f"{type(value).__module__}.{type(value).__qualname__}"
+        raise TypeError(f"output `{output.name}`: NumPy cannot read this {what}: {error}; hand over one in the processor's memory") from error
+
+
 @dataclass(frozen=True)
 class PlaneKind(Kind):
     """A plane of pixels as an array."""
@@ -108,7 +119,7 @@ class PlaneKind(Kind):
 
     def encode(self, value: Any, output: Output) -> None:
         if not isinstance(value, np.ndarray):
-            raise output.wrong(value, self.wanted())
+            value = _exchanged(value, output, self.wanted())
         format = self.format_of(value.shape, value.dtype)
         if format is None:
             raise output.wrong(value, self.wanted())
@@ -339,3 +350,18 @@ Tip = _record("tip")
 Pose = _record("pose")
 Joints = _record("joints")
 KIND_OF_CLASS = {Table: TableKind(), Detections: DetectionsKind()}
+_KINDS: dict[str, Kind] = {
+    **{kind.packet: kind for kind in (ScalarKind(), TextKind(), *KIND_OF_CLASS.values())},
+    **{packet: RecordKind(packet, dtype) for packet, dtype in RECORDS.items()},
+}
+"""Packet types of plain data by their names in graph files."""
+
+
+def decode(view: Any, packet: str) -> Any:
+    """The value of any packet: its format says what pixels and points are, ``packet`` is the type of plain data. Bytes of types unknown here."""
+    if view.format in _PIXELS:
+        return _pixels(view)
+    if view.format == CLOUD:
+        return CloudKind().decode(view)
+    kind = _KINDS.get(packet)
+    return np.asarray(view) if kind is None else kind.decode(view)

@@ -48,6 +48,9 @@ class Runner:
 
     def __init__(self, node_type: nodes.NodeType, values: tuple[Any, ...], node: str, graph_folder: str) -> None:
         self.type = node_type
+        self.outputs = calls.Outputs(node_type.outputs)
+        self.only_formats = node_type.outputs[0].kind.formats if len(node_type.outputs) == 1 and not node_type.returns_dict else 0
+        """Formats of the output, if there is one."""
         self.node = node_type.cls.__new__(node_type.cls)
         self.node.node_name, self.node.graph_folder = node, graph_folder
         self.set_params(values)
@@ -70,19 +73,27 @@ class Runner:
                 arguments.append([decode(one) for one in (view if isinstance(view, list) else [view]) if one is not None])
             else:
                 arguments.append(None if view is None else decode(view))
-        calls.begin(call, node_type.outputs)
+        calls.begin(self.outputs, call)
         try:
             result = self.node.process(*arguments)
-            self._give(call, result)
+            if not self._hand_on(call, result, arguments, views):
+                self._give(call, result)
         finally:
-            calls.end()
+            calls.end(self.outputs)
+
+    def _hand_on(self, call: Any, result: Any, arguments: list[Any], views: tuple[Any, ...]) -> bool:
+        """Makes the output an input that the node returned as it came, without a look at its bytes. Others are left to the output's type."""
+        for argument, view in zip(arguments, views):
+            if argument is result and view is not None and self.only_formats >> view.format & 1:
+                return call.forward_view(0, view)
+        return False
 
     def _give(self, call: Any, result: Any) -> None:
         outputs = self.type.outputs
         if not outputs or result is None:
             return
         if not self.type.returns_dict:
-            outputs[0].kind.encode(result, Output(call, 0, outputs[0].name))
+            self._encode(call, 0, result)
             return
         if not isinstance(result, dict):
             names = ", ".join(f'"{port.name}": ...' for port in outputs)
@@ -92,7 +103,13 @@ class Runner:
             raise TypeError(f"`process` returned `{min(unknown)}`, which is no output of the node")
         for index, port in enumerate(outputs):
             if result.get(port.name) is not None:
-                port.kind.encode(result[port.name], Output(call, index, port.name))
+                self._encode(call, index, result[port.name])
+
+    def _encode(self, call: Any, index: int, value: Any) -> None:
+        # An array of `empty`, as most nodes return it, is the output already.
+        if value is not self.outputs.made.get(index):
+            port = self.type.outputs[index]
+            port.kind.encode(value, Output(call, index, port.name))
 
     def save_state(self) -> bytes | None:
         """The state that the next instance takes over, if the class saves one."""

@@ -57,6 +57,21 @@ impl Call {
         running.ok_or_else(|| PyRuntimeError::new_err("this works only while the node's `process` runs"))
     }
 
+    /// Makes an output the first input frame that fits.
+    fn forward_one(&self, output: u32, fits: impl Fn(&Frame) -> bool) -> PyResult<bool> {
+        let call = self.running()?;
+        let inputs = match call.inputs_len {
+            0 => &[],
+            // SAFETY: `inputs` has `inputs_len` frames for the length of the call.
+            len => unsafe { std::slice::from_raw_parts(call.inputs, len) },
+        };
+        let found = inputs.iter().find(|frame| !frame.is_empty() && fits(frame));
+        let (Some(frame), Some(forward)) = (found, self.host.forward) else { return Ok(false) };
+        // SAFETY: the handle of the running call, and one of its inputs.
+        let status: Status = unsafe { forward(call.call, output, frame) };
+        Ok(status == abi::STATUS_OK)
+    }
+
     /// Output `output` of the call.
     fn output(call: &abi::Call, output: u32) -> Option<Frame> {
         // SAFETY: `outputs` has `outputs_len` frames for the length of the call.
@@ -109,22 +124,16 @@ impl Call {
         height: u32,
         stride_bytes: u32,
     ) -> PyResult<bool> {
-        let call = self.running()?;
-        let inputs = match call.inputs_len {
-            0 => &[],
-            // SAFETY: `inputs` has `inputs_len` frames for the length of the call.
-            len => unsafe { std::slice::from_raw_parts(call.inputs, len) },
-        };
         let described = (format, width, height, stride_bytes);
-        let is_it = |frame: &&Frame| {
-            !frame.is_empty()
-                && frame.data.addr() == address
-                && (frame.format, frame.width, frame.height, frame.stride_bytes) == described
-        };
-        let (Some(frame), Some(forward)) = (inputs.iter().find(is_it), self.host.forward) else { return Ok(false) };
-        // SAFETY: the handle of the running call, and one of its inputs.
-        let status: Status = unsafe { forward(call.call, output, frame) };
-        Ok(status == abi::STATUS_OK)
+        self.forward_one(output, |frame| {
+            frame.data.addr() == address && (frame.format, frame.width, frame.height, frame.stride_bytes) == described
+        })
+    }
+
+    /// Makes an output the input frame of a view.
+    fn forward_view(&self, output: u32, view: &View) -> PyResult<bool> {
+        let address = view.address();
+        self.forward_one(output, |frame| frame.data.addr() == address)
     }
 
     /// Source, number and capture time of the tick.

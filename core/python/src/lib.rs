@@ -1,4 +1,5 @@
-//! The native part of the Python package `panoscope`: runs node classes in the process of isolated nodes.
+//! The native part of the Python package `panoscope`: runs node classes in the process of isolated nodes, and graphs in a process of Python's
+//! own ([`host`]).
 //!
 //! The host starts `python -m panoscope.child GROUP`, whose main thread serves the host ([`serve`]). The file of a plugin is run there once; its
 //! node classes become descriptors of the plugin interface ([`describe`]), whose functions call Python ([`instance`]). Frames reach Python as
@@ -7,6 +8,7 @@
 
 mod call;
 mod describe;
+mod host;
 mod instance;
 mod view;
 
@@ -54,5 +56,6 @@ fn explain(py: Python<'_>, error: &PyErr) -> String {
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<view::View>()?;
     module.add_class::<call::Call>()?;
-    module.add_function(wrap_pyfunction!(serve, module)?)
+    module.add_function(wrap_pyfunction!(serve, module)?)?;
+    host::add_to(module)
 }

@@ -25,6 +25,8 @@ const GUARD: &str = "panoscope-arm";
 const PYTHON: &str = "core/python";
 const PYTHON_PACKAGE: &str = "panoscope-python";
 const NATIVE: &str = "_native.abi3.so";
+/// Endings of the files of the Python package: code, the native part, types and the mark that there are types.
+pub const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
 /// Folder beside the program for plugins that only tests use.
 const TEST_PLUGIN_DIR: &str = "test_plugins";
 
@@ -166,7 +168,7 @@ impl Artifacts {
         let folder = workspace.root.join(PYTHON);
         let native =
             self.libraries.get(&folder).with_context(|| format!("{PYTHON_PACKAGE} makes no shared library"))?;
-        place_files(&folder.join("panoscope"), package, &["py"], Means::Link)?;
+        place_files(&folder.join("panoscope"), package, &PACKAGE_FILES, Means::Link)?;
         place(native, &package.join(NATIVE), Means::Link)
     }
 

@@ -7,8 +7,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 
 use crate::build::{
-    Built, Means, Profile, Windows, build, build_windows, guard_name, lay_out_models, library_name, place, place_files,
-    program_name, python_package, window_names,
+    Built, Means, PACKAGE_FILES, Profile, Windows, build, build_windows, guard_name, lay_out_models, library_name,
+    place, place_files, program_name, python_package, window_names,
 };
 use crate::onnxruntime;
 use crate::workspace::Workspace;
@@ -27,6 +27,8 @@ pub enum Kind {
     Package,
     /// As a folder that can be moved.
     Folder,
+    /// In a Python package.
+    Wheel,
 }
 
 /// Builds and puts all that runs without cargo into `dir`: `bin`, `lib/panoscope`, `share/panoscope`.
@@ -54,6 +56,7 @@ pub fn mark(prefix: &Path, kind: Kind) -> Result<()> {
     let kind = match kind {
         Kind::Package => "package",
         Kind::Folder => "folder",
+        Kind::Wheel => "wheel",
     };
     let text = format!(
         "# Graphs below this folder belong to an installation: they write their files into the current folder.\n\
@@ -65,16 +68,19 @@ pub fn mark(prefix: &Path, kind: Kind) -> Result<()> {
 }
 
 /// What an installed folder is made of.
-struct Tree<'a> {
-    built: &'a Built,
-    windows: Option<&'a Windows>,
+pub struct Tree<'a> {
+    pub built: &'a Built,
+    pub windows: Option<&'a Windows>,
     /// ONNX Runtime's shared library; its licence is beside it.
-    runtime: Option<&'a Path>,
+    pub runtime: Option<&'a Path>,
 }
 
 impl Tree<'_> {
     /// Puts the programs, the plugins with their models, ONNX Runtime and the graphs into `prefix`.
-    fn put_into(&self, workspace: &Workspace, prefix: &Path, means: Means) -> Result<()> {
+    ///
+    /// # Errors
+    /// A file cannot be copied.
+    pub fn put_into(&self, workspace: &Workspace, prefix: &Path, means: Means) -> Result<()> {
         let library = prefix.join(LIBRARY);
         let plugin_dir = library.join("plugins");
         make_dir(&plugin_dir)?;
@@ -84,7 +90,7 @@ impl Tree<'_> {
         }
         lay_out_models(workspace, &plugin_dir, means)?;
         let package = python_package(&self.built.program);
-        place_files(&package, &python_package(&library.join(program_name())), &["py", "so"], means)?;
+        place_files(&package, &python_package(&library.join(program_name())), &PACKAGE_FILES, means)?;
         if let Some(runtime) = self.runtime {
             // Beside the program, where the `tools` plugin looks for it.
             let folder = library.join("onnxruntime");

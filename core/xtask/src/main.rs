@@ -27,6 +27,7 @@ mod test;
 mod wheel;
 mod workspace;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
@@ -58,6 +59,10 @@ cargo xtask COMMAND
                        makes a Debian package and a relocatable tar file of a release build in DIR (target/package); DEBEMAIL=\"Name
                        <address>\" names who made it, else git's user. --check installs it into a bare Debian and uses it there (root); --dev
                        packages a development build, which is made faster
+  wheel [DIR] [--check] [--dev]
+                       makes a Python package of a release build in DIR (target/wheel), for `pip install`. --check installs it into an empty
+                       environment in a bare Debian and compares what graphs give there with the command (root); --dev packages a
+                       development build
   screens [DIR]        takes pictures of both windows on a virtual screen into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime
@@ -133,20 +138,19 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
         "package" => {
             setup::ensure(&[Purpose::Build, Purpose::Package])?;
             let workspace = Workspace::locate()?;
-            let (flags, folders): (Vec<&String>, Vec<&String>) = rest.iter().partition(|arg| arg.starts_with("--"));
-            if let Some(other) = flags.iter().find(|flag| !["--check", "--dev"].contains(&flag.as_str())) {
-                bail!("unexpected argument `{other}`");
-            }
-            let has = |name: &str| flags.iter().any(|flag| *flag == name);
-            let profile = if has("--dev") { Profile::Dev } else { Profile::Release };
-            let dir = match folders[..] {
-                [] => workspace.target.join("package"),
-                [dir] => dir.into(),
-                _ => bail!("package takes one folder to write into"),
-            };
+            let Packaging { dir, profile, checks } = Packaging::read(&workspace, "package", rest)?;
             let package = package::package(&workspace, &dir, profile)?;
-            if has("--check") {
+            if checks {
                 package::check(&workspace, &package, &dir)?;
+            }
+        }
+        "wheel" => {
+            setup::ensure(&[Purpose::Build])?;
+            let workspace = Workspace::locate()?;
+            let Packaging { dir, profile, checks } = Packaging::read(&workspace, "wheel", rest)?;
+            let wheel = package::wheel(&workspace, &dir, profile)?;
+            if checks {
+                package::check_wheel(&workspace, &wheel, &dir)?;
             }
         }
         "screens" => screens::screens(&Workspace::locate()?, rest)?,
@@ -167,6 +171,31 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// What is packaged, and where.
+struct Packaging {
+    dir: PathBuf,
+    profile: Profile,
+    checks: bool,
+}
+
+impl Packaging {
+    /// Reads `[DIR] [--check] [--dev]`; without a folder it is `target/COMMAND`.
+    fn read(workspace: &Workspace, command: &str, args: &[String]) -> Result<Self> {
+        let (flags, folders): (Vec<&String>, Vec<&String>) = args.iter().partition(|arg| arg.starts_with("--"));
+        if let Some(other) = flags.iter().find(|flag| !["--check", "--dev"].contains(&flag.as_str())) {
+            bail!("unexpected argument `{other}`");
+        }
+        let has = |name: &str| flags.iter().any(|flag| *flag == name);
+        let profile = if has("--dev") { Profile::Dev } else { Profile::Release };
+        let dir = match folders[..] {
+            [] => workspace.target.join(command),
+            [dir] => dir.into(),
+            _ => bail!("{command} takes one folder to write into"),
+        };
+        Ok(Self { dir, profile, checks: has("--check") })
+    }
 }
 
 /// Whether `args` contains `name`; any other argument is an error.

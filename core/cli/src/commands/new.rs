@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail};
 use crate::End;
 use crate::terminal::{log, out};
 use panoscope_eval::graph_file;
+use panoscope_loader::python_package;
 
 /// Arguments of `new`.
 #[derive(clap::Args)]
@@ -27,13 +28,16 @@ struct Plugin {
     /// Name of the plugin and of its node: lower-case letters, digits, `-` and `_`.
     name: String,
     /// In C instead of Rust.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "python")]
     c: bool,
+    /// In Python instead of Rust.
+    #[arg(long)]
+    python: bool,
     /// Folder to make; without it, the plugin's name.
     #[arg(long, value_name = "FOLDER")]
     dir: Option<PathBuf>,
     /// Folder of Panoscope's own source, for `panoscope-node`; without it, where this program was built.
-    #[arg(long, value_name = "FOLDER", conflicts_with = "c")]
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["c", "python"])]
     source: Option<PathBuf>,
 }
 
@@ -53,6 +57,14 @@ const C: &[(&str, &str)] = &[
     ("{{name}}.toml", include_str!("../../templates/c/NAME.toml")),
     ("test.c", include_str!("../../templates/c/test.c")),
     ("panoscope.h", include_str!("../../../abi/panoscope.h")),
+];
+
+const PYTHON: &[(&str, &str)] = &[
+    ("README.md", include_str!("../../templates/python/README.md")),
+    (".gitignore", include_str!("../../templates/python/gitignore")),
+    ("{{lib}}.py", include_str!("../../templates/python/NAME.py")),
+    ("{{name}}.toml", include_str!("../../templates/python/NAME.toml")),
+    ("test_{{lib}}.py", include_str!("../../templates/python/test_NAME.py")),
 ];
 
 /// Names that mean something else to Rust or to cargo.
@@ -125,9 +137,13 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let What::Plugin(plugin) = &arguments.what;
     match write(plugin) {
         Ok(folder) => {
-            let (build, test) = if plugin.c { ("make", "make test") } else { ("cargo build", "cargo test") };
+            let build = match plugin.language() {
+                Language::Rust => "cargo test && cargo build".to_owned(),
+                Language::C => "make test && make".to_owned(),
+                Language::Python => format!("PYTHONPATH={} python3 -m unittest", package()),
+            };
             out!("made {}; next:", folder.display());
-            out!("    cd {} && {test} && {build} && panoscope run {}.toml --frames 10", folder.display(), plugin.name);
+            out!("    cd {} && {build} && panoscope run {}.toml --frames 10", folder.display(), plugin.name);
             Ok(End::Done)
         }
         Err(error) => {
@@ -135,6 +151,40 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             Ok(End::Wrong)
         }
     }
+}
+
+/// What a plugin is written in.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Language {
+    Rust,
+    C,
+    Python,
+}
+
+impl Language {
+    /// Its files: names and texts, with placeholders in both.
+    fn files(self) -> &'static [(&'static str, &'static str)] {
+        match self {
+            Self::Rust => RUST,
+            Self::C => C,
+            Self::Python => PYTHON,
+        }
+    }
+}
+
+impl Plugin {
+    fn language(&self) -> Language {
+        match (self.c, self.python) {
+            (true, _) => Language::C,
+            (false, true) => Language::Python,
+            (false, false) => Language::Rust,
+        }
+    }
+}
+
+/// The folder for `PYTHONPATH` with the Python package.
+fn package() -> String {
+    python_package().map_or_else(|_| "FOLDER-OF-PANOSCOPE/python".to_owned(), |folder| folder.display().to_string())
 }
 
 fn check_name(name: &str) -> Result<()> {
@@ -174,9 +224,10 @@ fn write(plugin: &Plugin) -> Result<PathBuf> {
     if folder.exists() {
         bail!("{} is there already; remove it, or say another folder with --dir", folder.display());
     }
-    let dependency = match plugin.c {
-        true => String::new(),
-        false => format!("path = {:?}", node_crate(plugin.source.as_deref())?),
+    let language = plugin.language();
+    let dependency = match language {
+        Language::Rust => format!("path = {:?}", node_crate(plugin.source.as_deref())?),
+        Language::C | Language::Python => String::new(),
     };
     let node = name.replace('-', "_");
     let fill = |text: &str| {
@@ -186,11 +237,12 @@ fn write(plugin: &Plugin) -> Result<PathBuf> {
             ("lib", &node),
             ("panoscope_include", "."),
             ("panoscope_node_dependency", &dependency),
+            ("package", &package()),
         ]
         .iter()
         .fold(text.to_owned(), |text, (key, value)| text.replace(&format!("{{{{{key}}}}}"), value))
     };
-    for (file, text) in if plugin.c { C } else { RUST } {
+    for (file, text) in language.files() {
         let path = folder.join(fill(file));
         if let Some(parent) = path.parent() {
             fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))?;
@@ -216,12 +268,12 @@ mod tests {
     fn no_placeholder_is_left_and_nothing_is_overwritten() {
         let folder = std::env::temp_dir().join(format!("panoscope_new_{}", std::process::id()));
         let _ = fs::remove_dir_all(&folder);
-        for c in [false, true] {
-            let dir = folder.join(if c { "c" } else { "rust" });
-            let plugin = Plugin { name: "fresh-node".to_owned(), c, dir: Some(dir.clone()), source: None };
+        for (c, python) in [(false, false), (true, false), (false, true)] {
+            let dir = folder.join(format!("{c}-{python}"));
+            let plugin = Plugin { name: "fresh-node".to_owned(), c, python, dir: Some(dir.clone()), source: None };
             write(&plugin).unwrap();
-            for (file, _) in if c { C } else { RUST } {
-                let path = dir.join(file.replace("{{name}}", "fresh-node"));
+            for (file, _) in plugin.language().files() {
+                let path = dir.join(file.replace("{{name}}", "fresh-node").replace("{{lib}}", "fresh_node"));
                 let text = fs::read_to_string(&path).unwrap();
                 assert!(!text.contains("{{"), "{}", path.display());
             }

@@ -1,6 +1,7 @@
 //! What the runtime itself costs.
 
 mod death;
+mod dora;
 pub mod editor;
 mod graph;
 mod gstreamer;

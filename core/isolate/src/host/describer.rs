@@ -9,7 +9,7 @@ use panoscope_abi::{self as abi, NodeType, Plugin, Status, Str};
 use panoscope_engine::isolation::{Deny, GroupSettings};
 
 use super::process::{Launch, NodeLane, Process};
-use super::{PluginImage, Totals, lock};
+use super::{PluginImage, Totals, kept, lock};
 use crate::description::{self, Described};
 use crate::lane::{Lost, Side};
 use crate::wire::{BadMessage, Kind, MAX_PROBLEM_BYTES, MAX_PROBLEMS, Reader, Writer, plain_words};
@@ -71,7 +71,8 @@ struct Running {
 /// Loads a plugin in a process of its own and asks what it offers.
 ///
 /// `image` is a path to its bytes that stays valid until this process ends, `file` the plugin's file, `name` what its note calls it,
-/// `launch` the program that can run it, if not this one, `limit` the time that it may take.
+/// `launch` the program that can run it, if not this one, `limit` the time that it may take. `kept` is a file with an earlier answer: it is read
+/// instead of asking, checked in the same way, and written where it is not there.
 ///
 /// # Errors
 /// See [`DescribeError`].
@@ -81,10 +82,11 @@ pub fn describe(
     name: &str,
     launch: Option<Launch>,
     limit: Duration,
+    kept: Option<&Path>,
 ) -> Result<Description, DescribeError> {
     let image = Arc::new(PluginImage::new(image, file, launch));
     let describer = Arc::new(Describer { image, plugin: name.to_owned(), running: Mutex::default() });
-    let node_types = describer.node_types(limit)?;
+    let node_types = describer.node_types(limit, kept)?;
     let pointers: Vec<*const NodeType> =
         node_types.into_iter().map(|node_type| std::ptr::from_ref(Box::leak(Box::new(node_type)))).collect();
     let pointers: &'static [*const NodeType] = Box::leak(pointers.into_boxed_slice());
@@ -112,14 +114,24 @@ pub(super) fn descriptor(name: &str, node_types: &[*const NodeType]) -> Plugin {
 }
 
 impl Describer {
-    fn node_types(&self, limit: Duration) -> Result<Vec<NodeType>, DescribeError> {
+    fn node_types(&self, limit: Duration, kept: Option<&Path>) -> Result<Vec<NodeType>, DescribeError> {
+        let read = |bytes: &[u8]| description::read(bytes).map(Described::into_static);
+        if let Some(node_types) = kept.and_then(kept::read).and_then(|bytes| read(&bytes).ok()) {
+            return Ok(node_types);
+        }
         let mut request = Vec::new();
         Writer(&mut request).u32(self.image.id);
         let answer = self.ask(Kind::Describe, &request, limit)?;
         let mut reader = Reader(&answer);
         let nonsense = |BadMessage| DescribeError::Nonsense;
         match reader.i32().map_err(nonsense)? {
-            abi::STATUS_OK => description::read(reader.0).map(Described::into_static).map_err(nonsense),
+            abi::STATUS_OK => {
+                let node_types = read(reader.0).map_err(nonsense)?;
+                if let Some(file) = kept {
+                    kept::write(file, reader.0);
+                }
+                Ok(node_types)
+            }
             _ => Err(DescribeError::Refused(plain_words(reader.bytes().map_err(nonsense)?))),
         }
     }

@@ -2,6 +2,7 @@
 
 mod answer;
 mod describer;
+mod kept;
 #[doc(hidden)]
 pub mod played;
 mod process;

@@ -14,6 +14,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_abi::BufferId;
+use panoscope_base as base;
 use panoscope_engine::isolation::GroupSettings;
 use panoscope_engine::memory::{MOST_POOLS, Memory, PoolFile, memory};
 
@@ -44,7 +45,7 @@ pub struct Launch {
 }
 
 impl Launch {
-    /// This program, or the one that is installed beside it.
+    /// This program, the one that is installed beside it, or the one that this process says it belongs to ([`base::program`]).
     pub(super) fn own() -> Result<Self, String> {
         Ok(Self { program: program()?, arguments: vec![COMMAND.into()], environment: Vec::new() })
     }
@@ -61,10 +62,11 @@ impl Launch {
 }
 
 fn program() -> Result<PathBuf, String> {
-    let me = std::env::current_exe().map_err(|cause| format!("this program's own file is unknown: {cause}"))?;
+    let me = base::program::file().ok_or_else(|| "this program's own file is unknown".to_owned())?;
     if me.file_name().is_some_and(|name| name == PROGRAM) {
+        let is_running = std::env::current_exe().is_ok_and(|running| running == me);
         // The running version, even if its file was replaced meanwhile.
-        return Ok(PathBuf::from("/proc/self/exe"));
+        return Ok(if is_running { PathBuf::from("/proc/self/exe") } else { me });
     }
     let beside = me.with_file_name(PROGRAM);
     // Test programs lie in a folder below.

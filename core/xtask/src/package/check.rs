@@ -14,7 +14,7 @@ use crate::workspace::Workspace;
 /// # Errors
 /// A step failed; its output is above.
 pub fn check(workspace: &Workspace, package: &Path, dir: &Path) -> Result<()> {
-    if let Some(reason) = obstacle() {
+    if let Some(reason) = obstacle(&["debootstrap", "unshare", "chroot", "dpkg-deb"]) {
         println!("not checked, the package was not installed: {reason}");
         return Ok(());
     }
@@ -25,11 +25,9 @@ pub fn check(workspace: &Workspace, package: &Path, dir: &Path) -> Result<()> {
     run(&mut command).context("the package failed its check")
 }
 
-/// Why a package cannot be installed here for a check.
-fn obstacle() -> Option<String> {
-    if let Some(missing) =
-        ["debootstrap", "unshare", "chroot", "dpkg-deb"].into_iter().find(|p| find_program(p).is_none())
-    {
+/// Why nothing can be installed into a bare Debian here for a check, which needs these programs.
+pub fn obstacle(programs: &[&str]) -> Option<String> {
+    if let Some(missing) = programs.iter().find(|program| find_program(program).is_none()) {
         return Some(format!("there is no `{missing}`"));
     }
     let id = capture(Command::new("id").arg("-u")).unwrap_or_default();

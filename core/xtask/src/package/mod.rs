@@ -6,6 +6,7 @@
 mod check;
 mod deb;
 mod tree;
+mod wheel;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,6 +23,7 @@ use crate::workspace::Workspace;
 use tree::{copy, copy_tree};
 
 pub use check::check;
+pub use wheel::{check_wheel, wheel};
 
 /// What a package is made of.
 pub struct Release<'a> {
@@ -55,11 +57,8 @@ pub fn package(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Pa
 impl<'a> Release<'a> {
     /// Strips the programs of an installed tree and adds manual pages, completions and licences.
     fn new(workspace: &'a Workspace, tree: PathBuf) -> Result<Self> {
-        for file in binaries(workspace, &tree) {
-            run(Command::new("strip").args(["--strip-unneeded", "--remove-section=.comment"]).arg(&file))?;
-        }
-        let time = capture(Command::new("git").current_dir(&workspace.root).args(["log", "-1", "--format=%ct"]));
-        let time_s = time.ok().and_then(|text| text.trim().parse().ok()).unwrap_or(0);
+        binaries(workspace, &tree).iter().try_for_each(|file| strip(file))?;
+        let time_s = commit_time_s(workspace);
         let release = Self { workspace, version: env!("CARGO_PKG_VERSION").to_owned(), time_s, tree };
         release.add_manual()?;
         release.add_documents()?;
@@ -127,6 +126,17 @@ impl<'a> Release<'a> {
     fn source(&self, name: &str) -> PathBuf {
         self.workspace.root.join("core/xtask/package").join(name)
     }
+}
+
+/// Removes from a program or library what only debuggers read.
+fn strip(file: &Path) -> Result<()> {
+    run(Command::new("strip").args(["--strip-unneeded", "--remove-section=.comment"]).arg(file))
+}
+
+/// Seconds since 1970 of the commit; 0 where it is not known.
+fn commit_time_s(workspace: &Workspace) -> u64 {
+    let time = capture(Command::new("git").current_dir(&workspace.root).args(["log", "-1", "--format=%ct"]));
+    time.ok().and_then(|text| text.trim().parse().ok()).unwrap_or(0)
 }
 
 /// Programs and libraries of an installed tree.

@@ -76,8 +76,14 @@ impl Doctor {
             match file.is_file() {
                 true => self.say(State::Fine, program, &file.display().to_string()),
                 false => {
-                    let state = if self.installation.kind == Kind::Build { State::Optional } else { State::Bad };
-                    let how = format!("{what} needs {}; {}", file.display(), self.installation.repair());
+                    let (state, how) = match self.installation.kind {
+                        Kind::Build => (State::Optional, self.installation.repair()),
+                        Kind::Wheel => {
+                            (State::Optional, "the Python package is without windows: install the Debian package")
+                        }
+                        Kind::Package | Kind::Folder => (State::Bad, self.installation.repair()),
+                    };
+                    let how = format!("{what} needs {}; {how}", file.display());
                     self.say(state, program, &how);
                 }
             }
@@ -199,8 +205,7 @@ impl Doctor {
                     loaded.node_types.iter().for_each(|node_type| self.shipped_files(node_type));
                 }
                 Err(problem) => {
-                    let mend = missing_library(&problem.message).unwrap_or(problem.help);
-                    self.say(State::Bad, &name, &format!("{}; {mend}", problem.message));
+                    self.say(State::Bad, &name, &format!("{}; {}", problem.message, problem.help));
                 }
             }
         }
@@ -304,7 +309,7 @@ impl Doctor {
     fn runtime_repair(&self) -> &'static str {
         match self.installation.kind {
             Kind::Build => "`cargo xtask onnxruntime` fetches it",
-            Kind::Package | Kind::Folder => self.installation.repair(),
+            Kind::Package | Kind::Folder | Kind::Wheel => self.installation.repair(),
         }
     }
 
@@ -316,6 +321,7 @@ impl Doctor {
                 let how = match self.installation.kind {
                     Kind::Package => self.installation.repair(),
                     Kind::Folder => "copy share/doc/panoscope/70-panoscope.rules to /etc/udev/rules.d",
+                    Kind::Wheel => "become a member of both groups",
                     Kind::Build => "copy core/xtask/package/70-panoscope.rules to /etc/udev/rules.d",
                 };
                 let why = "without it only members of the groups `video` and `dialout` open cameras and the arm's serial port";
@@ -392,32 +398,4 @@ fn libraries_in(folder: &Path) -> Vec<PathBuf> {
     let is_onnx =
         |path: &PathBuf| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("libonnxruntime.so"));
     entries.flatten().map(|e| e.path()).filter(is_onnx).collect()
-}
-
-/// The package with the library that the dynamic linker misses, as far as it is known.
-fn missing_library(message: &str) -> Option<String> {
-    let library = message.split([' ', ':', '`']).find(|word| word.starts_with("lib") && word.contains(".so"))?;
-    let packages = if library.starts_with("libopencv_ximgproc") {
-        "libopencv-contrib-dev"
-    } else if library.starts_with("libopencv") {
-        "libopencv-dev"
-    } else if library.starts_with("libgst") {
-        "libgstreamer1.0-0 libgstreamer-plugins-base1.0-0"
-    } else {
-        return None;
-    };
-    message.contains("cannot open shared object").then(|| format!("`apt install {packages}`"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::missing_library;
-
-    #[test]
-    fn a_missing_library_is_named_with_its_package() {
-        let words =
-            "x.so does not load: libopencv_core.so.406: cannot open shared object file: No such file or directory";
-        assert_eq!(missing_library(words).as_deref(), Some("`apt install libopencv-dev`"));
-        assert_eq!(missing_library("x.so does not load: libother.so: cannot open shared object file"), None);
-    }
 }

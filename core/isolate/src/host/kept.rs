@@ -1,0 +1,64 @@
+//! Descriptions on disk. What is read is as little trusted as what a process says; what cannot be written is made again.
+
+use std::fs;
+use std::path::Path;
+use std::time::SystemTime;
+
+/// Longest description that is read.
+const MAX_BYTES: u64 = 16 << 20;
+/// Most descriptions that a folder keeps; the oldest go.
+const MOST: usize = 256;
+
+/// A description that was kept.
+pub(super) fn read(file: &Path) -> Option<Vec<u8>> {
+    let size = fs::metadata(file).ok()?.len();
+    (size <= MAX_BYTES).then(|| fs::read(file).ok()).flatten()
+}
+
+/// Keeps a description: the file is there whole or not at all.
+pub(super) fn write(file: &Path, bytes: &[u8]) {
+    let Some(folder) = file.parent() else { return };
+    let part = file.with_extension(format!("{}.part", std::process::id()));
+    let written =
+        fs::create_dir_all(folder).and_then(|()| fs::write(&part, bytes)).and_then(|()| fs::rename(&part, file));
+    if written.is_err() {
+        let _ = fs::remove_file(&part);
+    }
+    remove_oldest(folder);
+}
+
+fn remove_oldest(folder: &Path) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    let age =
+        |entry: &fs::DirEntry| entry.metadata().and_then(|meta| meta.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
+    let mut files: Vec<_> = entries.flatten().map(|entry| (age(&entry), entry.path())).collect();
+    files.sort();
+    let surplus = files.len().saturating_sub(MOST);
+    for (_, file) in &files[..surplus] {
+        let _ = fs::remove_file(file);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_description_is_kept_and_old_ones_go() {
+        let folder = std::env::temp_dir().join(format!("panoscope_kept_{}", std::process::id()));
+        let _ = fs::remove_dir_all(&folder);
+        let file = folder.join("more").join("a");
+        assert_eq!(read(&file), None);
+        write(&file, b"what it offers");
+        assert_eq!(read(&file).as_deref(), Some(&b"what it offers"[..]));
+        // Times of files are coarse: several of them may be equal.
+        let old = SystemTime::now() - std::time::Duration::from_secs(60);
+        fs::File::options().write(true).open(&file).unwrap().set_modified(old).unwrap();
+        (0..MOST).for_each(|number| write(&file.with_file_name(number.to_string()), b""));
+        assert_eq!(fs::read_dir(folder.join("more")).unwrap().count(), MOST);
+        assert_eq!(read(&file), None, "the oldest");
+        // A folder that cannot be made is no mistake.
+        write(Path::new("/proc/no/such/folder"), b"");
+        fs::remove_dir_all(&folder).unwrap();
+    }
+}

@@ -1,0 +1,351 @@
+"""Graphs: checked, run, watched and changed while they run."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import logging
+import os
+import shutil
+import subprocess
+import tempfile
+import weakref
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from . import _native, installation
+from .errors import Diagnostic, EditError, GraphError, RunError
+from .series import Packet, Result
+
+_LOG = logging.getLogger("panoscope")
+_LEVELS = (logging.ERROR, logging.WARNING, logging.INFO, logging.DEBUG)
+_PATIENCE_S = 30.0
+"""How long nodes may take to finish after the end of a run."""
+_POLL_S = 0.1
+_running: weakref.WeakSet[Running] = weakref.WeakSet()
+
+
+
+def _word(value: Any) -> str:
+    """A value as a command line has it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return os.fspath(value) if isinstance(value, os.PathLike) else str(value)
+
+
+def _json(value: Any) -> str:
+    """A value of a parameter; numbers and arrays of NumPy are plain ones there."""
+
+    def plain(other: Any) -> Any:
+        if isinstance(other, os.PathLike):
+            return os.fspath(other)
+        if hasattr(other, "tolist"):
+            return other.tolist()
+        raise TypeError(f"a parameter cannot be a {type(other).__name__}")
+
+    return json.dumps(value, default=plain)
+
+
+def settings(values: Mapping[str, Any] | None) -> list[str]:
+    """Values of parameters by ``node.param``, as the command's ``--set`` takes them."""
+    # A text in JSON is one in TOML too, and so are numbers, flags and lists.
+    return [f"{param}={_json(value)}" for param, value in (values or {}).items()]
+
+
+class Running:
+    """A graph that runs: iterate over the packets of the watched outputs, in the order in which they are made.
+
+    ``with graph.start(watch=["scope.left"]) as running: ...`` ends it on leaving.
+    """
+
+    def __init__(self, native: Any, watch: list[str]) -> None:
+        self.native = native
+        self._watch = watch
+        self._types = [packet for _, _, packet in native.watched()]
+        self._closed: dict[str, Any] | None = None
+        self._waiting: deque[Packet] = deque()
+        """Packets that the native part gave, and nobody took yet."""
+        _running.add(self)
+
+    def __iter__(self) -> Iterator[Packet]:
+        while True:
+            while self._waiting:
+                yield self._waiting.popleft()
+            packets = self.native.poll(_POLL_S)
+            self._log()
+            if packets is None:
+                break
+            for port, view, tick, age_ms in packets:
+                self._waiting.append(Packet(self._watch[port], self._types[port], view, tick, age_ms))
+        self.close()
+
+    def _log(self) -> None:
+        for level, node, words in self.native.log_lines():
+            _LOG.log(_LEVELS[level], "%s: %s", node, words)
+
+    def collect(self) -> Result:
+        """All packets until the run ends."""
+        result = Result(self._watch)
+        try:
+            for packet in self:
+                result.add(packet)
+        finally:
+            self.stop()
+        result.sort()
+        closed = self._close()
+        result.faults, result.report = closed["faults"], closed["report"]
+        return result
+
+    def set(self, param: str, value: Any) -> str:
+        """Sets ``node.param`` from the next tick on; returns what changed."""
+        return self.native.set(param, _json(value))
+
+    def get(self, param: str) -> Any:
+        """Value of ``node.param`` now."""
+        return json.loads(self.native.get(param))
+
+    def apply(self, text: str) -> str:
+        """Makes the running graph the one of ``text``: checked, and done whole or not at all. Returns what changed."""
+        return self.native.apply(text)
+
+    @property
+    def text(self) -> str:
+        """Text of the running graph, in one piece."""
+        return self.native.text()
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """Counters and times so far."""
+        return json.loads(self.native.report())
+
+    @property
+    def dropped(self) -> int:
+        """Packets of a live graph that nobody took in time."""
+        return self._closed["dropped"] if self._closed else 0
+
+    def _close(self) -> dict[str, Any]:
+        if self._closed is None:
+            self._closed = json.loads(self.native.close(_PATIENCE_S))
+            self._log()
+        return self._closed
+
+    def stop(self) -> None:
+        """Ends the run and completes its files. Packets that were not taken are lost."""
+        self._close()
+
+    def close(self) -> None:
+        """As :meth:`stop`; raises :class:`RunError` if the run failed."""
+        closed = self._close()
+        faults = closed["faults"]
+        failed = closed["failed"] or (closed["recorded"] or {}).get("failed")
+        nodes = closed["report"].get("nodes", {})
+        for node, counts in nodes.items():
+            if not failed and counts["faults"] > 0 and counts["faults"] >= counts["count"]:
+                failed = next((f"node `{node}` failed at every tick: {f['words']}" for f in reversed(faults) if f["node"] == node), None)
+        if failed:
+            raise RunError(failed, faults)
+
+    def __enter__(self) -> Running:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+
+@atexit.register
+def _stop_all() -> None:
+    """Files are completed before the interpreter ends."""
+    for running in list(_running):
+        running.stop()
+
+
+class Graph:
+    """A graph file: ``ps.Graph("depth.toml", args={"left": "left.mp4"}).run(frames=100, watch=["points.depth"])``.
+
+    ``args`` are the graph's arguments, by name or as words of a command line (``["--left=left.mp4"]``); ``set`` are values of parameters by
+    ``node.param``; ``overlays`` are files that replace nodes. A file that does not exist is looked for among the graphs of the installation.
+    ``library`` is the folder of another installation's program and plugins.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        args: Mapping[str, Any] | Sequence[str] = (),
+        *,
+        set: Mapping[str, Any] | None = None,
+        overlays: Sequence[str | os.PathLike[str]] = (),
+        library: str | os.PathLike[str] | None = None,
+    ) -> None:
+        installation.use(library)
+        self.path = installation.graph_file(path)
+        self._args = args
+        self._set = dict(set or {})
+        self._overlays = [Path(file) for file in overlays]
+        self._record: tuple[Path, bool] | None = None
+        self._running: Running | None = None
+        self.native = self._open()
+
+    def _open(self) -> Any:
+        by_name = isinstance(self._args, Mapping)
+        named = [(name, _word(value)) for name, value in self._args.items()] if isinstance(self._args, Mapping) else []
+        words = [] if by_name else [_word(word) for word in self._args]
+        return _native.GraphFile(self.path, words, named, settings(self._set), self._overlays)
+
+    def words(self) -> list[str]:
+        """The graph as words of a command line: the file, arguments, overlays and settings."""
+        if isinstance(self._args, Mapping):
+            args = [f"--{name.replace('_', '-')}={_word(value)}" for name, value in self._args.items()]
+        else:
+            args = [_word(word) for word in self._args]
+        overlays = [word for file in self._overlays for word in ("--with", str(file))]
+        return [str(self.path), *args, *overlays, *(word for setting in settings(self._set) for word in ("--set", setting))]
+
+    def check(self) -> list[Diagnostic]:
+        """Checks the whole graph; returns its warnings. Mistakes raise :class:`GraphError`."""
+        return Diagnostic.list_of(self.native.check([], False))
+
+    def start(
+        self,
+        watch: Sequence[str] = (),
+        *,
+        frames: int | None = None,
+        act: bool | None = None,
+        paced: bool = True,
+        threads: int = 0,
+        keep_all: bool = False,
+    ) -> Running:
+        """Starts the graph; packets of the outputs in ``watch`` come from the returned :class:`Running`.
+
+        With ``watch`` only the nodes that these outputs need run, so that nothing is written and nothing moves; ``act=True`` runs all nodes, as
+        the command does. ``frames`` is the number of ticks that each source makes. Sources of a live graph wait for the capture time of their
+        frames, unless ``paced`` is false. Of a live graph the newest packets are kept while nobody takes them, with ``keep_all`` its nodes wait.
+        """
+        if self._running is not None:
+            self._running.stop()
+        is_part = bool(watch) and not act
+        if act is False and not watch:
+            raise GraphError("without `watch` nothing needs to run: name the outputs to watch, or leave out `act`")
+        file, all_ports = self._record or (None, False)
+        native = self.native.start(list(watch), is_part, keep_all, frames, paced, threads, file, all_ports)
+        self._running = Running(native, list(watch))
+        return self._running
+
+    def run(
+        self,
+        frames: int | None = None,
+        watch: Sequence[str] = (),
+        *,
+        act: bool | None = None,
+        paced: bool = False,
+        threads: int = 0,
+    ) -> Result:
+        """Runs the graph to its end; ``result["points.depth"]`` has what the output gave. See :meth:`start`; here no packet is lost."""
+        running = self.start(watch, frames=frames, act=act, paced=paced, threads=threads, keep_all=True)
+        try:
+            return running.collect()
+        finally:
+            self._running = None
+
+    def record(self, file: str | os.PathLike[str], *, all_ports: bool = False) -> Graph:
+        """Records the next runs, each in place of the one before: the sources' outputs, or those of all nodes.
+
+        Returns the graph, as in ``graph.record("a.mcap").run(100)``.
+        """
+        self._record = (Path(file), all_ports)
+        return self
+
+    def set(self, param: str, value: Any) -> None:
+        """Sets ``node.param``: from the next tick on while the graph runs, and in later runs."""
+        if self._running is not None:
+            self._running.set(param, value)
+        old = dict(self._set)
+        self._set[param] = value
+        try:
+            self.native = self._open()
+        except GraphError:
+            self._set = old
+            raise
+
+    def get(self, param: str) -> Any:
+        """Value of ``node.param``."""
+        return self._running.get(param) if self._running is not None else json.loads(self.native.get(param))
+
+    def apply(self, text: str) -> str:
+        """Changes the running graph to the one of ``text``; see :meth:`Running.apply`."""
+        if self._running is None:
+            raise EditError("the graph does not run: start it first, or open the other graph")
+        return self._running.apply(text)
+
+    def stop(self) -> None:
+        """Ends the run, if there is one."""
+        running, self._running = self._running, None
+        if running is not None:
+            running.stop()
+
+    @property
+    def outputs(self) -> dict[str, str]:
+        """All outputs that can be watched, with the names of their packet types."""
+        return dict(self.native.outputs())
+
+    @property
+    def text(self) -> str:
+        """Text of the running graph, or of the file."""
+        return self._running.text if self._running is not None else self.native.text
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.native.name
+
+    def __enter__(self) -> Graph:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _repr_svg_(self) -> str | None:
+        """The graph as a picture, for notebooks; needs the program ``dot`` of Graphviz."""
+        if shutil.which("dot") is None:
+            return None
+        return subprocess.run(["dot", "-Tsvg"], input=self.native.dot(), capture_output=True, text=True, check=True).stdout
+
+    def __repr__(self) -> str:
+        return f"<graph {self.name}: {self.path}>"
+
+
+def check(path: str | os.PathLike[str], args: Mapping[str, Any] | Sequence[str] = (), **options: Any) -> list[Diagnostic]:
+    """Checks a graph file and returns its warnings; mistakes raise :class:`GraphError` with place and remedy. Arguments as of :class:`Graph`.
+
+    Plugins that the graph brings in its own folders are loaded, as for a run: check no graph of strangers.
+    """
+    return Graph(path, args, **options).check()
+
+
+def sweep(
+    graph: Graph | str | os.PathLike[str],
+    param: str,
+    measure: str,
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    steps: int = 9,
+    frames: int = 100,
+    recording: str | os.PathLike[str] | None = None,
+    threads: int = 0,
+) -> list[dict[str, Any]]:
+    """What a parameter does to a measure, by ``panoscope sweep``: a row per value with ``value``, ``mean``, ``median``, ``min``, ``max``, ...
+
+    ``measure`` is a scalar output, a column of a table (``node.table.column``) or a number that a node reports; see ``panoscope sweep --help``.
+    """
+    graph = graph if isinstance(graph, Graph) else Graph(graph)
+    with tempfile.TemporaryDirectory(prefix="panoscope-") as folder:
+        table = Path(folder) / "sweep.json"
+        words = ["--param", param, "--measure", measure, "--steps", str(steps), "--frames", str(frames), "--json", str(table)]
+        options = (("--from", start), ("--to", stop), ("--recording", recording), ("--threads", threads or None))
+        words += [f"{name}={_word(value)}" for name, value in options if value is not None]
+        done = subprocess.run([installation.use(), "sweep", *graph.words(), *words], capture_output=True, text=True)
+        if not table.exists():
+            raise (RunError if done.returncode == 1 else GraphError)(done.stderr.strip() or done.stdout.strip())
+        return json.loads(table.read_text())

@@ -1,0 +1,87 @@
+"""Recordings: read packet by packet, and played again."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from . import installation
+from ._native import RecordingFile
+from ._native import replay as _replay
+from .packets import BYTES
+from .series import Packet, Result, Series
+
+if TYPE_CHECKING:
+    from .graph import Graph
+
+
+class Recording(Mapping):
+    """A recording: ``ps.Recording("a.mcap")["scope.left"][10]``. Packets are read from the file when they are asked for."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        installation.use()
+        self.path = Path(path)
+        self.native = RecordingFile(self.path)
+        self._counts = dict(self.native.ports())
+        cut = self.native.cut()
+        if cut:
+            warnings.warn(f"{self.path} is not complete: {cut}", stacklevel=2)
+
+    def __getitem__(self, output: str) -> Series:
+        if output not in self._counts:
+            raise KeyError(f"{self.path} has no packets of `{output}`; it has {', '.join(self._counts) or 'none'}")
+        return Series(output, lambda index: self._packet(output, index), range(self._counts[output]))
+
+    def _packet(self, output: str, index: int) -> Packet:
+        read = self.native.read(output, index)
+        if read is None:
+            raise IndexError(index)
+        view, tick = read
+        packet_type = self.native.packet(output) if view.format == BYTES else ""
+        return Packet(output, packet_type, view, tick, float("nan"))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._counts)
+
+    def __len__(self) -> int:
+        return len(self._counts)
+
+    @property
+    def graph_text(self) -> str:
+        """The recorded graph as one text."""
+        return self.native.graph()[1]
+
+    def __repr__(self) -> str:
+        return f"<recording {self.path}: " + ", ".join(f"{count} of {output}" for output, count in self._counts.items()) + ">"
+
+
+def replay(
+    recording: Recording | str | os.PathLike[str],
+    watch: Sequence[str] = (),
+    *,
+    graph: Graph | str | os.PathLike[str] | None = None,
+    set: Mapping[str, Any] | None = None,
+    frames: int | None = None,
+    threads: int = 0,
+    act: bool = False,
+    record: str | os.PathLike[str] | None = None,
+) -> Result:
+    """Plays a recording again to the byte, or another ``graph`` on its pictures. Nodes that write files or move things are left out unless ``act``."""
+    from .graph import Graph, Running, settings
+
+    recording = recording if isinstance(recording, Recording) else Recording(recording)
+    graph = graph if graph is None or isinstance(graph, Graph) else Graph(graph)
+    native = _replay(
+        recording.native,
+        graph.native if graph else None,
+        list(watch),
+        settings(set),
+        frames,
+        threads,
+        act,
+        Path(record) if record is not None else None,
+    )
+    return Running(native, list(watch)).collect()

@@ -1,0 +1,127 @@
+"""Packets of an output, in order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Callable
+
+import numpy as np
+
+from .packets import decode
+from .pictures import png
+
+
+class Packet:
+    """What an output gave at one tick."""
+
+    __slots__ = ("age_ms", "capture_ns", "output", "source", "tick", "value", "_view")
+
+    def __init__(self, output: str, packet_type: str, view: Any, tick: tuple[int, int, int], age_ms: float) -> None:
+        self.output = output
+        """As it was named in ``watch``, or in the recording."""
+        self.source, self.tick, self.capture_ns = tick
+        self.age_ms = age_ms
+        """Time from the arrival of the light until the packet was made, in ms; NaN where it is not known."""
+        self.value = decode(view, packet_type)
+        """An array, a record, a number or a text, as a node in Python would get it."""
+        self._view = view
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the bytes, the same as in ``panoscope record --digests``."""
+        return f"{self._view.fingerprint():016x}"
+
+    def _repr_png_(self) -> bytes | None:
+        return png(self.value) if isinstance(self.value, np.ndarray) else None
+
+    def __repr__(self) -> str:
+        value = f"{self.value.dtype} {self.value.shape}" if isinstance(self.value, np.ndarray) else repr(self.value)
+        return f"<{self.output} at tick {self.tick}: {value}>"
+
+
+class Series(Sequence):
+    """Values of an output in the order of their ticks. ``series[3]`` is a value, ``series[10:20]`` a part, ``np.asarray(series)`` all in one array."""
+
+    def __init__(self, output: str, packet: Callable[[int], Packet], indices: Sequence[int]) -> None:
+        self.output = output
+        self._packet = packet
+        self._indices = indices
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return Series(self.output, self._packet, self._indices[index])
+        return self.packet(index).value
+
+    def packet(self, index: int) -> Packet:
+        """A value with its tick and age."""
+        return self._packet(self._indices[index])
+
+    def packets(self) -> Iterator[Packet]:
+        """All values with their ticks and ages."""
+        return (self._packet(index) for index in self._indices)
+
+    @property
+    def ticks(self) -> np.ndarray:
+        """Number of each value's tick."""
+        return np.array([packet.tick for packet in self.packets()], "i8")
+
+    @property
+    def capture_ns(self) -> np.ndarray:
+        """Capture time of each value, media time in ns."""
+        return np.array([packet.capture_ns for packet in self.packets()], "i8")
+
+    @property
+    def ages_ms(self) -> np.ndarray:
+        """Age of each value when it was made, in ms."""
+        return np.array([packet.age_ms for packet in self.packets()], "f8")
+
+    def stack(self) -> np.ndarray:
+        """All values in one array; its first axis is the tick."""
+        values = list(self)
+        shapes = {np.shape(value) for value in values}
+        if len(shapes) > 1:
+            raise ValueError(f"the values of `{self.output}` have different shapes: {sorted(shapes)}")
+        return np.stack(values) if values else np.empty(0)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        stacked = self.stack()
+        return stacked if dtype is None else stacked.astype(dtype)
+
+    def __repr__(self) -> str:
+        return f"<{self.output}: {len(self)} values>"
+
+
+class Result(Mapping):
+    """What a run gave: ``result["points.depth"]`` is the :class:`Series` of a watched output."""
+
+    def __init__(self, watch: Sequence[str]) -> None:
+        self._packets: dict[str, list[Packet]] = {output: [] for output in watch}
+        self.faults: list[dict[str, Any]] = []
+        """Faults of nodes: ``node``, ``cause``, ``words``, ``seq``, ..."""
+        self.report: dict[str, Any] = {}
+        """Counters and times, as ``panoscope run --report`` writes them."""
+
+    def add(self, packet: Packet) -> None:
+        """Appends a packet."""
+        self._packets[packet.output].append(packet)
+
+    def sort(self) -> None:
+        """Puts the packets into the order of their ticks."""
+        for packets in self._packets.values():
+            packets.sort(key=lambda packet: (packet.capture_ns, packet.source, packet.tick))
+
+    def __getitem__(self, output: str) -> Series:
+        packets = self._packets[output]
+        return Series(output, packets.__getitem__, range(len(packets)))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._packets)
+
+    def __len__(self) -> int:
+        return len(self._packets)
+
+    def __repr__(self) -> str:
+        return "<result: " + ", ".join(f"{len(packets)} of {output}" for output, packets in self._packets.items()) + ">"

@@ -1,0 +1,331 @@
+//! A graph file with its arguments: what it needs, whether it is right, and its start.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+use panoscope_engine::inbox::{Full, Inbox};
+use panoscope_engine::{Engine, Options};
+use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, check, command_line, to_dot};
+use panoscope_loader::{self as loader, Live, Loader};
+use panoscope_record::{RecordOptions, Recorder, ReplayOptions, head};
+use pyo3::prelude::*;
+
+use super::error::Problem;
+use super::recording::RecordingFile;
+use super::running::{Lines, Run, Running, Watched};
+use super::values::to_json;
+
+/// Packets of all watched outputs that wait for Python.
+const MOST_WAITING: usize = 32;
+
+/// A graph file as read, with its arguments.
+#[pyclass(frozen, module = "panoscope._native")]
+pub struct GraphFile {
+    text: GraphText,
+}
+
+/// A checked graph, or the part of it that the watched outputs need.
+pub struct Ready {
+    text: GraphText,
+    graph: Graph,
+    catalog: Catalog,
+    loader: Loader,
+    warnings: Diagnostics,
+    watched: Vec<Watched>,
+}
+
+impl Ready {
+    /// The text of what runs: one file, with arguments and settings in place.
+    fn settled(&self) -> Result<String, Problem> {
+        self.text.settled(&self.catalog).map_err(|error| Problem::Use(error.to_string()))
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.text.path().parent().unwrap_or(Path::new("")).to_owned()
+    }
+}
+
+/// All outputs of these nodes, as `node.output`.
+fn outputs(graph: &Graph, catalog: &Catalog) -> Vec<String> {
+    let of = |node: &panoscope_graph::Node| {
+        let ports = node.node_type(catalog).outputs.iter();
+        ports.map(|port| format!("{}.{}", node.id, port.name)).collect::<Vec<_>>()
+    };
+    graph.nodes.iter().flat_map(of).collect()
+}
+
+impl GraphFile {
+    /// Checks the graph. With `is_part` only what the outputs in `watch` need, so that a plugin that is of no use for them may be missing.
+    pub fn ready(&self, watch: &[String], is_part: bool) -> Result<Ready, Problem> {
+        let mut text = self.text.clone();
+        let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
+        let targets: Vec<String> = watch.iter().map(|output| text.resolve_output(output)).collect();
+        let split =
+            |target: &'_ String| target.rsplit_once('.').map(|(node, output)| (node.to_owned(), output.to_owned()));
+        let targets: Vec<(String, String)> =
+            targets.iter().map(|target| split(target).unwrap_or_else(|| (target.clone(), String::new()))).collect();
+        if is_part {
+            let nodes = text.outline();
+            for ((node, _), output) in targets.iter().zip(watch) {
+                if !nodes.iter().any(|known| known.id == *node) {
+                    let parts = text.parts();
+                    let ids = nodes.iter().map(|node| &node.id).chain(parts.iter().map(|part| &part.id));
+                    let ids = ids.map(String::as_str).collect::<Vec<_>>().join(", ");
+                    return Err(Problem::Use(format!("there is no output `{output}`; nodes and parts are {ids}")));
+                }
+            }
+            let nodes: Vec<&str> = targets.iter().map(|(node, _)| node.as_str()).collect();
+            text.reduce_to(&nodes, &loader.offers());
+        }
+        let catalog = loader.catalog_of(&text);
+        let (graph, warnings) = check(&text, &catalog).into_result()?;
+        let mut watched = Vec::new();
+        for ((node, output), name) in targets.into_iter().zip(watch) {
+            let node_type = graph.node(&node).map(|index| graph.nodes[index].node_type(&catalog));
+            let port = node_type.and_then(|of| Some(&of.outputs[of.output(&output)?]));
+            let Some(port) = port else {
+                let all = outputs(&graph, &catalog).join(", ");
+                return Err(Problem::Use(format!("there is no output `{name}`; the outputs are {all}")));
+            };
+            watched.push(Watched { node, output, packet: port.packet.name.clone() });
+        }
+        Ok(Ready { text, graph, catalog, loader, warnings, watched })
+    }
+
+    fn start_with(&self, how: &Start) -> Result<Running, Problem> {
+        let ready = self.ready(&how.watch, how.is_part)?;
+        let text = ready.settled()?;
+        let full = if ready.graph.mode == Mode::Batch || how.keeps_all { Full::Wait } else { Full::Drop };
+        let inbox = Arc::new(Inbox::new(MOST_WAITING, full));
+        let lines = Lines::default();
+        let recorder = match &how.record {
+            Some(file) => {
+                let (graph, path) = (&ready.graph, self.text.path());
+                let mut head = head(graph, &ready.catalog, &ready.loader, path, &text, &[]);
+                head.all_ports = how.all_ports;
+                let options =
+                    RecordOptions { file: Some(file.clone()), all_ports: how.all_ports, ..RecordOptions::default() };
+                Some(Recorder::start(options, head).map_err(|error| Problem::Recording(error.to_string()))?)
+            }
+            None => None,
+        };
+        let options = Options {
+            threads: how.threads,
+            frames: how.frames,
+            paced: how.paced,
+            graph_dir: ready.folder(),
+            log: Some(lines.sink()),
+            observer: recorder.clone().map(|recorder| recorder as _),
+            listen: inbox.listeners(&Watched::outputs(&ready.watched)),
+            ..Options::default()
+        };
+        let started = Engine::start(ready.graph, &ready.catalog, &ready.loader, options);
+        let engine = Arc::new(started.map_err(|error| Problem::Run(error.to_string()))?);
+        let live = Live::new(Arc::clone(&engine), self.text.path(), text, Vec::new(), ready.loader);
+        let run = Run::Graph { engine, live: Box::new(Mutex::new(live)), parts: Box::new(self.text.clone()) };
+        Ok(Running::new(run, inbox, lines, ready.watched, recorder))
+    }
+
+    /// The graph for a replay with more settings: ready, and its settings with the parameters of parts replaced by those of nodes.
+    fn for_replay(&self, watch: &[String], settings: &[String]) -> Result<(Ready, Vec<String>), Problem> {
+        let mut text = self.text.clone();
+        settings.iter().for_each(|setting| text.set(setting));
+        let ready = Self { text }.ready(watch, !watch.is_empty())?;
+        let settings = ready.text.settings();
+        Ok((ready, settings))
+    }
+}
+
+/// How a graph is started.
+struct Start {
+    watch: Vec<String>,
+    is_part: bool,
+    keeps_all: bool,
+    frames: Option<u64>,
+    paced: bool,
+    threads: usize,
+    record: Option<PathBuf>,
+    all_ports: bool,
+}
+
+#[pymethods]
+impl GraphFile {
+    /// Reads a graph. `words` are arguments as on a command line, `args` the same by name.
+    #[new]
+    fn open(
+        py: Python<'_>,
+        path: PathBuf,
+        words: Vec<OsString>,
+        args: Vec<(String, String)>,
+        settings: Vec<String>,
+        with: Vec<PathBuf>,
+    ) -> PyResult<Self> {
+        let open = || {
+            let (mut with, mut settings) = (with, settings);
+            let args_of_words = given(&path, words, &mut with, &mut settings)?;
+            let mut options = command_line::options(&with, &args_of_words, &settings);
+            options.args.extend(args);
+            GraphText::load_with(&path, &options).map_err(Problem::from).map(|text| Self { text })
+        };
+        py.detach(open).map_err(|problem| problem.raise(py))
+    }
+
+    /// Checks the graph; returns its warnings as JSON.
+    fn check(&self, py: Python<'_>, watch: Vec<String>, is_part: bool) -> PyResult<String> {
+        let ready = py.detach(|| self.ready(&watch, is_part)).map_err(|problem| problem.raise(py))?;
+        Ok(serde_json::to_string(&ready.warnings).unwrap_or_default())
+    }
+
+    /// Starts the graph.
+    fn start(
+        &self,
+        py: Python<'_>,
+        watch: Vec<String>,
+        is_part: bool,
+        keeps_all: bool,
+        frames: Option<u64>,
+        paced: bool,
+        threads: usize,
+        record: Option<PathBuf>,
+        all_ports: bool,
+    ) -> PyResult<Running> {
+        let how = Start { watch, is_part, keeps_all, frames, paced, threads, record, all_ports };
+        py.detach(|| self.start_with(&how)).map_err(|problem| problem.raise(py))
+    }
+
+    /// Value of a parameter as JSON, while the graph does not run.
+    fn get(&self, py: Python<'_>, param: &str) -> PyResult<String> {
+        let get = || {
+            let ready = self.ready(&[], false)?;
+            let resolved = self.text.resolve_param(param);
+            value_of(&ready.graph, &ready.catalog, &resolved).map_err(Problem::Use)
+        };
+        py.detach(get).map_err(|problem| problem.raise(py))
+    }
+
+    /// All outputs, as `node.output`, with the names of their packet types.
+    fn outputs(&self, py: Python<'_>) -> PyResult<Vec<(String, String)>> {
+        let ready = py.detach(|| self.ready(&[], false)).map_err(|problem| problem.raise(py))?;
+        let of = |node: &panoscope_graph::Node| {
+            let ports = node.node_type(&ready.catalog).outputs.iter();
+            ports.map(|port| (format!("{}.{}", node.id, port.name), port.packet.name.clone())).collect::<Vec<_>>()
+        };
+        Ok(ready.graph.nodes.iter().flat_map(of).collect())
+    }
+
+    /// The graph for Graphviz.
+    fn dot(&self, py: Python<'_>) -> PyResult<String> {
+        let ready = py.detach(|| self.ready(&[], false)).map_err(|problem| problem.raise(py))?;
+        Ok(to_dot(&ready.graph, &ready.catalog))
+    }
+
+    /// The text of the file as read.
+    #[getter]
+    fn text(&self) -> &str {
+        self.text.text()
+    }
+
+    /// Name of the graph.
+    #[getter]
+    fn name(&self) -> &str {
+        self.text.name()
+    }
+}
+
+/// Value of `node.param` as JSON; what is wrong with the name, in words.
+pub fn value_of(graph: &Graph, catalog: &Catalog, param: &str) -> Result<String, String> {
+    let (node, name) = param.rsplit_once('.').ok_or_else(|| format!("`{param}` is not NODE.PARAM"))?;
+    let ids = || graph.nodes.iter().map(|node| node.id.as_str()).collect::<Vec<_>>().join(", ");
+    let index = graph.node(node).ok_or_else(|| format!("there is no node `{node}`; the nodes are {}", ids()))?;
+    let node = &graph.nodes[index];
+    let node_type = node.node_type(catalog);
+    let names = || node_type.params.iter().map(|param| param.name.as_str()).collect::<Vec<_>>().join(", ");
+    let value = node_type.param(name).and_then(|at| node.params.get(at));
+    let value = value.ok_or_else(|| format!("`{}` has no parameter `{name}`; it has {}", node.id, names()))?;
+    Ok(to_json(value))
+}
+
+/// The arguments of a graph among the words of a command line; overlays and settings go to theirs.
+fn given(
+    path: &Path,
+    words: Vec<OsString>,
+    with: &mut Vec<PathBuf>,
+    settings: &mut Vec<String>,
+) -> Result<Vec<String>, Problem> {
+    if words.is_empty() {
+        return Ok(Vec::new());
+    }
+    let line = [OsString::from("panoscope"), path.into()].into_iter().chain(words).collect();
+    let line = command_line::rewrite(line);
+    if let Some(problem) = line.problem {
+        return Err(Problem::Use(problem));
+    }
+    let mut args = Vec::new();
+    let mut words = line.words.into_iter().skip(2).map(|word| word.to_string_lossy().into_owned());
+    while let Some(word) = words.next() {
+        let (name, value) = word.split_once('=').map_or((word.as_str(), None), |(name, value)| (name, Some(value)));
+        let value = value.map(str::to_owned);
+        let missing = || Problem::Use(format!("`{name}` needs a value"));
+        match name {
+            "--graph-arg" => args.push(value.ok_or_else(missing)?),
+            "--with" => with.push(value.or_else(|| words.next()).ok_or_else(missing)?.into()),
+            "--set" => settings.push(value.or_else(|| words.next()).ok_or_else(missing)?),
+            _ => {
+                let known = if line.help.is_empty() { "the graph has no arguments".to_owned() } else { line.help };
+                return Err(Problem::Use(format!("the graph has no argument `{word}`; {}", known.trim_end())));
+            }
+        }
+    }
+    Ok(args)
+}
+
+/// Plays a recording.
+#[pyfunction]
+pub fn replay(
+    py: Python<'_>,
+    recording: &RecordingFile,
+    graph: Option<&GraphFile>,
+    watch: Vec<String>,
+    settings: Vec<String>,
+    frames: Option<u64>,
+    threads: usize,
+    act: bool,
+    record: Option<PathBuf>,
+) -> PyResult<Running> {
+    let start = || {
+        let (graph, watched, settings) = match graph {
+            Some(graph) => {
+                let (ready, settings) = graph.for_replay(&watch, &settings)?;
+                let text = ready.settled()?;
+                (Some((graph.text.path().to_owned(), text)), ready.watched, settings)
+            }
+            None => (None, recording.watched(&watch)?, settings),
+        };
+        let (inbox, lines) = (Arc::new(Inbox::new(MOST_WAITING, Full::Wait)), Lines::default());
+        let options = ReplayOptions {
+            graph,
+            settings,
+            act,
+            record: record.map(|file| RecordOptions {
+                file: Some(file),
+                all_source_ports: false,
+                // The replay waits for nobody: no packet may be missing.
+                max_queued_bytes: usize::MAX,
+                ..RecordOptions::default()
+            }),
+            loader: None,
+            engine: Options {
+                threads,
+                frames,
+                log: Some(lines.sink()),
+                listen: inbox.listeners(&Watched::outputs(&watched)),
+                ..Options::default()
+            },
+        };
+        let run = Run::replay(recording, options)?;
+        let recorder = run.recorder();
+        Ok(Running::new(run, inbox, lines, watched, recorder))
+    };
+    py.detach(start).map_err(|problem: Problem| problem.raise(py))
+}

@@ -1,0 +1,120 @@
+//! A recording: its ports and packets.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+
+use panoscope_abi::Frame;
+use panoscope_graph::{Catalog, GraphText};
+use panoscope_loader::{self as loader, Loader};
+use panoscope_record::Recording;
+use pyo3::prelude::*;
+
+use super::error::Problem;
+use super::running::{TickParts, Watched};
+use crate::view::View;
+
+/// A recording that was scanned. Packets are read when they are asked for.
+#[pyclass(frozen, module = "panoscope._native")]
+pub struct RecordingFile {
+    recording: Arc<Recording>,
+    /// The node types of its graph, which name the types of plain data.
+    catalog: OnceLock<Catalog>,
+}
+
+impl RecordingFile {
+    /// The recording.
+    pub fn recording(&self) -> &Arc<Recording> {
+        &self.recording
+    }
+
+    fn catalog(&self) -> &Catalog {
+        self.catalog.get_or_init(|| {
+            let head = &self.recording.head;
+            let text = GraphText::parse(Path::new(&head.graph_path), &head.text);
+            Loader::search(&loader::search_path(&text.plugin_paths())).catalog_of_graph(&head.graph)
+        })
+    }
+
+    /// Name of the packet type of an output, from the plugins of the graph.
+    fn packet_type(&self, node: &str, output: &str) -> Result<String, Problem> {
+        let graph = &self.recording.head.graph;
+        let index = graph.node(node).ok_or_else(|| {
+            Problem::Recording(format!(
+                "`{node}` was added while the graph ran, so the type of its packets is not known"
+            ))
+        })?;
+        let named = format!("{}/{}", graph.nodes[index].plugin, graph.nodes[index].type_name);
+        let catalog = self.catalog();
+        let node_type = match catalog.find(&named)[..] {
+            [only] => &catalog.node_types[only],
+            _ => {
+                let why = catalog.problem(&graph.nodes[index].plugin).map_or("it was not found", |p| &p.message);
+                return Err(Problem::Recording(format!(
+                    "plugin `{}` names the type of packets of `{node}.{output}`, and cannot be used here: {why}",
+                    graph.nodes[index].plugin
+                )));
+            }
+        };
+        let port = node_type.output(output).map(|at| node_type.outputs[at].packet.name.clone());
+        port.ok_or_else(|| Problem::Recording(format!("type `{named}` has no output `{output}` here")))
+    }
+
+    /// Outputs of the recorded graph to watch in a replay.
+    pub fn watched(&self, watch: &[String]) -> Result<Vec<Watched>, Problem> {
+        let watched = |name: &String| {
+            let (node, output) =
+                name.rsplit_once('.').ok_or_else(|| Problem::Use(format!("`{name}` is not NODE.OUTPUT")))?;
+            let packet = self.packet_type(node, output)?;
+            Ok(Watched { node: node.to_owned(), output: output.to_owned(), packet })
+        };
+        watch.iter().map(watched).collect()
+    }
+}
+
+#[pymethods]
+impl RecordingFile {
+    /// Opens a recording.
+    #[new]
+    fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let open = || Recording::open(&path).map_err(Problem::from);
+        let recording = py.detach(open).map_err(|problem| problem.raise(py))?;
+        Ok(Self { recording: Arc::new(recording), catalog: OnceLock::new() })
+    }
+
+    /// The recorded ports and their numbers of packets.
+    fn ports(&self) -> Vec<(String, usize)> {
+        self.recording.ports.iter().map(|(port, packets)| (port.clone(), packets.len())).collect()
+    }
+
+    /// Name of the packet type of a port.
+    fn packet(&self, py: Python<'_>, port: &str) -> PyResult<String> {
+        let packet = || {
+            let (node, output) = port.rsplit_once('.').unwrap_or((port, ""));
+            self.packet_type(node, output)
+        };
+        py.detach(packet).map_err(|problem| problem.raise(py))
+    }
+
+    /// A packet: view, (source, number, capture time in ns). None where there is no such packet.
+    fn read(&self, py: Python<'_>, port: &str, index: usize) -> PyResult<Option<(View, TickParts)>> {
+        let Some(packet) = self.recording.ports.get(port).and_then(|packets| packets.get(index)) else {
+            return Ok(None);
+        };
+        let bytes = py.detach(|| self.recording.bytes(port, packet).map_err(Problem::from));
+        let bytes = bytes.map_err(|problem| problem.raise(py))?;
+        let head = packet.head;
+        let (format, width, height, stride_bytes) = (head.format, head.width, head.height, head.stride_bytes);
+        let frame = Frame { format, width, height, stride_bytes, ..Frame::EMPTY };
+        Ok(Some((View::own(&frame, bytes), (head.tick.source, head.tick.seq, head.tick.capture_ns))))
+    }
+
+    /// The graph that was recorded: its file, its text.
+    fn graph(&self) -> (String, String) {
+        (self.recording.head.graph_path.clone(), self.recording.head.text.clone())
+    }
+
+    /// Why the recording ends early; None where it is complete.
+    fn cut(&self) -> Option<String> {
+        self.recording.cut.as_ref().map(|cut| format!("it ends at byte {}: {}", cut.at, cut.reason))
+    }
+}
