@@ -1,6 +1,6 @@
 //! `chaos_source`: a source of test frames that misbehaves on request.
 
-use panoscope_node::{AnyFormat, Context, Gray8, Image, Node, NodeInfo, Open, Ports, Result, Slot};
+use panoscope_node::{AnyFormat, AnyImage, Context, Gray8, Node, NodeInfo, Open, Ports, Result, Slot};
 
 use crate::harm::{Harm, Plan};
 
@@ -14,7 +14,7 @@ const FRAME_NS: i64 = 5_000_000;
 pub struct In<'f> {
     /// Not looked at: for graphs in which a source waits for what becomes of its ticks.
     #[allow(dead_code, reason = "only that it is there matters")]
-    before: Option<Image<'f, AnyFormat>>,
+    before: Option<AnyImage<'f>>,
 }
 
 /// The picture made.
