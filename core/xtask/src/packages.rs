@@ -143,6 +143,12 @@ pub static PACKAGES: &[Package] = &[
     ),
     package(
         Purpose::Build,
+        "gstreamer1.0-rtsp",
+        [Some("gstreamer1-rtsp-server"), Some("gst-rtsp-server"), Some("gstreamer")],
+        Evidence::GStreamer("rtspclientsink"),
+    ),
+    package(
+        Purpose::Build,
         "gstreamer1.0-libav",
         [Some("gstreamer1-plugin-libav"), Some("gst-libav"), Some("gstreamer")],
         Evidence::GStreamer("avdec_h264"),
