@@ -141,7 +141,7 @@ pub struct MeshFollower {
     base: Vec<Point>,
     /// Displacement of the vertices against it that fits the observations.
     shift: Vec<Point>,
-    /// The same, continued where only the other view sees.
+    /// Positions of the vertices in the other view, px, continued where only the other view sees.
     drawn: Vec<Point>,
     /// The same, and the positions, of the frame before on this frame's lattice.
     shift_before: Vec<Point>,
@@ -391,11 +391,14 @@ impl MeshFollower {
 
     /// Sets what is drawn: the mesh that fits, continued where only the other view sees.
     fn go_on(&mut self, left_from_right: &Homography, left: (usize, usize), right: (usize, usize)) {
-        self.drawn.clone_from(&self.shift);
+        self.drawn.clear();
+        self.drawn
+            .extend(self.base.iter().zip(&self.shift).map(|(base, shift)| [base[0] + shift[0], base[1] + shift[1]]));
+        let Some(back) = left_from_right.inverse_bounded() else { return };
         let scale = right.0 as f64 / REFERENCE_COLUMNS;
         let how = Continuation { zone_px: self.params.zone_px * scale, most_stretch: self.params.most_stretch };
         for border in borders(self.lattice.cell_px, left_from_right, left, right).iter().flatten() {
-            self.relax.apply(&mut self.drawn, &self.lattice, border, &how);
+            self.relax.apply(&mut self.drawn, &self.lattice, border, &how, [left_from_right, &back]);
         }
     }
 
@@ -406,8 +409,9 @@ impl MeshFollower {
         doubt.reset(cell_px, columns, rows);
         self.sorted.clear();
         for seen in &self.located {
-            let drawn = &self.drawn;
-            let at = self.lattice.interpolate(|vertex| drawn[vertex], seen.cell, seen.t);
+            let (drawn, base) = (&self.drawn, &self.base);
+            let of = |vertex: usize| [drawn[vertex][0] - base[vertex][0], drawn[vertex][1] - base[vertex][1]];
+            let at = self.lattice.interpolate(of, seen.cell, seen.t);
             let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
             doubt.mark(seen.index, off);
             self.sorted.push(off[0].hypot(off[1]));
@@ -420,7 +424,7 @@ impl MeshFollower {
     /// Makes the solution the mesh of this frame. A `steady` one that hardly differs from the mesh in force leaves it alone.
     fn publish(&mut self, steady: bool) {
         let mesh = &mut self.mesh;
-        let positions = self.base.iter().zip(&self.drawn).map(|(base, shift)| [base[0] + shift[0], base[1] + shift[1]]);
+        let positions = self.drawn.iter().copied();
         if steady && mesh.lattice == self.lattice && mesh.source.len() == self.lattice.len() {
             let near =
                 |(new, old): (Point, &[f32; 2])| (0..2).all(|k| (new[k] - f64::from(old[k])).abs() < DEAD_BAND_PX);
@@ -443,13 +447,16 @@ fn borders(
 ) -> [Option<Border>; 4] {
     let Some(corners) = left_from_right.map_corners(right.0, right.1) else { return [None; 4] };
     let beyond_px = BEYOND_CELLS * cell_px as f64;
-    let side = |axis: usize, outwards: f64| {
-        let size = [left.0, left.1][axis] as f64;
+    let extent = |axis: usize| {
         let along = corners.map(|corner| corner[axis]);
-        let low = along.iter().copied().fold(f64::MAX, f64::min);
-        let high = along.iter().copied().fold(f64::MIN, f64::max);
-        let at_px = if outwards > 0.0 { size } else { 0.0 };
-        let is_beyond = if outwards > 0.0 { high > size + beyond_px } else { low < -beyond_px };
+        (along.iter().copied().fold(f64::MAX, f64::min), along.iter().copied().fold(f64::MIN, f64::max))
+    };
+    let sizes = [left.0 as f64, left.1 as f64];
+    let side = |axis: usize, outwards: f64| {
+        let ((low, high), size) = (extent(axis), sizes[axis]);
+        let is_outwards = outwards > 0.0;
+        let is_beyond = if is_outwards { high > size + beyond_px } else { low < -beyond_px };
+        let at_px = if is_outwards { size } else { 0.0 };
         let overlap_px = high.min(size) - low.max(0.0);
         is_beyond.then_some(Border { axis, outwards, at_px, overlap_px })
     };
