@@ -261,7 +261,7 @@ impl Node for CompositeMesh {
     const INFO: NodeInfo = NodeInfo::compute(
         "composite_mesh",
         "stitch",
-        "Joins views by meshes that follow their disparity, so that nothing breaks at the seam, and fade into the homography.",
+        "Joins views by meshes that follow their disparity, so that nothing breaks at the seam, and keep lengths beyond.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
