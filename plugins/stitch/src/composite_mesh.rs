@@ -27,12 +27,16 @@ pub struct CompositeMeshParams {
     /// Smoothness of the mesh: weight of its bends beside what is observed in a cell.
     #[param(default = 0.05, range = 0.01..=100.0, step = 0.01, unit = "ratio")]
     bend: f64,
-    /// How soon the mesh fades into the homography where only one camera sees: weight of its slopes.
+    /// How soon the mesh fades into the homography where nothing is observed: weight of its slopes.
     #[param(default = 0.02, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
     fade: f64,
-    /// The same where only the other camera sees: more keeps lengths there, less keeps the rim of what both see exact.
-    #[param(default = 0.02, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
-    fade_outside: f64,
+    /// Largest change of a length where only the other camera sees, against the homography.
+    #[param(default = 4.5, range = 0.0..=100.0, step = 0.5, unit = "%")]
+    most_stretch: f64,
+    /// Width of the zone before the left view's border in which the mesh leaves the disparity for that: a wide one is smooth, a narrow one keeps more of
+    /// the overlap exact. With 0 the mesh follows the disparity up to the border and stretches what lies beyond.
+    #[param(default = 60.0, range = 0.0..=400.0, step = 5.0, unit = "px")]
+    zone_px: f64,
     /// Distance from the mesh at which an observation counts a quarter: those of an instrument in front of the tissue do not count.
     #[param(default = 8.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
     outlier_px: f64,
@@ -51,7 +55,8 @@ impl CompositeMeshParams {
     fn mesh(&self, along: [f64; 2]) -> MeshParams {
         MeshParams {
             along,
-            slope_outside: self.fade_outside,
+            most_stretch: self.most_stretch / 100.0,
+            zone_px: self.zone_px,
             cell_px: f64::from(self.cell),
             bend: self.bend,
             slope: self.fade,
@@ -256,7 +261,7 @@ impl Node for CompositeMesh {
     const INFO: NodeInfo = NodeInfo::compute(
         "composite_mesh",
         "stitch",
-        "Joins views by meshes that follow their disparity, so that nothing breaks at the seam, and fade into the homography.",
+        "Joins views by meshes that follow their disparity, so that nothing breaks at the seam, and keep lengths beyond.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

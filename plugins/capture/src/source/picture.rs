@@ -20,7 +20,7 @@ pub enum Samples {
 }
 
 /// One picture.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Picture {
     /// Columns in px.
     pub width: usize,
@@ -28,6 +28,23 @@ pub struct Picture {
     pub height: usize,
     /// Its values.
     pub samples: Samples,
+}
+
+impl Clone for Picture {
+    fn clone(&self) -> Self {
+        Self { width: self.width, height: self.height, samples: self.samples.clone() }
+    }
+
+    /// Keeps the memory of the picture before: a block per picture is mapped and cleared by the system each time.
+    fn clone_from(&mut self, source: &Self) {
+        (self.width, self.height) = (source.width, source.height);
+        match (&mut self.samples, &source.samples) {
+            (Samples::Eight(own), Samples::Eight(new)) => own.clone_from(new),
+            (Samples::Sixteen(own), Samples::Sixteen(new)) => own.clone_from(new),
+            (Samples::Float(own), Samples::Float(new)) => own.clone_from(new),
+            (own, new) => *own = new.clone(),
+        }
+    }
 }
 
 impl Default for Picture {
@@ -124,6 +141,24 @@ mod tests {
         let mut out = vec![0; picture.width * 3];
         picture.write_row(0, 0, white, &mut out);
         out
+    }
+
+    #[test]
+    fn a_picture_is_taken_over_in_the_memory_that_is_there() {
+        let of =
+            |level: u8, width: usize| Picture { width, height: 2, samples: Samples::Eight(vec![level; 6 * width]) };
+        let address = |picture: &Picture| match &picture.samples {
+            Samples::Eight(bgr) => bgr.as_ptr(),
+            _ => panic!("eight bits"),
+        };
+        let mut picture = of(1, 40);
+        let before = address(&picture);
+        picture.clone_from(&of(7, 30));
+        assert_eq!((picture.width, picture.height, picture.bytes()), (30, 2, 180));
+        assert_eq!(address(&picture), before);
+        let float = Picture { width: 1, height: 1, samples: Samples::Float(vec![0.5; 3]) };
+        picture.clone_from(&float);
+        assert!(matches!(&picture.samples, Samples::Float(bgr) if *bgr == [0.5; 3]));
     }
 
     #[test]

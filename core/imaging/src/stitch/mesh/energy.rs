@@ -1,8 +1,8 @@
 //! The least-squares problem whose solution is the mesh.
 //!
 //! Unknown is the displacement of each vertex against the homography, px of the other view. Terms: observations between vertices;
-//! second differences, which keep the mesh smooth; first differences, which let it fade into the (shifted) homography where nothing is observed, and
-//! weigh more where only the other view sees; and positions of the frame before.
+//! second differences, which keep the mesh smooth; first differences, which let it fade into the (shifted) homography where nothing is observed; and
+//! positions of the frame before.
 
 use super::band::BandMatrix;
 use crate::Simd;
@@ -14,8 +14,6 @@ pub struct Stiffness {
     pub bend: f64,
     /// First differences.
     pub slope: f64,
-    /// First differences outside [`Inside`], where only the other view sees: there the mesh has lengths to keep and nothing to follow.
-    pub slope_outside: f64,
     /// Displacements.
     pub place: f64,
 }
@@ -23,29 +21,8 @@ pub struct Stiffness {
 impl Stiffness {
     /// A mesh so many times as stiff.
     pub fn times(&self, factor: f64) -> Self {
-        let Self { bend, slope, slope_outside, place } = *self;
-        Self { bend: bend * factor, slope: slope * factor, slope_outside: slope_outside * factor, place }
-    }
-}
-
-/// Columns and rows of vertices that the reference view may see, the last ones included.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Inside {
-    /// First and last column.
-    pub columns: [usize; 2],
-    /// First and last row.
-    pub rows: [usize; 2],
-}
-
-impl Default for Inside {
-    fn default() -> Self {
-        Self { columns: [0, usize::MAX], rows: [0, usize::MAX] }
-    }
-}
-
-impl Inside {
-    fn has(&self, column: usize, row: usize) -> bool {
-        (self.columns[0]..=self.columns[1]).contains(&column) && (self.rows[0]..=self.rows[1]).contains(&row)
+        let Self { bend, slope, place } = *self;
+        Self { bend: bend * factor, slope: slope * factor, place }
     }
 }
 
@@ -55,7 +32,6 @@ pub struct Energy {
     columns: usize,
     rows: usize,
     stiffness: Stiffness,
-    inside: Inside,
     /// The terms that no frame changes.
     fixed: BandMatrix,
     matrix: BandMatrix,
@@ -64,15 +40,15 @@ pub struct Energy {
 
 impl Energy {
     /// Sets the lattice; work is done only when something changes.
-    pub fn reset(&mut self, columns: usize, rows: usize, stiffness: Stiffness, inside: Inside) {
-        if (self.columns, self.rows, self.stiffness, self.inside) == (columns, rows, stiffness, inside) {
+    pub fn reset(&mut self, columns: usize, rows: usize, stiffness: Stiffness) {
+        if (self.columns, self.rows, self.stiffness) == (columns, rows, stiffness) {
             return;
         }
-        (self.columns, self.rows, self.stiffness, self.inside) = (columns, rows, stiffness, inside);
+        (self.columns, self.rows, self.stiffness) = (columns, rows, stiffness);
         let mut fixed = std::mem::take(&mut self.fixed);
         // Two lines on either side of the shorter one.
         fixed.reset(columns * rows, 2 * columns.min(rows));
-        let Stiffness { bend, slope, slope_outside, place } = stiffness;
+        let Stiffness { bend, slope, place } = stiffness;
         for row in 0..rows {
             for column in 0..columns {
                 let at = |dx: usize, dy: usize| {
@@ -82,8 +58,6 @@ impl Energy {
                 fixed.add(here, here, place);
                 for (dx, dy) in [(1, 0), (0, 1)] {
                     let Some(next) = at(dx, dy) else { continue };
-                    let is_inside = inside.has(column, row) && inside.has(column + dx, row + dy);
-                    let slope = if is_inside { slope } else { slope_outside };
                     add_square(&mut fixed, &[(here, -1.0), (next, 1.0)], slope);
                     if let Some(after) = at(2 * dx, 2 * dy) {
                         add_square(&mut fixed, &[(here, 1.0), (next, -2.0), (after, 1.0)], bend);

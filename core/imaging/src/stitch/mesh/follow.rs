@@ -1,8 +1,9 @@
 //! The mesh over time: fitted to each disparity map, steady while nothing moves, held while nothing is seen.
 
 use super::super::grid::RectifiedView;
-use super::energy::{Energy, Inside, Stiffness};
+use super::energy::{Energy, Stiffness};
 use super::observe::{Observations, Sampling};
+use super::relax::{Border, Continuation, Relax};
 use super::{Lattice, Mesh};
 use crate::geometry::{Homography, Point};
 use crate::{Parallel, Simd, View};
@@ -52,8 +53,11 @@ pub struct MeshParams {
     pub bend: f64,
     /// Weight of first differences: how soon it fades into the shifted homography where nothing is observed.
     pub slope: f64,
-    /// The same where only the other view sees: more keeps lengths there, less keeps what both views see beside it exact.
-    pub slope_outside: f64,
+    /// Largest relative change of a length where only the other view sees.
+    pub most_stretch: f64,
+    /// Width of the zone before the border of the reference view in which the mesh leaves what it observes for that; 0 leaves nothing, and the mesh
+    /// fades beyond the border by its slopes alone.
+    pub zone_px: f64,
     /// Distance from the mesh at which an observation counts a quarter; one much further off does not count.
     pub outlier_px: f64,
     /// Weight of the frame before while the views move.
@@ -84,7 +88,8 @@ impl Default for MeshParams {
             agree_px: 2.0,
             bend: 0.05,
             slope: 0.02,
-            slope_outside: 0.02,
+            most_stretch: 0.045,
+            zone_px: 60.0,
             outlier_px: 8.0,
             hold_moving: 0.005,
             hold_still: 10.0,
@@ -134,8 +139,10 @@ pub struct MeshFollower {
     lattice: Lattice,
     /// Where the homography puts the vertices, px of the other view.
     base: Vec<Point>,
-    /// Displacement of the vertices against it.
+    /// Displacement of the vertices against it that fits the observations.
     shift: Vec<Point>,
+    /// Positions of the vertices in the other view, px, continued where only the other view sees.
+    drawn: Vec<Point>,
     /// The same, and the positions, of the frame before on this frame's lattice.
     shift_before: Vec<Point>,
     before: Vec<Point>,
@@ -144,6 +151,7 @@ pub struct MeshFollower {
     blocks: Vec<[f64; 3]>,
     sorted: Vec<f64>,
     energy: Energy,
+    relax: Relax,
 }
 
 impl MeshFollower {
@@ -208,6 +216,7 @@ impl MeshFollower {
         if self.located.len() < p.least_observations {
             if !report.is_new {
                 self.shift.clone_from(&self.shift_before);
+                self.go_on(left_from_right, left.size, right.size);
                 self.publish(false);
             }
             return report;
@@ -217,18 +226,17 @@ impl MeshFollower {
             (report.motion_px, shared) = self.motion();
             report.is_new = report.motion_px > p.jump_px * scale;
         }
-        let stiffness = Stiffness { bend: p.bend, slope: p.slope, slope_outside: p.slope_outside, place: 1e-4 };
-        let inside = seen_by_reference(&lattice, left_from_right, left.size, right.size);
+        let stiffness = Stiffness { bend: p.bend, slope: p.slope, place: 1e-4 };
         let limit_px = p.outlier_px * scale;
         let solved = if report.is_new {
             self.shift.clear();
             self.shift.resize(lattice.len(), [0.0; 2]);
             FIRST_PASSES.iter().all(|(stiffer, times)| {
-                self.energy.reset(lattice.columns, lattice.rows, stiffness.times(*stiffer), inside);
+                self.energy.reset(lattice.columns, lattice.rows, stiffness.times(*stiffer));
                 self.pass(times * limit_px, 0.0)
             })
         } else {
-            self.energy.reset(lattice.columns, lattice.rows, stiffness, inside);
+            self.energy.reset(lattice.columns, lattice.rows, stiffness);
             let still = 1.0 / (1.0 + (report.motion_px / (p.still_px * scale)).powi(4));
             let hold = p.hold_moving + p.hold_still * still;
             // What only the other view sees moves along with the rest.
@@ -245,6 +253,7 @@ impl MeshFollower {
             self.reset();
             return report;
         }
+        self.go_on(left_from_right, left.size, right.size);
         report.residual_px = self.judge();
         report.is_held = false;
         self.publish(!report.is_new);
@@ -380,6 +389,19 @@ impl MeshFollower {
         self.energy.solve(&mut self.shift, Simd::detect())
     }
 
+    /// Sets what is drawn: the mesh that fits, continued where only the other view sees.
+    fn go_on(&mut self, left_from_right: &Homography, left: (usize, usize), right: (usize, usize)) {
+        self.drawn.clear();
+        self.drawn
+            .extend(self.base.iter().zip(&self.shift).map(|(base, shift)| [base[0] + shift[0], base[1] + shift[1]]));
+        let Some(back) = left_from_right.inverse_bounded() else { return };
+        let scale = right.0 as f64 / REFERENCE_COLUMNS;
+        let how = Continuation { zone_px: self.params.zone_px * scale, most_stretch: self.params.most_stretch };
+        for border in borders(self.lattice.cell_px, left_from_right, left, right).iter().flatten() {
+            self.relax.apply(&mut self.drawn, &self.lattice, border, &how, [left_from_right, &back]);
+        }
+    }
+
     /// Notes where the mesh and the observations differ. Returns the median distance, px.
     fn judge(&mut self) -> f64 {
         let Observations { cell_px, columns, rows, .. } = self.observations;
@@ -387,8 +409,9 @@ impl MeshFollower {
         doubt.reset(cell_px, columns, rows);
         self.sorted.clear();
         for seen in &self.located {
-            let shift = &self.shift;
-            let at = self.lattice.interpolate(|vertex| shift[vertex], seen.cell, seen.t);
+            let (drawn, base) = (&self.drawn, &self.base);
+            let of = |vertex: usize| [drawn[vertex][0] - base[vertex][0], drawn[vertex][1] - base[vertex][1]];
+            let at = self.lattice.interpolate(of, seen.cell, seen.t);
             let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
             doubt.mark(seen.index, off);
             self.sorted.push(off[0].hypot(off[1]));
@@ -401,7 +424,7 @@ impl MeshFollower {
     /// Makes the solution the mesh of this frame. A `steady` one that hardly differs from the mesh in force leaves it alone.
     fn publish(&mut self, steady: bool) {
         let mesh = &mut self.mesh;
-        let positions = self.base.iter().zip(&self.shift).map(|(base, shift)| [base[0] + shift[0], base[1] + shift[1]]);
+        let positions = self.drawn.iter().copied();
         if steady && mesh.lattice == self.lattice && mesh.source.len() == self.lattice.len() {
             let near =
                 |(new, old): (Point, &[f32; 2])| (0..2).all(|k| (new[k] - f64::from(old[k])).abs() < DEAD_BAND_PX);
@@ -415,25 +438,29 @@ impl MeshFollower {
     }
 }
 
-/// Vertices within the reference view; on sides beyond which the other view does not reach, all.
-fn seen_by_reference(
-    lattice: &Lattice,
+/// The sides of the reference view beyond which the other view reaches, by the homography.
+fn borders(
+    cell_px: usize,
     left_from_right: &Homography,
     left: (usize, usize),
     right: (usize, usize),
-) -> Inside {
-    let Some(corners) = left_from_right.map_corners(right.0, right.1) else { return Inside::default() };
-    let cell_px = lattice.cell_px as f64;
-    let range = |k: usize, size: usize, count: usize| {
-        let along = corners.map(|corner| corner[k]);
-        let low = along.iter().copied().fold(f64::MAX, f64::min);
-        let high = along.iter().copied().fold(f64::MIN, f64::max);
-        let vertex = |px: f64| (px / cell_px - f64::from(lattice.first[k])).clamp(0.0, count as f64);
-        let first = if low < -BEYOND_CELLS * cell_px { vertex(0.0).ceil() as usize } else { 0 };
-        let is_beyond = high > size as f64 + BEYOND_CELLS * cell_px;
-        [first, if is_beyond { vertex(size as f64).floor() as usize } else { usize::MAX }]
+) -> [Option<Border>; 4] {
+    let Some(corners) = left_from_right.map_corners(right.0, right.1) else { return [None; 4] };
+    let beyond_px = BEYOND_CELLS * cell_px as f64;
+    let extent = |axis: usize| {
+        let along = corners.map(|corner| corner[axis]);
+        (along.iter().copied().fold(f64::MAX, f64::min), along.iter().copied().fold(f64::MIN, f64::max))
     };
-    Inside { columns: range(0, left.0, lattice.columns), rows: range(1, left.1, lattice.rows) }
+    let sizes = [left.0 as f64, left.1 as f64];
+    let side = |axis: usize, outwards: f64| {
+        let ((low, high), size) = (extent(axis), sizes[axis]);
+        let is_outwards = outwards > 0.0;
+        let is_beyond = if is_outwards { high > size + beyond_px } else { low < -beyond_px };
+        let at_px = if is_outwards { size } else { 0.0 };
+        let overlap_px = high.min(size) - low.max(0.0);
+        is_beyond.then_some(Border { axis, outwards, at_px, overlap_px })
+    };
+    [side(0, 1.0), side(0, -1.0), side(1, 1.0), side(1, -1.0)]
 }
 
 /// Of the values, which are reordered; 0 without any.

@@ -3,6 +3,17 @@
 use super::super::warp::{self, BLOCK, Block, Span};
 use super::Mesh;
 
+/// 0, 1, 2 and so on: a table, because whole numbers of 64 bits are converted one by one.
+const STEPS: [f32; BLOCK] = {
+    let mut steps = [0.0; BLOCK];
+    let mut n = 0;
+    while n < BLOCK {
+        steps[n] = n as f32;
+        n += 1;
+    }
+    steps
+};
+
 /// A mesh seen from an output picture: pixel `(x, y)` of it lies at `origin + step * (x, y)` on the reference plane.
 #[derive(Clone, Copy, Debug)]
 pub struct MeshGrid<'a> {
@@ -89,8 +100,8 @@ impl MeshGrid<'_> {
             for (k, positions) in positions.iter_mut().enumerate() {
                 let slope = (b[k] - a[k]) * per_pixel;
                 let first = a[k] + (b[k] - a[k]) * (g - column as f32);
-                for (n, position) in positions[i..end].iter_mut().enumerate() {
-                    *position = first + slope * n as f32;
+                for (position, n) in positions[i..end].iter_mut().zip(&STEPS) {
+                    *position = first + slope * n;
                 }
             }
             i = end;

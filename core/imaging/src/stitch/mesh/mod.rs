@@ -1,7 +1,7 @@
 //! Warps that follow the disparity: a mesh over the reference plane tells where each of its points lies in the other view.
 //!
 //! One homography cannot join two views with parallax. [`MeshFollower`] measures where the points that both views see lie in the other view, fits a
-//! smooth mesh to them, and lets it fade into the homography where only one view sees. A [`Compositor`](super::Compositor) draws
+//! smooth mesh to them, and continues it where only one view sees so that lengths are kept. A [`Compositor`](super::Compositor) draws
 //! a view by a [`Mesh`] instead of its homography.
 //!
 //! F. Liu et al., "Content-preserving warps for 3D video stabilization", ACM TOG 28 (2009), is the same idea for one moving camera.
@@ -12,6 +12,7 @@ mod energy;
 mod follow;
 mod locate;
 mod observe;
+mod relax;
 #[cfg(test)]
 mod tests;
 
