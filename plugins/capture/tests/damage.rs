@@ -81,6 +81,24 @@ fn a_video_goes_on_where_it_was() {
 }
 
 #[test]
+fn a_position_is_reached_before_the_next_picture_is_asked_for() {
+    // The host waits longer for a state than for a picture; and a source that is replaced twice in a row keeps its position.
+    let folder = Folder::new("reached");
+    write_video_at(&folder.0.join("v.avi"), 20.0, (0..40).map(|index| index * 2));
+    let mut node = folder.open(r#"left = "v.avi""#);
+    for _ in 0..30 {
+        node.process().unwrap();
+    }
+    let state = node.save_state().unwrap().unwrap();
+    for _ in 0..2 {
+        node.reopen().unwrap();
+        node.load_state(&state).unwrap();
+        assert_eq!(node.save_state().unwrap().as_ref(), Some(&state));
+    }
+    assert!(value(&node.process().unwrap(), "left").abs_diff(60) <= 3);
+}
+
+#[test]
 fn a_video_that_lacks_frames_ends_with_a_fault() {
     let folder = Folder::new("lacks");
     let path = folder.0.join("v.avi");

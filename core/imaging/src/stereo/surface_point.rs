@@ -2,6 +2,10 @@
 //!
 //! The inverse depth of a plane is linear in the pixel's column and row, so a plane is fitted to the inverse depths
 //! around the point, without pixels of another surface. The residual of the fit is the scatter of the match.
+//!
+//! A filter that smooths makes the errors of neighbours alike: inside a small window nothing is seen of them. So the surface further around is
+//! looked at too, and what it deviates from a plane counts as scatter. Relief of the tissue adds to it: the error is stated too large rather than
+//! too small there.
 
 /// A surface point: `(ray[0], ray[1], 1) / inverse_depth` in mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,7 +14,7 @@ pub struct SurfacePoint {
     pub ray: [f64; 2],
     /// 1 / z in 1/mm.
     pub inverse_depth: f64,
-    /// Standard deviation of the inverse depths beside the fitted plane, in 1/mm.
+    /// Standard deviation of the inverse depths beside the fitted plane, or what the surface further around suggests if that is more, in 1/mm.
     pub scatter: f64,
 }
 
@@ -65,7 +69,16 @@ impl SurfacePoint {
         }
         let plane = fit(work, 4)?;
         let ray = [fit(work, 2)?[0], fit(work, 3)?[0]];
-        let place = Self { ray, inverse_depth: plane[0], scatter: deviation(work, &plane) };
+        let scatter = deviation(work, &plane);
+        work.clear();
+        for (row, y) in spaced(y, radius_px, height) {
+            for (column, x) in spaced(x, radius_px, width) {
+                let place = |[a, b, inverse]: [f64; 3]| [column, row, a, b, inverse];
+                work.extend(sample(x, y).map(place).filter(|s| (s[4] - median).abs() <= SAME_SURFACE * median));
+            }
+        }
+        let around = if work.len() < LEAST_AROUND { 0.0 } else { AROUND_WEIGHT * spread_around(work)? };
+        let place = Self { ray, inverse_depth: plane[0], scatter: scatter.max(around) };
         (place.inverse_depth > 0.0).then_some(place)
     }
 }
@@ -75,6 +88,35 @@ pub type Sample = [f64; 5];
 
 /// Share of the window that must be known.
 const LEAST_SHARE: f64 = 0.25;
+
+/// The surface further around is sampled in steps of the radius, so many each way.
+const AROUND_STEPS: usize = 5;
+/// Pixels further off the point's inverse depth than this, relative, are of another surface.
+const SAME_SURFACE: f64 = 0.15;
+/// Fewer samples further around say nothing.
+const LEAST_AROUND: usize = 9;
+/// Scatter of a point for each unit of standard deviation further around. Of 14 conditions of the synthetic pairs with seeds of their own, 95 % of
+/// lengths are within the stated error in most with this one.
+const AROUND_WEIGHT: f64 = 1.5;
+
+/// Positions around `at` in steps of `step`, with their distances in px, inside `0..size`.
+fn spaced(at: usize, step: usize, size: usize) -> impl Iterator<Item = (f64, usize)> {
+    (0..=2 * AROUND_STEPS).filter_map(move |index| {
+        let place = (at + index * step).checked_sub(AROUND_STEPS * step)?;
+        (place < size).then(|| (place as f64 - at as f64, place))
+    })
+}
+
+/// Standard deviation of the samples from their plane, by its median.
+fn spread_around(samples: &mut [Sample]) -> Option<f64> {
+    let plane = fit(samples, 4)?;
+    samples.iter_mut().for_each(|sample| sample[4] = (sample[4] - value(&plane, sample)).abs());
+    let middle = samples.len() / 2;
+    Some(NORMAL * samples.select_nth_unstable_by(middle, |a, b| a[4].total_cmp(&b[4])).1[4])
+}
+
+/// Standard deviation of a normal distribution for each unit of its median deviation.
+const NORMAL: f64 = 1.4826;
 
 fn value(plane: &[f64; 3], sample: &Sample) -> f64 {
     plane[0] + plane[1] * sample[0] + plane[2] * sample[1]
@@ -109,4 +151,44 @@ fn fit(samples: &[Sample], of: usize) -> Option<[f64; 3]> {
     }
     let (b, c) = ((xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant);
     Some([mz - b * mx - c * my, b, c])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: (usize, usize) = (200, 160);
+    /// Inverse depth of the plane, 1/mm.
+    const MIDDLE: f64 = 0.02;
+
+    /// The point in the middle of a slanted plane with `off` beside it, radius 4 px.
+    fn middle_of(off: impl Fn(f64, f64) -> f64) -> SurfacePoint {
+        let sample = |x: usize, y: usize| {
+            let (x, y) = (x as f64, y as f64);
+            Some([x / 700.0, y / 700.0, MIDDLE + 1e-5 * x + off(x, y)])
+        };
+        SurfacePoint::at(SIZE, [100.0, 80.0], 4, &mut Vec::new(), sample).expect("a point")
+    }
+
+    #[test]
+    fn an_exact_plane_has_no_scatter() {
+        let point = middle_of(|_, _| 0.0);
+        assert!(point.scatter < 1e-12, "{}", point.scatter);
+        assert!((point.inverse_depth - MIDDLE - 1e-3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn errors_that_neighbours_share_count() {
+        // Waves of 40 px are almost a plane within 4 px of a zero.
+        let height = 1e-4;
+        let waves = |x: f64, y: f64| height * ((x / 40.0).sin() + (y / 6.4).sin());
+        let point = middle_of(waves);
+        assert!((0.5 * height..2.5 * height).contains(&point.scatter), "{}", point.scatter);
+    }
+
+    #[test]
+    fn another_surface_around_does_not_count() {
+        let point = middle_of(|x, _| if x > 110.0 { 0.5 * MIDDLE } else { 0.0 });
+        assert!(point.scatter < 1e-12, "{}", point.scatter);
+    }
 }

@@ -262,6 +262,11 @@ impl Stream {
     /// Goes on at frame `frame` with the next grab.
     pub fn go_to(&mut self, frame: u64) {
         self.go_to = frame;
+        // At once: many pictures may have to be decoded on the way, for which the next picture's time is too short. What stops it on the way stops the
+        // next picture too, which says so.
+        if self.is_finite && matches!(self.state, State::Open(_)) {
+            self.skip_to_target();
+        }
     }
 
     /// Starts anew. Opening is exact for every container; seeking is not.
