@@ -18,6 +18,8 @@ pub struct RecordingFile {
     recording: Arc<Recording>,
     /// The types of its ports, by the plugins of its graph.
     types: OnceLock<PortTypes>,
+    /// Whether plugins from the folders that its graph names may run here.
+    trusts_plugins: bool,
 }
 
 impl RecordingFile {
@@ -30,7 +32,11 @@ impl RecordingFile {
     fn packet_type(&self, port: &str) -> Result<&str, Problem> {
         let types = self.types.get_or_init(|| {
             let own = panoscope_record::own_folders(&self.recording.head);
-            PortTypes::new(Arc::clone(&self.recording), Loader::search(&loader::search_path(&own)))
+            let loader = match self.trusts_plugins {
+                true => Loader::search(&loader::search_path(&own)),
+                false => Loader::search_without_loading(&own),
+            };
+            PortTypes::new(Arc::clone(&self.recording), loader)
         });
         types.packet(port).map_err(|error| Problem::Recording(error.to_string()))
     }
@@ -51,10 +57,10 @@ impl RecordingFile {
 impl RecordingFile {
     /// Opens a recording.
     #[new]
-    fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+    fn open(py: Python<'_>, path: PathBuf, trusts_plugins: bool) -> PyResult<Self> {
         let open = || Recording::open(&path).map_err(Problem::from);
         let recording = py.detach(open).map_err(|problem| problem.raise(py))?;
-        Ok(Self { recording: Arc::new(recording), types: OnceLock::new() })
+        Ok(Self { recording: Arc::new(recording), types: OnceLock::new(), trusts_plugins })
     }
 
     /// The recorded ports and their numbers of packets.
