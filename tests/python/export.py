@@ -14,6 +14,7 @@ from pathlib import Path
 import foxglove.messages
 import numpy as np
 import PIL.Image
+import pyarrow
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from rerun.chunk import RrdReader
@@ -36,7 +37,7 @@ class Gives:
         "tip": ps.Tip, "pose": ps.Pose, "joints": ps.Joints, "number": ps.Scalar, "words": ps.Text, "rows": ps.Table,
         "boxes": ps.Detections, "area": ps.Roi, "map": ps.Homography, "deep": ps.Gray16,
     }:
-        tick = ps.tick().seq
+        _, tick, _ = ps.tick()
         boxes = np.zeros(2, DETECTION)
         boxes[0] = (1, 2, 30, 40, 0.75, 1, 5)
         boxes[1] = (5.5, 6, 7, 8, 0.5, 0, -1)
@@ -55,16 +56,16 @@ class Gives:
 
 @ps.node(family="sink")
 class Takes:
-    def process(self, tip: ps.Tip, deep: ps.Gray16) -> None:
+    def process(self, tip: ps.Tip, deep: ps.Gray16, depth: ps.Depth, cloud: ps.Cloud) -> None:
         pass
 '''
 GRAPH = """
 mode = "batch"
 plugin_paths = ["."]
-plugins = ["phantom", "stereo", "flow", "plain"]
+plugins = ["phantom", "stereo", "plain"]
 [nodes.scope]
 type = "phantom"
-params = { width = 160, height = 120 }
+params = { width = 160, height = 120, tools = 2 }
 [nodes.rectify]
 type = "rectify"
 inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
@@ -79,10 +80,7 @@ type = "gives"
 inputs = { image = "scope.left" }
 [nodes.takes]
 type = "takes"
-inputs = { tip = "gives.tip", deep = "gives.deep" }
-[nodes.ends]
-type = "drain"
-inputs = { image = "points.depth" }
+inputs = { tip = "gives.tip", deep = "gives.deep", depth = "points.depth", cloud = "points.cloud" }
 """
 
 
@@ -90,6 +88,13 @@ def command(*words):
     """Runs the command; returns its exit code and what it printed."""
     done = subprocess.run([COMMAND, *map(str, words)], capture_output=True, text=True, env={**os.environ, "PANOSCOPE_PYTHON": sys.executable})
     return done.returncode, done.stdout + done.stderr
+
+
+class JsonDecoder:
+    """Of the messages whose schema is Panoscope's."""
+
+    def decoder_for(self, encoding, schema):
+        return json.loads if encoding == "json" else None
 
 
 class ExportTest(unittest.TestCase):
@@ -158,23 +163,31 @@ class ExportTest(unittest.TestCase):
         (calibration,) = (self.out / "scope.calibration").iterdir()
         self.assertIn("M1:", calibration.read_text())
 
+    def masks(self, tick):
+        """The number of the box in each pixel, by what the package reads."""
+        masks = self.recording["scope.instances"][tick].masks
+        self.assertGreater(len(masks), 0)
+        numbers = np.zeros(masks.shape[1:], np.uint16)
+        for number, mask in enumerate(masks, 1):
+            self.assertTrue(mask.any())
+            numbers[mask] = number
+        return numbers
+
+    def test_masks_are_pictures_with_numbers(self):
+        rows = self.chunks()["/scope/instances/masks"]
+        for tick, (_, _, image) in enumerate(self.messages("/scope/instances/masks")):
+            numbers = self.masks(tick)
+            np.testing.assert_array_equal(np.asarray(PIL.Image.open(self.out / f"scope.instances/{tick:06}.png")), numbers)
+            np.testing.assert_array_equal(np.asarray(PIL.Image.open(io.BytesIO(image.data))), numbers)
+            pixels = np.array(rows[tick]["SegmentationImage:buffer"][0], "u1").view("u2").reshape(numbers.shape)
+            np.testing.assert_array_equal(pixels, numbers)
+        self.assertEqual(len(self.rows("scope.instances.csv")), sum(len(packet.boxes) for packet in self.recording["scope.instances"]))
+
     def messages(self, topic):
-        """Messages of a topic with the name of their schema: protobuf or JSON."""
+        """Schema, message and decoded message of a topic."""
         with self.foxglove.open("rb") as file:
-            reader = make_reader(file, decoder_factories=[DecoderFactory()])
-            return [
-                (schema, message, json.loads(message.data) if channel.message_encoding == "json" else decoded)
-                for (schema, channel, message), decoded in zip(self.raw(topic), self.decoded(reader, topic))
-            ]
-
-    def raw(self, topic):
-        with self.foxglove.open("rb") as file:
-            return list(make_reader(file).iter_messages(topics=[topic]))
-
-    def decoded(self, reader, topic):
-        if self.raw(topic)[0][1].message_encoding == "json":
-            return [None] * FRAMES
-        return [found.decoded_message for found in reader.iter_decoded_messages(topics=[topic])]
+            reader = make_reader(file, decoder_factories=[DecoderFactory(), JsonDecoder()])
+            return [(found.schema, found.message, found.decoded_message) for found in reader.iter_decoded_messages(topics=[topic])]
 
     def test_foxglove_gets_its_own_schemas(self):
         with self.foxglove.open("rb") as file:
@@ -194,12 +207,9 @@ class ExportTest(unittest.TestCase):
         for schema in own:
             published = getattr(foxglove.messages, schema.name.removeprefix("foxglove.")).get_schema()
             self.assertEqual((schema.name, schema.encoding, schema.data), (published.name, published.encoding, published.data))
-        times = [message.log_time for _, _, message in self.all_in_file_order()]
-        self.assertEqual(times, sorted(times))
-
-    def all_in_file_order(self):
         with self.foxglove.open("rb") as file:
-            return list(make_reader(file).iter_messages(log_time_order=False))
+            times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
+        self.assertEqual(times, sorted(times))
 
     def test_foxglove_gets_pixels_and_points(self):
         captured = list(self.recording["scope.left"].capture_ns)
@@ -270,11 +280,16 @@ class ExportTest(unittest.TestCase):
             self.assertLessEqual(set(wanted), set(json.loads(schema.data)["properties"]))
 
     def chunks(self):
-        """Rows by entity: tick and values by component."""
+        """Rows by entity: tick, capture time in ns, and values by component."""
         rows = {}
         for chunk in RrdReader(self.rerun).stream():
-            if "tick" in chunk.timeline_names:
-                rows.setdefault(chunk.entity_path, []).extend(chunk.to_record_batch().to_pylist())
+            if "tick" not in chunk.timeline_names:
+                continue
+            batch = chunk.to_record_batch()
+            columns = {name: batch[name] for name in batch.schema.names if ":" in name or "." not in name and name != "log_time"}
+            columns["capture"] = columns["capture"].cast(pyarrow.int64())
+            values = [column.to_pylist() for column in columns.values()]
+            rows.setdefault(chunk.entity_path, []).extend(dict(zip(columns, row)) for row in zip(*values))
         return {entity: sorted(of, key=lambda row: row["tick"]) for entity, of in rows.items()}
 
     def test_rerun_gets_the_same(self):
@@ -282,8 +297,7 @@ class ExportTest(unittest.TestCase):
         shown = {"/" + port.replace(".", "/") for port in self.recording}
         self.assertTrue(all(any(entity == port or entity.startswith(port + "/") for entity in rows) for port in shown), rows.keys())
         for tick, row in enumerate(rows["/scope/left"]):
-            captured = row["capture"]
-            self.assertEqual((row["tick"], int(getattr(captured, "value", captured))), (tick, self.recording["scope.left"].capture_ns[tick]))
+            self.assertEqual((row["tick"], row["capture"]), (tick, self.recording["scope.left"].capture_ns[tick]))
             pixels = np.array(row["Image:buffer"][0], "u1").reshape(self.recording["scope.left"][tick].shape)
             np.testing.assert_array_equal(pixels, self.recording["scope.left"][tick])
         for port, name in (("points.depth", "DepthImage"), ("match.disparity", "Image")):

@@ -28,7 +28,8 @@ fn exported_recordings_are_read_by_others() {
         python.env("PYTHONPATH", &path).env("PANOSCOPE_BIN", &program).env_remove("PANOSCOPE_PYTHON");
         python
     };
-    let readers = python().args(["-c", "import foxglove, mcap, mcap_protobuf, PIL, rerun"]).output().expect("python3 starts");
+    let readers =
+        python().args(["-c", "import foxglove, mcap, mcap_protobuf, PIL, rerun"]).output().expect("python3 starts");
     if !readers.status.success() {
         let words = String::from_utf8_lossy(&readers.stderr);
         return panoscope_testing::skipped!("no readers of exported files: {}", words.lines().last().unwrap_or(""));

@@ -182,8 +182,7 @@ fn write_port(
     name: &Path,
 ) -> Result<PortReport, ExportError> {
     let source = port.packets.first().map_or(0, |packet: &&Packet| packet.head.tick.source);
-    let mut files =
-        PortFiles { folder, name, source, table: TableFile::default(), calibration: None, form: None };
+    let mut files = PortFiles { folder, name, source, table: TableFile::default(), calibration: None, form: None };
     for packet in &port.packets {
         export.value(port, kind, packet, |value| files.take(&packet.head.tick, value))?;
     }

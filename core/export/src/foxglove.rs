@@ -59,10 +59,8 @@ fn write_to(export: &Export<'_>, path: &Path, part: &Path) -> Result<Vec<PortRep
     let failed = |cause: io::Error| ExportError::Write { path: path.to_owned(), cause };
     let file = File::create(part).map_err(failed)?;
     // Chunks have an index, by which viewers jump to a time.
-    let options = WriteOptions::new()
-        .compression(None)
-        .profile("")
-        .library(concat!("panoscope ", env!("CARGO_PKG_VERSION")));
+    let options =
+        WriteOptions::new().compression(None).profile("").library(concat!("panoscope ", env!("CARGO_PKG_VERSION")));
     let writer = options.create(BufWriter::with_capacity(1 << 20, file)).map_err(|error| failed(io_error(error)))?;
     let mut target = Target { path, writer, channels: HashMap::new() };
     let mut reports: Vec<Option<PortReport>> = vec![None; export.ports.len()];

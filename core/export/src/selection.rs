@@ -94,7 +94,8 @@ impl<'r> Export<'r> {
                 return Err(ExportError::NoPort { file: file(), port: wanted.clone(), known });
             }
         }
-        let is_wanted = |name: &str| selection.ports.is_empty() || selection.ports.iter().any(|wanted| is_of(name, wanted));
+        let is_wanted =
+            |name: &str| selection.ports.is_empty() || selection.ports.iter().any(|wanted| is_of(name, wanted));
         let mut ports = Vec::new();
         for (name, all) in recording.ports.iter().filter(|(name, _)| is_wanted(name)) {
             let packets: Vec<&Packet> =
@@ -130,7 +131,11 @@ impl<'r> Export<'r> {
     ) -> Result<T, ExportError> {
         let bytes = self.recording.bytes(port.name, packet)?;
         // A port of images may change its format from packet to packet; the head of each one says which it has.
-        let kind = if packet.head.format == abi::FORMAT_BYTES { kind } else { Kind::of(packet.head.format, None).unwrap_or(kind) };
+        let kind = if packet.head.format == abi::FORMAT_BYTES {
+            kind
+        } else {
+            Kind::of(packet.head.format, None).unwrap_or(kind)
+        };
         let value = Value::read(kind, &packet.head, &bytes);
         let (port, tick) = (|| port.name.to_owned(), packet.head.tick.seq);
         take(value.map_err(|cause| ExportError::Value { port: port(), tick, cause })?)
@@ -161,7 +166,13 @@ mod tests {
 
     #[test]
     fn a_node_or_part_stands_for_its_ports() {
-        for (wanted, is) in [("stereo/match.depth", true), ("stereo/match", true), ("stereo", true), ("stereo/mat", false), ("ster", false)] {
+        for (wanted, is) in [
+            ("stereo/match.depth", true),
+            ("stereo/match", true),
+            ("stereo", true),
+            ("stereo/mat", false),
+            ("ster", false),
+        ] {
             assert_eq!(is_of("stereo/match.depth", wanted), is, "{wanted}");
         }
     }

@@ -60,7 +60,10 @@ mod tests {
     use super::*;
 
     fn line(cells: &[(&str, &str)]) -> CsvFields {
-        CsvFields { prefix: String::new(), cells: cells.iter().map(|(n, c)| ((*n).to_owned(), (*c).to_owned())).collect() }
+        CsvFields {
+            prefix: String::new(),
+            cells: cells.iter().map(|(n, c)| ((*n).to_owned(), (*c).to_owned())).collect(),
+        }
     }
 
     #[test]

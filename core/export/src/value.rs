@@ -141,8 +141,7 @@ enum Samples {
 impl Picture {
     fn read(head: &PacketHead, bytes: &[u8]) -> Result<Self, ValueError> {
         let PacketHead { format: id, width, height, stride_bytes, .. } = *head;
-        let wrong =
-            || ValueError::Picture { width, height, format: format::name(id), stride_bytes, len: bytes.len() };
+        let wrong = || ValueError::Picture { width, height, format: format::name(id), stride_bytes, len: bytes.len() };
         // Rows without pixels take no bytes, however many there are.
         let rows = if width == 0 { 0 } else { height as usize };
         let (columns, stride) = (width as usize, stride_bytes as usize);
@@ -151,12 +150,12 @@ impl Picture {
         let bytes = bytes.get(..need).ok_or_else(wrong)?;
         let lines = || (0..rows).map(|row| &bytes[row * stride..row * stride + columns * pixel]);
         let samples = match id {
-            abi::FORMAT_GRAY16 => {
-                Samples::Words(lines().flat_map(|line| line.as_chunks().0).map(|word| u16::from_ne_bytes(*word)).collect())
-            }
-            abi::FORMAT_F32 => {
-                Samples::Floats(lines().flat_map(|line| line.as_chunks().0).map(|float| f32::from_ne_bytes(*float)).collect())
-            }
+            abi::FORMAT_GRAY16 => Samples::Words(
+                lines().flat_map(|line| line.as_chunks().0).map(|word| u16::from_ne_bytes(*word)).collect(),
+            ),
+            abi::FORMAT_F32 => Samples::Floats(
+                lines().flat_map(|line| line.as_chunks().0).map(|float| f32::from_ne_bytes(*float)).collect(),
+            ),
             _ => Samples::Bytes(lines().flatten().copied().collect()),
         };
         Ok(Self { format: id, width: columns, height: rows, samples })
@@ -224,12 +223,14 @@ mod tests {
     #[test]
     fn padding_of_rows_is_dropped() {
         let bytes = [1, 2, 99, 3, 4];
-        let Value::Picture(picture) = Value::read(Kind::Picture, &head(abi::FORMAT_GRAY8, 2, 2, 3), &bytes).unwrap() else {
+        let Value::Picture(picture) = Value::read(Kind::Picture, &head(abi::FORMAT_GRAY8, 2, 2, 3), &bytes).unwrap()
+        else {
             panic!("a picture");
         };
         assert!(matches!(picture.pixels(), Pixels::Gray8(view) if view.data == [1, 2, 3, 4]));
         let bytes = [0.5f32, f32::NAN].map(f32::to_ne_bytes).concat();
-        let Value::Picture(mut picture) = Value::read(Kind::Picture, &head(abi::FORMAT_F32, 1, 2, 4), &bytes).unwrap() else {
+        let Value::Picture(mut picture) = Value::read(Kind::Picture, &head(abi::FORMAT_F32, 1, 2, 4), &bytes).unwrap()
+        else {
             panic!("a picture");
         };
         picture.scale(4.0);

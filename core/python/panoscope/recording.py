@@ -22,7 +22,7 @@ class Recording(Mapping):
     """A recording: ``ps.Recording("a.mcap")["scope.left"][10]``. Packets are read from the file when they are asked for."""
 
     def __init__(self, path: str | os.PathLike[str], *, trust_plugins: bool = True) -> None:
-        """``trust_plugins=False`` loads no plugin from the folders that the recorded graph names: packets of their own types stay bytes."""
+        """``trust_plugins=False`` loads no plugin from the folders that the recorded graph names; plain data of their nodes cannot be read then."""
         installation.use()
         self.path = Path(path)
         self.native = RecordingFile(self.path, trust_plugins)

@@ -35,10 +35,11 @@ from typing import TYPE_CHECKING, Any, Callable
 import numpy as np
 
 from .errors import PanoscopeError, RecordingError
-from .packets import BYTES
+from .packets import BYTES, CLOUD
 
 if TYPE_CHECKING:
     from .recording import Recording
+    from .series import Packet
 
 _M = 1e-3
 """Metres in a millimetre."""
@@ -150,14 +151,22 @@ def _label(labels: Sequence[str], box: np.record) -> str:
     return f"{name} {box['score']:.2f}" + (f" #{track}" if track >= 0 else "")
 
 
-def _packet_type(recording: Recording, port: str, is_plain: bool) -> str:
-    """Pixels and points are shown without their plugin; plain data need the name of their type."""
+def _method(recording: Recording, port: str) -> str:
+    """Which method of :class:`_Entity` shows the packets of a port."""
+    view, _ = recording.native.read(port, 0)
+    # Pixels and points are shown without their plugin; plain data need the name of their type.
+    default = {BYTES: None, CLOUD: "cloud"}.get(view.format, "image")
     try:
-        return recording.native.packet(port)
+        packet_type = recording.native.packet(port)
     except RecordingError:
-        if is_plain:
+        if default is None:
             raise
-        return "image"
+        return default
+    if hasattr(_Entity, packet_type):
+        return packet_type
+    if default is None:
+        raise RecordingError(f"packets of type `{packet_type}` are known to their plugin only")
+    return default
 
 
 def write(
@@ -195,23 +204,15 @@ def write(
     return reports
 
 
-def _write_port(stream: Any, entity: _Entity, recording: Recording, port: str, packets: Any) -> dict[str, Any] | None:
-    archetypes: Callable[[Any], _Entities] | None = None
+def _write_port(stream: Any, entity: _Entity, recording: Recording, port: str, packets: Iterator[Packet]) -> dict[str, Any] | None:
+    try:
+        archetypes: Callable[[Any], _Entities] = getattr(entity, _method(recording, port))
+    except RecordingError as error:
+        return {"port": port, "packets": len(recording[port]), "left_out": str(error)}
     parts = port.replace(".", "/").split("/")
     forms: list[str] = []
     count = 0
     for packet in packets:
-        if archetypes is None:
-            is_plain = packet.format == BYTES
-            try:
-                packet_type = _packet_type(recording, port, is_plain)
-            except RecordingError as error:
-                return {"port": port, "packets": len(recording[port]), "left_out": str(error)}
-            # A cloud is one by its format, whatever its plugin calls it.
-            name = packet_type if hasattr(entity, packet_type) else "" if is_plain else "cloud" if packet.value.dtype.names else "image"
-            if not name:
-                return {"port": port, "packets": len(recording[port]), "left_out": f"packets of type `{packet_type}` are known to their plugin only"}
-            archetypes = getattr(entity, name)
         stream.set_time("tick", sequence=packet.tick)
         stream.set_time("capture", duration=np.timedelta64(packet.capture_ns, "ns"))
         for below, shown in archetypes(packet.value):

@@ -31,11 +31,6 @@ class Packet:
         """Fingerprint of the bytes, the same as in ``panoscope record --digests``."""
         return f"{self._view.fingerprint():016x}"
 
-    @property
-    def format(self) -> int:
-        """Format of its bytes, as :mod:`panoscope.packets` numbers them."""
-        return self._view.format
-
     def _repr_png_(self) -> bytes | None:
         return png(self.value) if isinstance(self.value, np.ndarray) else None
 

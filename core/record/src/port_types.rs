@@ -76,7 +76,16 @@ impl PortTypes {
         let plugin = &graph.nodes[index].plugin;
         let node_type = format!("{plugin}/{}", graph.nodes[index].type_name);
         let [only] = catalog.find(&node_type)[..] else {
-            let reason = catalog.problem(plugin).map_or("it was not found", |problem| &problem.message).to_owned();
+            let reason = catalog.problem(plugin).map_or_else(
+                || "it was not found; install it, or name its folder in PANOSCOPE_PLUGIN_PATH".to_owned(),
+                |problem| {
+                    [&problem.message[..], &problem.help]
+                        .into_iter()
+                        .filter(|words| !words.is_empty())
+                        .collect::<Vec<_>>()
+                        .join("; ")
+                },
+            );
             return Err(PortTypeError::Plugin { plugin: plugin.clone(), port: port.to_owned(), reason });
         };
         let outputs = &catalog.node_types[only];

@@ -30,7 +30,14 @@ pub const READERS_VARIABLE: &str = "PANOSCOPE_READERS";
 pub const READERS: Packages = Packages {
     name: "readers of exported recordings",
     modules: "foxglove, mcap, mcap_protobuf, numpy, PIL, rerun",
-    requirements: &["foxglove-sdk==0.30.3", "mcap==1.6.0", "mcap-protobuf-support==0.6.0", "numpy>=1.24,<3", "pillow", "rerun-sdk==0.41.0"],
+    requirements: &[
+        "foxglove-sdk==0.30.3",
+        "mcap==1.6.0",
+        "mcap-protobuf-support==0.6.0",
+        "numpy>=1.24,<3",
+        "pillow",
+        "rerun-sdk==0.41.0",
+    ],
     folder: "python_readers",
 };
 

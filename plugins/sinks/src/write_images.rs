@@ -7,10 +7,10 @@ use panoscope_node::{
     Retained, Validation,
 };
 
-use panoscope_formats::still;
 use crate::picture::pixels_of;
-use panoscope_formats::Pixels;
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
+use panoscope_formats::Pixels;
+use panoscope_formats::still;
 
 /// Inputs.
 #[derive(Ports)]

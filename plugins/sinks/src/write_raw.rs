@@ -7,10 +7,10 @@ use panoscope_node::{
     Params, Ports, Result, Validation,
 };
 
-use panoscope_formats::array::{self, ArrayFormat};
 use crate::picture::pixels_of;
-use panoscope_formats::Pixels;
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
+use panoscope_formats::Pixels;
+use panoscope_formats::array::{self, ArrayFormat};
 
 /// Inputs.
 #[derive(Ports)]

@@ -70,7 +70,12 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         }
     };
     if let Some(cut) = &recording.cut {
-        log!("warning: {} ends at byte {}: {}; exporting what is before", recording.path().display(), cut.at, cut.reason);
+        log!(
+            "warning: {} ends at byte {}: {}; exporting what is before",
+            recording.path().display(),
+            cut.at,
+            cut.reason
+        );
     }
     let is_damaged = recording.cut.as_ref().is_some_and(|cut| cut.damaged);
     let loader = arguments.own_plugins.loader(&own_folders(&recording.head));
@@ -106,16 +111,18 @@ pub fn run(arguments: &Arguments) -> Result<End> {
 fn failed(error: &ExportError) -> End {
     log!("error: {error}");
     match error {
-        ExportError::NoPort { .. } | ExportError::NoTicks { .. } | ExportError::Empty { .. } | ExportError::Exists { .. } => {
-            End::Wrong
-        }
+        ExportError::NoPort { .. }
+        | ExportError::NoTicks { .. }
+        | ExportError::Empty { .. }
+        | ExportError::Exists { .. } => End::Wrong,
         ExportError::Write { .. } | ExportError::Recording(_) | ExportError::Value { .. } => End::Failed,
     }
 }
 
 /// Writes a file of rerun. `None`: it failed, and the interpreter said why.
 fn write_rerun(arguments: &Arguments, export: &Export<'_>, path: &Path) -> Result<Option<Vec<Line>>> {
-    let mut python = python_module(RERUN_MODULE).context("rerun files are written by Python; name an interpreter in PANOSCOPE_PYTHON")?;
+    let mut python = python_module(RERUN_MODULE)
+        .context("rerun files are written by Python; name an interpreter in PANOSCOPE_PYTHON")?;
     python.arg(&arguments.recording).arg(path);
     python.args(["--from", &arguments.from.to_string()]);
     if let Some(to) = arguments.to {
