@@ -72,9 +72,9 @@ fn what_cannot_be_exported_is_refused_with_a_remedy() {
     std::fs::write(folder.join("none.txt"), "text").expect("written");
     for (file, words, code, error) in [
         ("run.mcap", &["--folder", "out"][..], 2, "out exists: name another one, or replace it with --force"),
-        ("run.mcap", &["--foxglove", "run.mcap", "--force"], 2, "run.mcap exists"),
+        ("run.mcap", &["--foxglove", "run.mcap", "--force"], 2, "run.mcap is the recording itself"),
         ("run.mcap", &["--folder", "new", "--ports", "scope.lefft"], 2, "no packets of `scope.lefft`; it has scope."),
-        ("run.mcap", &["--folder", "new", "--from", "7"], 2, "no packets of ticks 7 to"),
+        ("run.mcap", &["--folder", "new", "--from", "7"], 2, "it has ticks 0 to 2"),
         ("run.mcap", &["--folder", "new", "--from", "2", "--to", "1"], 2, "--to is before --from"),
         ("run.mcap", &[], 2, "--folder"),
         ("run.mcap", &["--foxglove", "missing/new.mcap"], 1, "missing/new.mcap cannot be written"),

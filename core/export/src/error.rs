@@ -44,14 +44,10 @@ pub enum ExportError {
         known: String,
     },
     /// No packet is selected.
-    #[error("{} has no packets of ticks {from} to {to}; it has ticks {first} to {last}", .file.display())]
+    #[error("{} has no packets of the chosen ports and ticks; it has ticks {first} to {last}", .file.display())]
     NoTicks {
         /// The recording.
         file: PathBuf,
-        /// First tick that was asked for.
-        from: u64,
-        /// Last tick that was asked for.
-        to: u64,
         /// First tick that it has.
         first: u64,
         /// Last tick that it has.
@@ -67,6 +63,12 @@ pub enum ExportError {
     #[error("{} exists: name another one, or replace it with --force", .path.display())]
     Exists {
         /// The file or folder.
+        path: PathBuf,
+    },
+    /// The recording would be replaced.
+    #[error("{} is the recording itself: name another file", .path.display())]
+    IsRecording {
+        /// The file.
         path: PathBuf,
     },
     /// A file cannot be written.

@@ -42,9 +42,12 @@ use crate::value::{Kind, Picture, Value};
 /// Writes a file. It has its name only when it is complete. With `replaces`, one of that name is replaced.
 ///
 /// # Errors
-/// The file exists, it cannot be written, or the recording is damaged.
+/// The file exists or is the recording, it cannot be written, or the recording is damaged.
 pub fn write(export: &Export<'_>, path: &Path, replaces: bool) -> Result<Vec<PortReport>, ExportError> {
-    if export.is_recording(path) || path.exists() && !replaces {
+    if export.is_recording(path) {
+        return Err(ExportError::IsRecording { path: path.to_owned() });
+    }
+    if path.exists() && !replaces {
         return Err(ExportError::Exists { path: path.to_owned() });
     }
     let part = part_of(path);

@@ -112,8 +112,7 @@ impl<'r> Export<'r> {
         if ports.is_empty() {
             let ticks = || recording.ports.values().flatten().map(|packet| packet.head.tick.seq);
             let (first, last) = (ticks().min().unwrap_or(0), ticks().max().unwrap_or(0));
-            let (from, to) = (*selection.ticks.start(), *selection.ticks.end());
-            return Err(ExportError::NoTicks { file: file(), from, to, first, last });
+            return Err(ExportError::NoTicks { file: file(), first, last });
         }
         Ok(Self { recording, ports })
     }

@@ -180,7 +180,9 @@ def write(
     """Writes a file of rerun. Returns an entry per port: ``port``, ``packets``, ``form`` and ``at``, or ``left_out`` with the reason."""
     rerun = _rerun()
     path = Path(path)
-    if path.exists() and (not force or path.samefile(recording.path)):
+    if path.exists() and path.samefile(recording.path):
+        raise PanoscopeError(f"{path} is the recording itself: name another file")
+    if path.exists() and not force:
         raise PanoscopeError(f"{path} exists: name another one, or replace it with --force (`force=True`)")
     series = {port: recording[port] for port in ports or recording}
     part = path.with_name(path.name + ".part")
@@ -241,7 +243,8 @@ def main() -> None:
         recording = Recording(given.recording, trust_plugins=given.trust_plugins)
         reports = write(recording, given.file, given.port, given.first, given.last, given.force)
     except (PanoscopeError, KeyError, OSError) as error:
-        sys.exit(f"error: {error.args[0] if isinstance(error, KeyError) else error}")
+        print(f"error: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
+        sys.exit(2)
     print(json.dumps(reports))
 
 

@@ -114,7 +114,8 @@ fn failed(error: &ExportError) -> End {
         ExportError::NoPort { .. }
         | ExportError::NoTicks { .. }
         | ExportError::Empty { .. }
-        | ExportError::Exists { .. } => End::Wrong,
+        | ExportError::Exists { .. }
+        | ExportError::IsRecording { .. } => End::Wrong,
         ExportError::Write { .. } | ExportError::Recording(_) | ExportError::Value { .. } => End::Failed,
     }
 }
@@ -139,6 +140,14 @@ fn write_rerun(arguments: &Arguments, export: &Export<'_>, path: &Path) -> Resul
     }
     let output = python.stderr(Stdio::inherit()).output().context("Python was not started")?;
     if !output.status.success() {
+        // The module itself ends with 2, after an error in one line.
+        if output.status.code() != Some(2) {
+            let interpreter = python.get_program().display();
+            log!(
+                "error: {interpreter} did not write {}; it needs NumPy and rerun-sdk: `{interpreter} -m pip install numpy rerun-sdk`",
+                path.display()
+            );
+        }
         return Ok(None);
     }
     Ok(Some(serde_json::from_slice(&output.stdout).context("Python did not say what it wrote")?))
