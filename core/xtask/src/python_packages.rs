@@ -26,7 +26,7 @@ pub const NUMPY: Packages =
 /// Names the folder of [`READERS`] for the test that uses them.
 pub const READERS_VARIABLE: &str = "PANOSCOPE_READERS";
 
-/// What reads the files that `panoscope export` writes: about 600 MB.
+/// What reads the files that `panoscope export` writes: about 600 MB. foxglove-sdk is of the version of the crate `foxglove`: schemas are compared.
 pub const READERS: Packages = Packages {
     name: "readers of exported recordings",
     modules: "foxglove, mcap, mcap_protobuf, numpy, PIL, rerun",
