@@ -21,11 +21,12 @@ pub fn root() -> PathBuf {
 }
 
 /// The documents for users and contributors, relative to the root.
-pub const DOCUMENTS: [&str; 9] = [
+pub const DOCUMENTS: [&str; 10] = [
     "README.md",
     "core/README.md",
     "core/cli/README.md",
     "core/python/README.md",
+    "core/record/README.md",
     "editor/README.md",
     "graphs/README.md",
     "plugins/README.md",

@@ -327,6 +327,8 @@ fn the_tutorial_runs_and_measures_what_it_promises() {
         "out/panorama_files.mkv",
         "soften/out/soften_000000.png",
         "second.json",
+        "pictures/index.csv",
+        "foxglove.mcap",
         "panoscope.schema.json",
     ];
     runs("graphs/README.md", &promised, |folder| {

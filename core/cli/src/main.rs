@@ -51,6 +51,8 @@ enum Command {
     Replay(commands::replay::Arguments),
     /// Says where two recorded runs differ first, and by how much.
     Compare(commands::compare::Arguments),
+    /// Writes what a recording holds as files of other programs: a folder of pictures and tables, Foxglove, rerun.
+    Export(commands::export::Arguments),
     /// Runs a graph once for each value of a parameter and shows what becomes of a measure.
     Sweep(commands::sweep::Arguments),
     /// Finds gains of the arm's PID on the simulated arm: relay feedback, rules, a search; responses of P, PI and PID.
@@ -154,6 +156,7 @@ fn main() {
         Command::Record(arguments) => commands::record::run(&arguments),
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),
+        Command::Export(arguments) => commands::export::run(&arguments),
         Command::Sweep(arguments) => commands::sweep::run(&arguments),
         Command::Tune(arguments) => commands::tune::run(&arguments),
         Command::Soak(arguments) => commands::soak::run(&arguments),

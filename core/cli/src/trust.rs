@@ -70,6 +70,11 @@ impl IsolatedPlugins {
 }
 
 impl OwnPlugins {
+    /// Whether code that a graph brings may run in this process.
+    pub fn is_trusted(self) -> bool {
+        self.trust_plugins
+    }
+
     /// The plugins for a graph that names the folders `own`.
     pub fn loader(self, own: &[PathBuf]) -> Loader {
         match self.trust_plugins || self.isolated.isolate_plugins {

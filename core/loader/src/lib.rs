@@ -22,5 +22,5 @@ pub mod verify;
 pub use error::LoadError;
 pub use live::Live;
 pub use map::{Loaded, PluginFile, describe_verified, inspect, load, load_verified};
-pub use python::{NoPython, Python, package as python_package};
+pub use python::{NoPython, Python, module as python_module, package as python_package};
 pub use search::{Loader, PLUGIN_PATH_VARIABLE, Stamp, search_path};

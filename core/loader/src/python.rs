@@ -2,6 +2,7 @@
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use panoscope_abi as abi;
 use panoscope_isolate::Launch;
@@ -56,16 +57,11 @@ impl Python {
         if !self.interpreter.is_file() {
             return Err(NoPython::Interpreter { interpreter: self.interpreter.clone() });
         }
-        let mut path = package()?.into_os_string();
-        if let Some(more) = std::env::var_os("PYTHONPATH").filter(|more| !more.is_empty()) {
-            path.push(":");
-            path.push(more);
-        }
         let arguments = ["-m", MODULE].map(OsString::from).to_vec();
         // The process may not write files, and its output is read line by line.
-        let environment =
-            [("PYTHONPATH", path), ("PYTHONDONTWRITEBYTECODE", "1".into()), ("PYTHONUNBUFFERED", "1".into())];
-        let environment = environment.map(|(name, value)| (name.into(), value)).to_vec();
+        let more = [("PYTHONDONTWRITEBYTECODE", "1"), ("PYTHONUNBUFFERED", "1")];
+        let more = more.map(|(name, value)| (name.into(), value.into()));
+        let environment = [("PYTHONPATH".into(), python_path()?)].into_iter().chain(more).collect();
         Ok(Launch { program: self.interpreter.clone(), arguments, environment })
     }
 
@@ -84,6 +80,30 @@ impl Python {
         let name = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         Some(cache_folder()?.join("panoscope/descriptions").join(name))
     }
+}
+
+/// Folders where an interpreter finds modules: the Python package, then those of the user.
+fn python_path() -> Result<OsString, NoPython> {
+    let mut path = package()?.into_os_string();
+    if let Some(more) = std::env::var_os("PYTHONPATH").filter(|more| !more.is_empty()) {
+        path.push(":");
+        path.push(more);
+    }
+    Ok(path)
+}
+
+/// A command that runs a module of the Python package in the user's interpreter.
+///
+/// # Errors
+/// There is no interpreter, or the installation has no Python package.
+pub fn module(name: &str) -> Result<Command, NoPython> {
+    let interpreter = user_interpreter();
+    if !interpreter.is_file() {
+        return Err(NoPython::Interpreter { interpreter });
+    }
+    let mut command = Command::new(interpreter);
+    command.args(["-m", name]).env("PYTHONPATH", python_path()?);
+    Ok(command)
 }
 
 /// The user's folder for what can be made again.
@@ -148,10 +168,15 @@ fn interpreter(folder: &Path, declared: Option<String>) -> PathBuf {
     match declared {
         Some(declared) => folder.join(declared),
         None if beside.is_file() => beside,
-        None => match std::env::var_os(PYTHON_VARIABLE).filter(|program| !program.is_empty()) {
-            Some(program) => program.into(),
-            None => on_path("python3"),
-        },
+        None => user_interpreter(),
+    }
+}
+
+/// The interpreter that `PANOSCOPE_PYTHON` names, else the system's.
+fn user_interpreter() -> PathBuf {
+    match std::env::var_os(PYTHON_VARIABLE).filter(|program| !program.is_empty()) {
+        Some(program) => program.into(),
+        None => on_path("python3"),
     }
 }
 

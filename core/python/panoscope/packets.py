@@ -249,6 +249,8 @@ class Detections:
     labels: list[str] = field(default_factory=list)
     image_size: tuple[int, int] = (0, 0)
     """Width and height in px of the image that was searched."""
+    masks: np.ndarray | None = None
+    """Of packets ``instances``: boxes x rows x columns, true where the object is."""
 
 
 class DetectionsKind(Kind):
@@ -270,6 +272,22 @@ class DetectionsKind(Kind):
         labels = "\n".join(value.labels).encode()
         head = np.array([(len(value.boxes), len(labels), *value.image_size, 0)], _DETECTIONS)
         output.bytes(head.tobytes() + value.boxes.tobytes() + labels)
+
+
+class InstancesKind(Kind):
+    """A :class:`Detections` with masks. Read only."""
+
+    packet = "instances"
+
+    def decode(self, view: Any) -> Detections:
+        detections = DetectionsKind().decode(view)
+        data = np.asarray(view)
+        (width, height), count = detections.image_size, len(detections.boxes)
+        start = 24 + 32 * count + int(data[4:8].view("u4")[0])
+        stride = (width + 7) // 8
+        bits = data[start : start + count * height * stride].reshape(count, height, stride)
+        detections.masks = np.unpackbits(bits, axis=2, count=width).astype(bool)
+        return detections
 
 
 _CAMERA = np.dtype(
@@ -351,7 +369,7 @@ Pose = _record("pose")
 Joints = _record("joints")
 KIND_OF_CLASS = {Table: TableKind(), Detections: DetectionsKind()}
 _KINDS: dict[str, Kind] = {
-    **{kind.packet: kind for kind in (ScalarKind(), TextKind(), *KIND_OF_CLASS.values())},
+    **{kind.packet: kind for kind in (ScalarKind(), TextKind(), InstancesKind(), *KIND_OF_CLASS.values())},
     **{packet: RecordKind(packet, dtype) for packet, dtype in RECORDS.items()},
 }
 """Packet types of plain data by their names in graph files."""

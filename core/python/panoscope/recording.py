@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 class Recording(Mapping):
     """A recording: ``ps.Recording("a.mcap")["scope.left"][10]``. Packets are read from the file when they are asked for."""
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, trust_plugins: bool = True) -> None:
+        """``trust_plugins=False`` loads no plugin from the folders that the recorded graph names; plain data of their nodes cannot be read then."""
         installation.use()
         self.path = Path(path)
-        self.native = RecordingFile(self.path)
+        self.native = RecordingFile(self.path, trust_plugins)
         self._counts = dict(self.native.ports())
         cut = self.native.cut()
         if cut:
@@ -42,6 +43,20 @@ class Recording(Mapping):
         view, tick = read
         packet_type = self.native.packet(output) if view.format == BYTES else ""
         return Packet(output, packet_type, view, tick, float("nan"))
+
+    def to_rerun(
+        self,
+        path: str | os.PathLike[str],
+        ports: Sequence[str] = (),
+        *,
+        first_tick: int = 0,
+        last_tick: int | None = None,
+        force: bool = False,
+    ) -> list[dict[str, Any]]:
+        """Writes a file of rerun, see :mod:`panoscope.rerun_file`. Needs the package ``rerun-sdk``."""
+        from .rerun_file import write
+
+        return write(self, path, ports, first_tick, last_tick, force)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._counts)

@@ -9,10 +9,10 @@ use anyhow::{Context, Result, bail};
 use crate::build::{Profile, build_for_tests};
 use crate::generated::test_environment;
 use crate::lint;
-use crate::numpy;
 use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
+use crate::python_packages::{NUMPY, READERS, READERS_VARIABLE};
 use crate::sanitizer::{self, Sanitizer};
 use crate::setup;
 use crate::tally::Tally;
@@ -166,7 +166,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
     if let Err(error) = onnxruntime::fetch(workspace) {
         println!("ONNX Runtime was not fetched: {error:#}");
     }
-    let numpy = numpy::folder(workspace);
+    let numpy = NUMPY.folder(workspace);
     if request.suite.lints {
         timed("format", || lint::format(workspace))?;
         timed("clippy", || lint::clippy(workspace))?;
@@ -180,6 +180,13 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         test_environment(&mut cargo, workspace, &built)?;
         if let Some(folder) = &numpy {
             cargo.env("PYTHONPATH", folder);
+        }
+        // Only all tests together have one that needs them.
+        if request.suite.only.is_empty()
+            && request.suite.sanitizer.is_none()
+            && let Some(folder) = READERS.folder(workspace)
+        {
+            cargo.env(READERS_VARIABLE, folder);
         }
         for (name, value) in request.suite.env.iter().filter(|(name, _)| std::env::var_os(name).is_none()) {
             cargo.env(name, value);

@@ -13,7 +13,7 @@ use panoscope_node::{
     AnyImage, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
 };
 
-use crate::picture::Pixels;
+use crate::picture::pixels_of;
 use codec::StreamCodec;
 use push::{Push, Target};
 use server::Mount;
@@ -164,7 +164,7 @@ impl Node for Stream {
         }
         let fanout = self.worker.fanout();
         if fanout.has_consumers() {
-            let Some(pixels) = Pixels::of(&input.image) else {
+            let Some(pixels) = pixels_of(&input.image) else {
                 return Err(NodeError::new("the image's format is unknown"));
             };
             if !pixels.to_bgr(&mut self.bgr) {

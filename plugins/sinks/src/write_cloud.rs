@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation};
 
-use crate::formats::ply;
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
+use panoscope_formats::ply;
 
 /// Inputs.
 #[derive(Ports)]

@@ -7,9 +7,10 @@ use panoscope_node::{
     Retained, Validation,
 };
 
-use crate::formats::still;
-use crate::picture::Pixels;
+use crate::picture::pixels_of;
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
+use panoscope_formats::Pixels;
+use panoscope_formats::still;
 
 /// Inputs.
 #[derive(Ports)]
@@ -126,7 +127,7 @@ impl Node for WriteImages {
         }
         let both = input.image.is_some() && input.mask.is_some();
         if let Some(image) = &input.image {
-            let pixels = Pixels::of(image).ok_or_else(|| NodeError::new("the image's format is unknown"))?;
+            let pixels = pixels_of(image).ok_or_else(|| NodeError::new("the image's format is unknown"))?;
             self.write(&pixels, seq, "image", both, params.jpeg_quality)?;
         }
         if let Some(mask) = &input.mask {

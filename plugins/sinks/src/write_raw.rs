@@ -7,9 +7,10 @@ use panoscope_node::{
     Params, Ports, Result, Validation,
 };
 
-use crate::formats::array::{self, ArrayFormat};
-use crate::picture::Pixels;
+use crate::picture::pixels_of;
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
+use panoscope_formats::Pixels;
+use panoscope_formats::array::{self, ArrayFormat};
 
 /// Inputs.
 #[derive(Ports)]
@@ -72,7 +73,7 @@ impl Node for WriteRaw {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
         let planes = [
-            ("image", input.image.as_ref().and_then(Pixels::of)),
+            ("image", input.image.as_ref().and_then(pixels_of)),
             ("disparity", input.disparity.map(|plane| Pixels::F32(plane.view()))),
             ("depth", input.depth.map(|plane| Pixels::F32(plane.view()))),
             ("confidence", input.confidence.map(|plane| Pixels::F32(plane.view()))),

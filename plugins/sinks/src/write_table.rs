@@ -11,9 +11,9 @@ use panoscope_node::{
 };
 
 use crate::formats::coco::{Coco, run_lengths};
-use crate::formats::fields::{self, CsvFields, Fields, JsonFields, csv_cell};
-use crate::formats::json;
 use crate::target::{Growing, Pattern, SinkError, Wholes, check_name, check_path, claim};
+use panoscope_formats::fields::{self, CsvFields, Fields, JsonFields, csv_cell};
+use panoscope_formats::json;
 
 const ENDINGS: &str = "jsonl, ndjson, csv, json";
 /// Inputs that COCO's form has no room for.

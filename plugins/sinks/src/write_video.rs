@@ -12,7 +12,7 @@ use panoscope_node::{
     AnyImage, Choice, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
 };
 
-use crate::picture::Pixels;
+use crate::picture::pixels_of;
 use crate::target::{check_name, check_path, claim};
 pub use codec::Codec;
 use codec::{ENDINGS, FileKind};
@@ -138,7 +138,7 @@ impl Node for WriteVideo {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
-        let Some(pixels) = Pixels::of(&input.image) else {
+        let Some(pixels) = pixels_of(&input.image) else {
             return Err(NodeError::new("the image's format is unknown"));
         };
         if !pixels.to_bgr(&mut self.bgr) {

@@ -11,6 +11,7 @@ pub mod doctor;
 pub mod dot;
 pub mod edit;
 pub mod eval;
+pub mod export;
 pub mod generate;
 pub mod list;
 pub mod lock;

@@ -1,7 +1,7 @@
 //! `panoscope replay`: a recording played again, to the byte, or another graph on its pictures.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Result;
@@ -100,7 +100,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     };
     let own_folders = match &graph {
         Some((path, text)) => GraphText::parse(path, text).plugin_paths(),
-        None => GraphText::parse(Path::new(&recording.head.graph_path), &recording.head.text).plugin_paths(),
+        None => panoscope_record::own_folders(&recording.head),
     };
     let loader = arguments.own_plugins.loader(&own_folders);
     let longest = recording.sources.values().map(Vec::len).max().unwrap_or(0) as u64;

@@ -1,12 +1,11 @@
 //! A recording: its ports and packets.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use panoscope_abi::Frame;
-use panoscope_graph::{Catalog, GraphText};
 use panoscope_loader::{self as loader, Loader};
-use panoscope_record::Recording;
+use panoscope_record::{PortTypes, Recording};
 use pyo3::prelude::*;
 
 use super::error::Problem;
@@ -17,8 +16,10 @@ use crate::view::View;
 #[pyclass(frozen, module = "panoscope._native")]
 pub struct RecordingFile {
     recording: Arc<Recording>,
-    /// The node types of its graph, which name the types of plain data.
-    catalog: OnceLock<Catalog>,
+    /// The types of its ports, by the plugins of its graph.
+    types: OnceLock<PortTypes>,
+    /// Whether plugins from the folders that its graph names may run here.
+    trusts_plugins: bool,
 }
 
 impl RecordingFile {
@@ -27,36 +28,17 @@ impl RecordingFile {
         &self.recording
     }
 
-    fn catalog(&self) -> &Catalog {
-        self.catalog.get_or_init(|| {
-            let head = &self.recording.head;
-            let text = GraphText::parse(Path::new(&head.graph_path), &head.text);
-            Loader::search(&loader::search_path(&text.plugin_paths())).catalog_of_graph(&head.graph)
-        })
-    }
-
-    /// Name of the packet type of an output, from the plugins of the graph.
-    fn packet_type(&self, node: &str, output: &str) -> Result<String, Problem> {
-        let graph = &self.recording.head.graph;
-        let index = graph.node(node).ok_or_else(|| {
-            Problem::Recording(format!(
-                "`{node}` was added while the graph ran, so the type of its packets is not known"
-            ))
-        })?;
-        let named = format!("{}/{}", graph.nodes[index].plugin, graph.nodes[index].type_name);
-        let catalog = self.catalog();
-        let node_type = match catalog.find(&named)[..] {
-            [only] => &catalog.node_types[only],
-            _ => {
-                let why = catalog.problem(&graph.nodes[index].plugin).map_or("it was not found", |p| &p.message);
-                return Err(Problem::Recording(format!(
-                    "plugin `{}` names the type of packets of `{node}.{output}`, and cannot be used here: {why}",
-                    graph.nodes[index].plugin
-                )));
-            }
-        };
-        let port = node_type.output(output).map(|at| node_type.outputs[at].packet.name.clone());
-        port.ok_or_else(|| Problem::Recording(format!("type `{named}` has no output `{output}` here")))
+    /// Name of the packet type of a port.
+    fn packet_type(&self, port: &str) -> Result<&str, Problem> {
+        let types = self.types.get_or_init(|| {
+            let own = panoscope_record::own_folders(&self.recording.head);
+            let loader = match self.trusts_plugins {
+                true => Loader::search(&loader::search_path(&own)),
+                false => Loader::search_without_loading(&own),
+            };
+            PortTypes::new(Arc::clone(&self.recording), loader)
+        });
+        types.packet(port).map_err(|error| Problem::Recording(error.to_string()))
     }
 
     /// Outputs of the recorded graph to watch in a replay.
@@ -64,7 +46,7 @@ impl RecordingFile {
         let watched = |name: &String| {
             let (node, output) =
                 name.rsplit_once('.').ok_or_else(|| Problem::Use(format!("`{name}` is not NODE.OUTPUT")))?;
-            let packet = self.packet_type(node, output)?;
+            let packet = self.packet_type(name)?.to_owned();
             Ok(Watched { node: node.to_owned(), output: output.to_owned(), packet })
         };
         watch.iter().map(watched).collect()
@@ -75,10 +57,10 @@ impl RecordingFile {
 impl RecordingFile {
     /// Opens a recording.
     #[new]
-    fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+    fn open(py: Python<'_>, path: PathBuf, trusts_plugins: bool) -> PyResult<Self> {
         let open = || Recording::open(&path).map_err(Problem::from);
         let recording = py.detach(open).map_err(|problem| problem.raise(py))?;
-        Ok(Self { recording: Arc::new(recording), catalog: OnceLock::new() })
+        Ok(Self { recording: Arc::new(recording), types: OnceLock::new(), trusts_plugins })
     }
 
     /// The recorded ports and their numbers of packets.
@@ -88,11 +70,7 @@ impl RecordingFile {
 
     /// Name of the packet type of a port.
     fn packet(&self, py: Python<'_>, port: &str) -> PyResult<String> {
-        let packet = || {
-            let (node, output) = port.rsplit_once('.').unwrap_or((port, ""));
-            self.packet_type(node, output)
-        };
-        py.detach(packet).map_err(|problem| problem.raise(py))
+        py.detach(|| self.packet_type(port).map(str::to_owned)).map_err(|problem| problem.raise(py))
     }
 
     /// A packet: view, (source, number, capture time in ns). None where there is no such packet.

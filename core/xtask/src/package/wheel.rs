@@ -19,6 +19,8 @@ use crate::{licences, onnxruntime};
 
 /// What the package needs, as `pip` reads it.
 const REQUIREMENT: &str = "numpy>=1.24,<3";
+/// What `Recording.to_rerun` needs.
+const RERUN: &str = "rerun-sdk>=0.41";
 /// Oldest Python that the native part loads in.
 const PYTHON: &str = "3.9";
 /// Ticks of the graph that a check compares.
@@ -75,6 +77,7 @@ fn add_metadata(workspace: &Workspace, folder: &Path, version: &str, tag: &str) 
         "Metadata-Version: 2.1\nName: panoscope\nVersion: {version}\n\
          Summary: Graphs of image-processing nodes on stereo endoscope pictures: panoramas, depth, instruments\n\
          License: MIT OR Apache-2.0\nRequires-Python: >={PYTHON}\nRequires-Dist: {REQUIREMENT}\n\
+         Provides-Extra: rerun\nRequires-Dist: {RERUN}; extra == \"rerun\"\n\
          Description-Content-Type: text/markdown\n\n{introduction}"
     );
     write(&folder.join("METADATA"), &metadata)?;

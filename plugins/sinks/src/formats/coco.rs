@@ -2,9 +2,8 @@
 
 use std::fmt::Write;
 
+use panoscope_formats::json;
 use panoscope_node::{Detections, Instances};
-
-use super::json;
 
 /// Collects the annotations of a run. Image ids are tick numbers, category ids are class index + 1, as in COCO.
 #[derive(Debug, Default)]

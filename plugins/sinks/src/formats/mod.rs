@@ -1,9 +1,4 @@
-//! The bytes of each file format, apart from nodes and file names.
+//! Formats that only sinks write; `panoscope_formats` has the others.
 
-pub mod array;
 pub mod coco;
-pub mod fields;
-pub mod json;
 pub mod mkv;
-pub mod ply;
-pub mod still;

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use crate::picture::Pixels;
+use crate::Pixels;
 
 /// A format of [`write`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -180,7 +180,7 @@ fn tiff(out: &mut dyn Write, pixels: &Pixels<'_>) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_node::View;
+    use panoscope_base::View;
 
     fn bytes(format: ArrayFormat, pixels: Pixels<'_>) -> Vec<u8> {
         let mut out = Vec::new();

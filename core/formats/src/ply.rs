@@ -2,10 +2,11 @@
 
 use std::io::{self, Write};
 
+use panoscope_abi::CloudPoint;
 use panoscope_imaging::draw::is_steep;
-use panoscope_node::abi::CloudPoint;
 
-fn is_known(point: &CloudPoint) -> bool {
+/// Whether a point has coordinates.
+pub fn is_known(point: &CloudPoint) -> bool {
     point.x_mm.is_finite() && point.y_mm.is_finite() && point.z_mm.is_finite()
 }
 

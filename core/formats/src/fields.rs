@@ -1,8 +1,9 @@
 //! The fields of packets in tables, declared once for JSON lines and CSV.
 
-use panoscope_node::abi::{self, Detection, Homography, Joints, Pose, Roi, Scalar, Tip};
+use panoscope_abi::{self as abi, Detection, Homography, Joints, Pose, Roi, Scalar, Tip};
+use panoscope_base::packet::name as padded;
 
-use super::json;
+use crate::json;
 
 /// Receives the named fields of a packet.
 pub trait Fields {
@@ -12,12 +13,6 @@ pub trait Fields {
     fn numbers(&mut self, name: &str, values: &[f64]);
     /// A text.
     fn text(&mut self, name: &str, value: &str);
-}
-
-/// The text of a zero-padded name.
-pub fn padded(bytes: &[u8]) -> std::borrow::Cow<'_, str> {
-    let len = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
-    String::from_utf8_lossy(&bytes[..len])
 }
 
 /// `f32` without the digits that widening to `f64` would add.

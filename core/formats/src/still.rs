@@ -7,7 +7,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::error::{ImageFormatHint, UnsupportedError, UnsupportedErrorKind};
 use image::{ExtendedColorType, ImageEncoder, ImageError};
 
-use crate::picture::Pixels;
+use crate::Pixels;
 
 /// Endings that [`encode`] knows.
 pub const ENDINGS: &str = "png, jpg, jpeg";
@@ -69,7 +69,7 @@ pub fn encode(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_node::View;
+    use panoscope_base::View;
 
     #[test]
     fn png_brings_back_the_same_pixels() {

@@ -1,0 +1,77 @@
+//! CSV files whose columns are known only after the last line.
+
+use std::fmt::Write as _;
+
+use panoscope_formats::fields::{CsvFields, csv_cell};
+
+/// Lines with named cells. Columns stand in the order in which they first appear.
+#[derive(Debug, Default)]
+pub struct TableFile {
+    columns: Vec<String>,
+    /// Cells of each line by the index of their column.
+    lines: Vec<Vec<(usize, String)>>,
+}
+
+impl TableFile {
+    /// Adds a line.
+    pub fn push(&mut self, line: CsvFields) {
+        let mut cells: Vec<(usize, String)> = Vec::with_capacity(line.cells.len());
+        for (name, cell) in line.cells {
+            // A table may have two columns of one name.
+            let mut number = 1;
+            let column = loop {
+                let name = if number == 1 { name.clone() } else { format!("{name}_{number}") };
+                let column = self.columns.iter().position(|column| *column == name).unwrap_or_else(|| {
+                    self.columns.push(name);
+                    self.columns.len() - 1
+                });
+                if cells.iter().all(|(used, _)| *used != column) {
+                    break column;
+                }
+                number += 1;
+            };
+            cells.push((column, cell));
+        }
+        self.lines.push(cells);
+    }
+
+    /// Number of lines below the names of the columns.
+    pub fn len(&self) -> usize {
+        self.lines.len()
+    }
+
+    /// The file.
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        let names: Vec<String> = self.columns.iter().map(|name| csv_cell(name)).collect();
+        let _ = writeln!(out, "{}", names.join(","));
+        let mut row = vec![""; self.columns.len()];
+        for line in &self.lines {
+            row.fill("");
+            line.iter().for_each(|(column, cell)| row[*column] = cell);
+            let _ = writeln!(out, "{}", row.join(","));
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(cells: &[(&str, &str)]) -> CsvFields {
+        CsvFields {
+            prefix: String::new(),
+            cells: cells.iter().map(|(n, c)| ((*n).to_owned(), (*c).to_owned())).collect(),
+        }
+    }
+
+    #[test]
+    fn columns_are_those_of_all_lines() {
+        let mut file = TableFile::default();
+        file.push(line(&[("tick", "0"), ("x_mm", "1.5")]));
+        file.push(line(&[("tick", "1"), ("a,b", "2"), ("x_mm", "3"), ("x_mm", "4")]));
+        assert_eq!(file.text(), "tick,x_mm,\"a,b\",x_mm_2\n0,1.5,,\n1,3,2,4\n");
+        assert_eq!(file.len(), 2);
+    }
+}

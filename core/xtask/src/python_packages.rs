@@ -1,0 +1,75 @@
+//! Packages of Python for the tests, beside the build and not in the user's Python.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use crate::packages::Purpose;
+use crate::process;
+use crate::setup;
+use crate::workspace::Workspace;
+
+/// Packages that are fetched together.
+pub struct Packages {
+    /// What messages call them.
+    name: &'static str,
+    /// Modules that are there when the packages are.
+    modules: &'static str,
+    requirements: &'static [&'static str],
+    /// Folder below the build's.
+    folder: &'static str,
+}
+
+/// For nodes in Python.
+pub const NUMPY: Packages =
+    Packages { name: "NumPy", modules: "numpy", requirements: &["numpy>=1.24,<3"], folder: "python" };
+
+/// Names the folder of [`READERS`] for the test that uses them.
+pub const READERS_VARIABLE: &str = "PANOSCOPE_READERS";
+
+/// What reads the files that `panoscope export` writes: about 600 MB. foxglove-sdk is of the version of the crate `foxglove`: schemas are compared.
+pub const READERS: Packages = Packages {
+    name: "readers of exported recordings",
+    modules: "foxglove, mcap, mcap_protobuf, numpy, PIL, rerun",
+    requirements: &[
+        "foxglove-sdk==0.30.3",
+        "mcap==1.6.0",
+        "mcap-protobuf-support==0.6.0",
+        "numpy>=1.24,<3",
+        "pillow",
+        "rerun-sdk==0.41.0",
+    ],
+    folder: "python_readers",
+};
+
+impl Packages {
+    fn are_in(&self, path: Option<&PathBuf>) -> bool {
+        let mut python = Command::new("python3");
+        python.arg("-c").arg(format!("import {}", self.modules)).envs(path.map(|path| ("PYTHONPATH", path)));
+        process::capture(&mut python).is_ok()
+    }
+
+    /// The folder for `PYTHONPATH`; none where Python has the packages by itself, or none can be had: then tests that need them are skipped.
+    pub fn folder(&self, workspace: &Workspace) -> Option<PathBuf> {
+        if self.are_in(None) {
+            return None;
+        }
+        let folder = workspace.target.join(self.folder);
+        if self.are_in(Some(&folder)) {
+            return Some(folder);
+        }
+        println!("Fetching {} with pip", self.name);
+        let install = || {
+            let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--upgrade", "--target"];
+            process::capture(Command::new("python3").args(pip).arg(&folder).args(self.requirements))
+        };
+        let installed =
+            install().or_else(|error| setup::ensure(&[Purpose::Wheels]).map_err(|_| error).and_then(|_| install()));
+        match installed {
+            Ok(_) => Some(folder),
+            Err(error) => {
+                println!("{} were not fetched: {error:#}", self.name);
+                None
+            }
+        }
+    }
+}
