@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::score::Find;
+use panoscope_imaging::detect::Find;
 use super::truth::{Truth, normal_name, read_found};
 use crate::error::{Context, Result, bail};
 use crate::inputs::{Folder, quoted};

@@ -1,7 +1,7 @@
 //! A model judged on a case.
 
 use super::find::Node;
-use super::score::{Find, Scores};
+use panoscope_imaging::detect::{Find, Scores};
 use super::truth::Truth;
 
 /// A model judged on a case.

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::find::Node;
 use super::judged::JudgeInputs;
 use super::picture::confusion;
-use super::score::{Scores, Shape};
+use panoscope_imaging::detect::{ClassScore, Scores, Shape};
 use super::truth::Truth;
 
 fn row(out: &mut String, cells: &[String]) {
@@ -103,7 +103,7 @@ fn precision(out: &mut String, title: &str, list: &[(&JudgeInputs, &str, &Scores
         for (j, _, s) in list {
             let c = number_of(&j.truth, name).and_then(|class| s.classes.get(class));
             cells.push(percent(c.map_or(f64::NAN, |c| c.ap[0])));
-            cells.push(percent(c.map_or(f64::NAN, super::score::ClassScore::mean_ap)));
+            cells.push(percent(c.map_or(f64::NAN, ClassScore::mean_ap)));
         }
         row(out, &cells);
     }
@@ -142,7 +142,7 @@ pub fn all(judged: &[JudgeInputs]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::score::{ClassScore, Object};
+    use panoscope_imaging::detect::Object;
     use super::super::truth::Picture;
     use super::*;
 

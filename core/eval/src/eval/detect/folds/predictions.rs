@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::super::score::Find;
+use panoscope_imaging::detect::Find;
 use super::super::truth::{Truth, normal_name};
 use super::file::Folds;
 use crate::error::{Context, FileAction, OnFile, Result, bail, ensure};

@@ -7,7 +7,7 @@
 
 use panoscope_base::random::SplitMix64;
 
-use super::super::score::Ranking;
+use panoscope_imaging::detect::Ranking;
 use super::super::truth::Picture;
 use super::file::Folds;
 use crate::error::{Context, Result};
