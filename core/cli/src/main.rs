@@ -51,8 +51,10 @@ enum Command {
     Replay(commands::replay::Arguments),
     /// Says where two recorded runs differ first, and by how much.
     Compare(commands::compare::Arguments),
-    /// Runs a graph once for each value of a parameter and shows what becomes of a measure.
+    /// Runs a graph once for each value of parameters and shows what becomes of measures.
     Sweep(commands::sweep::Arguments),
+    /// Compares runs of sweeps on one HTML page.
+    Report(commands::report::Arguments),
     /// Finds gains of the arm's PID on the simulated arm: relay feedback, rules, a search; responses of P, PI and PID.
     Tune(commands::tune::Arguments),
     /// Runs a graph for minutes and says whether its memory grows.
@@ -155,6 +157,7 @@ fn main() {
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),
         Command::Sweep(arguments) => commands::sweep::run(&arguments),
+        Command::Report(arguments) => commands::report::run(&arguments),
         Command::Tune(arguments) => commands::tune::run(&arguments),
         Command::Soak(arguments) => commands::soak::run(&arguments),
         Command::Check(arguments) => commands::check::run(&arguments),

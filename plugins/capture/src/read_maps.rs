@@ -2,7 +2,7 @@
 
 use panoscope_imaging::stereo::FloatImage;
 use panoscope_node::{
-    AnyImage, Choice, Context, Depth, Disparity, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot,
+    AnyImage, Choice, Context, Depth, Disparity, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, error,
 };
 use panoscope_truth::maps;
 
@@ -20,7 +20,7 @@ pub enum Holds {
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture of the source, such as `left` of `capture`. The map with its number is read; its pixels are not used.
+    /// Picture of the source, such as `left` of `capture`. The map with its number is read, and must have its size.
     image: AnyImage<'f>,
 }
 
@@ -78,7 +78,7 @@ impl Node for ReadMaps {
         Ok(Self { series: series.map_err(|error| NodeError::new(error.to_string()))?, known: None })
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, _: In<'f>, mut out: Out<'f>, params: &ReadMapsParams) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &ReadMapsParams) -> Result<()> {
         let Some((index, file)) = self.series.of_tick(cx, params.r#loop) else { return Ok(()) };
         let given = params.divisor;
         if self.known.as_ref().is_none_or(|(known, divisor, _)| (*known, *divisor) != (index, given)) {
@@ -88,6 +88,15 @@ impl Node for ReadMaps {
             self.known = Some((index, given, map.divided(if given > 0.0 { given } else { usual })));
         }
         let Some((_, _, map)) = &self.known else { return Ok(()) };
+        let (width, height) = (input.image.width(), input.image.height());
+        if (map.width, map.height) != (width, height) {
+            return Err(error!(
+                "{} is {}x{}, its picture {width}x{height}: give maps of the pictures' size",
+                file.display(),
+                map.width,
+                map.height
+            ));
+        }
         match params.holds {
             Holds::Disparity => {
                 if out.disparity.is_read() {

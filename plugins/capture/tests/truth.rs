@@ -71,6 +71,8 @@ fn kitti_files_are_divided_and_wrong_ones_named() -> TestResult {
     assert!(none.contains("no map matches") && none.contains("1 maps, 000000_10.png among them"), "{none}");
     fs::write(folder.0.join("cut.pfm"), b"Pf\n2 1\n-1\n1234").expect("written");
     let mut node = maps(&folder, r#"path = "cut.pfm""#)?;
+    let other = maps(&folder, r#"path = "000000_10.png""#)?.input_image::<Gray8>("image", 1, 2, &[0; 2]).process();
+    assert!(other.is_err_and(|error| error.to_string().contains("2x1, its picture 1x2")));
     let error = node.input_image::<Gray8>("image", 2, 1, &[0; 2]).process().err().map(|e| e.to_string());
     assert!(error.as_ref().is_some_and(|e| e.contains("cut.pfm") && e.contains("8 expected")), "{error:?}");
     Ok(())
