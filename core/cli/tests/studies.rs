@@ -26,7 +26,8 @@ fn run(arguments: &[&str]) -> (i32, String, String) {
 
 /// Random gray values in blocks of 2 x 2 px.
 fn texture(x: usize, y: usize) -> u8 {
-    let mut hash = ((x / 2) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ ((y / 2) as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
+    let mut hash =
+        ((x / 2) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ ((y / 2) as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
     hash = (hash ^ (hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     40 + (hash >> 56) as u8 / 2
 }
@@ -85,8 +86,21 @@ fn matchers_and_parameters_are_compared_against_truth_in_files() {
     let folder = data_set("grid");
     let (graph, out, html) = (text(&folder.join("judged.toml")), folder.join("study"), folder.join("report.html"));
     let sweep = [
-        "sweep", &graph, "--param", "match.type=stereo_bm,stereo_sgbm", "--param", "match.search_px=32,64", "--measure",
-        "evaluate.bad2_pct", "--measure", "evaluate.table.coverage_pct", "--measure", "match.count", "--jobs", "2", "--out",
+        "sweep",
+        &graph,
+        "--param",
+        "match.type=stereo_bm,stereo_sgbm",
+        "--param",
+        "match.search_px=32,64",
+        "--measure",
+        "evaluate.bad2_pct",
+        "--measure",
+        "evaluate.table.coverage_pct",
+        "--measure",
+        "match.count",
+        "--jobs",
+        "2",
+        "--out",
     ];
     let (code, said, told) = run(&[&sweep[..], &[&text(&out)]].concat());
     assert_eq!(code, 0, "{said}{told}");
@@ -130,7 +144,8 @@ fn random_runs_repeat_with_their_seed_and_mistakes_are_named() {
     let folder = data_set("random");
     let graph = text(&folder.join("judged.toml"));
     let measure = ["--measure", "evaluate.bad2_pct"];
-    let random = ["sweep", &graph, "--param", "match.block_px=3..15", "--param", "match.search_px=64..96", "--random", "3"];
+    let random =
+        ["sweep", &graph, "--param", "match.block_px=3..15", "--param", "match.search_px=64..96", "--random", "3"];
     let table = |seed: &str| {
         let (code, said, told) = run(&[&random[..], &measure, &["--seed", seed]].concat());
         assert_eq!(code, 0, "{said}{told}");
@@ -139,6 +154,10 @@ fn random_runs_repeat_with_their_seed_and_mistakes_are_named() {
     let first = table("5");
     assert_eq!(first, table("5"));
     assert_ne!(first, table("6"));
+    // A search makes all its runs.
+    let search = ["sweep", &graph, "--param", "match.min_disparity_px=-200..200", "--search", "12", "--frames", "1"];
+    let (code, said, told) = run(&[&search[..], &measure].concat());
+    assert!(code == 0 && said.contains("done: 12 of 12 values measured"), "{said}{told}");
     let refused = |param: &[&str]| {
         let (code, _, told) = run(&[&["sweep", &graph], param, &measure].concat());
         assert_eq!(code, 2, "{told}");

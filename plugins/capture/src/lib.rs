@@ -9,9 +9,9 @@ mod pairing;
 mod position;
 pub mod read_labels;
 pub mod read_maps;
+mod series;
 pub mod settings;
 pub mod source;
-mod series;
 mod timing;
 mod views;
 

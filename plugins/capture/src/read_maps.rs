@@ -78,7 +78,13 @@ impl Node for ReadMaps {
         Ok(Self { series: series.map_err(|error| NodeError::new(error.to_string()))?, known: None })
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &ReadMapsParams) -> Result<()> {
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &ReadMapsParams,
+    ) -> Result<()> {
         let Some((index, file)) = self.series.of_tick(cx, params.r#loop) else { return Ok(()) };
         let given = params.divisor;
         if self.known.as_ref().is_none_or(|(known, divisor, _)| (*known, *divisor) != (index, given)) {

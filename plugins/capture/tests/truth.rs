@@ -42,8 +42,8 @@ fn the_map_of_a_picture_has_its_number() -> TestResult {
         let out = node.input_image::<Gray8>("image", 2, 1, &[0; 2]).process()?;
         assert!(out.is_empty("disparity")?);
     }
-    let warnings = node.log().iter().filter(|line| line.level == Level::Warn && line.message.contains("3 files"));
-    assert_eq!(warnings.count(), 1, "{:?}", node.log());
+    let warnings = node.logs().iter().filter(|line| line.level == Level::Warn && line.message.contains("3 files"));
+    assert_eq!(warnings.count(), 1, "{:?}", node.logs());
     // A picture that was dropped takes its map with it; `loop` starts again.
     let mut node = maps(&folder, r#"path = "d_*.pfm", loop = true, holds = "depth", divisor = 2.0"#)?;
     for expected in [0.5, 1.0, 5.0, 0.5] {

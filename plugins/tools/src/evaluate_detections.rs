@@ -2,9 +2,7 @@
 
 use panoscope_imaging::detect::{Find, Object, Tally, normal_name};
 use panoscope_node::abi::Scalar;
-use panoscope_node::{
-    Context, Detections, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Validation,
-};
+use panoscope_node::{Context, Detections, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Validation};
 
 /// Inputs.
 #[derive(Ports)]

@@ -33,7 +33,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<End> {
     let options = Options {
         folders: arguments.folders.clone(),
-        statistic: Statistic::ALL.into_iter().find(|s| s.name() == arguments.statistic).unwrap_or(Statistic::Mean),
+        statistic: Statistic::named(&arguments.statistic).unwrap_or(Statistic::Mean),
         larger: arguments.larger.clone(),
         smaller: arguments.smaller.clone(),
     };

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use panoscope_eval::plot;
 use panoscope_eval::EvalError;
+use panoscope_eval::plot;
+use panoscope_eval::report::is_larger_better;
 use panoscope_eval::sweep::{
-    self, AxisRequest, AxisValues, Plan, Point, Request, RunResult, Study, StudyFolder, StudyRequest, Sweep, SweepError,
+    self, AxisRequest, AxisValues, Plan, Point, Request, RunResult, Statistic, Study, StudyFolder, StudyRequest, Sweep,
+    SweepError,
 };
 use panoscope_graph::{Diagnostics, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
@@ -42,9 +44,18 @@ pub struct Arguments {
     /// Makes so many runs with values drawn at random, instead of all combinations.
     #[arg(long, value_name = "RUNS")]
     random: Option<usize>,
-    /// Seed of --random: the same seed draws the same values.
-    #[arg(long, default_value_t = 1, requires = "random")]
+    /// Makes so many runs, each with values for which earlier runs promise a better first measure (tree-structured Parzen estimator).
+    #[arg(long, value_name = "RUNS", conflicts_with = "random")]
+    search: Option<usize>,
+    /// Seed of --random and --search: the same seed gives the same values; of a search, one run at a time.
+    #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Statistic of the first measure that --search improves. Of measures that count since the start (ap50_pct, ...) take `last`.
+    #[arg(long, default_value = "mean", value_parser = clap::builder::PossibleValuesParser::new(Statistic::ALL.map(Statistic::name)))]
+    statistic: String,
+    /// More of the first measure is better in --search. Known by their names: see `panoscope report --help`.
+    #[arg(long)]
+    maximize: bool,
     /// Runs at a time. They share the machine: measure times with 1.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: u16,
@@ -87,7 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
 impl Arguments {
     /// Options that only a study has.
     fn is_study(&self) -> bool {
-        self.random.is_some() || self.jobs > 1 || self.out.is_some()
+        self.random.is_some() || self.search.is_some() || self.jobs > 1 || self.out.is_some()
     }
 }
 
@@ -283,7 +294,17 @@ fn prepare_study(arguments: &Arguments) -> Result<Study, Refusal> {
         axis.param = text.resolve_param(&axis.param);
         axes.push(axis);
     }
-    let plan = arguments.random.map_or(Plan::Grid, |runs| Plan::Random { runs, seed: arguments.seed });
+    let seed = arguments.seed;
+    let plan = match (arguments.random, arguments.search) {
+        (Some(runs), _) => Plan::Random { runs, seed },
+        (None, Some(runs)) => Plan::Search {
+            runs,
+            seed,
+            statistic: Statistic::named(&arguments.statistic).unwrap_or(Statistic::Mean),
+            is_larger_better: arguments.maximize || arguments.measure.first().is_some_and(|m| is_larger_better(m)),
+        },
+        (None, None) => Plan::Grid,
+    };
     let request = StudyRequest {
         path: arguments.graph.clone(),
         text: flat,

@@ -5,49 +5,20 @@ mod page;
 use std::path::{Path, PathBuf};
 
 use crate::error::{EvalError, FileAction, OnFile, Result};
-use crate::sweep::{RESULTS, RunFile, RunMeasure};
+use crate::sweep::{RESULTS, RunFile};
+
+pub use crate::sweep::Statistic;
 
 pub use page::page;
-
-/// Statistic of a measure that is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Statistic {
-    /// Mean over the run.
-    Mean,
-    /// Median.
-    Median,
-    /// The smallest.
-    Min,
-    /// The largest.
-    Max,
-    /// The last one, of measures that count since the start.
-    Last,
-}
-
-impl Statistic {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::Mean, Self::Median, Self::Min, Self::Max, Self::Last];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mean => "mean",
-            Self::Median => "median",
-            Self::Min => "min",
-            Self::Max => "max",
-            Self::Last => "last",
-        }
-    }
-
-    /// The number; `None` where it is unknown.
-    pub fn of(self, measure: &RunMeasure) -> Option<f64> {
-        measure.columns().into_iter().find(|(name, _)| *name == self.name()).and_then(|(_, value)| value)
-    }
-}
 
 /// Parts of the names of measures of which more is better.
 pub const LARGER_IS_BETTER: [&str; 9] =
     ["ap50", "precision", "recall", "coverage", "inliers", "density", "confidence", "fps", "_hz"];
+
+/// Whether more of a measure is better, by its name.
+pub fn is_larger_better(measure: &str) -> bool {
+    LARGER_IS_BETTER.iter().any(|part| measure.contains(part))
+}
 
 /// Options of [`compare`].
 #[derive(Clone, Debug)]
@@ -66,8 +37,7 @@ impl Options {
     /// Whether more of a measure is better.
     pub fn is_larger_better(&self, measure: &str) -> bool {
         let is_named = |list: &[String]| list.iter().any(|name| name == measure);
-        let by_name = LARGER_IS_BETTER.iter().any(|part| measure.contains(part));
-        is_named(&self.larger) || (by_name && !is_named(&self.smaller))
+        is_named(&self.larger) || (is_larger_better(measure) && !is_named(&self.smaller))
     }
 }
 

@@ -111,7 +111,8 @@ fn plots(out: &mut String, comparison: &Comparison, options: &Options) {
             if points.is_empty() {
                 continue;
             }
-            let (low, high) = points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p.1), h.max(p.1)));
+            let (low, high) =
+                points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p.1), h.max(p.1)));
             let title = format!("{measure} over {name}");
             let mut plot =
                 Plot::new(&title, PLOT, Axis::around(*first, *last), Axis::around(low, high), &label, measure);

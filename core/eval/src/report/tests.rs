@@ -5,10 +5,11 @@ use panoscope_engine::Machine;
 use panoscope_record::FileHash;
 
 use super::*;
-use crate::sweep::RunParam;
+use crate::sweep::{RunMeasure, RunParam};
 
 fn file(run: usize, params: &[(&str, &str, f64, bool)], measures: &[(&str, Option<f64>)]) -> RunFile {
-    let hash = |name: &str| FileHash { name: name.into(), file: name.into(), bytes: 1, xxh3: "0123456789abcdef".into() };
+    let hash =
+        |name: &str| FileHash { name: name.into(), file: name.into(), bytes: 1, xxh3: "0123456789abcdef".into() };
     let param = |&(name, value, at, is_word): &(&str, &str, f64, bool)| RunParam {
         name: name.into(),
         value: value.into(),

@@ -91,7 +91,14 @@ impl Axis {
         let numbers: Option<Vec<f64>> = list.iter().map(|v| v.parse().ok().filter(|v: &f64| v.is_finite())).collect();
         let at = |index: usize| numbers.as_ref().map_or(index as f64, |numbers| numbers[index]);
         let values = list.iter().enumerate().map(|(index, value)| (value.clone(), at(index))).collect();
-        Self { param: param.to_owned(), unit: unit.to_owned(), has_words: numbers.is_none(), values, range: None, is_type: false }
+        Self {
+            param: param.to_owned(),
+            unit: unit.to_owned(),
+            has_words: numbers.is_none(),
+            values,
+            range: None,
+            is_type: false,
+        }
     }
 
     /// The values of a range of a parameter. With `is_random` all that are allowed, or both ends.
@@ -126,14 +133,18 @@ impl Axis {
         match self.range {
             Some((from, to)) => {
                 let part = (random.bits() >> 11) as f64 / (1u64 << 53) as f64;
-                // Digits that a person would write.
-                let digits = 10f64.powi(5 - (to - from).abs().log10().floor() as i32);
-                let value = ((from + (to - from) * part) * digits).round() / digits;
-                let value = value.clamp(from.min(to), from.max(to));
-                (format!("{value:?}"), value)
+                self.number(from + (to - from) * part)
             }
             None => self.values[random.below(self.values.len())].clone(),
         }
+    }
+
+    /// A number of the range, with digits that a person would write.
+    pub(super) fn number(&self, value: f64) -> AxisValue {
+        let (from, to) = self.range.unwrap_or((value, value + 1.0));
+        let digits = 10f64.powi(5 - (to - from).abs().log10().floor() as i32);
+        let value = ((value * digits).round() / digits).clamp(from.min(to), from.max(to));
+        (format!("{value:?}"), value)
     }
 }
 

@@ -31,9 +31,7 @@ pub(super) fn needed(graph: &Graph, nodes: &[usize]) -> Vec<bool> {
 pub(super) fn refuse_acting(graph: &Graph, catalog: &Catalog, kept: &[bool], measure: &str) -> Result<(), SweepError> {
     let acts = |n: &usize| kept[*n] && graph.nodes[*n].node_type(catalog).side_effects;
     match (0..graph.nodes.len()).find(acts) {
-        Some(acting) => {
-            Err(SweepError::Acts { measure: measure.to_owned(), node: graph.nodes[acting].id.clone() })
-        }
+        Some(acting) => Err(SweepError::Acts { measure: measure.to_owned(), node: graph.nodes[acting].id.clone() }),
         None => Ok(()),
     }
 }

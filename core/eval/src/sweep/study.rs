@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, Mutex, mpsc};
 use std::time::Instant;
 
 use panoscope_base::random::SplitMix64;
+use panoscope_engine::sync::lock;
 use panoscope_graph::{Catalog, Graph, GraphText, check};
 use panoscope_loader::Loader;
 use panoscope_record::{Head, Recording};
@@ -15,6 +16,8 @@ use super::axis::{Axis, AxisRequest, AxisValue, AxisValues, TYPE};
 use super::error::{PointError, SweepError};
 use super::measure::{Measure, NoSummary, Summary};
 use super::part;
+use super::search::Search;
+use super::study_files::{RunMeasure, Statistic};
 use super::trial::Trial;
 
 /// Most runs of a study.
@@ -31,6 +34,17 @@ pub enum Plan {
         runs: usize,
         /// The same seed draws the same values.
         seed: u64,
+    },
+    /// So many, each where earlier ones show that the first measure gets better.
+    Search {
+        /// Number of runs.
+        runs: usize,
+        /// The same seed finds the same values, one run at a time.
+        seed: u64,
+        /// Statistic of the first measure.
+        statistic: Statistic,
+        /// More of it is better.
+        is_larger_better: bool,
     },
 }
 
@@ -95,7 +109,13 @@ pub struct Study {
     pub(super) loader: Arc<Loader>,
     pub(super) axes: Vec<Axis>,
     pub(super) variants: Vec<Variant>,
-    runs: Vec<Vec<AxisValue>>,
+    runs: Runs,
+}
+
+/// The values of each run.
+enum Runs {
+    Known(Vec<Vec<AxisValue>>),
+    Searched { count: usize, search: Box<Mutex<Search>> },
 }
 
 fn bad_param(param: &str, reason: impl Into<String>) -> SweepError {
@@ -131,7 +151,8 @@ impl StudyRequest {
                 let found = catalog.find(name);
                 let [at] = found[..] else {
                     let plugins = catalog.offering(name);
-                    let where_from = if plugins.is_empty() { String::new() } else { format!(" ({})", plugins.join(", ")) };
+                    let where_from =
+                        if plugins.is_empty() { String::new() } else { format!(" ({})", plugins.join(", ")) };
                     let reason = format!(
                         "there is no node type `{name}`{where_from} among those of the graph's `plugins`: add its plugin there"
                     );
@@ -224,8 +245,7 @@ impl Study {
         let mut type_axes: Vec<(&str, &Vec<String>)> = Vec::new();
         for axis in &request.axes {
             let (id, name) = split(&axis.param)?;
-            let node =
-                whole.graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(&whole.graph, id)))?;
+            let node = whole.graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(&whole.graph, id)))?;
             if name == TYPE && whole.graph.nodes[node].node_type(&whole.catalog).param(TYPE).is_none() {
                 let AxisValues::List(types) = &axis.values else {
                     return Err(bad_param(&axis.param, "name the types: NODE.type=TYPE,TYPE"));
@@ -235,7 +255,7 @@ impl Study {
         }
         let lists: Vec<Vec<(&str, &str)>> =
             type_axes.iter().map(|(id, types)| types.iter().map(|name| (*id, name.as_str())).collect()).collect();
-        let is_random = matches!(request.plan, Plan::Random { .. });
+        let is_random = request.plan != Plan::Grid;
         let mut variants = Vec::new();
         let mut axes: Vec<Axis> = Vec::new();
         for types in combinations(&lists) {
@@ -257,14 +277,19 @@ impl Study {
                     return Err(bad_param("--param", reason));
                 }
                 let lists: Vec<Vec<AxisValue>> = axes.iter().map(|axis| axis.values.clone()).collect();
-                combinations(&lists)
+                Runs::Known(combinations(&lists))
+            }
+            Plan::Random { runs, .. } | Plan::Search { runs, .. } if !(1..=MOST_RUNS).contains(&runs) => {
+                return Err(bad_param("--random, --search", format!("from 1 to {MOST_RUNS} runs can be made")));
             }
             Plan::Random { runs, seed } => {
-                if !(1..=MOST_RUNS).contains(&runs) {
-                    return Err(bad_param("--random", format!("from 1 to {MOST_RUNS} runs can be made")));
-                }
                 let mut random = SplitMix64(seed);
-                (0..runs).map(|_| axes.iter().map(|axis| axis.draw(&mut random)).collect()).collect()
+                Runs::Known((0..runs).map(|_| axes.iter().map(|axis| axis.draw(&mut random)).collect()).collect())
+            }
+            Plan::Search { runs, seed, .. } => {
+                let search =
+                    Search::new(&axes, seed).ok_or_else(|| bad_param("--search", "a parameter has one value only"))?;
+                Runs::Searched { count: runs, search: Box::new(Mutex::new(search)) }
             }
         };
         drop(type_axes);
@@ -273,12 +298,15 @@ impl Study {
 
     /// Number of runs.
     pub fn len(&self) -> usize {
-        self.runs.len()
+        match &self.runs {
+            Runs::Known(runs) => runs.len(),
+            Runs::Searched { count, .. } => *count,
+        }
     }
 
     /// Whether there is nothing to run, which never happens.
     pub fn is_empty(&self) -> bool {
-        self.runs.is_empty()
+        self.len() == 0
     }
 
     /// What is varied.
@@ -310,7 +338,10 @@ impl Study {
     }
 
     fn one(&self, number: usize, cancelled: &dyn Fn() -> bool) -> Result<RunResult, SweepError> {
-        let values = self.runs[number].clone();
+        let values = match &self.runs {
+            Runs::Known(runs) => runs[number].clone(),
+            Runs::Searched { search, .. } => lock(search).ask(&self.axes, number),
+        };
         let (variant, own) = self.of_run(&values);
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let jobs = self.request.jobs.max(1);
@@ -345,6 +376,12 @@ impl Study {
                 vec![Err(PointError { reason }); self.request.measures.len()]
             }
         };
+        if let (Runs::Searched { search, .. }, Plan::Search { statistic, is_larger_better, .. }) =
+            (&self.runs, self.request.plan)
+        {
+            let first = statistic.of(&RunMeasure::of("", &results[0]));
+            lock(search).tell(number, first.map(|value| if is_larger_better { -value } else { value }));
+        }
         Ok(RunResult { number: number + 1, values, results, seconds: start.elapsed().as_secs_f64() })
     }
 

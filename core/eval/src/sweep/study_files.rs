@@ -61,7 +61,7 @@ pub struct RunMeasure {
 }
 
 impl RunMeasure {
-    fn of(name: &str, result: &Result<Summary, PointError>) -> Self {
+    pub(super) fn of(name: &str, result: &Result<Summary, PointError>) -> Self {
         let of = |value: fn(&Summary) -> f64| result.as_ref().ok().map(value).filter(|v| v.is_finite());
         Self {
             name: name.to_owned(),
@@ -87,6 +87,47 @@ impl RunMeasure {
             ("deviation", self.deviation),
             ("last", self.last),
         ]
+    }
+}
+
+/// Statistic of a measure that runs are compared by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Statistic {
+    /// Mean over the run.
+    Mean,
+    /// Median.
+    Median,
+    /// The smallest.
+    Min,
+    /// The largest.
+    Max,
+    /// The last one, of measures that count since the start.
+    Last,
+}
+
+impl Statistic {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Mean, Self::Median, Self::Min, Self::Max, Self::Last];
+
+    /// The one with a name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|statistic| statistic.name() == name)
+    }
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mean => "mean",
+            Self::Median => "median",
+            Self::Min => "min",
+            Self::Max => "max",
+            Self::Last => "last",
+        }
+    }
+
+    /// The number; `None` where it is unknown.
+    pub fn of(self, measure: &RunMeasure) -> Option<f64> {
+        measure.columns().into_iter().find(|(name, _)| *name == self.name()).and_then(|(_, value)| value)
     }
 }
 
@@ -171,7 +212,10 @@ impl StudyFolder {
         variant.settings.iter().chain(&own).for_each(|setting| parsed.set(setting));
         let settled = parsed.settled(&study.loader.catalog_of(&parsed));
         let settled = settled.with_context(|| format!("the graph of run {} cannot be written", result.number))?;
-        let note = format!("# Run {} of a study. Relative paths start from the folder of {}\n", result.number, head.graph_path);
+        let note = format!(
+            "# Run {} of a study. Relative paths start from the folder of {}\n",
+            result.number, head.graph_path
+        );
         let graph = folder.join(GRAPH);
         fs::write(&graph, note + &settled).on_file(FileAction::Write, &graph)?;
         let params = study.axes.iter().zip(&result.values).map(|(axis, (value, at))| RunParam {

@@ -104,13 +104,17 @@ impl Trial<'_> {
             if listeners.iter().any(|l| l.node == *node && l.output == *port) {
                 continue;
             }
-            let of_port: Vec<_> = self.measures.iter().enumerate().filter_map(|(index, other)| match other {
-                Measure::Port { node: n, port: p, column, rows, .. } if n == node && p == port => {
-                    Some((index, column.clone(), *rows))
-                }
-                _ => None,
-            })
-            .collect();
+            let of_port: Vec<_> = self
+                .measures
+                .iter()
+                .enumerate()
+                .filter_map(|(index, other)| match other {
+                    Measure::Port { node: n, port: p, column, rows, .. } if n == node && p == port => {
+                        Some((index, column.clone(), *rows))
+                    }
+                    _ => None,
+                })
+                .collect();
             let (received, packet) = (Arc::clone(received), packet.clone());
             listeners.push(Listener {
                 node: node.clone(),
@@ -133,11 +137,15 @@ impl Trial<'_> {
             if listeners.iter().any(|l| l.node == *node) {
                 continue;
             }
-            let of_node: Vec<(usize, String)> = self.measures.iter().enumerate().filter_map(|(index, m)| match m {
-                Measure::Number { node: n, name } if n == node => Some((index, name.clone())),
-                _ => None,
-            })
-            .collect();
+            let of_node: Vec<(usize, String)> = self
+                .measures
+                .iter()
+                .enumerate()
+                .filter_map(|(index, m)| match m {
+                    Measure::Number { node: n, name } if n == node => Some((index, name.clone())),
+                    _ => None,
+                })
+                .collect();
             let received = Arc::clone(received);
             let hear = move |tick: &panoscope_abi::Tick, reported: &str, value: f64| {
                 for (index, _) in of_node.iter().filter(|(_, name)| name == reported) {

@@ -7,7 +7,5 @@ mod tally;
 
 pub use mask::Mask;
 pub use names::normal_name;
-pub use score::{
-    ClassScore, Find, Object, Ranking, Scores, Shape, THRESHOLDS, mean, overlap, pairs, score,
-};
+pub use score::{ClassScore, Find, Object, Ranking, Scores, Shape, THRESHOLDS, mean, overlap, pairs, score};
 pub use tally::{Rates, Tally};

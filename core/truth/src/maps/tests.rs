@@ -1,4 +1,6 @@
-use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, SmallVec, WritableImage};
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, SmallVec, WritableImage,
+};
 use tiff::encoder::{TiffEncoder, colortype};
 
 use super::*;
@@ -25,10 +27,8 @@ fn png_of(picture: DynamicImage) -> Vec<u8> {
 }
 
 fn exr_of(channels: &[(&str, &[f32])]) -> Vec<u8> {
-    let list: SmallVec<[AnyChannel<FlatSamples>; 4]> = channels
-        .iter()
-        .map(|(name, values)| AnyChannel::new(*name, FlatSamples::F32(values.to_vec())))
-        .collect();
+    let list: SmallVec<[AnyChannel<FlatSamples>; 4]> =
+        channels.iter().map(|(name, values)| AnyChannel::new(*name, FlatSamples::F32(values.to_vec()))).collect();
     let layer = Layer::new((3, 2), LayerAttributes::default(), Encoding::UNCOMPRESSED, AnyChannels::sort(list));
     let mut bytes = Cursor::new(Vec::new());
     Image::from_layer(layer).write().non_parallel().to_buffered(&mut bytes).expect("written");

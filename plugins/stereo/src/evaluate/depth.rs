@@ -2,9 +2,7 @@
 
 use panoscope_imaging::stereo::MapScorer;
 use panoscope_node::abi::Scalar;
-use panoscope_node::{
-    Context, Depth, Image, Mask, Node, NodeInfo, Open, Ports, Result, Slot, TableData, Validation,
-};
+use panoscope_node::{Context, Depth, Image, Mask, Node, NodeInfo, Open, Ports, Result, Slot, TableData, Validation};
 
 use super::{needs, percent, unknown};
 

@@ -5,8 +5,8 @@ use std::fmt::Write;
 use super::find::Node;
 use super::judged::JudgeInputs;
 use super::picture::confusion;
-use panoscope_imaging::detect::{ClassScore, Scores, Shape};
 use super::truth::Truth;
+use panoscope_imaging::detect::{ClassScore, Scores, Shape};
 
 fn row(out: &mut String, cells: &[String]) {
     let _ = writeln!(out, "| {} |", cells.join(" | "));
@@ -142,9 +142,9 @@ pub fn all(judged: &[JudgeInputs]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use panoscope_imaging::detect::Object;
     use super::super::truth::Picture;
     use super::*;
+    use panoscope_imaging::detect::Object;
 
     /// A case whose classes are numbered as they stand there, one object of each; its AP is 0.1 for `hook`, 0.2 for the others.
     fn case(name: &str, classes: &[&str]) -> JudgeInputs {
