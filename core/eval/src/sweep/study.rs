@@ -219,7 +219,9 @@ impl StudyRequest {
 /// All combinations; the last list changes fastest.
 fn combinations<T: Clone>(lists: &[Vec<T>]) -> Vec<Vec<T>> {
     lists.iter().fold(vec![Vec::new()], |all, list| {
-        all.iter().flat_map(|head| list.iter().map(move |item| [&head[..], &[item.clone()]].concat())).collect()
+        all.iter()
+            .flat_map(|head| list.iter().map(move |item| [&head[..], std::slice::from_ref(item)].concat()))
+            .collect()
     })
 }
 
