@@ -13,7 +13,7 @@ use panoscope_node::{Validation, View};
 /// Reports an evaluated input that nothing is connected to: every tick would count as unknown.
 fn needs(check: &mut Validation<'_>, name: &str) {
     if check.is_connected(name) == Some(false) {
-        check.node_error(&format!("`{name}` is not connected: there is nothing to evaluate"), "connect it");
+        check.node_error(format!("`{name}` is not connected: there is nothing to evaluate"), "connect it");
     }
 }
 
