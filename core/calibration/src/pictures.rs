@@ -66,6 +66,14 @@ pub fn is_pattern(text: &str) -> bool {
 /// # Errors
 /// When no file matches; the message lists what the folder holds instead.
 pub fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, String> {
+    numbered_files(pattern, "image", is_image)
+}
+
+/// As [`image_files`], of the files that `fits` takes; `what` names one of them in messages.
+///
+/// # Errors
+/// When no file matches; the message lists what the folder holds instead.
+pub fn numbered_files(pattern: &Path, what: &str, fits: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>, String> {
     let folder = pattern.parent().unwrap_or(Path::new("."));
     let Some(last) = pattern.file_name().and_then(|n| n.to_str()) else {
         return Err("the pattern names no file".into());
@@ -74,17 +82,16 @@ pub fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, String> {
         fs::read_dir(folder).map_err(|error| format!("the folder {} cannot be read: {error}", folder.display()))?;
     let names: Vec<String> = entries.flatten().filter_map(|e| e.file_name().into_string().ok()).collect();
     let by_counter = counter(last).is_some();
-    let fits = |name: &&String| {
-        let path = Path::new(name);
-        is_image(path)
+    let matches = |name: &&String| {
+        fits(Path::new(name))
             && if by_counter { matches_counter(last, name) } else { matches_glob(last.as_bytes(), name.as_bytes()) }
     };
-    let mut found: Vec<&String> = names.iter().filter(fits).collect();
+    let mut found: Vec<&String> = names.iter().filter(matches).collect();
     if found.is_empty() {
-        let images = names.iter().filter(|n| is_image(Path::new(n))).count();
-        return Err(match names.iter().find(|n| is_image(Path::new(n))) {
-            Some(one) => format!("the folder holds {images} images, {one} among them"),
-            None => format!("the folder holds {} files and no image", names.len()),
+        let others = names.iter().filter(|n| fits(Path::new(n))).count();
+        return Err(match names.iter().find(|n| fits(Path::new(n))) {
+            Some(one) => format!("the folder holds {others} {what}s, {one} among them"),
+            None => format!("the folder holds {} files and no {what}", names.len()),
         });
     }
     found.sort_by_cached_key(|name| {

@@ -53,8 +53,10 @@ enum Command {
     Compare(commands::compare::Arguments),
     /// Writes what a recording holds as files of other programs: a folder of pictures and tables, Foxglove, rerun.
     Export(commands::export::Arguments),
-    /// Runs a graph once for each value of a parameter and shows what becomes of a measure.
+    /// Runs a graph once for each value of parameters and shows what becomes of measures.
     Sweep(commands::sweep::Arguments),
+    /// Compares runs of sweeps on one HTML page.
+    Report(commands::report::Arguments),
     /// Finds gains of the arm's PID on the simulated arm: relay feedback, rules, a search; responses of P, PI and PID.
     Tune(commands::tune::Arguments),
     /// Runs a graph for minutes and says whether its memory grows.
@@ -158,6 +160,7 @@ fn main() {
         Command::Compare(arguments) => commands::compare::run(&arguments),
         Command::Export(arguments) => commands::export::run(&arguments),
         Command::Sweep(arguments) => commands::sweep::run(&arguments),
+        Command::Report(arguments) => commands::report::run(&arguments),
         Command::Tune(arguments) => commands::tune::run(&arguments),
         Command::Soak(arguments) => commands::soak::run(&arguments),
         Command::Check(arguments) => commands::check::run(&arguments),

@@ -162,6 +162,12 @@ pub enum EvalError {
     /// A text describes no calibration board.
     #[error(transparent)]
     Board(#[from] panoscope_calibration::BoardError),
+    /// A text of boxes cannot be read.
+    #[error(transparent)]
+    Labels(#[from] panoscope_truth::labels::LabelError),
+    /// A map of true disparity or depth cannot be read.
+    #[error(transparent)]
+    Map(#[from] panoscope_truth::maps::MapError),
     /// An arm's description cannot be used.
     #[error(transparent)]
     Arm(#[from] panoscope_arm_core::ArmError),

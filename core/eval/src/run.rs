@@ -87,7 +87,7 @@ pub fn run_and_listen(
         paced: plan.pace == Pace::Camera,
         ticks_at_once: (plan.pace == Pace::Alone).then_some(1),
         listen,
-        numbers,
+        numbers: numbers.into_iter().collect(),
         graph_dir: plan.path.parent().unwrap_or(Path::new("")).to_owned(),
         process_allocations: counters.process,
         thread_allocations: counters.thread,

@@ -11,6 +11,7 @@ mod simd;
 pub use panoscope_base::{Parallel, Rect, Report, Serial, Silent, Simd, View, ViewMut};
 pub use shared_mut::SharedMut;
 
+pub mod detect;
 pub mod draw;
 pub mod features;
 pub mod geometry;

@@ -3,7 +3,7 @@
 mod stereo_common;
 
 use panoscope_imaging::stereo::formats::{read_npy, read_pfm, write_npy, write_pfm};
-use panoscope_imaging::stereo::{FloatImage, score_disparity, score_surface};
+use panoscope_imaging::stereo::{FloatImage, MapScorer, score_disparity, score_surface};
 use stereo_common::*;
 
 fn image() -> FloatImage {
@@ -59,13 +59,28 @@ fn scores_count_missing_pixels_as_bad() {
     let score = score_disparity(plane(&found, 3, 2), plane(&truth, 3, 2), None).unwrap();
     assert_eq!(score.pixels, 5);
     assert!((score.density - 0.8).abs() < 1e-12);
-    assert_eq!(score.bad, [0.8, 0.6, 0.4]);
-    assert_eq!(score.bad_of_known, [0.75, 0.5, 0.25]);
+    assert_eq!(score.bad, [0.8, 0.6, 0.4, 0.4]);
+    assert_eq!(score.bad_of_known, [0.75, 0.5, 0.25, 0.25]);
     assert!((score.mean_error_px - 15.0 / 4.0).abs() < 1e-6);
+    assert_eq!(score.p95_error_px, 10.0);
     let mask = [1, 1, 0, 0, 1, 0];
     let score = score_disparity(plane(&found, 3, 2), plane(&truth, 3, 2), Some(gray(&mask, 3, 2))).unwrap();
-    assert_eq!((score.pixels, score.bad), (2, [0.5, 0.0, 0.0]));
+    assert_eq!((score.pixels, score.bad), (2, [0.5, 0.0, 0.0, 0.0]));
     assert!(score_disparity(plane(&found, 2, 3), plane(&truth, 3, 2), None).is_err());
+}
+
+#[test]
+fn depth_is_scored_where_both_are_known() {
+    let truth = [50.0, 50.0, 50.0, 50.0, f32::NAN, 50.0];
+    let found = [50.5, 49.0, 52.0, f32::NAN, 1.0, 60.0];
+    let mut scorer = MapScorer::default();
+    let score = scorer.depth(plane(&found, 3, 2), plane(&truth, 3, 2), None).unwrap();
+    assert_eq!((score.pixels, score.density), (5, 0.8));
+    // Errors are 0.5, 1, 2 and 10: of four values rank 2 is the median, rank 3 the 95th percentile.
+    assert_eq!((score.median_error_mm, score.mean_error_mm, score.p95_error_mm), (2.0, 3.375, 10.0));
+    let score = scorer.depth(plane(&[f32::NAN; 6], 3, 2), plane(&truth, 3, 2), None).unwrap();
+    assert!(score.density == 0.0 && score.mean_error_mm.is_nan() && score.p95_error_mm.is_nan());
+    assert!(scorer.depth(plane(&found, 2, 3), plane(&truth, 3, 2), None).is_err());
 }
 
 #[test]
@@ -73,10 +88,10 @@ fn surface_distance_is_the_nearest_points() {
     let surface: Vec<[f32; 3]> = (0..400).map(|i| [(i % 20) as f32, (i / 20) as f32, 50.0]).collect();
     let measured: Vec<[f32; 3]> = (0..100).map(|i| [(i % 10) as f32 + 3.0, (i / 10) as f32 + 2.0, 50.5]).collect();
     let score = score_surface(&measured, &surface, 2.0).unwrap();
-    assert_eq!(score.points, 100);
+    assert_eq!((score.points, score.within_reach), (100, 1.0));
     assert!((score.median_mm - 0.5).abs() < 1e-6 && (score.p95_mm - 0.5).abs() < 1e-6);
     let far = [[100.0, 0.0, 0.0], [f32::NAN, 0.0, 0.0]];
     let score = score_surface(&far, &surface, 2.0).unwrap();
-    assert_eq!((score.points, score.median_mm), (1, 2.0));
+    assert_eq!((score.points, score.median_mm, score.within_reach), (1, 2.0, 0.0));
     assert!(score_surface(&measured, &[], 2.0).is_err() && score_surface(&measured, &surface, f32::NAN).is_err());
 }

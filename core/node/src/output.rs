@@ -240,6 +240,19 @@ impl<T: Packet> Slot<'_, T> {
     }
 }
 
+impl Slot<'_, abi::Scalar> {
+    /// Makes the output: a number with its name and unit. Longer names and units are cut off, at 32 and 16 bytes.
+    pub fn set_scalar(&mut self, name: &str, value: f64, unit: &str) -> Result<()> {
+        fn padded<const N: usize>(text: &str) -> [u8; N] {
+            let mut out = [0; N];
+            let end = text.floor_char_boundary(N);
+            out[..end].copy_from_slice(&text.as_bytes()[..end]);
+            out
+        }
+        self.set(abi::Scalar { value, name: padded(name), unit: padded(unit) })
+    }
+}
+
 impl Slot<'_, TextPacket> {
     /// Copies `text` into the output.
     pub fn set_text(&mut self, text: &str) -> Result<()> {

@@ -20,7 +20,7 @@ pub struct FileHash {
 }
 
 /// The hash of a file; empty when the file cannot be read.
-pub(crate) fn hash(name: &str, file: &Path) -> FileHash {
+pub fn hash(name: &str, file: &Path) -> FileHash {
     let (xxh3, bytes) = file_hash(file).unwrap_or_default();
     FileHash { name: name.to_owned(), file: file.display().to_string(), bytes, xxh3 }
 }

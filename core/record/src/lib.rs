@@ -22,7 +22,7 @@ mod script;
 
 pub use digest::Digests;
 pub use file::Output;
-pub use file_hash::FileHash;
+pub use file_hash::{FileHash, hash as hash_file};
 pub use format::{Event, Head};
 pub use head::head;
 pub use port_types::{PortTypeError, PortTypes, own_folders};

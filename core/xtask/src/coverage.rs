@@ -132,6 +132,7 @@ const PARSERS: &[(&str, &[Source])] = &[
         &[
             functions("core/imaging/src/stereo/formats.rs", &["area", "read_pfm", "read_npy"]),
             all("core/eval/src/eval/disparity/truth_files.rs"),
+            all("core/truth/src/maps.rs"),
         ],
     ),
     (
@@ -139,13 +140,15 @@ const PARSERS: &[(&str, &[Source])] = &[
         &[
             functions(
                 "core/eval/src/eval/detect/truth/mod.rs",
-                &["normal_name", "class", "size_of", "picture_called", "files", "one_file", "read", "outlined"],
+                &["class", "size_of", "picture_called", "files", "one_file", "read", "outlined"],
             ),
             all("core/eval/src/eval/detect/truth/coco.rs"),
             all("core/eval/src/eval/detect/truth/labelme.rs"),
             all("core/eval/src/eval/detect/truth/via.rs"),
             all("core/eval/src/eval/detect/truth/voc.rs"),
             all("core/eval/src/eval/detect/truth/yolo_text.rs"),
+            all("core/truth/src/labels/voc.rs"),
+            all("core/truth/src/labels/yolo.rs"),
         ],
     ),
     ("arm_line", &[all("core/arm/src/line.rs")]),

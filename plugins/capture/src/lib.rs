@@ -1,4 +1,4 @@
-//! Sources: cameras, video files, images, network streams, pipelines.
+//! Sources: cameras, video files, images, network streams, pipelines; the truth in files that belongs to their pictures.
 
 pub mod capture;
 pub mod crop;
@@ -7,6 +7,9 @@ pub mod devices;
 mod live;
 mod pairing;
 mod position;
+pub mod read_labels;
+pub mod read_maps;
+mod series;
 pub mod settings;
 pub mod source;
 mod timing;
@@ -14,4 +17,4 @@ mod views;
 
 use panoscope_node::export_plugin;
 
-export_plugin![capture::Capture];
+export_plugin![capture::Capture, read_maps::ReadMaps, read_labels::ReadLabels];

@@ -78,9 +78,7 @@ impl Node for Level {
         let gained = |value: f64, known: bool| if known { value * params.gain } else { f64::NAN };
         let mean = gained(sum as f64 / count.max(1) as f64, count > 0);
         cx.metric("level", mean);
-        let (mut name, unit) = ([0; 32], [0; 16]);
-        name[..5].copy_from_slice(b"level");
-        out.level.set(Scalar { value: mean, name, unit })?;
+        out.level.set_scalar("level", mean, "")?;
         let ends = [least, most].map(|v| gained(f64::from(v), count > 0));
         let spots = gained(spots / f64::from(seen.max(1)), seen > 0);
         out.levels.set_table(&["mean", "min", "max", "spots"], &[mean, ends[0], ends[1], spots])

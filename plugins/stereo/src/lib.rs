@@ -1,5 +1,6 @@
-//! Rectification, disparity, depth and measurement (thesis, chapter 3).
+//! Rectification, disparity, depth and measurement (thesis, chapter 3); maps and clouds beside the truth.
 
+mod evaluate;
 mod filter;
 mod matcher;
 mod measure;
@@ -9,6 +10,7 @@ mod shrunk;
 mod stereo_bm;
 mod stereo_sgbm;
 
+pub use evaluate::{EvaluateCloud, EvaluateDepth, EvaluateDisparity};
 pub use filter::{DisparityFbs, DisparityWls};
 pub use measure::Measure;
 pub use rectify::Rectify;
@@ -16,4 +18,15 @@ pub use reproject::Reproject;
 pub use stereo_bm::StereoBm;
 pub use stereo_sgbm::StereoSgbm;
 
-panoscope_node::export_plugin![Rectify, StereoBm, StereoSgbm, DisparityWls, DisparityFbs, Reproject, Measure];
+panoscope_node::export_plugin![
+    Rectify,
+    StereoBm,
+    StereoSgbm,
+    DisparityWls,
+    DisparityFbs,
+    Reproject,
+    Measure,
+    EvaluateDisparity,
+    EvaluateDepth,
+    EvaluateCloud,
+];

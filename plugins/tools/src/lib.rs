@@ -2,9 +2,10 @@
 //!
 //! `yolo` runs a detector, `mask_rcnn` a model that also segments; both read the exports that people have, through ONNX Runtime. `tool_tip`
 //! finds the tip of the instrument in what they found, `tip_track` follows it over time. `skill` measures how skilfully tips are moved, `proximity` how
-//! near they are to tissue and to each other; `evaluate_proximity` judges its warnings.
+//! near they are to tissue and to each other; `evaluate_proximity` judges its warnings, `evaluate_detections` boxes.
 
 pub mod candidates;
+pub mod evaluate_detections;
 pub mod evaluate_proximity;
 pub mod export_kind;
 pub mod finite;
@@ -35,4 +36,5 @@ export_plugin![
     skill::Skill,
     proximity::Proximity,
     evaluate_proximity::EvaluateProximity,
+    evaluate_detections::EvaluateDetections,
 ];

@@ -18,6 +18,7 @@ pub mod lock;
 pub mod new;
 pub mod record;
 pub mod replay;
+pub mod report;
 pub mod run;
 pub mod schema;
 pub mod soak;

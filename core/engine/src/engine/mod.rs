@@ -95,10 +95,10 @@ impl Engine {
         }
         let slots: Vec<usize> = (0..runtimes.len()).collect();
         let plan = plan::lay_out(&graph, catalog, runtimes, slots.clone(), options.ticks_at_once, None);
-        if let Some(numbers) = &options.numbers
-            && let Some(node) = graph.node(&numbers.node)
-        {
-            let _ = plan.runtimes[node].hear_number.set(Arc::clone(&numbers.hear));
+        for numbers in &options.numbers {
+            if let Some(node) = graph.node(&numbers.node) {
+                let _ = plan.runtimes[node].hear_number.set(Arc::clone(&numbers.hear));
+            }
         }
         let listening = listen(&graph, catalog, &plan.runtimes, &options.listen)?;
         let batch = graph.mode == Mode::Batch;

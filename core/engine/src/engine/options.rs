@@ -32,8 +32,8 @@ pub struct Options {
     pub decider: Option<Arc<dyn Decider>>,
     /// Ports whose packets a listener receives, all of them.
     pub listen: Vec<Listener>,
-    /// A node whose metrics a listener receives, each when the node reports it.
-    pub numbers: Option<NumberListener>,
+    /// Nodes whose metrics a listener receives, each when the node reports it; one listener for a node.
+    pub numbers: Vec<NumberListener>,
     /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long.
     pub hang: Duration,
     /// Time limit for opening a node: at the start, in a change and after a fault.
@@ -63,7 +63,7 @@ impl Default for Options {
             observer: None,
             decider: None,
             listen: Vec::new(),
-            numbers: None,
+            numbers: Vec::new(),
             hang: Duration::from_secs(2),
             open_limit: Duration::from_secs(30),
             close_limit: Duration::from_secs(10),

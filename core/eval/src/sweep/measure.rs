@@ -259,6 +259,8 @@ pub struct Summary {
     pub max: f64,
     /// Standard deviation.
     pub deviation: f64,
+    /// The last one, of measures that count since the start.
+    pub last: f64,
 }
 
 impl Summary {
@@ -281,6 +283,7 @@ impl Summary {
             min: sorted.first().copied().unwrap_or(f64::NAN),
             max: sorted.last().copied().unwrap_or(f64::NAN),
             deviation: variance.sqrt(),
+            last: values.last().copied().unwrap_or(f64::NAN),
         }
     }
 }

@@ -1,9 +1,9 @@
 //! The part of a graph that a measure needs.
 
-use panoscope_graph::Graph;
+use panoscope_graph::{Catalog, Graph};
 use toml::{Table, Value};
 
-use super::error::PartError;
+use super::error::{PartError, SweepError};
 
 /// Names in a sentence.
 pub(super) fn list(names: &[&str]) -> String {
@@ -15,16 +15,25 @@ pub(super) fn no_node(graph: &Graph, id: &str) -> String {
     format!("there is no node `{id}`; nodes are {}", list(&ids))
 }
 
-/// Which nodes a node needs: itself, and all that it reads, however far.
-pub(super) fn needed(graph: &Graph, node: usize) -> Vec<bool> {
+/// Which nodes these nodes need: themselves, and all that they read, however far.
+pub(super) fn needed(graph: &Graph, nodes: &[usize]) -> Vec<bool> {
     let mut needed = vec![false; graph.nodes.len()];
-    let mut open = vec![node];
+    let mut open = nodes.to_vec();
     while let Some(node) = open.pop() {
         if !std::mem::replace(&mut needed[node], true) {
             open.extend(graph.inputs_of(node).iter().map(|edge| edge.from_node));
         }
     }
     needed
+}
+
+/// Refuses a part of a graph that acts on the world.
+pub(super) fn refuse_acting(graph: &Graph, catalog: &Catalog, kept: &[bool], measure: &str) -> Result<(), SweepError> {
+    let acts = |n: &usize| kept[*n] && graph.nodes[*n].node_type(catalog).side_effects;
+    match (0..graph.nodes.len()).find(acts) {
+        Some(acting) => Err(SweepError::Acts { measure: measure.to_owned(), node: graph.nodes[acting].id.clone() }),
+        None => Ok(()),
+    }
 }
 
 /// The text of a graph with only these nodes, in batch.

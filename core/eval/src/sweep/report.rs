@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::plot::{Chart, Series, Style};
 use crate::text_table;
 
-fn number(value: f64) -> String {
+pub(super) fn number(value: f64) -> String {
     if value.abs() >= 1000.0 { format!("{value:.0}") } else { format!("{value:.4}") }
 }
 
@@ -24,13 +24,13 @@ pub fn line(sweep: &Sweep, point: &Point) -> String {
 
 /// Points as text, a row per value.
 pub fn table(sweep: &Sweep, points: &[Point]) -> String {
-    let head = [sweep.param(), "mean", "median", "min", "max", "deviation", "count", "missing"];
+    let head = [sweep.param(), "mean", "median", "min", "max", "deviation", "last", "count", "missing"];
     let mut rows = vec![head.map(str::to_owned).to_vec()];
     for point in points {
         let mut cells = vec![point.value.clone()];
         match &point.result {
-            Ok(Summary { count, missing, mean, median, min, max, deviation }) => {
-                cells.extend([mean, median, min, max, deviation].map(|v| number(*v)));
+            Ok(Summary { count, missing, mean, median, min, max, deviation, last }) => {
+                cells.extend([mean, median, min, max, deviation, last].map(|v| number(*v)));
                 cells.extend([count.to_string(), missing.to_string()]);
             }
             Err(_) => cells.push("failed".to_owned()),
@@ -67,6 +67,7 @@ fn row(sweep: &Sweep, point: &Point) -> Value {
         "min": of(|s| s.min),
         "max": of(|s| s.max),
         "deviation": of(|s| s.deviation),
+        "last": of(|s| s.last),
         "count": summary.map(|s| s.count),
         "missing": summary.map(|s| s.missing),
         "failed": failed,
@@ -98,15 +99,15 @@ pub fn chart(sweep: &Sweep, points: &[Point]) -> Chart {
 /// Points as a table for other programs: a line each.
 pub fn csv(param: &str, measure: &str, points: &[Point]) -> String {
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
-    let mut out = format!("{},{},median,min,max,deviation,count,missing,failed\n", quoted(param), quoted(measure));
+    let mut out = format!("{},{},median,min,max,deviation,count,missing,last,failed\n", quoted(param), quoted(measure));
     for point in points {
         let value = quoted(&point.value);
         match &point.result {
             Ok(s) => {
                 let numbers = [s.mean, s.median, s.min, s.max, s.deviation].map(|v| v.to_string()).join(",");
-                out += &format!("{value},{numbers},{},{},\n", s.count, s.missing);
+                out += &format!("{value},{numbers},{},{},{},\n", s.count, s.missing, s.last);
             }
-            Err(why) => out += &format!("{value},,,,,,,,{}\n", quoted(why.reason.lines().next().unwrap_or_default())),
+            Err(why) => out += &format!("{value},,,,,,,,,{}\n", quoted(why.reason.lines().next().unwrap_or_default())),
         }
     }
     out

@@ -1,23 +1,17 @@
 //! Checking a sweep and running it.
 
-use std::convert::Infallible;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::path::PathBuf;
+use std::sync::Arc;
 
-use panoscope_engine::sync::lock;
-use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome};
 use panoscope_graph::{GraphText, ParamKind, ParamValue, check};
 use panoscope_loader::Loader;
-use panoscope_record::{Recording, Replay, ReplayOptions};
+use panoscope_record::Recording;
 
 use super::error::{PointError, SweepError};
-use super::measure::{Measure, NoSummary, Received, Summary};
+use super::measure::{Measure, NoSummary, Summary};
+use super::trial::Trial;
 use super::values::shown;
 use super::{part, values};
-
-/// How long nodes may take to end.
-const PATIENCE: Duration = Duration::from_secs(30);
 
 /// What is swept.
 #[derive(Clone, Debug)]
@@ -99,15 +93,11 @@ impl Sweep {
         let values = values::of(&declared.kind, request.from, request.to, request.steps)
             .map_err(|error| bad_param(error.to_string()))?;
         let (measure, at) = Measure::of(&request.measure, &graph, &catalog)?;
-        let kept = part::needed(&graph, at);
+        let kept = part::needed(&graph, &[at]);
         if !kept[node] {
             return Err(bad_param(format!("nothing of `{id}` reaches `{}`: its value changes nothing there", measure)));
         }
-        let acts = |n: &usize| kept[*n] && graph.nodes[*n].node_type(&catalog).side_effects;
-        if let Some(acting) = (0..graph.nodes.len()).find(acts) {
-            let (measure, node) = (request.measure.clone(), graph.nodes[acting].id.clone());
-            return Err(SweepError::Acts { measure, node });
-        }
+        part::refuse_acting(&graph, &catalog, &kept, &request.measure)?;
         let text = part::text(&request.text, &graph, &kept).map_err(|error| bad_param(error.to_string()))?;
         let of_kept = |setting: &String| {
             let node = setting.split_once('.').and_then(|(node, _)| graph.node(node.trim()));
@@ -177,81 +167,20 @@ impl Sweep {
 
     /// One run to its end.
     fn one(&self, value: &str, cancelled: &dyn Fn() -> bool) -> Result<Summary, NoSummary> {
-        let received = Arc::new(Mutex::new(Received::default()));
         let mut settings = self.request.settings.clone();
         settings.push(format!("{}={value}", self.request.param));
-        let options = Options {
+        let trial = Trial {
+            path: &self.request.path,
+            text: &self.text,
+            settings,
+            measures: std::slice::from_ref(&self.measure),
+            frames: self.request.frames,
             threads: self.request.threads,
-            frames: Some(self.request.frames),
-            paced: false,
-            graph_dir: self.request.path.parent().unwrap_or(Path::new("")).to_owned(),
-            listen: self.listener(&received).into_iter().collect(),
-            numbers: self.number_listener(&received),
-            ..Options::default()
+            recording: self.request.recording.as_ref(),
+            loader: &self.loader,
         };
-        let wait = |engine: &Engine| {
-            let Ok(()) = engine.watch(Duration::from_millis(50), |engine| {
-                if cancelled() || self.measure.wrong(&lock(&received)).is_some() {
-                    engine.stop();
-                }
-                Ok::<(), Infallible>(())
-            });
-            let outcome = engine.close(PATIENCE);
-            (outcome, engine.report())
-        };
-        let (outcome, report) = match &self.request.recording {
-            Some(recording) => {
-                let replay_options = ReplayOptions {
-                    graph: Some((self.request.path.clone(), self.text.clone())),
-                    settings,
-                    loader: Some(Arc::clone(&self.loader)),
-                    engine: options,
-                    ..ReplayOptions::default()
-                };
-                let replay = Replay::start(recording, replay_options).map_err(|e| NoSummary::Run(e.to_string()))?;
-                let done = wait(replay.engine());
-                replay.verdict().map_err(|e| NoSummary::Run(e.to_string()))?;
-                done
-            }
-            None => {
-                let mut parsed = GraphText::parse(&self.request.path, &self.text);
-                settings.iter().for_each(|setting| parsed.set(setting));
-                let catalog = self.loader.catalog_of(&parsed);
-                let checked = check(&parsed, &catalog).into_result();
-                let (graph, _) = checked.map_err(|d| NoSummary::Run(d.render(false)))?;
-                let started = Engine::start(graph, &catalog, &self.loader, options);
-                let engine = started.map_err(|error| NoSummary::Run(error.to_string()))?;
-                wait(&engine)
-            }
-        };
-        if let Outcome::Failed(reason) = outcome {
-            return Err(NoSummary::Run(reason));
-        }
-        let received = lock(&received);
-        self.measure.summary(&received, &report)
-    }
-
-    fn listener(&self, received: &Arc<Mutex<Received>>) -> Option<Listener> {
-        let Measure::Port { node, port, packet, column, rows } = &self.measure else { return None };
-        let (received, packet, column, rows) = (Arc::clone(received), packet.clone(), column.clone(), *rows);
-        Some(Listener {
-            node: node.clone(),
-            output: port.clone(),
-            hear: Arc::new(move |frame| lock(&received).take(frame.bytes(), &packet, column.as_deref(), rows)),
-        })
-    }
-}
-
-impl Sweep {
-    fn number_listener(&self, received: &Arc<Mutex<Received>>) -> Option<NumberListener> {
-        let Measure::Number { node, name } = &self.measure else { return None };
-        let (received, name) = (Arc::clone(received), name.clone());
-        let hear = move |tick: &panoscope_abi::Tick, reported: &str, value: f64| {
-            if reported == name {
-                lock(&received).take_number((tick.source, tick.seq), value);
-            }
-        };
-        Some(NumberListener { node: node.clone(), hear: Arc::new(hear) })
+        let mut summaries = trial.run(cancelled)?;
+        summaries.pop().unwrap_or_else(|| Err(NoSummary::Run("nothing was measured".to_owned())))
     }
 }
 

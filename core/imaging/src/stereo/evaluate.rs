@@ -11,21 +11,145 @@ pub struct DisparityScore {
     pub pixels: usize,
     /// Share of them with a disparity, 0..=1.
     pub density: f64,
-    /// Share with an error above 1, 2 and 4 px; a missing disparity counts as bad.
-    pub bad: [f64; 3],
+    /// Share with an error above each of [`BAD_PX`]; a missing disparity counts as bad.
+    pub bad: [f64; 4],
     /// The same among the pixels that have a disparity.
-    pub bad_of_known: [f64; 3],
+    pub bad_of_known: [f64; 4],
     /// Mean absolute error in px where there is a disparity.
     pub mean_error_px: f64,
     /// Root of the mean squared error in px where there is a disparity.
     pub rms_error_px: f64,
+    /// Absolute error in px that 95 % of the pixels with a disparity stay below.
+    pub p95_error_px: f64,
 }
 
 /// Thresholds of [`DisparityScore::bad`], in px.
-pub const BAD_PX: [f64; 3] = [1.0, 2.0, 4.0];
+pub const BAD_PX: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 
-/// Scores `disparity` against `truth`, both in px with NaN or infinity for unknown. Where a `mask` is
-/// given, only its non-zero pixels count.
+/// Errors of a depth map over the pixels whose truth is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DepthScore {
+    /// Pixels with finite truth, inside the mask.
+    pub pixels: usize,
+    /// Share of them with a depth, 0..=1.
+    pub density: f64,
+    /// Median absolute error in mm where there is a depth.
+    pub median_error_mm: f64,
+    /// Mean absolute error in mm where there is a depth.
+    pub mean_error_mm: f64,
+    /// Absolute error in mm that 95 % of the pixels with a depth stay below.
+    pub p95_error_mm: f64,
+}
+
+/// Compares maps with the truth; keeps its memory from one map to the next.
+#[derive(Clone, Debug, Default)]
+pub struct MapScorer {
+    /// Absolute errors, in the map's unit.
+    errors: Vec<f32>,
+}
+
+impl MapScorer {
+    /// Takes the errors of all pixels; returns how many have a known truth. `truth` and `found`: NaN or infinity for unknown.
+    fn compare(
+        &mut self,
+        found: View<'_, f32>,
+        truth: View<'_, f32>,
+        mask: Option<View<'_, u8>>,
+        name: &'static str,
+    ) -> Result<usize, StereoError> {
+        let size = (truth.width, truth.height);
+        check_size(name, size, (found.width, found.height))?;
+        if let Some(mask) = &mask {
+            check_size("mask", size, (mask.width, mask.height))?;
+        }
+        self.errors.clear();
+        let mut pixels = 0;
+        for y in 0..size.1 {
+            for (x, (truth, found)) in truth.row(y).iter().zip(found.row(y)).enumerate() {
+                let counts = mask.is_none_or(|mask| mask.row(y)[x * mask.channels] != 0);
+                if !truth.is_finite() || !counts {
+                    continue;
+                }
+                pixels += 1;
+                if found.is_finite() {
+                    self.errors.push((found - truth).abs());
+                }
+            }
+        }
+        Ok(pixels)
+    }
+
+    /// Scores `disparity` against `truth`, both in px with NaN or infinity for unknown. Where a `mask` is given, only its non-zero
+    /// pixels count.
+    ///
+    /// # Errors
+    /// When sizes do not agree.
+    pub fn disparity(
+        &mut self,
+        disparity: View<'_, f32>,
+        truth: View<'_, f32>,
+        mask: Option<View<'_, u8>>,
+    ) -> Result<DisparityScore, StereoError> {
+        let pixels = self.compare(disparity, truth, mask, "disparity")?;
+        let known = self.errors.len();
+        let mut wrong = [0usize; 4];
+        let (mut sum, mut squares) = (0.0f64, 0.0f64);
+        for error in self.errors.iter().map(|error| f64::from(*error)) {
+            for (wrong, limit) in wrong.iter_mut().zip(BAD_PX) {
+                *wrong += usize::from(error > limit);
+            }
+            sum += error;
+            squares += error * error;
+        }
+        Ok(DisparityScore {
+            pixels,
+            density: share(known, pixels),
+            bad: wrong.map(|wrong| share(wrong + pixels - known, pixels)),
+            bad_of_known: wrong.map(|wrong| share(wrong, known)),
+            mean_error_px: if known == 0 { f64::NAN } else { sum / known as f64 },
+            rms_error_px: if known == 0 { f64::NAN } else { (squares / known as f64).sqrt() },
+            p95_error_px: quantile(&mut self.errors, 0.95),
+        })
+    }
+
+    /// Scores `depth` against `truth`, both in mm with NaN or infinity for unknown. Where a `mask` is given, only its non-zero
+    /// pixels count.
+    ///
+    /// # Errors
+    /// When sizes do not agree.
+    pub fn depth(
+        &mut self,
+        depth: View<'_, f32>,
+        truth: View<'_, f32>,
+        mask: Option<View<'_, u8>>,
+    ) -> Result<DepthScore, StereoError> {
+        let pixels = self.compare(depth, truth, mask, "depth")?;
+        let known = self.errors.len();
+        let sum: f64 = self.errors.iter().map(|error| f64::from(*error)).sum();
+        Ok(DepthScore {
+            pixels,
+            density: share(known, pixels),
+            mean_error_mm: if known == 0 { f64::NAN } else { sum / known as f64 },
+            median_error_mm: quantile(&mut self.errors, 0.5),
+            p95_error_mm: quantile(&mut self.errors, 0.95),
+        })
+    }
+}
+
+fn share(count: usize, of: usize) -> f64 {
+    if of == 0 { 0.0 } else { count as f64 / of as f64 }
+}
+
+/// The value that `part` of them stay below, the nearest one by rank; NaN of none. Reorders them.
+fn quantile(values: &mut [f32], part: f64) -> f64 {
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    let rank = ((values.len() - 1) as f64 * part).round() as usize;
+    f64::from(*values.select_nth_unstable_by(rank, f32::total_cmp).1)
+}
+
+/// [`MapScorer::disparity`] for a single map.
 ///
 /// # Errors
 /// When sizes do not agree.
@@ -34,42 +158,7 @@ pub fn score_disparity(
     truth: View<'_, f32>,
     mask: Option<View<'_, u8>>,
 ) -> Result<DisparityScore, StereoError> {
-    let size = (truth.width, truth.height);
-    check_size("disparity", size, (disparity.width, disparity.height))?;
-    if let Some(mask) = &mask {
-        check_size("mask", size, (mask.width, mask.height))?;
-    }
-    let (mut pixels, mut known) = (0usize, 0usize);
-    let mut wrong = [0usize; 3];
-    let (mut sum, mut squares) = (0.0f64, 0.0f64);
-    for y in 0..size.1 {
-        for (x, (truth, found)) in truth.row(y).iter().zip(disparity.row(y)).enumerate() {
-            let counts = mask.is_none_or(|mask| mask.row(y)[x * mask.channels] != 0);
-            if !truth.is_finite() || !counts {
-                continue;
-            }
-            pixels += 1;
-            if !found.is_finite() {
-                continue;
-            }
-            known += 1;
-            let error = f64::from(found - truth).abs();
-            for (wrong, limit) in wrong.iter_mut().zip(BAD_PX) {
-                *wrong += usize::from(error > limit);
-            }
-            sum += error;
-            squares += error * error;
-        }
-    }
-    let share = |count: usize, of: usize| if of == 0 { 0.0 } else { count as f64 / of as f64 };
-    Ok(DisparityScore {
-        pixels,
-        density: share(known, pixels),
-        bad: wrong.map(|wrong| share(wrong + pixels - known, pixels)),
-        bad_of_known: wrong.map(|wrong| share(wrong, known)),
-        mean_error_px: if known == 0 { f64::NAN } else { sum / known as f64 },
-        rms_error_px: if known == 0 { f64::NAN } else { (squares / known as f64).sqrt() },
-    })
+    MapScorer::default().disparity(disparity, truth, mask)
 }
 
 /// Distances from measured points to a surface given as points.
@@ -83,6 +172,8 @@ pub struct SurfaceScore {
     pub p95_mm: f64,
     /// Mean distance in mm.
     pub mean_mm: f64,
+    /// Share of the points that are nearer than the reach, 0..=1.
+    pub within_reach: f64,
 }
 
 /// For each measured point, the distance to the nearest point of the true surface, at most `reach_mm`
@@ -103,16 +194,15 @@ pub fn score_surface(measured: &[[f32; 3]], surface: &[[f32; 3]], reach_mm: f32)
     for point in measured.iter().filter(|point| point.iter().all(|value| value.is_finite())) {
         distances.push(cells.nearest(point, reach_mm));
     }
-    if distances.is_empty() {
-        return Ok(SurfaceScore { points: 0, median_mm: f64::NAN, p95_mm: f64::NAN, mean_mm: f64::NAN });
-    }
-    distances.sort_by(f32::total_cmp);
-    let at = |share: f64| f64::from(distances[((distances.len() - 1) as f64 * share).round() as usize]);
+    // NaN of no distance at all.
+    let mean_mm = distances.iter().map(|d| f64::from(*d)).sum::<f64>() / distances.len() as f64;
+    let near = distances.iter().filter(|d| **d < reach_mm).count();
     Ok(SurfaceScore {
         points: distances.len(),
-        median_mm: at(0.5),
-        p95_mm: at(0.95),
-        mean_mm: distances.iter().map(|d| f64::from(*d)).sum::<f64>() / distances.len() as f64,
+        within_reach: share(near, distances.len()),
+        median_mm: quantile(&mut distances, 0.5),
+        p95_mm: quantile(&mut distances, 0.95),
+        mean_mm,
     })
 }
 

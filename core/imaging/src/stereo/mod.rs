@@ -45,7 +45,7 @@ pub use block_matching::{BlockMatcher, BlockMatchingParams};
 pub use camera::{CameraModel, StereoCameras};
 pub use confidence::{Confidence, ConfidenceParams};
 pub use error::StereoError;
-pub use evaluate::{DisparityScore, SurfaceScore, score_disparity, score_surface};
+pub use evaluate::{BAD_PX, DepthScore, DisparityScore, MapScorer, SurfaceScore, score_disparity, score_surface};
 pub use formats::FloatImage;
 pub use pair_matcher::{PairMatcher, PairParams, StereoKernel};
 pub use rectify::{Rectification, RectifiedCamera, RectifyParams};

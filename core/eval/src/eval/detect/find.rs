@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::score::Find;
 use super::truth::{Truth, normal_name, read_found};
 use crate::error::{Context, Result, bail};
 use crate::inputs::{Folder, quoted};
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
+use panoscope_imaging::detect::Find;
 
 /// Which node judges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

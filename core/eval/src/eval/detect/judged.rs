@@ -1,8 +1,8 @@
 //! A model judged on a case.
 
 use super::find::Node;
-use super::score::{Find, Scores};
 use super::truth::Truth;
+use panoscope_imaging::detect::{Find, Scores};
 
 /// A model judged on a case.
 pub struct JudgeInputs {

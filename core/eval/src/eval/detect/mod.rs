@@ -5,10 +5,8 @@
 mod find;
 pub mod folds;
 mod judged;
-mod mask;
 mod phantom;
 mod picture;
-mod score;
 mod selfcheck;
 mod tables;
 #[doc(hidden)]
@@ -19,13 +17,13 @@ use std::path::{Path, PathBuf};
 use self::find::Node;
 use self::judged::JudgeInputs;
 use self::phantom::Tips;
-use self::score::{Shape, score};
 use self::truth::Truth;
 use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 use crate::figures::Figure;
 use crate::inputs::{Folder, shipped_model};
 use crate::session::{Session, check_cancelled, note};
 use crate::text_table::table;
+use panoscope_imaging::detect::{Shape, score};
 
 /// Another program that judges the same finds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

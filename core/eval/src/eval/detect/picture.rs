@@ -5,10 +5,10 @@ use std::path::Path;
 use panoscope_imaging::draw::{self, Color};
 use panoscope_imaging::{View, ViewMut};
 
-use super::mask::Mask;
-use super::score::{Find, Object, Scores, Shape, pairs};
 use super::truth::Truth;
 use crate::error::{Context, FileAction, OnFile, Result};
+use panoscope_imaging::detect::Mask;
+use panoscope_imaging::detect::{Find, Object, Scores, Shape, pairs};
 
 /// From which score on a find is shown and counted among the mistakes.
 pub const SHOWN_SCORE: f64 = 0.3;

@@ -7,11 +7,11 @@ use std::process::{Command, Stdio};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::score::{Find, Scores, Shape};
 use super::truth::Truth;
 use crate::error::{Context, FileAction, OnFile, Result, bail};
 use crate::inputs::Folder;
 use crate::session::{Session, note};
+use panoscope_imaging::detect::{Find, Mask, Scores, Shape};
 
 /// Reads both files, judges, prints one line of JSON.
 const SCRIPT: &str = r#"
@@ -39,7 +39,7 @@ struct PeerScores {
     classes: Vec<[Option<f64>; 2]>,
 }
 
-fn runs(mask: &super::mask::Mask) -> Value {
+fn runs(mask: &Mask) -> Value {
     json!({ "size": [mask.height, mask.width], "counts": mask.runs() })
 }
 

@@ -5,8 +5,8 @@ use std::fmt::Write;
 use super::find::Node;
 use super::judged::JudgeInputs;
 use super::picture::confusion;
-use super::score::{Scores, Shape};
 use super::truth::Truth;
+use panoscope_imaging::detect::{ClassScore, Scores, Shape};
 
 fn row(out: &mut String, cells: &[String]) {
     let _ = writeln!(out, "| {} |", cells.join(" | "));
@@ -103,7 +103,7 @@ fn precision(out: &mut String, title: &str, list: &[(&JudgeInputs, &str, &Scores
         for (j, _, s) in list {
             let c = number_of(&j.truth, name).and_then(|class| s.classes.get(class));
             cells.push(percent(c.map_or(f64::NAN, |c| c.ap[0])));
-            cells.push(percent(c.map_or(f64::NAN, super::score::ClassScore::mean_ap)));
+            cells.push(percent(c.map_or(f64::NAN, ClassScore::mean_ap)));
         }
         row(out, &cells);
     }
@@ -142,9 +142,9 @@ pub fn all(judged: &[JudgeInputs]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::score::{ClassScore, Object};
     use super::super::truth::Picture;
     use super::*;
+    use panoscope_imaging::detect::Object;
 
     /// A case whose classes are numbered as they stand there, one object of each; its AP is 0.1 for `hook`, 0.2 for the others.
     fn case(name: &str, classes: &[&str]) -> JudgeInputs {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_imaging::View;
-use panoscope_imaging::stereo::score_disparity;
+use panoscope_imaging::stereo::{BAD_PX, score_disparity};
 
 use super::data::Picture;
 use super::{chains, picture};
@@ -58,8 +58,8 @@ impl Judge<'_> {
         let plane = |data| View::new(data, size.0, size.1, 1);
         let mask = truth.mask.as_ref().map(|mask| View::new(&mask[..], size.0, size.1, 1));
         let score = score_disparity(plane(found), plane(&truth.disparity), mask)?;
-        for (name, share) in ["bad1", "bad2", "bad4"].iter().zip(score.bad) {
-            self.add(format!("{name}/{case}/{chain}"), 100.0 * share, "%", input);
+        for (limit_px, share) in BAD_PX.iter().zip(score.bad) {
+            self.add(format!("bad{limit_px}/{case}/{chain}"), 100.0 * share, "%", input);
         }
         self.add(format!("bad2_of_known/{case}/{chain}"), 100.0 * score.bad_of_known[1], "%", input);
         self.add(format!("density/{case}/{chain}"), 100.0 * score.density, "%", input);

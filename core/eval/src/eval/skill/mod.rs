@@ -3,7 +3,6 @@
 mod options;
 mod page;
 mod study;
-mod svg;
 mod trace;
 mod tracks;
 

@@ -9,12 +9,12 @@ use std::path::{Path, PathBuf};
 use self::file::Folds;
 use self::resample::{Blocks, RESAMPLES, interval, resampled};
 use super::picture;
-use super::score::{Find, Ranking, Scores, Shape, mean, score};
 use super::truth::{self, Truth};
 use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 use crate::figures::Figure;
 use crate::session::{Session, check_cancelled, note};
 use crate::text_table::table;
+use panoscope_imaging::detect::{Find, Ranking, Scores, Shape, mean, score};
 
 /// Options of [`judge`].
 #[derive(Clone, Debug, Default)]

@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::super::score::Find;
 use super::super::truth::{Truth, normal_name};
 use super::file::Folds;
 use crate::error::{Context, FileAction, OnFile, Result, bail, ensure};
+use panoscope_imaging::detect::Find;
 
 const FORMAT: &str = "panoscope-predictions-1";
 

@@ -7,11 +7,11 @@
 
 use panoscope_base::random::SplitMix64;
 
-use super::super::score::Ranking;
 use super::super::truth::Picture;
 use super::file::Folds;
 use crate::error::{Context, Result};
 use crate::statistics::percentile;
+use panoscope_imaging::detect::Ranking;
 
 /// Redrawn samples per figure.
 pub const RESAMPLES: usize = 1000;

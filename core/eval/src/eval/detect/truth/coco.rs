@@ -7,8 +7,8 @@ use serde::Deserialize;
 
 use super::{MOST_PIXELS, Picture, Truth, outlined};
 use crate::error::{Context, FileAction, OnFile, Result, bail};
-use crate::eval::detect::mask::Mask;
-use crate::eval::detect::score::Object;
+use panoscope_imaging::detect::Mask;
+use panoscope_imaging::detect::Object;
 
 #[derive(Deserialize)]
 struct File {

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{PICTURES, Picture, Truth, files, outlined, size_of};
 use crate::error::{Context, FileAction, OnFile, Result, bail};
-use crate::eval::detect::mask::Mask;
+use panoscope_imaging::detect::Mask;
 
 #[derive(Deserialize)]
 struct File {

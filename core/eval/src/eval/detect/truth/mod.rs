@@ -8,12 +8,13 @@ mod yolo_text;
 
 use std::path::{Path, PathBuf};
 
-use super::mask::Mask;
-use super::score::Object;
+use panoscope_imaging::detect::{Mask, Object};
+
 use crate::error::{FileAction, OnFile, Result, bail};
 use crate::session::Session;
 
 pub use coco::read_found;
+pub use panoscope_imaging::detect::normal_name;
 
 /// A picture with what is in it.
 #[derive(Clone, Debug)]
@@ -48,26 +49,6 @@ pub struct Truth {
     pub classes: Vec<String>,
     /// Pictures in order.
     pub pictures: Vec<Picture>,
-}
-
-/// `SpecimenBag`, `Specimen Bag` and `specimen_bag` are one class.
-pub fn normal_name(name: &str) -> String {
-    let mut out = String::new();
-    let mut before = ' ';
-    for c in name.trim().chars() {
-        if c.is_whitespace() || c == '-' {
-            if !out.ends_with('_') {
-                out.push('_');
-            }
-        } else {
-            if c.is_uppercase() && before.is_lowercase() {
-                out.push('_');
-            }
-            out.extend(c.to_lowercase());
-        }
-        before = c;
-    }
-    out
 }
 
 impl Truth {

@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 
 use super::{Picture, Truth, outlined, size_of};
 use crate::error::{Context, Result, bail};
-use crate::eval::detect::mask::Mask;
+use panoscope_imaging::detect::Mask;
 
 const PROJECT: &str = "_via_img_metadata";
 /// Attributes that name a class where a region has several.

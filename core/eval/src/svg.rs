@@ -1,9 +1,17 @@
-//! Plots as SVG.
+//! Plots as SVG, and the style of the pages that hold them.
 
 use std::fmt::Write;
 
 /// Colours that people with colour blindness can distinguish (Okabe and Ito).
 pub const COLORS: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+
+/// Style sheet of pages with tables and plots.
+pub const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a;background:#fff}\
+h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}table{border-collapse:collapse;margin:.6em 0}\
+td,th{padding:.2em .9em .2em 0;text-align:right;border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}\
+svg{width:100%;height:auto;margin:.4em 0}svg text{font:11px system-ui,sans-serif;fill:#333}.mid{text-anchor:middle}.end{text-anchor:end}\
+.grid{stroke:#e4e4e4;fill:none}.line{fill:none;stroke-width:1.3;stroke-linejoin:round}.flag{stroke:#888;stroke-dasharray:4 3;fill:none}\
+.two{display:grid;grid-template-columns:1fr 1fr;gap:1em}dt{font-weight:600}dd{margin:0 0 .5em}.key{display:inline-block;width:.9em;height:.9em;margin:0 .3em 0 1em}";
 
 /// Width of plots over time, px.
 pub const WIDTH: f64 = 960.0;

@@ -122,16 +122,16 @@ impl Scores {
 }
 
 /// Finds of a class in a picture, best first, and how they meet the truth at each threshold.
-struct MatchedDetections {
-    scores: Vec<f64>,
+pub(super) struct MatchedDetections {
+    pub scores: Vec<f64>,
     /// Per threshold and detection: matched, ignored.
-    hits: [Vec<(bool, bool)>; 10],
+    pub hits: [Vec<(bool, bool)>; 10],
     /// The same by VOC's rule.
     voc: Vec<(bool, bool)>,
-    truths: usize,
+    pub truths: usize,
 }
 
-fn meet(finds: &[&Find], truths: &[&Object], shape: Shape) -> MatchedDetections {
+pub(super) fn meet(finds: &[&Find], truths: &[&Object], shape: Shape) -> MatchedDetections {
     let mut order: Vec<usize> = (0..finds.len()).collect();
     order.sort_by(|&a, &b| finds[b].score.total_cmp(&finds[a].score));
     order.truncate(MAX_FINDS);
@@ -185,7 +185,7 @@ fn meet(finds: &[&Find], truths: &[&Object], shape: Shape) -> MatchedDetections 
 }
 
 /// Recall and precision after each find that counts, best first; with the finds' scores.
-fn curve(rows: &[(f64, bool)], truths: usize) -> Vec<(f64, f64)> {
+pub(super) fn curve(rows: &[(f64, bool)], truths: usize) -> Vec<(f64, f64)> {
     let mut hits = 0usize;
     rows.iter()
         .enumerate()
@@ -205,7 +205,7 @@ fn envelope(curve: &[(f64, f64)]) -> Vec<f64> {
 }
 
 /// Mean precision at 101 recalls.
-fn at_101_recalls(curve: &[(f64, f64)]) -> f64 {
+pub(super) fn at_101_recalls(curve: &[(f64, f64)]) -> f64 {
     let high = envelope(curve);
     // As numpy's linspace(0, 1, 101) makes them.
     let step = 1.0 / 100.0;

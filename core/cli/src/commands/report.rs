@@ -1,0 +1,60 @@
+//! `panoscope report`: runs of studies compared on one page.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use panoscope_eval::EvalError;
+use panoscope_eval::report::{self, Options, Statistic};
+
+use crate::End;
+use crate::terminal::{log, out};
+
+/// Arguments of `report`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Folders that `panoscope sweep --out` wrote, or single runs in them.
+    #[arg(required = true, value_name = "DIR")]
+    folders: Vec<PathBuf>,
+    /// Writes the page: tables and plots, without scripts, complete in itself.
+    #[arg(long, value_name = "FILE.html")]
+    html: PathBuf,
+    /// Statistic of the measures that is compared. Of measures that count since the start (ap50_pct, ...) take `last`.
+    #[arg(long, default_value = "mean", value_parser = clap::builder::PossibleValuesParser::new(Statistic::ALL.map(Statistic::name)))]
+    statistic: String,
+    /// A measure of which more is better. Known by their names: ap50, precision, recall, coverage, inliers, density, confidence, fps, hz.
+    #[arg(long, value_name = "MEASURE")]
+    larger: Vec<String>,
+    /// A measure of which less is better, as of all others.
+    #[arg(long, value_name = "MEASURE")]
+    smaller: Vec<String>,
+}
+
+/// Compares.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    let options = Options {
+        folders: arguments.folders.clone(),
+        statistic: Statistic::named(&arguments.statistic).unwrap_or(Statistic::Mean),
+        larger: arguments.larger.clone(),
+        smaller: arguments.smaller.clone(),
+    };
+    let comparison = match report::compare(&options) {
+        Ok(comparison) => comparison,
+        Err(EvalError::Options { reason }) => {
+            log!("error: {reason}");
+            return Ok(End::Wrong);
+        }
+        Err(error) => return Err(error.into()),
+    };
+    for measure in &comparison.measures {
+        if let Some(best) = comparison.best(measure, &options) {
+            let run = &comparison.runs[best];
+            let values: Vec<String> = run.file.params.iter().map(|p| format!("{} = {}", p.name, p.value)).collect();
+            out!("best {measure}: {} ({})", run.folder.display(), values.join(", "));
+        }
+    }
+    let path = &arguments.html;
+    std::fs::write(path, report::page(&comparison, &options))
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    out!("{}: {} runs compared", path.display(), comparison.runs.len());
+    Ok(End::Done)
+}

@@ -1,0 +1,120 @@
+//! `read_maps`: true disparity or depth from files, in step with the pictures that it belongs to.
+
+use panoscope_imaging::stereo::FloatImage;
+use panoscope_node::{
+    AnyImage, Choice, Context, Depth, Disparity, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, error,
+};
+use panoscope_truth::maps;
+
+use crate::series::Series;
+
+/// What the files hold.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Holds {
+    /// Disparity in px of the left rectified view.
+    Disparity,
+    /// Depth along the left rectified camera's axis, mm.
+    Depth,
+}
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Picture of the source, such as `left` of `capture`. The map with its number is read, and must have its size.
+    image: AnyImage<'f>,
+}
+
+/// Outputs. Empty behind the last file.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Disparity of the picture, if `holds` is `disparity`; NaN where the file has 0, a negative number or none.
+    disparity: Slot<'f, Disparity>,
+    /// Depth of the picture, if `holds` is `depth`; NaN as above.
+    depth: Slot<'f, Depth>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct ReadMapsParams {
+    /// Folder, pattern (truth/*.pfm or truth/%04d.png) or file: NPY, PFM, TIFF, EXR or PNG. The n-th file in the order of their numbers belongs to
+    /// the n-th picture; a single file to every picture. Of TIFF files with three floats (SCARED: x, y, z in mm) the third one is taken.
+    #[param(default = "", reopen, file)]
+    path: String,
+    /// What the files hold.
+    #[param(default = "disparity", reopen)]
+    holds: Holds,
+    /// What the numbers of the files are divided by to get px or mm. 0 takes 256 for disparity in 16-bit PNG files, as KITTI writes it, and 1 for
+    /// everything else.
+    #[param(default = 0.0, range = 0.0..=1000000.0)]
+    divisor: f32,
+    /// Starts with the first file again behind the last one, as `loop` of `capture`.
+    #[param(default = false)]
+    r#loop: bool,
+}
+
+/// See the module.
+pub struct ReadMaps {
+    series: Series,
+    /// The map that was read last: its index and divisor.
+    known: Option<(usize, f32, FloatImage)>,
+}
+
+impl Node for ReadMaps {
+    const INFO: NodeInfo = NodeInfo::blocking(
+        "read_maps",
+        "source",
+        "Reads true disparity or depth from files (NPY, PFM, TIFF, EXR, PNG), one map for each picture.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = ReadMapsParams;
+
+    fn open(open: &Open<'_>, params: &ReadMapsParams) -> Result<Self> {
+        let is_map = |path: &std::path::Path| {
+            let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+            maps::ENDINGS.contains(&ending.as_str())
+        };
+        let series = Series::open(&params.path, open.graph_dir(), "map", is_map);
+        Ok(Self { series: series.map_err(|error| NodeError::new(error.to_string()))?, known: None })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &ReadMapsParams,
+    ) -> Result<()> {
+        let Some((index, file)) = self.series.of_tick(cx, params.r#loop) else { return Ok(()) };
+        let given = params.divisor;
+        if self.known.as_ref().is_none_or(|(known, divisor, _)| (*known, *divisor) != (index, given)) {
+            self.known = None;
+            let map = maps::read(file).map_err(|error| NodeError::new(error.to_string()))?;
+            let usual = if params.holds == Holds::Disparity { map.disparity_divisor() } else { 1.0 };
+            self.known = Some((index, given, map.divided(if given > 0.0 { given } else { usual })));
+        }
+        let Some((_, _, map)) = &self.known else { return Ok(()) };
+        let (width, height) = (input.image.width(), input.image.height());
+        if (map.width, map.height) != (width, height) {
+            return Err(error!(
+                "{} is {}x{}, its picture {width}x{height}: give maps of the pictures' size",
+                file.display(),
+                map.width,
+                map.height
+            ));
+        }
+        match params.holds {
+            Holds::Disparity => {
+                if out.disparity.is_read() {
+                    out.disparity.alloc(map.width, map.height)?.data.copy_from_slice(&map.data);
+                }
+            }
+            Holds::Depth => {
+                if out.depth.is_read() {
+                    out.depth.alloc(map.width, map.height)?.data.copy_from_slice(&map.data);
+                }
+            }
+        }
+        Ok(())
+    }
+}
