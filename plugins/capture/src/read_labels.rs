@@ -95,7 +95,10 @@ impl ReadLabels {
             track_id: -1,
         };
         if is_yolo(file) {
-            for object in labels::yolo(&text).map_err(|error| wrong(&error))? {
+            for object in labels::yolo(&text).map_err(|error| match error {
+                labels::LabelError::Line { line } => wrong(&format!("line {line}: {error}")),
+                other => wrong(&other),
+            })? {
                 let name = self.classes.get(object.class).cloned();
                 let class = self.class(&name.unwrap_or_else(|| format!("class {}", object.class)));
                 let [x, y, w, h] = object.bounds();

@@ -36,7 +36,7 @@ pub enum LabelError {
         text: String,
     },
     /// A line of YOLO is neither a box nor a polygon.
-    #[error("line {line}: expected `class x y width height` or `class x y x y x y ...`")]
+    #[error("expected `class x y width height` or `class x y x y x y ...`")]
     Line {
         /// The line, from 1.
         line: usize,

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use super::{Picture, Truth, files, outlined, size_of};
 use panoscope_imaging::detect::{Mask, Object};
-use panoscope_truth::labels::{self, YoloShape};
+use panoscope_truth::labels::{self, LabelError, YoloShape};
 
-use crate::error::{Context, FileAction, OnFile, Result, bail};
+use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 
 pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
     let part = |kind: &str| split.map_or_else(|| folder.join(kind), |s| folder.join(kind).join(s));
@@ -32,7 +32,11 @@ pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
         } else {
             String::new()
         };
-        for object in labels::yolo(&text).with_context(|| label.display().to_string())? {
+        let wrong = |error: LabelError| match error {
+            LabelError::Line { line } => EvalError::Input { reason: format!("{}:{line}: {error}", label.display()) },
+            other => other.into(),
+        };
+        for object in labels::yolo(&text).map_err(wrong)? {
             let class = truth.class(names.get(object.class).map_or(&format!("class {}", object.class), |n| n));
             match &object.shape {
                 YoloShape::Box([x, y, bw, bh]) => {
