@@ -103,7 +103,7 @@ const AROUND_WEIGHT: f64 = 1.5;
 fn spaced(at: usize, step: usize, size: usize) -> impl Iterator<Item = (f64, usize)> {
     (0..=2 * AROUND_STEPS).filter_map(move |index| {
         let place = (at + index * step).checked_sub(AROUND_STEPS * step)?;
-        (place < size).then(|| (place as f64 - at as f64, place))
+        (place < size).then_some((place as f64 - at as f64, place))
     })
 }
 
