@@ -285,6 +285,35 @@ class HostTest(unittest.TestCase):
         with self.assertRaisesRegex(ps.GraphError, "no_such_param"):
             ps.sweep(self.graph(), "match.no_such_param", "match.p50_ms")
 
+    def test_a_sweep_of_node_types_and_values_gives_a_row_per_combination(self):
+        params = {"match.type": ["stereo_bm", "stereo_sgbm"], "match.search_px": (32, 64, 2)}
+        out = self.folder / "study"
+        rows = ps.sweep(self.graph(), params, ["match.p50_ms", "points.count"], frames=3, out=out)
+        pairs = [(row["match.type"], row["match.search_px"]) for row in rows]
+        self.assertEqual(pairs, [(name, px) for name in ("stereo_bm", "stereo_sgbm") for px in (32, 64)])
+        self.assertTrue(all(row["match.p50_ms mean"] > 0 and row["points.count mean"] == 3 for row in rows), rows)
+        self.assertTrue((out / "run_0004/results.json").is_file())
+        drawn = ps.sweep(self.graph(), {"match.search_px": None}, "match.count", frames=2, random=3)
+        self.assertEqual(len(drawn), 3)
+        for wrong, words in (((1,), "a range is"), (3, "give a list")):
+            with self.assertRaisesRegex(TypeError, words):
+                ps.sweep(self.graph(), {"match.search_px": wrong}, "match.count")
+
+    def test_a_recording_is_written_as_files(self):
+        file = self.folder / "run.mcap"
+        self.graph().record(file).run(frames=2, watch=["scope.left"])
+        recording = ps.Recording(file)
+        recording.to_folder(self.folder / "files", ["scope.left"])
+        self.assertEqual(read_png(self.folder / "files/scope.left/000001.png"), (240, 320))
+        with self.assertRaisesRegex(ps.RecordingError, "exists"):
+            recording.to_folder(self.folder / "files")
+        recording.to_foxglove(self.folder / "foxglove.mcap")
+        self.assertGreater((self.folder / "foxglove.mcap").stat().st_size, 1000)
+
+    def test_the_package_is_the_command(self):
+        done = subprocess.run([sys.executable, "-m", "panoscope", "--version"], capture_output=True, text=True)
+        self.assertEqual(done.stdout, subprocess.run([COMMAND, "--version"], capture_output=True, text=True).stdout)
+
     def test_notebooks_show_graphs_and_pictures(self):
         graph = self.graph()
         result = graph.run(frames=1, watch=["scope.left", "points.depth", "scope.calibration"])

@@ -57,6 +57,41 @@ pub fn has_python() -> bool {
     }
 }
 
+/// Runs the unit tests of a file in `tests/python` with the package of this build. `modules` are those of other packages that they import, which
+/// `cargo xtask test` fetches; without them the test is skipped.
+///
+/// # Panics
+/// When a test fails.
+pub fn run_python_tests(file: &str, modules: &str) {
+    if !has_python() {
+        return;
+    }
+    let Some(program) = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from) else {
+        return panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
+    };
+    let package = program.with_file_name("python").into_os_string();
+    let peers = std::env::var_os("PANOSCOPE_PYTHON_PEERS").filter(|_| !modules.is_empty());
+    let path = [Some(package), peers, std::env::var_os("PYTHONPATH")].into_iter().flatten().collect::<Vec<_>>();
+    let python = || {
+        let mut python = std::process::Command::new("python3");
+        python.env("PYTHONPATH", path.join(":".as_ref())).env("PANOSCOPE_BIN", &program);
+        python.env_remove("PANOSCOPE_PYTHON");
+        python
+    };
+    if !modules.is_empty() {
+        let found = python().args(["-c", &format!("import {modules}")]).output().expect("python3 starts");
+        if !found.status.success() {
+            let words = String::from_utf8_lossy(&found.stderr);
+            return panoscope_testing::skipped!("a package is missing: {}", words.lines().last().unwrap_or(""));
+        }
+    }
+    let output = python().arg(root().join("tests/python").join(file)).arg("-v").output().expect("python3 starts");
+    let words = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{words}");
+    // A test of Python that is not found is no test that passed.
+    assert!(words.contains("OK") && !words.contains("Ran 0 tests"), "{words}");
+}
+
 /// A fresh folder for the files of one test.
 ///
 /// # Panics

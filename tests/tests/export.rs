@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use panoscope_tests::{has_python, root, scratch};
+use panoscope_tests::{run_python_tests, scratch};
 
 fn program() -> Option<PathBuf> {
     let program = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
@@ -13,32 +13,9 @@ fn program() -> Option<PathBuf> {
     program
 }
 
-/// Runs `tests/python/export.py` with the package of this build and the readers that `cargo xtask test` fetched.
 #[test]
 fn exported_recordings_are_read_by_others() {
-    let Some(program) = program() else { return };
-    if !has_python() {
-        return;
-    }
-    let package = program.with_file_name("python").into_os_string();
-    let paths = [Some(package), std::env::var_os("PANOSCOPE_READERS"), std::env::var_os("PYTHONPATH")];
-    let path = paths.into_iter().flatten().collect::<Vec<_>>().join(":".as_ref());
-    let python = || {
-        let mut python = Command::new("python3");
-        python.env("PYTHONPATH", &path).env("PANOSCOPE_BIN", &program).env_remove("PANOSCOPE_PYTHON");
-        python
-    };
-    let readers =
-        python().args(["-c", "import foxglove, mcap, mcap_protobuf, PIL, rerun"]).output().expect("python3 starts");
-    if !readers.status.success() {
-        let words = String::from_utf8_lossy(&readers.stderr);
-        return panoscope_testing::skipped!("no readers of exported files: {}", words.lines().last().unwrap_or(""));
-    }
-    let output = python().arg(root().join("tests/python/export.py")).arg("-v").output().expect("python3 starts");
-    let words = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{words}");
-    // A test of Python that is not found is no test that passed.
-    assert!(words.contains("OK") && !words.contains("Ran 0 tests"), "{words}");
+    run_python_tests("export.py", "foxglove, mcap, mcap_protobuf, PIL, rerun");
 }
 
 const GRAPH: &str = "mode = \"batch\"\nplugins = [\"phantom\", \"flow\"]\n\

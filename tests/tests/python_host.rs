@@ -1,26 +1,18 @@
-//! Graphs and recordings from Python: runs `tests/python/host.py` with the package of this build.
+//! What the Python package does, in Python: each test runs a file of `tests/python`.
 
-use std::path::Path;
-use std::process::Command;
-
-use panoscope_tests::{has_python, root};
+use panoscope_tests::run_python_tests;
 
 #[test]
 fn graphs_and_recordings_from_python() {
-    if !has_python() {
-        return;
-    }
-    let Some(program) = std::env::var_os("PANOSCOPE_BIN") else {
-        return panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
-    };
-    let package = Path::new(&program).with_file_name("python");
-    let paths = [Some(package.into_os_string()), std::env::var_os("PYTHONPATH")];
-    let path = paths.into_iter().flatten().collect::<Vec<_>>().join(":".as_ref());
-    let mut python = Command::new("python3");
-    python.arg(root().join("tests/python/host.py")).arg("-v").env("PYTHONPATH", path).env("PANOSCOPE_BIN", &program);
-    let output = python.output().expect("python3 starts");
-    let words = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{words}");
-    // A test of Python that is not found is no test that passed.
-    assert!(words.contains("OK") && !words.contains("Ran 0 tests"), "{words}");
+    run_python_tests("host.py", "");
+}
+
+#[test]
+fn a_matcher_of_opencv_in_python_gives_the_bytes_of_the_plugin() {
+    run_python_tests("opencv_matcher.py", "cv2");
+}
+
+#[test]
+fn the_tutorial_runs() {
+    run_python_tests("tutorial.py", "ipykernel, nbclient");
 }

@@ -2,11 +2,8 @@
 
 mod common;
 
-use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-use std::sync::OnceLock;
 
 const SIZE: (usize, usize) = (224, 80);
 /// True disparity of each pair, px.
@@ -15,13 +12,7 @@ const DISPARITY: [usize; 2] = [40, 46];
 const BORDER: usize = 80;
 
 fn run(arguments: &[&str]) -> (i32, String, String) {
-    static PATH: OnceLock<OsString> = OnceLock::new();
-    let path = PATH.get_or_init(|| common::built_plugins(&["capture", "stereo"]));
-    let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
-    let Output { status, stdout, stderr } =
-        command.env("PANOSCOPE_PLUGIN_PATH", path).args(arguments).output().expect("the program starts");
-    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-    (status.code().unwrap_or(-1), text(stdout), text(stderr))
+    common::run(&["capture", "stereo"], arguments)
 }
 
 /// Random gray values in blocks of 2 x 2 px.
@@ -147,7 +138,7 @@ fn random_runs_repeat_with_their_seed_and_mistakes_are_named() {
     let random =
         ["sweep", &graph, "--param", "match.block_px=3..15", "--param", "match.search_px=64..96", "--random", "3"];
     let table = |seed: &str| {
-        let (code, said, told) = run(&[&random[..], &measure, &["--seed", seed]].concat());
+        let (code, said, told) = run(&[&random[..], &measure, &["--random-seed", seed]].concat());
         assert_eq!(code, 0, "{said}{told}");
         said
     };

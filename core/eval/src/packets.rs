@@ -29,6 +29,18 @@ impl Table {
     }
 }
 
+/// The bytes of a picture, row by row without padding. `None` if the buffer is shorter than the frame says.
+pub fn bytes(frame: &FrameRef, channels: usize) -> Option<Vec<u8>> {
+    let (described, bytes) = (frame.frame(), frame.bytes());
+    let (width, height, stride) =
+        (described.width as usize, described.height as usize, described.stride_bytes as usize);
+    let mut out = Vec::with_capacity(width * height * channels);
+    for y in 0..height {
+        out.extend_from_slice(bytes.get(y * stride..y * stride + channels * width)?);
+    }
+    Some(out)
+}
+
 /// The values of a frame of floats, row by row without padding. `None` if the buffer is shorter than the frame says.
 pub fn floats(frame: &FrameRef) -> Option<Vec<f32>> {
     let (described, bytes) = (frame.frame(), frame.bytes());

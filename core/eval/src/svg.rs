@@ -17,15 +17,17 @@ svg{width:100%;height:auto;margin:.4em 0}svg text{font:11px system-ui,sans-serif
 pub const WIDTH: f64 = 960.0;
 const LEFT: f64 = 56.0;
 const RIGHT: f64 = 12.0;
-const TOP: f64 = 14.0;
+const TOP: f64 = 24.0;
 const BOTTOM: f64 = 34.0;
 
 /// What a plot's numbers span.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Axis {
     pub low: f64,
     pub high: f64,
     step: f64,
+    /// Words at 0, 1, 2, ... instead of numbers.
+    words: Vec<String>,
 }
 
 impl Axis {
@@ -39,12 +41,23 @@ impl Axis {
         let size = 10f64.powf(((high - low) / 5.0).log10().floor());
         let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * size).into_iter().find(|s| (high - low) / s <= 6.0);
         let step = step.unwrap_or(size);
-        Self { low: (low / step).floor() * step, high: (high / step).ceil() * step, step }
+        Self { low: (low / step).floor() * step, high: (high / step).ceil() * step, step, words: Vec::new() }
     }
 
-    fn marks(&self) -> impl Iterator<Item = f64> + use<> {
-        let (low, step) = (self.low, self.step);
-        (0..=((self.high - low) / step).round() as usize).map(move |k| low + step * k as f64)
+    /// A place for each word: 0, 1, 2, ...
+    pub fn of_words(words: &[&str]) -> Self {
+        let words: Vec<String> = words.iter().map(|&word| word.to_owned()).collect();
+        Self { low: -0.5, high: words.len() as f64 - 0.5, step: 1.0, words }
+    }
+
+    /// Positions with their labels.
+    fn marks(&self) -> Vec<(f64, String)> {
+        if !self.words.is_empty() {
+            return self.words.iter().enumerate().map(|(at, word)| (at as f64, escaped(word))).collect();
+        }
+        let places =
+            (0..=((self.high - self.low) / self.step).round() as usize).map(|k| self.low + self.step * k as f64);
+        places.map(|at| (at, self.number(at))).collect()
     }
 
     fn number(&self, value: f64) -> String {
@@ -70,29 +83,28 @@ impl Plot {
     /// An empty plot with axes. `title` says what it shows to those who do not see it.
     pub fn new(title: &str, size: (f64, f64), x: Axis, y: Axis, x_label: &str, y_label: &str) -> Self {
         let (w, h) = size;
+        let (across, upward) = (x.marks(), y.marks());
         let mut plot = Self { out: String::new(), x, y, size };
         let title = escaped(title);
         let _ = write!(
             plot.out,
             "<svg viewBox=\"0 0 {w:.0} {h:.0}\" role=\"img\" aria-label=\"{title}\"><title>{title}</title>"
         );
-        for mark in x.marks() {
+        for (mark, label) in across {
             let (at, bottom) = (plot.across(mark), h - BOTTOM);
             let _ = write!(
                 plot.out,
-                "<path class=\"grid\" d=\"M{at:.1} {TOP}V{bottom:.1}\"/><text x=\"{at:.1}\" y=\"{:.1}\" class=\"mid\">{}</text>",
-                bottom + 14.0,
-                x.number(mark)
+                "<path class=\"grid\" d=\"M{at:.1} {TOP}V{bottom:.1}\"/><text x=\"{at:.1}\" y=\"{:.1}\" class=\"mid\">{label}</text>",
+                bottom + 14.0
             );
         }
-        for mark in y.marks() {
+        for (mark, label) in upward {
             let (at, right) = (plot.up(mark), w - RIGHT);
             let _ = write!(
                 plot.out,
-                "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{right:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" class=\"end\">{}</text>",
+                "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{right:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" class=\"end\">{label}</text>",
                 LEFT - 5.0,
-                at + 4.0,
-                y.number(mark)
+                at + 4.0
             );
         }
         let (x_label, y_label) = (escaped(x_label), escaped(y_label));
@@ -181,10 +193,12 @@ mod tests {
     fn axes_are_round_and_words_cannot_leave_their_text() {
         for (low, high) in [(0.0, 7.3), (-3.0, 250.0), (5.0, 5.0), (f64::NAN, 1.0)] {
             let axis = Axis::around(low, high);
-            assert!((2..=9).contains(&axis.marks().count()), "{axis:?}");
+            assert!((2..=9).contains(&axis.marks().len()), "{axis:?}");
             assert!(low.is_nan() || (axis.low <= low && axis.high >= high));
         }
         let plot = Plot::new("<b>\"", (300.0, 200.0), Axis::around(0.0, 1.0), Axis::around(0.0, 1.0), "x", "y").end();
         assert!(!plot.contains("<b>") && plot.contains("&lt;b&gt;&quot;"));
+        let marks = Axis::of_words(&["a<b", "c"]).marks();
+        assert_eq!(marks, [(0.0, "a&lt;b".to_owned()), (1.0, "c".to_owned())]);
     }
 }

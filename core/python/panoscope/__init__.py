@@ -51,16 +51,18 @@ from .packets import (
 )
 
 if TYPE_CHECKING:
-    from .graph import Graph, Running, check, sweep
+    from .graph import Graph, Running, check
     from .installation import graphs
     from .recording import Recording, replay
     from .series import Packet, Result, Series
+    from .sweeps import sweep
 
 _OF_MODULE = {
-    **dict.fromkeys(("Graph", "Running", "check", "sweep"), "graph"),
+    **dict.fromkeys(("Graph", "Running", "check"), "graph"),
     **dict.fromkeys(("Recording", "replay"), "recording"),
     **dict.fromkeys(("Packet", "Result", "Series"), "series"),
     "graphs": "installation",
+    "sweep": "sweeps",
 }
 """What the process of a node has no use for, and its module: a node starts sooner without it."""
 

@@ -8,7 +8,6 @@ import logging
 import os
 import shutil
 import subprocess
-import tempfile
 import weakref
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +27,7 @@ _running: weakref.WeakSet[Running] = weakref.WeakSet()
 
 
 
-def _word(value: Any) -> str:
+def word(value: Any) -> str:
     """A value as a command line has it."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -165,7 +164,8 @@ class Graph:
     """A graph file: ``ps.Graph("depth.toml", args={"left": "left.mp4"}).run(frames=100, watch=["points.depth"])``.
 
     ``args`` are the graph's arguments, by name or as words of a command line (``["--left=left.mp4"]``); ``set`` are values of parameters by
-    ``node.param``; ``overlays`` are files that replace nodes. A file that does not exist is looked for among the graphs of the installation.
+    ``node.param``; ``overlays`` are files that replace nodes. A file that does not exist is looked for among the graphs of the installation, an
+    overlay as ``sources/files.toml`` too.
     ``library`` is the folder of another installation's program and plugins.
     """
 
@@ -182,23 +182,24 @@ class Graph:
         self.path = installation.graph_file(path)
         self._args = args
         self._set = dict(set or {})
-        self._overlays = [Path(file) for file in overlays]
+        self._overlays = [installation.graph_file(file) for file in overlays]
         self._record: tuple[Path, bool] | None = None
         self._running: Running | None = None
         self.native = self._open()
 
     def _open(self) -> Any:
         by_name = isinstance(self._args, Mapping)
-        named = [(name, _word(value)) for name, value in self._args.items()] if isinstance(self._args, Mapping) else []
-        words = [] if by_name else [_word(word) for word in self._args]
+        named = [(name, word(value)) for name, value in self._args.items()] if isinstance(self._args, Mapping) else []
+        words = [] if by_name else [word(word) for word in self._args]
         return _native.GraphFile(self.path, words, named, settings(self._set), self._overlays)
 
     def words(self) -> list[str]:
         """The graph as words of a command line: the file, arguments, overlays and settings."""
         if isinstance(self._args, Mapping):
-            args = [f"--{name.replace('_', '-')}={_word(value)}" for name, value in self._args.items()]
+            # An option of the command may have an argument's name.
+            args = [f"--graph-arg={name}={word(value)}" for name, value in self._args.items()]
         else:
-            args = [_word(word) for word in self._args]
+            args = [word(word) for word in self._args]
         overlays = [word for file in self._overlays for word in ("--with", str(file))]
         return [str(self.path), *args, *overlays, *(word for setting in settings(self._set) for word in ("--set", setting))]
 
@@ -321,31 +322,3 @@ def check(path: str | os.PathLike[str], args: Mapping[str, Any] | Sequence[str] 
     Plugins that the graph brings in its own folders are loaded, as for a run: check no graph of strangers.
     """
     return Graph(path, args, **options).check()
-
-
-def sweep(
-    graph: Graph | str | os.PathLike[str],
-    param: str,
-    measure: str,
-    *,
-    start: float | None = None,
-    stop: float | None = None,
-    steps: int = 9,
-    frames: int = 100,
-    recording: str | os.PathLike[str] | None = None,
-    threads: int = 0,
-) -> list[dict[str, Any]]:
-    """What a parameter does to a measure, by ``panoscope sweep``: a row per value with ``value``, ``mean``, ``median``, ``min``, ``max``, ...
-
-    ``measure`` is a scalar output, a column of a table (``node.table.column``) or a number that a node reports; see ``panoscope sweep --help``.
-    """
-    graph = graph if isinstance(graph, Graph) else Graph(graph)
-    with tempfile.TemporaryDirectory(prefix="panoscope-") as folder:
-        table = Path(folder) / "sweep.json"
-        words = ["--param", param, "--measure", measure, "--steps", str(steps), "--frames", str(frames), "--json", str(table)]
-        options = (("--from", start), ("--to", stop), ("--recording", recording), ("--threads", threads or None))
-        words += [f"{name}={_word(value)}" for name, value in options if value is not None]
-        done = subprocess.run([installation.use(), "sweep", *graph.words(), *words], capture_output=True, text=True)
-        if not table.exists():
-            raise (RunError if done.returncode == 1 else GraphError)(done.stderr.strip() or done.stdout.strip())
-        return json.loads(table.read_text())

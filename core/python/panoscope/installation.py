@@ -41,18 +41,21 @@ def use(library: str | os.PathLike[str] | None = None) -> Path:
 
 def graphs() -> dict[str, Path]:
     """The graphs that come with the installation, by file name."""
+    place = _graph_folder()
+    return {file.name: file for file in sorted(place.glob("*.toml"))} if place else {}
+
+
+def _graph_folder() -> Path | None:
     folder = use().parent
     places = (folder.parent.parent / "share" / "panoscope" / "graphs", folder.parent.parent / "graphs")
-    place = next((place for place in places if place.is_dir()), None)
-    return {file.name: file for file in sorted(place.glob("*.toml"))} if place else {}
+    return next((place for place in places if place.is_dir()), None)
 
 
 def graph_file(path: str | os.PathLike[str]) -> Path:
     """The file of a graph: as named, else the one of that name that comes with the installation."""
     file = Path(path)
-    if file.exists() or file.parent != Path("."):
-        return file
-    return graphs().get(file.name, file)
+    place = None if file.exists() or file.is_absolute() else _graph_folder()
+    return place / file if place and (place / file).is_file() else file
 
 
 def main() -> None:

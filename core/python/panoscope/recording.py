@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from . import installation
 from ._native import RecordingFile
 from ._native import replay as _replay
+from .errors import RecordingError
 from .packets import BYTES
 from .series import Packet, Result, Series
 
@@ -26,6 +28,7 @@ class Recording(Mapping):
         installation.use()
         self.path = Path(path)
         self.native = RecordingFile(self.path, trust_plugins)
+        self._trust = ["--trust-plugins"] if trust_plugins else []
         self._counts = dict(self.native.ports())
         cut = self.native.cut()
         if cut:
@@ -43,6 +46,20 @@ class Recording(Mapping):
         view, tick = read
         packet_type = self.native.packet(output) if view.format == BYTES else ""
         return Packet(output, packet_type, view, tick, float("nan"))
+
+    def to_folder(self, path: str | os.PathLike[str], ports: Sequence[str] = (), *, force: bool = False) -> None:
+        """Writes pictures as PNG, disparity and depth as NPY, clouds as PLY, calibrations as YAML, all others as CSV; ``panoscope export --folder``."""
+        self._export("--folder", path, ports, force)
+
+    def to_foxglove(self, path: str | os.PathLike[str], ports: Sequence[str] = (), *, force: bool = False) -> None:
+        """Writes an MCAP file with the schemas of Foxglove; ``panoscope export --foxglove``."""
+        self._export("--foxglove", path, ports, force)
+
+    def _export(self, target: str, path: str | os.PathLike[str], ports: Sequence[str], force: bool) -> None:
+        words = [target, str(path), *(["--ports", ",".join(ports)] if ports else []), *(["--force"] if force else []), *self._trust]
+        done = subprocess.run([installation.use(), "export", str(self.path), *words], capture_output=True, text=True)
+        if done.returncode != 0:
+            raise RecordingError(done.stderr.strip())
 
     def to_rerun(
         self,

@@ -15,11 +15,11 @@ const OPENCV_DOC_DATA: &str = "/usr/share/doc/opencv-doc/examples/data";
 pub enum Purpose {
     /// Compiling and running: nothing works without.
     Build,
-    /// Test data: tests that need it skip without.
+    /// Data and programs of tests, which skip without.
     Test,
     /// Fetching files from Python wheels.
     Wheels,
-    /// Pictures of the windows on a virtual screen.
+    /// Windows on a virtual screen: their pictures, and tests that open them.
     Screens,
     /// Making packages.
     Package,
@@ -168,6 +168,12 @@ pub static PACKAGES: &[Package] = &[
     ),
     package(Purpose::Package, "librsvg2-bin", [None, None, None], Evidence::Program("rsvg-convert")),
     package(Purpose::Test, "opencv-doc", [None, None, None], Evidence::AnyFile(&[OPENCV_DOC_DATA])),
+    package(
+        Purpose::Test,
+        "graphviz",
+        [Some("graphviz"), Some("graphviz"), Some("graphviz")],
+        Evidence::Program("dot"),
+    ),
     package(
         Purpose::Wheels,
         "python3-pip",

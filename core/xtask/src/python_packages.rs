@@ -23,22 +23,26 @@ pub struct Packages {
 pub const NUMPY: Packages =
     Packages { name: "NumPy", modules: "numpy", requirements: &["numpy>=1.24,<3"], folder: "python" };
 
-/// Names the folder of [`READERS`] for the test that uses them.
-pub const READERS_VARIABLE: &str = "PANOSCOPE_READERS";
+/// Names the folder of [`PEERS`] for the tests that use them.
+pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 
-/// What reads the files that `panoscope export` writes: about 600 MB. foxglove-sdk is of the version of the crate `foxglove`: schemas are compared.
-pub const READERS: Packages = Packages {
-    name: "readers of exported recordings",
-    modules: "foxglove, mcap, mcap_protobuf, numpy, PIL, rerun",
+/// What Panoscope is tested beside: readers of the files that `panoscope export` writes, OpenCV, and what runs notebooks; 1.1 GB. foxglove-sdk is
+/// of the version of the crate `foxglove`: schemas are compared.
+pub const PEERS: Packages = Packages {
+    name: "packages for tests in Python",
+    modules: "cv2, foxglove, ipykernel, mcap, mcap_protobuf, nbclient, numpy, PIL, rerun",
     requirements: &[
         "foxglove-sdk==0.30.3",
+        "ipykernel>=6,<8",
         "mcap==1.6.0",
         "mcap-protobuf-support==0.6.0",
+        "nbclient>=0.10,<0.12",
         "numpy>=1.24,<3",
+        "opencv-python-headless>=4.10,<5",
         "pillow",
         "rerun-sdk==0.41.0",
     ],
-    folder: "python_readers",
+    folder: "python_peers",
 };
 
 impl Packages {

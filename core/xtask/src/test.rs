@@ -12,7 +12,7 @@ use crate::lint;
 use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
-use crate::python_packages::{NUMPY, READERS, READERS_VARIABLE};
+use crate::python_packages::{NUMPY, PEERS, PEERS_VARIABLE};
 use crate::sanitizer::{self, Sanitizer};
 use crate::setup;
 use crate::tally::Tally;
@@ -162,6 +162,9 @@ pub fn test(workspace: &Workspace, args: &[String]) -> Result<ExitCode> {
 
 fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<()> {
     timed("set-up", || setup::ensure(&[Purpose::Build, Purpose::Test]).map(drop))?;
+    if let Err(error) = setup::ensure(&[Purpose::Screens]) {
+        println!("Tests that open windows skip: {error:#}");
+    }
     // Tests of models name what they skipped without it.
     if let Err(error) = onnxruntime::fetch(workspace) {
         println!("ONNX Runtime was not fetched: {error:#}");
@@ -181,12 +184,12 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         if let Some(folder) = &numpy {
             cargo.env("PYTHONPATH", folder);
         }
-        // Only all tests together have one that needs them.
+        // Only all tests together have some that need them.
         if request.suite.only.is_empty()
             && request.suite.sanitizer.is_none()
-            && let Some(folder) = READERS.folder(workspace)
+            && let Some(folder) = PEERS.folder(workspace)
         {
-            cargo.env(READERS_VARIABLE, folder);
+            cargo.env(PEERS_VARIABLE, folder);
         }
         for (name, value) in request.suite.env.iter().filter(|(name, _)| std::env::var_os(name).is_none()) {
             cargo.env(name, value);

@@ -48,8 +48,9 @@ pub struct Arguments {
     #[arg(long, value_name = "RUNS", conflicts_with = "random")]
     search: Option<usize>,
     /// Seed of --random and --search: the same seed gives the same values; of a search, one run at a time.
+    // Graphs have arguments called `seed`.
     #[arg(long, default_value_t = 1)]
-    seed: u64,
+    random_seed: u64,
     /// Statistic of the first measure that --search improves. Of measures that count since the start (ap50_pct, ...) take `last`.
     #[arg(long, default_value = "mean", value_parser = clap::builder::PossibleValuesParser::new(Statistic::ALL.map(Statistic::name)))]
     statistic: String,
@@ -294,7 +295,7 @@ fn prepare_study(arguments: &Arguments) -> Result<Study, Refusal> {
         axis.param = text.resolve_param(&axis.param);
         axes.push(axis);
     }
-    let seed = arguments.seed;
+    let seed = arguments.random_seed;
     let plan = match (arguments.random, arguments.search) {
         (Some(runs), _) => Plan::Random { runs, seed },
         (None, Some(runs)) => Plan::Search {

@@ -3,7 +3,7 @@
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 
 /// The program under test.
 const PROGRAM: &str = env!("CARGO_BIN_EXE_panoscope");
@@ -51,4 +51,16 @@ pub fn built_plugins(names: &[&str]) -> OsString {
     }
     assert!(cargo.status().expect("cargo runs").success(), "the plugins do not build");
     profile_dir.into()
+}
+
+/// Runs the command with these plugins: its exit code, what it printed and its messages.
+pub fn run(plugins: &[&str], arguments: &[&str]) -> (i32, String, String) {
+    let mut command = Command::new(PROGRAM);
+    let Output { status, stdout, stderr } = command
+        .env("PANOSCOPE_PLUGIN_PATH", built_plugins(plugins))
+        .args(arguments)
+        .output()
+        .expect("the program starts");
+    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
+    (status.code().unwrap_or(-1), text(stdout), text(stderr))
 }

@@ -2,7 +2,9 @@
 
 pub mod embedded;
 mod folder;
+pub mod level;
 pub mod pairs;
+pub mod references;
 pub mod scene;
 pub mod wiring;
 

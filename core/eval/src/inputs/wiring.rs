@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::error::{Result, bail};
+use crate::inputs::references::{from, node_of, references, upstream};
 use panoscope_graph::{Catalog, GraphText};
 use toml::{Table, Value};
 
@@ -63,24 +64,12 @@ const MESH: &str = "composite_mesh";
 /// Nodes whose panoramas are judged.
 const COMPOSITES: [&str; 3] = ["composite", MESH, "composite_opencv"];
 
-fn from(value: &Value) -> Option<&str> {
-    match value {
-        Value::String(text) => Some(text),
-        Value::Table(table) => table.get("from")?.as_str(),
-        _ => None,
-    }
-}
-
 /// Splits `NODE.PARAM=VALUE`; a value that is no TOML is taken as text.
 pub fn setting(text: &str) -> Option<(&str, &str, Value)> {
     let (target, value) = text.split_once('=')?;
     let (node, param) = target.split_once('.')?;
     let parsed = format!("v = {value}").parse::<Table>().ok().and_then(|mut t| t.remove("v"));
     Some((node.trim(), param.trim(), parsed.unwrap_or_else(|| value.trim().into())))
-}
-
-fn node_of(reference: &str) -> &str {
-    reference.split_once('.').map_or(reference, |(node, _)| node)
 }
 
 /// Number of the phantom's camera whose picture an output is: 1 to 3, row by row behind the first.
@@ -96,19 +85,6 @@ fn camera_of(reference: &str) -> Option<u8> {
 fn is_type(node: &Value, wanted: &str) -> bool {
     let name = node.get("type").and_then(Value::as_str).unwrap_or_default();
     name.rsplit('/').next() == Some(wanted)
-}
-
-/// Everything that a node reads.
-fn references(node: &Value) -> Vec<String> {
-    let inputs = node.get("inputs").and_then(Value::as_table);
-    let mut all = Vec::new();
-    for value in inputs.into_iter().flat_map(Table::values) {
-        match value {
-            Value::Array(list) => all.extend(list.iter().filter_map(from).map(str::to_owned)),
-            one => all.extend(from(one).map(str::to_owned)),
-        }
-    }
-    all
 }
 
 impl Wiring {
@@ -244,19 +220,11 @@ impl Wiring {
         }
     }
 
-    /// Names of the nodes that these outputs come from, up to the node `stop`, exclusive.
     fn upstream(&self, outputs: &[&str], stop: Option<&str>) -> BTreeSet<String> {
-        let mut all = BTreeSet::new();
-        let mut next: Vec<String> = outputs.iter().map(|output| node_of(output).to_owned()).collect();
-        while let Some(id) = next.pop() {
-            if stop == Some(id.as_str()) {
-                continue;
-            }
-            let inputs = self.node(&id).map(references).unwrap_or_default();
-            next.extend(inputs.iter().map(|r| node_of(r).to_owned()).filter(|n| !all.contains(n)));
-            all.insert(id);
-        }
-        all
+        self.graph
+            .get("nodes")
+            .and_then(Value::as_table)
+            .map_or_else(BTreeSet::new, |nodes| upstream(nodes, outputs, stop))
     }
 
     /// Name of the node that gives the first composite its first view.

@@ -114,11 +114,8 @@ fn plots(out: &mut String, comparison: &Comparison, options: &Options) {
             let (low, high) =
                 points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p.1), h.max(p.1)));
             let title = format!("{measure} over {name}");
-            let mut plot =
-                Plot::new(&title, PLOT, Axis::around(*first, *last), Axis::around(low, high), &label, measure);
-            for (at, word) in words.iter().enumerate() {
-                plot.flag(at as f64, word);
-            }
+            let along = if words.is_empty() { Axis::around(*first, *last) } else { Axis::of_words(&words) };
+            let mut plot = Plot::new(&title, PLOT, along, Axis::around(low, high), &label, measure);
             if words.is_empty() {
                 // The mean of the runs that share a value.
                 let means = across.iter().filter_map(|x| {

@@ -2,11 +2,23 @@
 
 use std::path::PathBuf;
 
-use panoscope_eval::eval::disparity::{self, Options, Pair};
+use panoscope_eval::eval::disparity::{self, GraphRequest, Options, Pair};
+
+use crate::given::Given;
 
 /// Arguments of `eval disparity`.
 #[derive(clap::Args)]
 pub struct Arguments {
+    /// Graph that is judged beside our chains, as chain `graph`: the pair of each case takes the place of its source.
+    graph: Option<PathBuf>,
+    /// The graph's disparity, where it has several.
+    #[arg(long, value_name = "NODE.PORT", default_value = "", hide_default_value = true, requires = "graph")]
+    disparity: String,
+    /// Sets a parameter of the graph. May be given again.
+    #[arg(long, value_name = "NODE.PARAM=VALUE", requires = "graph")]
+    set: Vec<String>,
+    #[command(flatten)]
+    given: Given,
     /// Only these cases; may be given again. Without it all.
     #[arg(long, value_parser = disparity::CASES)]
     case: Vec<String>,
@@ -14,7 +26,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     data: Vec<PathBuf>,
     #[command(flatten)]
-    given: Given,
+    pair: OwnPair,
     /// Folder for pictures of disparities and errors.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
@@ -25,7 +37,7 @@ pub struct Arguments {
 
 /// The user's own pair.
 #[derive(clap::Args)]
-struct Given {
+struct OwnPair {
     /// Left view of a pair of your own, rectified unless --rectify is given.
     #[arg(long, value_name = "FILE", requires = "right")]
     left: Option<PathBuf>,
@@ -59,7 +71,7 @@ struct Given {
 impl Arguments {
     /// What the library judges.
     pub fn options(&self) -> Options {
-        let pair = |given: &Given| {
+        let pair = |given: &OwnPair| {
             Some(Pair {
                 left: given.left.clone()?,
                 right: given.right.clone()?,
@@ -73,9 +85,14 @@ impl Arguments {
             })
         };
         Options {
+            graph: self.graph.clone().map(|path| GraphRequest {
+                path,
+                given: self.given.options(&self.set),
+                disparity: self.disparity.clone(),
+            }),
             cases: self.case.clone(),
             data: self.data.clone(),
-            pair: pair(&self.given),
+            pair: pair(&self.pair),
             pictures: self.pictures.clone(),
         }
     }

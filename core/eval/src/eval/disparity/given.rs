@@ -7,9 +7,9 @@ use panoscope_imaging::stereo::{Rectification, StereoCameras, score_surface};
 
 use super::data::Picture;
 use super::judge::{Judge, REACH_MM, Truth};
+use super::picture;
 use super::rectified::{Rectified, points};
 use super::truth_files::{self, Loaded};
-use super::{chains, picture};
 use crate::error::{Context, Result, bail, ensure};
 
 /// A pair of the user's.
@@ -109,7 +109,7 @@ impl Judge<'_> {
         ensure!((geometry.width, geometry.height) == size, "the calibration was made for views of another size");
         let input =
             format!("{name} {}x{}, {} true points, farther than 4 mm counts as 4 mm", size.0, size.1, surface.len());
-        for made in chains::run(&views[0], &views[1], given.first_px, given.search_px)? {
+        for made in self.run(&views[0], &views[1], given.first_px, given.search_px)? {
             let points = points(&geometry, &made.disparity)?;
             let score = score_surface(&points, surface, REACH_MM)?;
             let chain = made.chain;

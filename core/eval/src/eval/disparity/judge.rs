@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use panoscope_imaging::View;
 use panoscope_imaging::stereo::{BAD_PX, score_disparity};
 
+use super::chains::{self, ChainOutput};
 use super::data::Picture;
-use super::{chains, picture};
+use super::own_graph::OwnGraph;
+use super::picture;
 use crate::error::Result;
 use crate::figures::Figure;
 use crate::inputs::find;
@@ -20,6 +22,8 @@ pub struct Judge<'a> {
     pub session: &'a dyn Session,
     /// Where data sets are searched.
     pub folders: Vec<PathBuf>,
+    /// The user's graph.
+    pub own: Option<OwnGraph>,
     /// Folder for pictures.
     pub pictures: Option<&'a Path>,
     pub figures: Vec<Figure>,
@@ -44,6 +48,19 @@ impl Judge<'_> {
 
     pub fn add(&mut self, name: String, value: f64, unit: &'static str, input: &str) {
         self.figures.push(Figure::new(&name, value, unit, input));
+    }
+
+    /// All chains on a pair, the user's graph last.
+    pub fn run(&self, left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> Result<Vec<ChainOutput>> {
+        let mut all = chains::run(left, right, first_px, search_px)?;
+        all.extend(self.own_graph(left, right)?);
+        Ok(all)
+    }
+
+    /// The user's graph on a pair, if there is one.
+    pub fn own_graph(&self, left: &Picture, right: &Picture) -> Result<Option<ChainOutput>> {
+        let Some(own) = &self.own else { return Ok(None) };
+        Ok(Some(ChainOutput { chain: "graph", disparity: own.disparity(self.session, left, right)? }))
     }
 
     pub fn against(
@@ -82,7 +99,7 @@ impl Judge<'_> {
     ) -> Result<()> {
         let size = (views[0].width, views[0].height);
         let input = format!("{case} {}x{}, {search_px} disparities", size.0, size.1);
-        for made in chains::run(views[0], views[1], first_px, search_px)? {
+        for made in self.run(views[0], views[1], first_px, search_px)? {
             self.against(case, made.chain, size, &made.disparity, truth, &input)?;
         }
         Ok(())
@@ -104,8 +121,8 @@ impl Judge<'_> {
             let flip = |row: &[u8]| row.chunks_exact(3).rev().flatten().copied().collect::<Vec<u8>>();
             Picture::new(size.0, size.1, view.bgr.chunks_exact(3 * size.0).flat_map(flip).collect())
         };
-        let there = chains::run(&views[0], &views[1], first_px, search_px)?;
-        let back = chains::run(&mirrored(&views[1]), &mirrored(&views[0]), first_px, search_px)?;
+        let there = self.run(&views[0], &views[1], first_px, search_px)?;
+        let back = self.run(&mirrored(&views[1]), &mirrored(&views[0]), first_px, search_px)?;
         for (made, other) in there.iter().zip(&back) {
             let (mut known, mut seen, mut apart) = (0usize, 0usize, 0usize);
             for (index, disparity) in made.disparity.iter().enumerate().filter(|(_, d)| d.is_finite()) {

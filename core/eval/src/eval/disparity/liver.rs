@@ -6,8 +6,8 @@ use panoscope_imaging::stereo::{CameraModel, StereoCameras, score_surface};
 
 use super::data::{self, Picture};
 use super::judge::{Judge, REACH_MM};
+use super::picture;
 use super::rectified::Rectified;
-use super::{chains, picture};
 use crate::error::Result;
 use crate::session::note;
 
@@ -130,7 +130,7 @@ impl Judge<'_> {
         let surface: Vec<[f32; 3]> = model.iter().map(turn).collect();
         let size = (rectified.geometry.width, rectified.geometry.height);
         let input = "synthetic_liver 1920x1080, surface of the model in the mask, farther than 4 mm counts as 4 mm";
-        for made in chains::run(&rectified.views[0], &rectified.views[1], 32, 128)? {
+        for made in self.run(&rectified.views[0], &rectified.views[1], 32, 128)? {
             let points = rectified.points(&made.disparity)?;
             // Every sixth column of every sixth row: tens of thousands of points are enough.
             let counts = |index: &usize| {

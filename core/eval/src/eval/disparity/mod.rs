@@ -6,6 +6,7 @@ mod given;
 mod judge;
 mod liver;
 mod outside;
+mod own_graph;
 mod phantom;
 mod picture;
 mod rectified;
@@ -21,8 +22,10 @@ use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::session::{Session, check_cancelled};
 use judge::Judge;
+use own_graph::OwnGraph;
 
 pub use given::Pair;
+pub use own_graph::GraphRequest;
 
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
@@ -33,6 +36,8 @@ pub struct Options {
     pub data: Vec<PathBuf>,
     /// A pair of the user's instead of the cases.
     pub pair: Option<Pair>,
+    /// A graph of the user's that is judged beside the chains.
+    pub graph: Option<GraphRequest>,
     /// Folder for pictures of disparities and errors.
     pub pictures: Option<PathBuf>,
 }
@@ -61,7 +66,8 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     if let Some(folder) = &options.pictures {
         std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
     }
-    let mut judge = Judge { session, folders, pictures: options.pictures.as_deref(), figures: Vec::new() };
+    let own = options.graph.as_ref().map(OwnGraph::open).transpose()?;
+    let mut judge = Judge { session, folders, own, pictures: options.pictures.as_deref(), figures: Vec::new() };
     if let Some(pair) = &options.pair {
         judge.given(pair)?;
         return Ok(judge.figures);

@@ -1,8 +1,9 @@
 //! The phantom: through the real nodes in a graph, beside its exact truth.
 
+use super::data::Picture;
 use super::judge::{Judge, Truth};
 use crate::error::{Context, Result};
-use crate::packets::floats;
+use crate::packets::{bytes, floats};
 use crate::ruler::{DISTANCES_MM, Ruler, SIZE, graph, plan, points};
 use crate::run;
 
@@ -38,7 +39,12 @@ impl Judge<'_> {
             ("lengths", "table"),
             ("depths", "table"),
         ];
+        let chains = ports.len();
         ports.extend(CHAINS.iter().map(|(chain, _)| (*chain, "disparity")));
+        let views = ports.len();
+        if self.own.is_some() {
+            ports.extend([("scope", "left"), ("scope", "right")]);
+        }
         let seen = run::run(self.session, &plan(&text, &ports))?;
         let packet =
             |index: usize| seen.packets[index].as_ref().with_context(|| format!("{:?} gave nothing", ports[index]));
@@ -49,7 +55,15 @@ impl Judge<'_> {
         let input = format!("phantom {scene} 640x480 at {distance_mm} mm, where both cameras see");
         let truth = Truth { disparity, mask: Some(visible) };
         for (index, (chain, _)) in CHAINS.iter().enumerate() {
-            self.against(&case, chain, SIZE, &map(6 + index)?, &truth, &input)?;
+            self.against(&case, chain, SIZE, &map(chains + index)?, &truth, &input)?;
+        }
+        if self.own.is_some() {
+            let picture = |index: usize| -> Result<Picture> {
+                Ok(Picture::new(SIZE.0, SIZE.1, bytes(packet(index)?, 3).context("a picture is cut off")?))
+            };
+            if let Some(made) = self.own_graph(&picture(views)?, &picture(views + 1)?)? {
+                self.against(&case, made.chain, SIZE, &made.disparity, &truth, &input)?;
+            }
         }
         let found = map(3)?;
         let mut errors: Vec<f32> =

@@ -157,7 +157,8 @@ impl Judge<'_> {
             let SyntheticPair([left, right]) = &pair;
             let (width, height) = synthetic::SIZE;
             let views = [left, right].map(|view| Picture::new(width, height, view.bgr.clone()));
-            for made in chains::search(&views[0], &views[1], pool)? {
+            let own = self.own_graph(&views[0], &views[1])?;
+            for made in chains::search(&views[0], &views[1], pool)?.into_iter().chain(own) {
                 if let Some(folder) = self.pictures {
                     let file = |kind: &str| folder.join(format!("{case}_{name}_{seed}_{}{kind}.png", made.chain));
                     picture::map(&file(""), synthetic::SIZE, &made.disparity)?;

@@ -144,7 +144,8 @@ fn over_time(out: &mut String, study: &SkillStudy, names: &[&str]) {
     };
     out.push_str("<h2>Speed</h2>");
     let top = study.traces.iter().flat_map(|trace| &trace.parts).map(|part| part.speed_max).fold(1.0, f64::max);
-    let mut plot = Plot::new("highest speed over time", (WIDTH, 240.0), time, Axis::around(0.0, top), "s", "mm/s");
+    let mut plot =
+        Plot::new("highest speed over time", (WIDTH, 240.0), time.clone(), Axis::around(0.0, top), "s", "mm/s");
     for (index, trace) in study.traces.iter().enumerate() {
         let of = trace.parts.iter().enumerate();
         let points = of

@@ -2,12 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use panoscope_abi::{Calibration, Camera};
 use toml::{Table, Value};
 
 use crate::error::Result;
-use crate::inputs::find;
 use crate::inputs::wiring::Wiring;
+use crate::inputs::{find, level};
 
 /// Names of all cases; the graph's own source first.
 pub const CASES: [&str; 4] = ["own", "cut", "hamlyn", "leuven"];
@@ -74,33 +73,10 @@ fn text(path: &Path) -> Value {
     path.to_string_lossy().into_owned().into()
 }
 
-/// Of two views whose rows already agree: the homography that a disparity grid finds does not depend on the focal length, so any does.
-fn rectified((width, height): (u32, u32)) -> Calibration {
-    const EYE: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let (focal, baseline_mm) = (f64::from(width), 5.0);
-    let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
-    let camera = Camera { width, height, fx: focal, fy: focal, cx, cy, distortion: [0.0; 14] };
-    let projection = |tx: f64| [focal, 0.0, cx, tx, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0];
-    Calibration {
-        left: camera,
-        right: camera,
-        right_from_left_rotation: EYE,
-        right_from_left_mm: [-baseline_mm, 0.0, 0.0],
-        rectified_from_left: EYE,
-        rectified_from_right: EYE,
-        left_projection: projection(0.0),
-        right_projection: projection(-focal * baseline_mm),
-        baseline_mm,
-        rms_px: 0.0,
-        is_rectified: 1,
-        reserved: 0,
-    }
-}
-
 /// Plays the Hamlyn pairs of a folder; their calibration is put into `work`.
 pub fn hamlyn(folder: &Path, work: &Path) -> Result<Source> {
     let file = work.join("hamlyn.yml");
-    panoscope_calibration::write(&file, &rectified(HAMLYN))?;
+    panoscope_calibration::write(&file, &level::calibration(HAMLYN))?;
     let params = [
         ("left", text(&folder.join("left"))),
         ("right", text(&folder.join("right"))),

@@ -1,0 +1,47 @@
+//! Which nodes of a graph, as a table of TOML, read which outputs.
+
+use std::collections::BTreeSet;
+
+use toml::{Table, Value};
+
+/// The output that an input reads, as `node.port`.
+pub fn from(value: &Value) -> Option<&str> {
+    match value {
+        Value::String(text) => Some(text),
+        Value::Table(table) => table.get("from")?.as_str(),
+        _ => None,
+    }
+}
+
+/// The node of `node.port`.
+pub fn node_of(reference: &str) -> &str {
+    reference.split_once('.').map_or(reference, |(node, _)| node)
+}
+
+/// Everything that a node reads.
+pub fn references(node: &Value) -> Vec<String> {
+    let inputs = node.get("inputs").and_then(Value::as_table);
+    let mut all = Vec::new();
+    for value in inputs.into_iter().flat_map(Table::values) {
+        match value {
+            Value::Array(list) => all.extend(list.iter().filter_map(from).map(str::to_owned)),
+            one => all.extend(from(one).map(str::to_owned)),
+        }
+    }
+    all
+}
+
+/// Names of the nodes that these outputs come from, up to the node `stop`, exclusive.
+pub fn upstream(nodes: &Table, outputs: &[&str], stop: Option<&str>) -> BTreeSet<String> {
+    let mut all = BTreeSet::new();
+    let mut next: Vec<String> = outputs.iter().map(|output| node_of(output).to_owned()).collect();
+    while let Some(id) = next.pop() {
+        if stop == Some(id.as_str()) {
+            continue;
+        }
+        let inputs = nodes.get(&id).map(references).unwrap_or_default();
+        next.extend(inputs.iter().map(|r| node_of(r).to_owned()).filter(|n| !all.contains(n)));
+        all.insert(id);
+    }
+    all
+}
