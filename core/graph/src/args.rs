@@ -53,6 +53,7 @@ pub const RESERVED_ARGS: &[&str] = &[
     "to",
     "trust",
     "trust_plugins",
+    "uncompressed",
     "unlocked",
     "unpaced",
     "verbose",

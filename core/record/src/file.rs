@@ -11,6 +11,7 @@ use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 
 use crate::check;
+use crate::coding::{Coding, Packer};
 use crate::digest::padded_hash;
 use crate::format::{EVENTS, Event, PACKET_ENCODING, PacketHead};
 use panoscope_engine::memory::FrameRef;
@@ -79,6 +80,7 @@ pub(crate) struct RecordFile {
     channels: HashMap<String, (u16, u32)>,
     event_count: u32,
     buffer: Vec<u8>,
+    packer: Packer,
     /// Length up to the end of the last complete message.
     complete_len: u64,
     /// Number of source ticks handed to the operating system.
@@ -114,6 +116,7 @@ impl RecordFile {
             channels: HashMap::new(),
             event_count: 0,
             buffer: Vec::new(),
+            packer: Packer::new()?,
             complete_len: 0,
             ticks: 0,
             pending_ticks: VecDeque::new(),
@@ -143,7 +146,8 @@ impl RecordFile {
         Ok(())
     }
 
-    pub fn packet(&mut self, port: &str, frame: &FrameRef, hash: u64) -> io::Result<()> {
+    /// Writes a packet; with `compresses`, shorter where that is possible.
+    pub fn packet(&mut self, port: &str, frame: &FrameRef, hash: u64, compresses: bool) -> io::Result<()> {
         let (channel, sequence) = match self.channels.get_mut(port) {
             Some((channel, sequence)) => {
                 *sequence = sequence.wrapping_add(1);
@@ -159,11 +163,30 @@ impl RecordFile {
         self.buffer.clear();
         let publish_time = u64::try_from(frame.tick().capture_ns).unwrap_or(0);
         let header = MessageHeader { channel_id: channel, sequence, log_time: unix_ns(), publish_time };
-        PacketHead::of(frame.frame(), hash, padded_hash(frame.frame(), frame.bytes())).write(&mut self.buffer);
+        let mut head = PacketHead::of(frame.frame(), hash, padded_hash(frame.frame(), frame.bytes()));
+        let place = self.packer.place_of(&head).filter(|_| compresses).map(u64::to_le_bytes);
+        let packed = if place.is_some() || !compresses { None } else { self.packer.pack(head.format, frame.bytes()) };
+        let stored = match (&place, packed) {
+            (Some(place), _) => {
+                head.coding = Coding::Reference;
+                &place[..]
+            }
+            (None, Some(packed)) => {
+                head.coding = Coding::Packed;
+                packed
+            }
+            (None, None) => frame.bytes(),
+        };
+        head.write(&mut self.buffer);
         let sum = check::sum(port, &check::head_bytes(&header), &self.buffer);
         self.buffer.extend_from_slice(&sum.to_le_bytes());
-        self.buffer.extend_from_slice(frame.bytes());
-        self.message(&header)
+        self.buffer.extend_from_slice(stored);
+        let len = stored.len() as u64;
+        self.message(&header)?;
+        if head.coding != Coding::Reference {
+            self.packer.remember(&head, self.complete_len - len);
+        }
+        Ok(())
     }
 
     pub fn flush(&mut self) -> io::Result<()> {

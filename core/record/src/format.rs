@@ -1,7 +1,7 @@
 //! The format of a recording: an MCAP file (<https://mcap.dev/spec>) without chunks, so that every record is complete or absent.
 //!
 //! The channel [`EVENTS`] carries [`Event`]s as JSON. Every recorded port has a channel named `node.port`, whose messages are a
-//! [`PacketHead`] followed by the frame's bytes as they were in memory. The messages of a node are in the order in which they happened.
+//! [`PacketHead`] followed by the frame's bytes, stored as [`Coding`] says. The messages of a node are in the order in which they happened.
 //!
 //! Since format 2 every message carries a checksum: an event as the last field of its JSON object (`xxh3`), a packet in its head. It covers
 //! the topic of the channel, MCAP's header of the message, and the event or the packet's head. The head contains the hashes of the packet's bytes.
@@ -16,6 +16,7 @@ use panoscope_engine::decide::Ages;
 use panoscope_engine::fault::Fault;
 use panoscope_engine::observe;
 
+use crate::coding::Coding;
 use crate::file_hash::{FileHash, hashes};
 
 /// Topic of the events.
@@ -23,7 +24,7 @@ pub const EVENTS: &str = "panoscope/events";
 /// Message encoding of packets.
 pub(crate) const PACKET_ENCODING: &str = "panoscope.packet";
 /// Version of the format that is written.
-pub const FORMAT: u32 = 3;
+pub const FORMAT: u32 = 4;
 /// The oldest version that is read: its messages have no checksums.
 pub const OLDEST_FORMAT: u32 = 1;
 /// The first version whose messages have checksums.
@@ -219,22 +220,25 @@ pub struct PacketHead {
     pub height: u32,
     /// Bytes from one row to the next.
     pub stride_bytes: u32,
-    /// Number of bytes that follow.
+    /// Number of bytes in memory.
     pub len: u64,
     /// Fingerprint, see [`super::digest::packet_hash`].
     pub hash: u64,
     /// XXH3 of all bytes when rows are padded, else 0; `hash` does not cover the padding.
     pub padded: u64,
+    /// How the bytes are stored. Since format 4; plain before.
+    pub coding: Coding,
 }
 
 impl PacketHead {
     pub(crate) fn of(frame: &Frame, hash: u64, padded: u64) -> Self {
         let Frame { format, width, height, stride_bytes, tick, len, .. } = *frame;
-        Self { tick, format, width, height, stride_bytes, len: len as u64, hash, padded }
+        Self { tick, format, width, height, stride_bytes, len: len as u64, hash, padded, coding: Coding::Plain }
     }
 
     pub(crate) fn write(&self, out: &mut Vec<u8>) {
-        for number in [self.tick.source, self.format, self.width, self.height, self.stride_bytes, 0] {
+        for number in [self.tick.source, self.format, self.width, self.height, self.stride_bytes, self.coding.number()]
+        {
             out.extend(number.to_le_bytes());
         }
         out.extend(self.tick.seq.to_le_bytes());
@@ -245,11 +249,13 @@ impl PacketHead {
     }
 
     /// Reads a head of format 1, or the first part of a newer one.
-    pub(crate) fn read(bytes: &[u8; PLAIN_HEAD_BYTES]) -> Self {
+    /// `None`: the bytes are stored in an unknown way.
+    pub(crate) fn read(bytes: &[u8; PLAIN_HEAD_BYTES]) -> Option<Self> {
         let four = |at: usize| bytes[at..at + 4].iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
         let eight = |at: usize| bytes[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
         let tick = Tick { source: four(0), flags: 0, seq: eight(24), capture_ns: eight(32) as i64 };
         let (format, width, height, stride_bytes) = (four(4), four(8), four(12), four(16));
-        Self { tick, format, width, height, stride_bytes, len: eight(40), hash: eight(48), padded: 0 }
+        let coding = Coding::of(four(20))?;
+        Some(Self { tick, format, width, height, stride_bytes, len: eight(40), hash: eight(48), padded: 0, coding })
     }
 }

@@ -6,6 +6,7 @@
 //! clock nor thread.
 
 mod check;
+mod coding;
 pub mod compare;
 mod content;
 pub mod digest;
@@ -20,6 +21,7 @@ mod recording;
 mod replay;
 mod script;
 
+pub use coding::Coding;
 pub use digest::Digests;
 pub use file::Output;
 pub use file_hash::{FileHash, hash as hash_file};

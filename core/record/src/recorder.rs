@@ -21,6 +21,9 @@ use crate::file::{Output, RecordFile};
 use crate::format::{Event, Head};
 use panoscope_engine::memory::FrameRef;
 
+/// Packets are compressed while no more bytes of frames than these wait.
+const SHORT_QUEUE_BYTES: usize = 64 << 20;
+
 /// How a run is recorded.
 pub struct RecordOptions {
     /// The recording; `None` for fingerprints only.
@@ -31,13 +34,22 @@ pub struct RecordOptions {
     pub all_ports: bool,
     /// Whether sources make all their outputs, also those without a reader, so that other graphs can be replayed on the recording.
     pub all_source_ports: bool,
+    /// Whether packets are compressed while the disk keeps up, and stored once where their bytes are the same.
+    pub compresses: bool,
     /// Maximum number of bytes of frames in the queue to the disk.
     pub max_queued_bytes: usize,
 }
 
 impl Default for RecordOptions {
     fn default() -> Self {
-        Self { file: None, digests: false, all_ports: false, all_source_ports: true, max_queued_bytes: 512 << 20 }
+        Self {
+            file: None,
+            digests: false,
+            all_ports: false,
+            all_source_ports: true,
+            compresses: true,
+            max_queued_bytes: 512 << 20,
+        }
     }
 }
 
@@ -369,6 +381,11 @@ impl Inner {
         recorded
     }
 
+    /// Whether there is time to compress: a long queue is written as it is, before packets have to be left out.
+    fn compresses(&self) -> bool {
+        self.options.compresses && lock(&self.queue).bytes <= SHORT_QUEUE_BYTES.min(self.options.max_queued_bytes / 8)
+    }
+
     /// Ends the recording after an error of the disk; the run goes on without it.
     fn give_up(&self, file: &mut Option<RecordFile>, cause: &std::io::Error, recorded: &mut Recorded) {
         let Some(file) = file.take() else { return };
@@ -404,7 +421,7 @@ impl Inner {
                     digests.add(name, digest);
                 }
                 let wrote = match file.as_mut().filter(|_| stored) {
-                    Some(file) => file.packet(name, &frame, digest.hash),
+                    Some(file) => file.packet(name, &frame, digest.hash, self.compresses()),
                     None => Ok(()),
                 };
                 let mut queue = lock(&self.queue);

@@ -12,6 +12,7 @@ use mcap::records::op;
 use panoscope_abi::Frame;
 
 use crate::check::{self, MESSAGE_HEAD_BYTES, Seal};
+use crate::coding::{self, Coding, REFERENCE_BYTES};
 use crate::digest::{Digests, PacketDigest, packet_hash, padded_hash};
 use crate::format::{
     CHECKED_FORMAT, EVENTS, Event, FORMAT, Head, OLDEST_FORMAT, PACKET_ENCODING, PACKET_HEAD_BYTES, PLAIN_HEAD_BYTES,
@@ -28,6 +29,8 @@ const FOOTER_BYTES: usize = 9 + 20;
 const LONGEST_EVENT: u64 = 256 << 20;
 /// Maximum length of a packet.
 const LONGEST_PACKET: u64 = 1 << 30;
+/// Maximum length of a packet that takes less space in the file: a short file must not take all memory.
+const LONGEST_PACKED: u64 = 1 << 28;
 
 /// Why a recording cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -101,8 +104,12 @@ pub enum RecordingError {
 pub struct Packet {
     /// The packet's description.
     pub head: PacketHead,
-    /// Offset of its bytes in the file.
+    /// Offset in the file of the bytes that are stored of it.
     pub at: u64,
+    /// Their number.
+    pub stored: u64,
+    /// How they are stored.
+    pub coding: Coding,
 }
 
 /// A recorded tick of a source.
@@ -165,6 +172,8 @@ struct Scan {
     ports: BTreeMap<String, Vec<Packet>>,
     /// Packets of each node whose tick event has not been read yet.
     pending: HashMap<String, Vec<(String, Packet)>>,
+    /// Packets whose bytes are stored, by their place: how, in how many bytes, and of how many.
+    places: HashMap<u64, (Coding, u64, u64)>,
 }
 
 /// Why the scan ends.
@@ -219,6 +228,7 @@ impl Recording {
             sources: BTreeMap::new(),
             ports: BTreeMap::new(),
             pending: HashMap::new(),
+            places: HashMap::new(),
         };
         let stop = loop {
             if let Err(stop) = scan.record() {
@@ -295,7 +305,13 @@ impl Recording {
         let PacketHead { format, width, height, stride_bytes, hash, padded, tick, .. } = packet.head;
         let damaged =
             || RecordingError::Damaged { file: self.path.clone(), at: packet.at, port: port.to_owned(), seq: tick.seq };
-        self.file.read_exact_at(bytes, packet.at).map_err(|_| damaged())?;
+        if packet.coding == Coding::Packed {
+            let mut packed = vec![0; packet.stored as usize];
+            self.file.read_exact_at(&mut packed, packet.at).map_err(|_| damaged())?;
+            coding::unpack(format, &packed, bytes).ok_or_else(damaged)?;
+        } else {
+            self.file.read_exact_at(bytes, packet.at).map_err(|_| damaged())?;
+        }
         let frame = Frame { format, width, height, stride_bytes, ..Frame::EMPTY };
         let whole = packet_hash(&frame, bytes) == hash && (!self.checked || padded_hash(&frame, bytes) == padded);
         if whole { Ok(()) } else { Err(damaged()) }
@@ -455,7 +471,10 @@ impl Scan {
         let mut packet_head = [0; PACKET_HEAD_BYTES];
         self.reader.read_exact(&mut packet_head[..head_bytes])?;
         let (plain, more) = packet_head.split_at(PLAIN_HEAD_BYTES);
-        let mut head = PacketHead::read(plain.try_into().map_err(|_| damaged("a packet without a head"))?);
+        let plain = plain.try_into().map_err(|_| damaged("a packet without a head"))?;
+        let Some(mut head) = PacketHead::read(plain) else {
+            return Err(damaged("a packet is stored in an unknown way"));
+        };
         if checked {
             let eight = |at: usize| more[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
             head.padded = eight(0);
@@ -463,11 +482,31 @@ impl Scan {
                 return Err(damaged("the description of a packet is not what was recorded"));
             }
         }
-        if head.len != rest - head_bytes as u64 || head.len > LONGEST_PACKET || self.head.is_none() {
+        let stored = rest - head_bytes as u64;
+        let (fits, longest) = match head.coding {
+            Coding::Plain => (head.len == stored, LONGEST_PACKET),
+            Coding::Packed => (stored < head.len, LONGEST_PACKED),
+            Coding::Reference => (stored == REFERENCE_BYTES, LONGEST_PACKED),
+        };
+        if !fits || head.len > longest || self.head.is_none() {
             return Err(damaged("a packet has a wrong length"));
         }
-        self.skip(head.len)?;
-        let packet = Packet { head, at: begin + (MESSAGE_HEAD_BYTES + head_bytes) as u64 };
+        let at = begin + (MESSAGE_HEAD_BYTES + head_bytes) as u64;
+        let packet = if head.coding == Coding::Reference {
+            let mut place = [0; REFERENCE_BYTES as usize];
+            self.reader.read_exact(&mut place)?;
+            let Some(&(coding, stored, len)) = self.places.get(&u64::from_le_bytes(place)) else {
+                return Err(damaged("a packet refers to one that is not there"));
+            };
+            if len != head.len {
+                return Err(damaged("a packet refers to one of another length"));
+            }
+            Packet { head, at: u64::from_le_bytes(place), stored, coding }
+        } else {
+            self.skip(stored)?;
+            self.places.insert(at, (head.coding, stored, head.len));
+            Packet { head, at, stored, coding: head.coding }
+        };
         let Some((node, port)) = topic.split_once('.') else { return Err(damaged("a port without a node")) };
         self.pending.entry(node.to_owned()).or_default().push((port.to_owned(), packet));
         self.ports.entry(topic).or_default().push(packet);

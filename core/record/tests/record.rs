@@ -13,8 +13,8 @@ use panoscope_graph::{GraphText, ParamValue, check};
 use panoscope_loader::Live;
 use panoscope_record::compare::{compare, compare_recordings};
 use panoscope_record::{
-    Digests, Event, RecordOptions, Recorded, Recorder, Recording, RecordingError, Replay, ReplayError, ReplayOptions,
-    head,
+    Coding, Digests, Event, RecordOptions, Recorded, Recorder, Recording, RecordingError, Replay, ReplayError,
+    ReplayOptions, head,
 };
 
 /// A running graph that is recorded.
@@ -24,14 +24,17 @@ struct Run {
 }
 
 fn start(text: &str, file: Option<PathBuf>, options: Options, all_ports: bool) -> Run {
+    start_with(text, options, RecordOptions { file, digests: true, all_ports, ..RecordOptions::default() })
+}
+
+fn start_with(text: &str, options: Options, record: RecordOptions) -> Run {
     let path = Path::new("recorded.toml");
     let parsed = GraphText::parse(path, text);
     let loader = loader();
     let catalog = loader.catalog(&parsed.plugins());
     let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
     let mut head = head(&graph, &catalog, &loader, path, text, &[]);
-    head.all_ports = all_ports;
-    let record = RecordOptions { file, digests: true, all_ports, ..RecordOptions::default() };
+    head.all_ports = record.all_ports;
     let recorder = Recorder::start(record, head).expect("the file can be written");
     let options = Options { observer: Some(Arc::clone(&recorder) as _), ..options };
     let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
@@ -365,27 +368,79 @@ fn reported_damage(file: &Path) -> Option<String> {
     }
 }
 
+/// A recording of pictures that are packed, and of a node that hands them on, which are stored as references.
+fn packed() -> Vec<u8> {
+    let text = [
+        HEAD,
+        &source("a", 400.0).replace("width_px = 16, height_px = 8", "width_px = 64, height_px = 48"),
+        &node("same", "pass", "a.image"),
+        &node("end", "drain", "same.image"),
+    ];
+    let file = scratch("packed.mcap");
+    let run = start(&text.concat(), Some(file.clone()), Options { threads: 2, ..Options::default() }, true);
+    run.until("a", 12);
+    run.end();
+    let recording = Recording::open(&file).expect("whole");
+    let sizes = |port: &str| recording.ports[port].iter().map(|p| (p.coding, p.stored)).collect::<Vec<_>>();
+    let (made, same) = (sizes("a.image"), sizes("same.image"));
+    assert!(made.iter().all(|(coding, stored)| *coding == Coding::Packed && *stored < 64 * 48 / 2), "{made:?}");
+    assert!(!same.is_empty() && same == made[..same.len()], "{same:?}");
+    let ats = |port: &str| recording.ports[port].iter().map(|p| p.at).collect::<Vec<_>>();
+    assert_eq!(ats("same.image"), ats("a.image")[..same.len()], "stored once");
+    std::fs::read(&file).expect("it was written")
+}
+
 #[test]
 fn a_flipped_bit_anywhere_is_reported_and_never_read_as_other_data() {
-    let whole = short();
-    let file = scratch("flipped.mcap");
-    std::fs::write(&file, &whole).expect("written");
-    assert_eq!(reported_damage(&file), None);
-    let all = Recording::open(&file).expect("whole");
-    // All of the beginning (header, channel, head, first ticks) and of the end; a sample of what repeats between them.
-    let first = all.ports["a.image"][2].at as usize + 8;
-    let (mut flipped, mut step) = (0, 0u64);
-    let mut at = 0;
-    while at < whole.len() {
-        let mut bytes = whole.clone();
-        step += 1;
-        bytes[at] ^= 1 << (step % 8);
-        std::fs::write(&file, &bytes).expect("written");
-        assert!(reported_damage(&file).is_some(), "bit {} of byte {at} of {}: not reported", step % 8, whole.len());
-        flipped += 1;
-        at += if at < first || at + 800 > whole.len() { 1 } else { 13 };
+    for whole in [short(), packed()] {
+        let file = scratch("flipped.mcap");
+        std::fs::write(&file, &whole).expect("written");
+        assert_eq!(reported_damage(&file), None);
+        let all = Recording::open(&file).expect("whole");
+        // All of the beginning (header, channel, head, first ticks) and of the end; a sample of what repeats between them.
+        let first = all.ports["a.image"][2].at as usize + 8;
+        let (mut flipped, mut step) = (0, 0u64);
+        let mut at = 0;
+        while at < whole.len() {
+            let mut bytes = whole.clone();
+            step += 1;
+            bytes[at] ^= 1 << (step % 8);
+            std::fs::write(&file, &bytes).expect("written");
+            assert!(reported_damage(&file).is_some(), "bit {} of byte {at} of {}: not reported", step % 8, whole.len());
+            flipped += 1;
+            at += if at < first || at + 800 > whole.len() { 1 } else { 13 };
+        }
+        assert!(flipped > 3000, "{flipped}");
     }
-    assert!(flipped > 3000, "{flipped}");
+}
+
+#[test]
+fn a_compressed_recording_has_the_same_packets_in_less_space() {
+    let text = [
+        HEAD,
+        &source("a", 400.0).replace("width_px = 16, height_px = 8", "width_px = 64, height_px = 48"),
+        &node("same", "pass", "a.image"),
+        &node("end", "drain", "same.image"),
+    ];
+    let record = |name: &str, compresses: bool| {
+        let file = scratch(name);
+        let record =
+            RecordOptions { file: Some(file.clone()), all_ports: true, compresses, ..RecordOptions::default() };
+        let options = Options { threads: 2, frames: Some(20), ..Options::default() };
+        let run = start_with(&text.concat().replace("\"live\"", "\"batch\""), options, record);
+        run.until("end", 20);
+        (run.end().bytes, Recording::open(&file).expect("whole"))
+    };
+    let ((less, small), (more, large)) = (record("small.mcap", true), record("large.mcap", false));
+    assert!(less < more / 3, "{less} and {more} bytes");
+    let compared = compare_recordings(&small, &large, 0.0).expect("both are whole");
+    assert!(compared.iter().all(|port| port.is_nothing()), "{compared:?}");
+    for port in ["a.image", "same.image"] {
+        assert_eq!(small.ports[port].len(), 20);
+        for (a, b) in small.ports[port].iter().zip(&large.ports[port]) {
+            assert_eq!(small.bytes(port, a).expect("whole"), large.bytes(port, b).expect("whole"));
+        }
+    }
 }
 
 #[test]
@@ -412,6 +467,16 @@ fn a_damaged_recording_fails_a_replay_and_a_comparison() {
     assert!(error.contains("is damaged at byte") && error.contains("packet 10 of `a.image`"), "{error}");
 }
 
+/// Records a source until it made 30 pictures, with packets as they are in memory: as formats before 4 have them.
+fn record_uncompressed(file: &Path) -> Recorded {
+    let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
+    let record =
+        RecordOptions { file: Some(file.to_owned()), digests: true, compresses: false, ..RecordOptions::default() };
+    let run = start_with(&text, Options { threads: 2, ..Options::default() }, record);
+    run.until("a", 30);
+    run.end()
+}
+
 /// The recording in format 1, without checksums.
 fn without_checksums(recording: &Path) -> Vec<u8> {
     let whole = std::fs::read(recording).expect("it was written");
@@ -433,7 +498,7 @@ fn without_checksums(recording: &Path) -> Vec<u8> {
                 body.truncate(body.len() - 27);
                 body.push(b'}');
                 let json = String::from_utf8(body.split_off(22)).expect("JSON");
-                body.extend(json.replacen("\"format\":3", "\"format\":1", 1).into_bytes());
+                body.extend(json.replacen("\"format\":4", "\"format\":1", 1).into_bytes());
             }
         }
         out.push(kind);
@@ -445,11 +510,8 @@ fn without_checksums(recording: &Path) -> Vec<u8> {
 
 #[test]
 fn recordings_of_format_1_replay_with_a_warning_about_missing_checksums() {
-    let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
     let file = scratch("new_format.mcap");
-    let run = start(&text, Some(file.clone()), Options { threads: 2, ..Options::default() }, false);
-    run.until("a", 30);
-    let original = run.end().digests.expect("fingerprints");
+    let original = record_uncompressed(&file).digests.expect("fingerprints");
     let old = scratch("old_format.mcap");
     std::fs::write(&old, without_checksums(&file)).expect("written");
     let recording = Arc::new(Recording::open(&old).expect("an old recording"));
@@ -463,11 +525,8 @@ fn recordings_of_format_1_replay_with_a_warning_about_missing_checksums() {
 /// A recording whose packets are described otherwise than its source declares them.
 #[test]
 fn a_recorded_packet_that_its_source_may_not_put_out_is_withheld() {
-    let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
     let file = scratch("misfit.mcap");
-    let run = start(&text, Some(file.clone()), Options { threads: 2, ..Options::default() }, false);
-    run.until("a", 30);
-    run.end();
+    record_uncompressed(&file);
     // Rows that do not lie inside the packet, in a format without checksums: what a reader would take for its own memory.
     let mut bytes = without_checksums(&file);
     let old = scratch("misfit_old.mcap");

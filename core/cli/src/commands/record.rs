@@ -22,6 +22,9 @@ pub struct Arguments {
     /// Sources make and record only the outputs that the graph reads. Smaller and faster, but another graph finds no more than this one read.
     #[arg(long)]
     read_ports_only: bool,
+    /// Stores packets as they are in memory: less work, a larger file.
+    #[arg(long)]
+    uncompressed: bool,
     #[command(flatten)]
     ports: Ports,
 }
@@ -44,6 +47,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         digests: arguments.ports.digests.is_some(),
         all_ports: arguments.ports.all_ports,
         all_source_ports: !arguments.read_ports_only,
+        compresses: !arguments.uncompressed,
         ..RecordOptions::default()
     };
     Ok(match run::run_with(&arguments.run, Some(options), |_| {})? {

@@ -119,6 +119,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             all_source_ports: false,
             // The replay waits for nobody: no packet may be missing.
             max_queued_bytes: usize::MAX,
+            ..RecordOptions::default()
         }),
         engine: Options {
             threads: arguments.threads.map_or(0, usize::from),
