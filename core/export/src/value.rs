@@ -213,11 +213,13 @@ impl Picture {
 
 #[cfg(test)]
 mod tests {
+    use panoscope_record::Coding;
+
     use super::*;
 
     fn head(format: u32, width: u32, height: u32, stride_bytes: u32) -> PacketHead {
         let tick = abi::Tick { source: 0, flags: 0, seq: 3, capture_ns: 5 };
-        PacketHead { tick, format, width, height, stride_bytes, len: 0, hash: 0, padded: 0 }
+        PacketHead { tick, format, width, height, stride_bytes, len: 0, hash: 0, padded: 0, coding: Coding::Plain }
     }
 
     #[test]

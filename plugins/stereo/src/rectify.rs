@@ -1,7 +1,8 @@
 //! `rectify`: turns both views so that a point lies on one row in both (thesis, fig. 3.5).
 
 use panoscope_imaging::Rect;
-use panoscope_imaging::stereo::RemapTable;
+use panoscope_imaging::stereo::rotation::Matrix3;
+use panoscope_imaging::stereo::{Rectification, RemapTable};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
     Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error,
@@ -52,6 +53,13 @@ pub struct Rectify {
     maps: Option<Maps>,
 }
 
+/// Whether the cameras are those of the rectified views, so that every pixel stays where it is.
+fn is_level(source: &Calibration, target: &Calibration, rectification: &Rectification) -> bool {
+    const EYE: Matrix3 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    (source.left, source.right) == (target.left, target.right)
+        && (rectification.rotation_left, rectification.rotation_right) == (EYE, EYE)
+}
+
 impl Maps {
     fn new(source: &Calibration, cx: &Context<'_>) -> Result<Self> {
         if source.is_rectified != 0 {
@@ -60,12 +68,16 @@ impl Maps {
         }
         let rectification = calibration::rectification(source)?;
         let (left, right) = (calibration::camera(&source.left)?, calibration::camera(&source.right)?);
+        let target = calibration::rectified(source, &rectification);
+        if is_level(source, &target, &rectification) {
+            return Ok(Self { source: *source, target, tables: None });
+        }
         let all = Rect::whole(rectification.width, rectification.height);
         let tables = [
             RemapTable::left(&left, &rectification, all, cx.pool())?,
             RemapTable::right(&right, &rectification, all, cx.pool())?,
         ];
-        Ok(Self { source: *source, target: calibration::rectified(source, &rectification), tables: Some(tables) })
+        Ok(Self { source: *source, target, tables: Some(tables) })
     }
 }
 

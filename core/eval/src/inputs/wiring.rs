@@ -157,9 +157,25 @@ impl Wiring {
         self.graph.get("nodes")?.get(id)
     }
 
+    /// Where a view comes from: of a rectified view, where the view before comes from.
+    fn origin(&self, view: &str) -> String {
+        let mut at = view.to_owned();
+        // A graph may be wired in a circle.
+        for _ in 0..self.graph.get("nodes").and_then(Value::as_table).map_or(0, Table::len) {
+            let before = at.split_once('.').and_then(|(node, port)| {
+                let node = self.node(node).filter(|node| is_type(node, "rectify"))?;
+                from(node.get("inputs")?.get(port)?).map(str::to_owned)
+            });
+            let Some(before) = before else { break };
+            at = before;
+        }
+        at
+    }
+
     /// Name of the phantom that the first composite's first view comes from, if it does.
     pub fn phantom(&self) -> Option<String> {
-        let id = node_of(self.composites.first()?.views.first()?);
+        let origin = self.origin(self.composites.first()?.views.first()?);
+        let id = node_of(&origin);
         is_type(self.node(id)?, "phantom").then(|| id.to_owned())
     }
 
@@ -170,7 +186,7 @@ impl Wiring {
     /// When the graph reads something of its source that the new one does not have.
     pub fn with_source(&self, source: Table, ports: &[&str], more: &[(&str, Table)], plugins: &[&str]) -> Result<Self> {
         let mut out = self.clone();
-        let id = node_of(&self.composites[0].views[0]).to_owned();
+        let id = self.source();
         let Some(nodes) = out.nodes() else { bail!("the graph has no nodes") };
         for (name, node) in nodes.iter().filter(|(name, _)| **name != id) {
             for (node_id, port) in references(node).iter().filter_map(|r| r.split_once('.')) {
@@ -227,14 +243,14 @@ impl Wiring {
             .map_or_else(BTreeSet::new, |nodes| upstream(nodes, outputs, stop))
     }
 
-    /// Name of the node that gives the first composite its first view.
-    pub fn source(&self) -> &str {
-        node_of(&self.composites[0].views[0])
+    /// Name of the node that the first composite's first view comes from.
+    pub fn source(&self) -> String {
+        node_of(&self.origin(&self.composites[0].views[0])).to_owned()
     }
 
     /// The nodes that find the first composite's first homography from what its source gives, by name.
     pub fn registration(&self) -> Vec<(String, Table)> {
-        let ids = self.upstream(&[&self.composites[0].homographies[0]], Some(self.source()));
+        let ids = self.upstream(&[&self.composites[0].homographies[0]], Some(&self.source()));
         ids.into_iter().filter_map(|id| Some((id.clone(), self.node(&id)?.as_table()?.clone()))).collect()
     }
 
@@ -280,7 +296,8 @@ impl Wiring {
         pair: usize,
         judged: JudgeInputs,
     ) -> (Vec<(&'static str, String)>, Table) {
-        let source = node_of(&composite.views[0]);
+        let origin = self.origin(&composite.views[0]);
+        let source = node_of(&origin);
         let is = |kind: &str| self.node(source).is_some_and(|node| is_type(node, kind));
         let mut inputs = vec![
             ("left", composite.views[0].clone()),
@@ -300,7 +317,7 @@ impl Wiring {
             wire(&[("panorama", "panorama"), ("canvas", "canvas"), ("shown", "shown")], &composite.id);
         }
         // The phantom's disparity is that of its first two cameras; the others stand as many baselines away from the first.
-        let camera = camera_of(&composite.views[pair + 1]);
+        let camera = camera_of(&self.origin(&composite.views[pair + 1]));
         match () {
             () if is("phantom") && camera == Some(1) => {
                 wire(&[("disparity", "disparity"), ("visible", "visible"), ("truth", "homography")], source);
@@ -399,6 +416,33 @@ inputs = { image = "wide.panorama" }
         assert_eq!(judge["truth"].as_str(), Some("scope.homography"));
         let text = wiring.judged(JudgeInputs::Registration).text();
         assert!(!text.contains("panorama =") && !text.contains("scope.wide"), "{text}");
+    }
+
+    #[test]
+    fn rectified_views_are_judged_by_the_truth_of_their_source() {
+        let rectify = "[nodes.level]\ntype = \"rectify\"\ninputs = { left = \"scope.left\", right = { from = \"scope.right\" } }\n";
+        let level = |text: &str| {
+            text.replace("left = \"scope.left\"", "left = \"level.left\"")
+                .replace("from = \"scope.right\"", "from = \"level.right\"")
+        };
+        let wiring = wiring(&format!("{}{rectify}", level(GRAPH))).unwrap();
+        assert_eq!((wiring.source(), wiring.phantom()), ("scope".to_owned(), Some("scope".to_owned())));
+        let table: toml::Table = wiring.judged(JudgeInputs::Pictures).text().parse().unwrap();
+        let judge = &table["nodes"]["judge_wide"]["inputs"];
+        assert_eq!((judge["left"].as_str(), judge["truth"].as_str()), (Some("level.left"), Some("scope.homography")));
+        let source: Table = "type = \"capture\"".parse().unwrap();
+        let made = wiring.with_source(source, &["left", "right"], &[], &["capture"]).unwrap().text();
+        assert!(made.contains("[nodes.level]") && !made.contains("\"phantom\"\n"), "{made}");
+        let circle = "[nodes.level]\ntype = \"rectify\"\ninputs = { left = \"level.left\", right = \"level.right\" }\n";
+        assert_eq!(
+            super::Wiring::of(
+                &GraphText::parse("x.toml".as_ref(), &format!("{}{circle}", level(GRAPH))),
+                &Catalog::default()
+            )
+            .unwrap()
+            .source(),
+            "level"
+        );
     }
 
     #[test]
