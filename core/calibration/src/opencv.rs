@@ -76,7 +76,10 @@ fn size(documents: &[Node]) -> Result<(u32, u32)> {
         found.node.pixels(found.name).map(Some).map_err(|mistake| (found.index, mistake))
     };
     if let (Some(width), Some(height)) =
-        (pixels(&["image_width", "width", "imageWidth"])?, pixels(&["image_height", "height", "imageHeight"])?)
+        (
+            pixels(&["image_width", "width", "imageWidth", "Camera.width"])?,
+            pixels(&["image_height", "height", "imageHeight", "Camera.height"])?,
+        )
     {
         return Ok((width, height));
     }
