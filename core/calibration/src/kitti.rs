@@ -54,10 +54,11 @@ pub(crate) fn packet(text: &str, cameras: Option<[u8; 2]>) -> Result<Calibration
     let has = |camera: &u8| projection_names(*camera).iter().any(|name| entries.get(name).is_some());
     let [left, right] = cameras.unwrap_or(if COLOUR.iter().all(has) { COLOUR } else { GRAY });
     let ((mut left, left_m), (mut right, right_m)) = (camera(&entries, left)?, camera(&entries, right)?);
-    for (own, other) in [(&mut left.size, right.size), (&mut right.size, left.size)] {
-        if *own == (0, 0) {
-            *own = other;
-        }
+    // Both rectified views have one size.
+    match (left.size, right.size) {
+        ((0, 0), size) => left.size = size,
+        (size, (0, 0)) => right.size = size,
+        _ => {}
     }
     Ok(rectified::packet(left, right, (left_m - right_m) * MM_PER_M))
 }
