@@ -24,21 +24,21 @@ const LISTED: usize = 8;
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Left view, or the only one.
-    left: Slot<'f, Bgr8>,
+    pub left: Slot<'f, Bgr8>,
     /// Right view.
-    right: Slot<'f, Bgr8>,
+    pub right: Slot<'f, Bgr8>,
     /// Calibration of both views, with the rectification that the truth is meant for.
-    calibration: Slot<'f, Calibration>,
+    pub calibration: Slot<'f, Calibration>,
     /// True disparity of the left rectified view, px; NaN where unknown.
-    disparity: Slot<'f, Disparity>,
+    pub disparity: Slot<'f, Disparity>,
     /// True depth of the left rectified view, mm; NaN where unknown.
-    depth: Slot<'f, Depth>,
+    pub depth: Slot<'f, Depth>,
     /// True boxes in the left view as it comes, not rectified.
-    detections: Slot<'f, LabeledDetections>,
+    pub detections: Slot<'f, LabeledDetections>,
     /// True boxes and masks in the left view as it comes, where the data set has masks.
-    instances: Slot<'f, LabeledInstances>,
+    pub instances: Slot<'f, LabeledInstances>,
     /// Always empty: no data set of these states tips. It is there so that graphs for the phantom's truth run unchanged.
-    tip: Slot<'f, Tip>,
+    pub tip: Slot<'f, Tip>,
 }
 
 /// Parameters.
