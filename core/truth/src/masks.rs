@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Most columns or rows.
-const MOST_SIDE: u32 = 1 << 14;
+const MOST_SIDE: u32 = 1 << 13;
 
 /// Why a file gives no classes.
 #[derive(Debug, thiserror::Error)]
@@ -16,8 +16,8 @@ pub enum MaskError {
         /// The system's error.
         cause: std::io::Error,
     },
-    /// The file is no picture, or damaged.
-    #[error("{path}: the mask is damaged or no picture: {cause}", path = path.display())]
+    /// The file is no PNG, or damaged.
+    #[error("{path}: the mask is damaged or no PNG: {cause}", path = path.display())]
     Picture {
         /// The file.
         path: PathBuf,
@@ -56,7 +56,7 @@ pub struct Part {
 }
 
 impl MaskPicture {
-    /// Reads a mask of gray or colour, 8 or 16 bits; transparency counts as nothing.
+    /// Reads a PNG of gray or colour, 8 or 16 bits; transparency counts as nothing.
     ///
     /// # Errors
     /// See [`MaskError`].
@@ -70,7 +70,7 @@ impl MaskPicture {
     /// # Errors
     /// What is wrong with the bytes.
     pub fn decode(bytes: &[u8]) -> Result<Self, image::ImageError> {
-        let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format()?;
+        let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), image::ImageFormat::Png);
         let mut limits = image::Limits::default();
         (limits.max_image_width, limits.max_image_height) = (Some(MOST_SIDE), Some(MOST_SIDE));
         reader.limits(limits);

@@ -69,22 +69,23 @@ impl Tree {
     }
 
     /// A PFM: rows from below, infinite where unknown.
-    pub fn pfm(&self, path: &str, value: impl Fn(u32, u32) -> f32) {
-        let mut bytes = format!("Pf\n{WIDTH} {HEIGHT}\n-1\n").into_bytes();
-        for y in (0..HEIGHT).rev() {
-            bytes.extend((0..WIDTH).flat_map(|x| value(x, y).to_le_bytes()));
+    pub fn pfm(&self, path: &str, (width, height): (u32, u32), value: impl Fn(u32, u32) -> f32) {
+        let mut bytes = format!("Pf\n{width} {height}\n-1\n").into_bytes();
+        for y in (0..height).rev() {
+            bytes.extend((0..width).flat_map(|x| value(x, y).to_le_bytes()));
         }
         self.write(path, bytes);
     }
 
     /// A TIFF of x, y, z.
-    pub fn points(&self, path: &str, height: u32, value: impl Fn(u32, u32) -> [f32; 3]) {
-        let map = image::Rgb32FImage::from_fn(WIDTH, height, |x, y| image::Rgb(value(x, y)));
+    pub fn points(&self, path: &str, (width, height): (u32, u32), value: impl Fn(u32, u32) -> [f32; 3]) {
+        let map = image::Rgb32FImage::from_fn(width, height, |x, y| image::Rgb(value(x, y)));
         image::DynamicImage::ImageRgb32F(map).save(self.ready(path)).expect("points");
     }
 }
 
-fn matrix(name: &str, rows: usize, columns: usize, data: &[f64]) -> String {
+/// A matrix as OpenCV's `FileStorage` has it.
+pub fn matrix(name: &str, rows: usize, columns: usize, data: &[f64]) -> String {
     let data = data.iter().map(|v| format!("{v:.8e}")).collect::<Vec<_>>().join(", ");
     format!("{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: f\n   data: [ {data} ]\n")
 }
@@ -128,11 +129,11 @@ pub fn scared(tree: &Tree, video: impl Fn(&Path)) {
     for (name, seed) in [("Left_Image.png", 1), ("Right_Image.png", 2)] {
         tree.picture(&format!("{key}/{name}"), (WIDTH, HEIGHT), seed, 0);
     }
-    tree.points(&format!("{key}/left_depth_map.tiff"), HEIGHT, |x, y| plane(x, y, SCARED_Z));
+    tree.points(&format!("{key}/left_depth_map.tiff"), (WIDTH, HEIGHT), |x, y| plane(x, y, SCARED_Z));
     for (number, z) in [(0, 80.0), (2, 90.0)] {
         // Below the left view's points stand those of the right one.
         let stacked = |x: u32, y: u32| if y < HEIGHT { plane(x, y, z) } else { [1.0, 2.0, 3.0] };
-        tree.points(&format!("{key}/data/scene_points/scene_points{number:06}.tiff"), 2 * HEIGHT, stacked);
+        tree.points(&format!("{key}/data/scene_points/scene_points{number:06}.tiff"), (WIDTH, 2 * HEIGHT), stacked);
     }
     video(&tree.at(&format!("{key}/data/rgb.mp4")));
     // A test set: packed, without truth.
@@ -292,7 +293,7 @@ pub fn middlebury(tree: &Tree) {
         tree.picture(&format!("{scene}/im0.png"), (WIDTH, HEIGHT), 7, 0);
         tree.picture(&format!("{scene}/im1.png"), (WIDTH, HEIGHT), 7, SHIFT);
         tree.write(&format!("{scene}/calib.txt"), &calibration);
-        tree.pfm(&format!("{scene}/{truth}"), |x, _| if x < SHIFT { f32::INFINITY } else { SHIFT as f32 });
+        tree.pfm(&format!("{scene}/{truth}"), (WIDTH, HEIGHT), |x, _| if x < SHIFT { f32::INFINITY } else { SHIFT as f32 });
     }
     tree.picture("MiddEval3/testQ/Australia/im0.png", (WIDTH, HEIGHT), 8, 0);
     tree.picture("MiddEval3/testQ/Australia/im1.png", (WIDTH, HEIGHT), 8, SHIFT);
