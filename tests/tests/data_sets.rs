@@ -30,7 +30,7 @@ fn cell(folder: &Folder, file: &str, column: &str) -> f64 {
 }
 
 /// Rectifies and matches the first sequence of `DIR/set` and writes the scores of disparity and depth beside the truth.
-fn judge(folder: &Folder, matcher: &str) -> Run {
+fn judge(folder: &Folder, matcher: &str, more: &str) -> Run {
     let graph = format!(
         r#"
 mode = "batch"
@@ -70,7 +70,7 @@ params = {{ path = "raw.png" }}
 type = "write_images"
 inputs = {{ image = "rectify.left" }}
 params = {{ path = "rectified.png" }}
-"#
+{more}"#
     );
     let done = run(&folder.at("graph.toml"), &graph, 10, 2);
     assert_eq!(done.outcome, Outcome::Done, "{:?}", done.log);
@@ -87,13 +87,13 @@ fn matched_depth_of_rectified_views_agrees_with_the_truth() {
     tree.picture("set/scene/im0.png", SIZE, 7, 0);
     tree.picture("set/scene/im1.png", SIZE, 7, SHIFT);
     tree.pfm("set/scene/disp0GT.pfm", SIZE, |x, _| if x < SHIFT { f32::INFINITY } else { SHIFT as f32 });
-    let calibration = "cam0=[300 0 150; 0 300 120; 0 0 1]\ncam1=[300 0 156; 0 300 120; 0 0 1]\ndoffs=6\nbaseline=100\nwidth=320\nheight=240\n";
+    let calibration = "cam0=[300 0 150; 0 300 120; 0 0 1]\ncam1=[300 0 156; 0 300 120; 0 0 1]\ndoffs=6\nbaseline=10\nwidth=320\nheight=240\n";
     tree.write("set/scene/calib.txt", calibration);
-    judge(&folder, "min_disparity_px = 0, search_px = 32");
+    judge(&folder, "min_disparity_px = 0, search_px = 32", "");
     assert!(cell(&folder, "disparity.csv", "bad1_pct") < 2.0, "{}", folder.read("disparity.csv"));
     assert!(cell(&folder, "disparity.csv", "coverage_pct") > 80.0, "{}", folder.read("disparity.csv"));
-    // 300 px times 100 mm over 14 + 6 px: 1500 mm; without doffs it would be 2143 mm.
-    assert!(cell(&folder, "depth.csv", "median_mm") < 3.0, "{}", folder.read("depth.csv"));
+    // 300 px times 10 mm over 14 + 6 px: 150 mm; without doffs it would be 214 mm.
+    assert!(cell(&folder, "depth.csv", "median_mm") < 0.5, "{}", folder.read("depth.csv"));
     let [raw, rectified] = ["raw.png", "rectified.png"].map(|file| image::open(folder.at(file)).expect("a picture"));
     assert!(raw == rectified, "`rectify` changed views that are rectified");
 }
@@ -153,7 +153,24 @@ fn matched_depth_of_raw_views_agrees_with_points_of_the_raw_camera() {
         samples::matrix("T", 3, 1, &t),
     ];
     tree.write("set/keyframe_1/endoscope_calibration.yaml", format!("%YAML:1.0\n---\n{}", matrices.concat()));
-    judge(&folder, "min_disparity_px = 0, search_px = 64");
+    // The z of the raw camera, for comparison.
+    let raw_z = r#"
+[nodes.raw_z]
+type = "read_maps"
+inputs = { image = "rectify.left" }
+params = { path = "set/keyframe_1/left_depth_map.tiff", holds = "depth" }
+[nodes.raw_depth]
+type = "evaluate_depth"
+inputs = { depth = "points.depth", truth = "raw_z.depth" }
+[nodes.raw_table]
+type = "write_table"
+inputs = { table = "raw_depth.table" }
+params = { path = "raw_depth.csv" }
+"#;
+    judge(&folder, "min_disparity_px = 0, search_px = 64", raw_z);
+    let (moved, raw) = (cell(&folder, "depth.csv", "median_mm"), cell(&folder, "raw_depth.csv", "median_mm"));
+    println!("median error {moved:.3} mm beside the moved points, {raw:.3} mm beside the raw z");
+    assert!(raw > 5.0 * moved, "{moved} mm beside the moved points, {raw} mm beside the raw z");
     let scores = folder.read("disparity.csv");
     assert!(cell(&folder, "disparity.csv", "pixels") > 30_000.0, "{scores}");
     assert!(cell(&folder, "disparity.csv", "mean_px") < 0.3, "{scores}");
@@ -228,10 +245,16 @@ fn import_lists_what_it_found() {
     assert_eq!((code, errors.as_str()), (Some(0), ""), "{said}");
     let row = |name: &str| {
         let words = |line: &str| line.split_whitespace().map(str::to_owned).collect::<Vec<_>>();
-        said.lines().map(words).find(|words| words.first().is_some_and(|word| word == name)).unwrap_or_else(|| panic!("no {name}:\n{said}"))
+        said.lines()
+            .map(words)
+            .find(|words| words.first().is_some_and(|word| word == name))
+            .unwrap_or_else(|| panic!("no {name}:\n{said}"))
     };
     assert_eq!(row("sequence").join(" "), "sequence data set pictures size views calibration truth labels");
-    assert_eq!(row("MiddEval3/trainingQ/Adirondack")[1..].join(" "), "Middlebury 1 64x48 2 150.00 mm, rectified disparity -");
+    assert_eq!(
+        row("MiddEval3/trainingQ/Adirondack")[1..].join(" "),
+        "Middlebury 1 64x48 2 150.00 mm, rectified disparity -"
+    );
     assert_eq!(row("SCARED/dataset_1/keyframe_1/data")[1..].join(" "), "SCARED video - 2 4.20 mm points (2) -");
     assert_eq!(row("EndoVis2017/instrument_dataset_1")[1..].join(" "), "EndoVis 2017 1 1280x1024 2 4.35 mm - masks");
     assert_eq!(row("m2cai16-tool-locations")[1..].join(" "), "m2cai16-tool-locations 3 64x48 1 - - boxes (2)");
@@ -264,7 +287,14 @@ fn import_says_what_it_looked_for() {
     let folder = Folder::new("data-sets-import-none", &[("inside/notes.txt", "nothing"), ("set.tar.gz", "packed")]);
     let (code, said, errors) = import(&program, &[&folder.path().display().to_string()]);
     assert_eq!((code, said.as_str()), (Some(1), ""), "{errors}");
-    for words in ["no data set of a known layout", "2 folders searched", "unpack them: set.tar.gz", "SCARED: endoscope_calibration.yaml", "KITTI: image_2 with image_3", "files.toml"] {
+    for words in [
+        "no data set of a known layout",
+        "2 folders searched",
+        "unpack them: set.tar.gz",
+        "SCARED: endoscope_calibration.yaml",
+        "KITTI: image_2 with image_3",
+        "files.toml",
+    ] {
         assert!(errors.contains(words), "{words} is not said:\n{errors}");
     }
     let (code, _, errors) = import(&program, &[&folder.at("nowhere").display().to_string()]);
@@ -299,7 +329,8 @@ inputs = {{ image = "scope.left" }}
     assert_eq!(done.outcome, Outcome::Done, "{:?}", done.log);
     assert_eq!((done.report.nodes["judge"].count, done.report.nodes["end"].count), (20, 20), "{:?}", done.log);
     let sinks = [("video", "wide.mkv"), ("still", "wide.png")];
-    let done = shipped(&folder, "panorama.toml", &data.join("stereo"), "hamlyn_640x480", &sinks).expect("no ONNX Runtime is needed");
+    let done = shipped(&folder, "panorama.toml", &data.join("stereo"), "hamlyn_640x480", &sinks)
+        .expect("no ONNX Runtime is needed");
     assert!(done.report.nodes["video"].count >= 4, "{:?}", done.log);
     let wide = image::open(folder.at("wide.png")).expect("the still");
     assert!(wide.width() >= 640, "{} columns", wide.width());

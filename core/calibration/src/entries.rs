@@ -49,8 +49,7 @@ impl<'t> Entry<'t> {
     pub fn exactly<const N: usize>(&self) -> Result<[f64; N], Mistake> {
         let all = self.numbers()?;
         let count = all.len();
-        all.try_into()
-            .map_err(|_| self.mistake(format!("`{}` holds {count} numbers, {N} are needed", self.name)))
+        all.try_into().map_err(|_| self.mistake(format!("`{}` holds {count} numbers, {N} are needed", self.name)))
     }
 
     /// One number.
@@ -117,7 +116,8 @@ impl<'t> Entries<'t> {
 
     /// As [`Self::get`], for an entry without which there is no calibration.
     pub fn needed(&self, name: &str) -> Result<&Entry<'t>, Mistake> {
-        self.get(name).ok_or_else(|| Mistake::whole(format!("`{name}` is missing: the file is cut off or of another kind")))
+        self.get(name)
+            .ok_or_else(|| Mistake::whole(format!("`{name}` is missing: the file is cut off or of another kind")))
     }
 
     /// Numbers of the entries `PREFIX0` to `PREFIX(N-1)`; those missing from `needed` on are 0.
@@ -144,7 +144,10 @@ mod tests {
         let entries = Entries::parse("a: 1 2\nno entry\n  bé :  x3 // 4\n", ':', "//");
         assert_eq!(entries.get("a").unwrap().exactly::<2>().unwrap(), [1.0, 2.0]);
         let mistake = entries.get("bé").unwrap().number().unwrap_err();
-        assert_eq!((mistake.line, mistake.column, mistake.what.as_str()), (3, 9, "`bé` holds `x3`, which is no number"));
+        assert_eq!(
+            (mistake.line, mistake.column, mistake.what.as_str()),
+            (3, 9, "`bé` holds `x3`, which is no number")
+        );
         assert!(entries.needed("c").unwrap_err().what.contains("`c` is missing"));
     }
 

@@ -99,7 +99,8 @@ fn of_data_set(texts: &[(&Path, &str)]) -> Option<Result<Calibration, FileError>
         [(_, text)] if kitti::is(text) => kitti::packet(text, None).map_err(|mistake| (0, mistake)),
         [(_, a), (_, b)] if hamlyn::is(a) && hamlyn::is(b) => hamlyn::packet([a, b]),
         [(_, text)] if hamlyn::is(text) => {
-            let what = "this is one camera matrix or pose: give the intrinsics and the extrinsics of the rectified views";
+            let what =
+                "this is one camera matrix or pose: give the intrinsics and the extrinsics of the rectified views";
             Err((0, Mistake::whole(what)))
         }
         _ => return None,

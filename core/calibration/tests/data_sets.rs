@@ -67,7 +67,10 @@ fn middleburys_doffs_shift_the_disparities() {
     assert_eq!((read.left.width, read.left.height, read.is_rectified), (2964, 1988, 1));
     // The data set's own formula.
     near(depth_mm(&read, 100.0), 193.001 * 3997.684 / (100.0 + 131.111));
-    assert_eq!(packet::rectification(&read).unwrap().rotation_left, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+    assert_eq!(
+        packet::rectification(&read).unwrap().rotation_left,
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    );
     let other = one(&MIDDLEBURY.replace("doffs=131.111", "doffs=13.1")).unwrap_err();
     assert!(other.contains("calib.txt:3:7: `doffs` is 13.1 px"), "{other}");
     let cut = one(&MIDDLEBURY[..MIDDLEBURY.find("baseline").unwrap()]).unwrap_err();
@@ -135,7 +138,10 @@ fn stereomis_sections_are_raw_cameras() {
     assert_eq!((read.left.width, read.right.fx, read.left.distortion[3]), (1280, 1034.8, -0.0001));
     assert_eq!((read.right_from_left_mm, read.is_rectified), ([-4.15, -0.024, -0.035], 0));
     assert_eq!(read.right_from_left_rotation[2], -0.006296);
-    near(packet::rectification(&read).unwrap().baseline_mm, (4.15f64.powi(2) + 0.024f64.powi(2) + 0.035f64.powi(2)).sqrt());
+    near(
+        packet::rectification(&read).unwrap().baseline_mm,
+        (4.15f64.powi(2) + 0.024f64.powi(2) + 0.035f64.powi(2)).sqrt(),
+    );
     let half = one(&STEREOMIS[..STEREOMIS.find("[StereoRight]").unwrap()]).unwrap_err();
     assert!(half.contains("[StereoRight] is missing"), "{half}");
     let cut = one(&STEREOMIS[..STEREOMIS.find("T_1=-0.024").unwrap()]).unwrap_err();
@@ -167,7 +173,10 @@ fn endovis_turns_by_a_rotation_vector() {
     for (index, expected) in [(1, 0.0), (2, -0.0011), (5, 0.0002), (6, 0.0011), (7, -0.0002), (8, 1.0)] {
         assert!((r[index] - expected).abs() < 2e-6, "{index}: {r:?}");
     }
-    near(packet::rectification(&read).unwrap().baseline_mm, (4.3499f64.powi(2) + 0.0333f64.powi(2) + 0.0369f64.powi(2)).sqrt());
+    near(
+        packet::rectification(&read).unwrap().baseline_mm,
+        (4.3499f64.powi(2) + 0.0333f64.powi(2) + 0.0369f64.powi(2)).sqrt(),
+    );
     let without_size: String = ENDOVIS.lines().skip(2).map(|line| format!("{line}\n")).collect();
     assert_eq!(one(&without_size).unwrap().left.width, 0, "the views say it");
     let skewed = one(&ENDOVIS.replacen("Alpha: 0.0", "Alpha: 0.2", 1)).unwrap_err();
@@ -183,7 +192,10 @@ fn hamlyns_matrices_belong_together() {
     let (a, b) = (Path::new("intrinsics.txt"), Path::new("extrinsics.txt"));
     let read = parse(&[(a, intrinsics), (b, extrinsics)]).unwrap();
     assert_eq!((read.left.width, read.right.cx, read.baseline_mm), (0, 155.9659519, 5.382236));
-    near(depth_mm(&Calibration { left: sized(read.left), right: sized(read.right), ..read }, 20.0), 383.1901395 * 5.382236 / 20.0);
+    near(
+        depth_mm(&Calibration { left: sized(read.left), right: sized(read.right), ..read }, 20.0),
+        383.1901395 * 5.382236 / 20.0,
+    );
     assert_eq!(parse(&[(b, extrinsics), (a, intrinsics)]).unwrap().left.fx, 383.1901395);
     let alone = parse(&[(a, intrinsics)]).unwrap_err().to_string();
     assert!(alone.contains("give the intrinsics and the extrinsics"), "{alone}");
@@ -205,9 +217,19 @@ fn scareds_file_is_opencvs() {
     };
     let text = [
         "%YAML:1.0\n---\n".to_owned(),
-        matrix("M1", 3, 3, "1.03530811e+03, 0., 5.96955017e+02, 0., 1.03508765e+03,\n       5.20410034e+02, 0., 0., 1."),
+        matrix(
+            "M1",
+            3,
+            3,
+            "1.03530811e+03, 0., 5.96955017e+02, 0., 1.03508765e+03,\n       5.20410034e+02, 0., 0., 1.",
+        ),
         matrix("D1", 1, 5, "-5.95157442e-04, -5.46629308e-04, 0., 0.,\n       1.82959007e-03"),
-        matrix("M2", 3, 3, "1.03517419e+03, 0., 6.88361877e+02, 0., 1.03497900e+03,\n       5.21070801e+02, 0., 0., 1."),
+        matrix(
+            "M2",
+            3,
+            3,
+            "1.03517419e+03, 0., 6.88361877e+02, 0., 1.03497900e+03,\n       5.21070801e+02, 0., 0., 1.",
+        ),
         matrix("D2", 1, 5, "-2.34280655e-04, -7.68933969e-04, 0., 0.,\n       1.76395383e-03"),
         matrix("R", 3, 3, "1., 1.84e-05, -6.17e-05, -1.84e-05, 1., 1.95e-04, 6.17e-05,\n       -1.95e-04, 1."),
         matrix("T", 3, 1, "-4.14339018e+00, -2.38197036e-02, -1.90685632e-03"),

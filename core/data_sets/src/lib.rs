@@ -17,9 +17,7 @@ use std::path::Path;
 pub use error::DataSetError;
 use folder::Folder;
 pub use layouts::{KNOWN, Known};
-pub use sequence::{
-    CalibrationFiles, Holds, Labels, MaskFile, MaskLayer, Masks, Pictures, Sequence, Stacked, Truth,
-};
+pub use sequence::{CalibrationFiles, Holds, Labels, MaskFile, MaskLayer, Masks, Pictures, Sequence, Stacked, Truth};
 
 /// Levels of folders below the given one that are searched: archives often repeat the name of the data set in a folder of their own.
 pub const MOST_LEVELS: usize = 4;

@@ -17,10 +17,7 @@ fn pnm(path: &Path) -> Option<(u32, u32)> {
     let mut bytes = Vec::new();
     File::open(path).ok()?.take(HEADER).read_to_end(&mut bytes).ok()?;
     let text = String::from_utf8_lossy(&bytes);
-    let mut words = text
-        .lines()
-        .map(|line| line.split('#').next().unwrap_or(""))
-        .flat_map(str::split_whitespace);
+    let mut words = text.lines().map(|line| line.split('#').next().unwrap_or("")).flat_map(str::split_whitespace);
     if !matches!(words.next(), Some("P5" | "P6")) {
         return None;
     }

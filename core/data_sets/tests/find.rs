@@ -146,7 +146,9 @@ fn a_sequence_can_be_the_folder_itself() {
     let tree = Tree(folder.path().to_owned());
     samples::middlebury(&tree);
     samples::scared(&tree, no_video);
-    for (inside, name) in [("MiddEval3/trainingQ/Adirondack", "Adirondack"), ("SCARED/dataset_1/keyframe_1", "keyframe_1")] {
+    for (inside, name) in
+        [("MiddEval3/trainingQ/Adirondack", "Adirondack"), ("SCARED/dataset_1/keyframe_1", "keyframe_1")]
+    {
         let found = find(&folder.at(inside)).expect("a folder");
         assert_eq!(found.sequences[0].name, name);
         assert_eq!(found.sequence(&folder.at(inside), "").expect("the first one").name, name);
@@ -171,7 +173,10 @@ fn what_is_not_there_is_named() {
     samples::pairs(&Tree(folder.path().to_owned()));
     let found = find(folder.path()).expect("a folder");
     let error = found.sequence(folder.path(), "pears").expect_err("no such name");
-    assert!(matches!(error, DataSetError::NoSequence { .. }) && error.to_string().contains("has no sequence `pears`: it has pairs"));
+    assert!(
+        matches!(error, DataSetError::NoSequence { .. })
+            && error.to_string().contains("has no sequence `pears`: it has pairs")
+    );
     assert!(KNOWN.iter().all(|known| !known.holds.is_empty()));
 }
 

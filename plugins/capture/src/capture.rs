@@ -348,11 +348,7 @@ impl Capture {
     ///
     /// # Errors
     /// It was made for views of another size.
-    pub(crate) fn calibration_for(
-        &mut self,
-        cx: &Context<'_>,
-        parts: &[(usize, Rect)],
-    ) -> Result<Option<Calibration>> {
+    pub(crate) fn calibration_for(&mut self, cx: &Context<'_>, parts: &[(usize, Rect)]) -> Result<Option<Calibration>> {
         let Some(calibration) = &mut self.calibration else { return Ok(None) };
         for (view, (_, rect)) in parts.iter().take(2).enumerate() {
             let camera = if view == 0 { &mut calibration.left } else { &mut calibration.right };

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use panoscope_calibration::pictures::is_image;
 use panoscope_node::{
     AnyImage, Context, LabeledDetections, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot,
 };
-use panoscope_calibration::pictures::is_image;
 use panoscope_truth::labels;
 
 use crate::boxes::{self, Boxes};

@@ -229,7 +229,8 @@ fn masks_of_instruments_become_boxes() {
     assert_eq!(all[0].value::<Calibration>("calibration").unwrap().left.width, 1280);
     let expected = ([100.0, 100.0, 230.0, 122.0], "Prograsp Forceps".to_owned());
     assert_eq!(boxes(&all[0]), [expected], "parts of one instrument touch");
-    let whole = image::open(folder.0.join("EndoVis2017/instrument_dataset_1/left_frames/frame000.png")).unwrap().to_rgb8();
+    let whole =
+        image::open(folder.0.join("EndoVis2017/instrument_dataset_1/left_frames/frame000.png")).unwrap().to_rgb8();
     assert_eq!(left.row(0)[0], whole.get_pixel(320, 28).0[2]);
     let all = drain(&mut open(&folder, "EndoVis2018", ""));
     let expected = [([4.0, 4.0, 20.0, 5.0], "instrument-shaft"), ([24.0, 4.0, 6.0, 5.0], "instrument-clasper")];
@@ -291,7 +292,8 @@ fn the_first_sequence_is_taken_and_said() {
     samples::middlebury(&tree(&folder));
     samples::pairs(&tree(&folder));
     let node = open(&folder, ".", "");
-    let said = node.logs().iter().any(|line| line.message.contains("`MiddEval3/testQ/Australia` is the first of 6 sequences"));
+    let said =
+        node.logs().iter().any(|line| line.message.contains("`MiddEval3/testQ/Australia` is the first of 6 sequences"));
     assert!(said, "{:?}", node.logs());
     let all = drain(&mut open(&folder, "pairs", ""));
     assert_eq!(all.len(), 2);
@@ -312,7 +314,10 @@ fn what_is_wrong_is_named_with_its_file() {
     let message = refused(r#"folder = "empty""#);
     assert!(message.contains("no data set of a known layout (SCARED; StereoMIS"), "{message}");
     let message = refused(r#"folder = "MiddEval3", sequence = "trainingQ/Adirondak""#);
-    assert!(message.contains("has no sequence `trainingQ/Adirondak`") && message.contains("testQ/Australia"), "{message}");
+    assert!(
+        message.contains("has no sequence `trainingQ/Adirondak`") && message.contains("testQ/Australia"),
+        "{message}"
+    );
     let failure = |set: &str, sequence: &str| open(&folder, set, sequence).process().err().unwrap().to_string();
     // A calibration that is cut off.
     let whole = std::fs::read_to_string(tree.at("MiddEval3/testQ/Australia/calib.txt")).unwrap();

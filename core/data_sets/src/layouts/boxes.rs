@@ -60,7 +60,8 @@ fn voc(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     for list in files_in(&lists, is_list).into_iter().chain(files_in(&lists.join("Main"), is_list)) {
         let Ok(text) = std::fs::read_to_string(&list) else { continue };
         let names: BTreeSet<&str> = text.lines().filter_map(|line| line.split_whitespace().next()).collect();
-        let listed: Vec<PathBuf> = pictures.iter().filter(|file| names.contains(stem(file).as_str())).cloned().collect();
+        let listed: Vec<PathBuf> =
+            pictures.iter().filter(|file| names.contains(stem(file).as_str())).cloned().collect();
         if !listed.is_empty() {
             let name = format!("{}/{}", folder.sequence_name(), stem(&list));
             sequences.push(sequence(data_set, name, folder, listed, &labels, &classes));

@@ -108,7 +108,8 @@ fn raw(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
         let maps = pictures_in(&folder.at("proj_depth").join("groundtruth").join(left_name));
         let truth = Truth::of(matching(&left, &maps), Holds::Depth, DEPTH);
         let path = std::path::absolute(&folder.path).unwrap_or_else(|_| folder.path.clone());
-        let file = path.ancestors().take(2).map(|folder| folder.join("calib_cam_to_cam.txt")).find(|file| file.is_file());
+        let file =
+            path.ancestors().take(2).map(|folder| folder.join("calib_cam_to_cam.txt")).find(|file| file.is_file());
         let name = if folder.name.is_empty() { left_name.to_owned() } else { folder.name_of(left_name) };
         let mut sequence = Sequence::of_files("KITTI raw", name, &folder.path, left, right);
         if file.is_none() {

@@ -71,7 +71,8 @@ pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
         (Some(map), Some(factor)) => scene.truth = Truth::of(vec![Some(map)], Holds::Disparity, factor),
         (Some(_), None) => {
             let width = scene.size.map_or(0, |(width, _)| width);
-            let note = format!("{} is not read: the factor of its numbers is not known for views of {width} px", old.map);
+            let note =
+                format!("{} is not read: the factor of its numbers is not known for views of {width} px", old.map);
             scene.remarks.push(note);
         }
         (None, _) => scene.remarks.push(format!("there is no {}: convert a .pgm to .png", old.map)),

@@ -29,7 +29,8 @@ fn scene_points(data: &Folder) -> Option<Truth> {
     }
     let mut numbered = Vec::new();
     for file in files {
-        let number = stem(&file).trim_start_matches(|c: char| !c.is_ascii_digit()).parse().ok().filter(|n| *n < MOST_FRAMES);
+        let number =
+            stem(&file).trim_start_matches(|c: char| !c.is_ascii_digit()).parse().ok().filter(|n| *n < MOST_FRAMES);
         let Some(number) = number else { continue };
         if numbered.len() <= number {
             numbered.resize(number + 1, None);

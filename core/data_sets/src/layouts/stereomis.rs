@@ -22,14 +22,16 @@ pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
             1 => folder.sequence_name(),
             _ => format!("{}/{video}", folder.sequence_name()),
         };
-        let mut sequence =
-            Sequence::of_video(DATA_SET, name, &folder.path, folder.at(video), Stacked::TopBottom);
+        let mut sequence = Sequence::of_video(DATA_SET, name, &folder.path, folder.at(video), Stacked::TopBottom);
         sequence.calibration = Some(CalibrationFiles::one(vec![calibration.clone()]));
         if folder.has("groundtruth.txt") {
             sequence.remarks.push("the camera's poses in groundtruth.txt are not read".to_owned());
         }
         if folder.has_folder("masks") {
-            sequence.remarks.push("the pictures in masks are not read: which of their values is an instrument is not documented".to_owned());
+            sequence.remarks.push(
+                "the pictures in masks are not read: which of their values is an instrument is not documented"
+                    .to_owned(),
+            );
         }
         sequences.push(sequence);
     }

@@ -64,7 +64,8 @@ impl Tree {
 
     /// 16 bits in a PNG.
     pub fn png16(&self, path: &str, value: impl Fn(u32, u32) -> u16) {
-        let map = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_fn(WIDTH, HEIGHT, |x, y| image::Luma([value(x, y)]));
+        let map =
+            image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_fn(WIDTH, HEIGHT, |x, y| image::Luma([value(x, y)]));
         map.save(self.ready(path)).expect("a map");
     }
 
@@ -181,7 +182,9 @@ pub fn hamlyn(tree: &Tree) {
 
 fn endovis_calibration((width, height): (u32, u32)) -> String {
     let camera = |n: u8| {
-        format!("Camera-{n}-F: 60 60  // focal\nCamera-{n}-C: 31.5 23.5\nCamera-{n}-Alpha: 0.0\nCamera-{n}-K: 0 0 0 0 0\n")
+        format!(
+            "Camera-{n}-F: 60 60  // focal\nCamera-{n}-C: 31.5 23.5\nCamera-{n}-Alpha: 0.0\nCamera-{n}-K: 0 0 0 0 0\n"
+        )
     };
     format!(
         "Width: {width} // columns\nHeight: {height}\n{}{}Extrinsic-Omega: 0.0 0.0 0.0\nExtrinsic-T: -4.35 0.0 0.0\n",
@@ -249,7 +252,9 @@ pub fn kitti(tree: &Tree) {
     }
     for (number, focal) in [(0, 60.0), (1, 50.0)] {
         let size = format!("S_rect_02: {WIDTH} {HEIGHT}\nS_rect_03: {WIDTH} {HEIGHT}\n");
-        let text = kitti_projections(focal, [0.0, 0.54, -0.06, 0.48]).replace("P2:", "P_rect_02:").replace("P3:", "P_rect_03:");
+        let text = kitti_projections(focal, [0.0, 0.54, -0.06, 0.48])
+            .replace("P2:", "P_rect_02:")
+            .replace("P3:", "P_rect_03:");
         let file = format!("KITTI/data_scene_flow_calib/training/calib_cam_to_cam/{number:06}.txt");
         tree.write(&file, format!("calib_time: 09-Jan-2012 14:00:15\n{size}{text}"));
     }
@@ -273,7 +278,10 @@ pub fn kitti(tree: &Tree) {
         tree.picture(&format!("{drive}/image_03/data/{number:010}.png"), (WIDTH, HEIGHT), number, SHIFT);
     }
     // 12.5 m, times 256.
-    tree.png16(&format!("{drive}/proj_depth/groundtruth/image_02/0000000001.png"), |x, _| if x == 5 { 0 } else { 3200 });
+    tree.png16(
+        &format!("{drive}/proj_depth/groundtruth/image_02/0000000001.png"),
+        |x, _| if x == 5 { 0 } else { 3200 },
+    );
     let raw = kitti_projections(60.0, [0.0, 0.5, -0.06, 0.48]).replace('P', "P_rect_0");
     tree.write(&format!("{day}/calib_cam_to_cam.txt"), raw);
 }
@@ -289,11 +297,17 @@ pub fn middlebury(tree: &Tree) {
         "cam0=[{MIDDLEBURY_FOCAL} 0 30; 0 {MIDDLEBURY_FOCAL} 23.5; 0 0 1]\ncam1=[{MIDDLEBURY_FOCAL} 0 34; 0 {MIDDLEBURY_FOCAL} 23.5; 0 0 1]\n\
          doffs={DOFFS}\nbaseline={MIDDLEBURY_BASELINE}\nwidth={WIDTH}\nheight={HEIGHT}\nndisp=20\n"
     );
-    for (scene, truth) in [("MiddEval3/trainingQ/Adirondack", "disp0GT.pfm"), ("Middlebury2014/Bicycle1-perfect", "disp0.pfm")] {
+    for (scene, truth) in
+        [("MiddEval3/trainingQ/Adirondack", "disp0GT.pfm"), ("Middlebury2014/Bicycle1-perfect", "disp0.pfm")]
+    {
         tree.picture(&format!("{scene}/im0.png"), (WIDTH, HEIGHT), 7, 0);
         tree.picture(&format!("{scene}/im1.png"), (WIDTH, HEIGHT), 7, SHIFT);
         tree.write(&format!("{scene}/calib.txt"), &calibration);
-        tree.pfm(&format!("{scene}/{truth}"), (WIDTH, HEIGHT), |x, _| if x < SHIFT { f32::INFINITY } else { SHIFT as f32 });
+        tree.pfm(
+            &format!("{scene}/{truth}"),
+            (WIDTH, HEIGHT),
+            |x, _| if x < SHIFT { f32::INFINITY } else { SHIFT as f32 },
+        );
     }
     tree.picture("MiddEval3/testQ/Australia/im0.png", (WIDTH, HEIGHT), 8, 0);
     tree.picture("MiddEval3/testQ/Australia/im1.png", (WIDTH, HEIGHT), 8, SHIFT);

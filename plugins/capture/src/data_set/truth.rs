@@ -15,7 +15,9 @@ pub(super) fn lacks(sequence: &Sequence, output: &str) -> Option<&'static str> {
     match (sequence.truth.as_ref()?.holds, output) {
         (Holds::Disparity, "depth") => Some("it takes a calibration to turn disparity into depth, and there is none"),
         (Holds::Depth, "disparity") => Some("it takes a calibration to turn depth into disparity, and there is none"),
-        (Holds::Points | Holds::StackedPoints, _) => Some("it takes a calibration to move points into the view, and there is none"),
+        (Holds::Points | Holds::StackedPoints, _) => {
+            Some("it takes a calibration to move points into the view, and there is none")
+        }
         _ => None,
     }
 }

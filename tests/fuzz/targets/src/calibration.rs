@@ -57,7 +57,11 @@ pub fn file_seeds() -> Vec<Vec<u8>> {
         format!("[{name}]\n{size}{}{pose}", numbers("kc", &[0.1, 0.0, 0.0, 0.0, 0.0]))
     };
     let stereomis = side("StereoLeft", 0.0) + &side("StereoRight", -4.1);
-    let view = |n: u8| format!("Camera-{n}-F: 1084 1084 // focal\nCamera-{n}-C: 640 512\nCamera-{n}-Alpha: 0\nCamera-{n}-K: 0 0 0 0 0\n");
+    let view = |n: u8| {
+        format!(
+            "Camera-{n}-F: 1084 1084 // focal\nCamera-{n}-C: 640 512\nCamera-{n}-Alpha: 0\nCamera-{n}-K: 0 0 0 0 0\n"
+        )
+    };
     let endovis =
         format!("Width: 1280\nHeight: 1024\n{}{}Extrinsic-Omega: 0 0.01 0\nExtrinsic-T: -4.3 0 0\n", view(0), view(1));
     let hamlyn = "383 0 156 0\n0 383 124 0\n0 0 1 0\n#---\n1 0 0 -5.4\n0 1 0 0\n0 0 1 0\n";
