@@ -111,14 +111,14 @@ fn texture(x: f64, y: f64) -> u8 {
     (row(j) * (1.0 - v) + row(j + 1) * v) as u8
 }
 
-/// A SCARED keyframe of a slanted plane, rendered for raw cameras of which the right one is turned by 3 degrees: what `rectify` and the matcher
+/// A SCARED keyframe of a slanted plane, rendered for raw cameras of which the right one is turned by 6 degrees: what `rectify` and the matcher
 /// find is what the points say, once these are moved into the rectified view.
 #[test]
 fn matched_depth_of_raw_views_agrees_with_points_of_the_raw_camera() {
     const FOCAL: f64 = 320.0;
     const CENTRE: [f64; 2] = [159.5, 119.5];
     const SLANT: f64 = 0.25;
-    let turn = 3.0f64.to_radians();
+    let turn = 6.0f64.to_radians();
     let (sine, cosine) = turn.sin_cos();
     // Right from left: X_r = R X_l + T.
     let r = [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]];
@@ -170,7 +170,7 @@ params = { path = "raw_depth.csv" }
     judge(&folder, "min_disparity_px = 0, search_px = 64", raw_z);
     let (moved, raw) = (cell(&folder, "depth.csv", "median_mm"), cell(&folder, "raw_depth.csv", "median_mm"));
     println!("median error {moved:.3} mm beside the moved points, {raw:.3} mm beside the raw z");
-    assert!(raw > 5.0 * moved, "{moved} mm beside the moved points, {raw} mm beside the raw z");
+    assert!(raw > 4.0 * moved, "{moved} mm beside the moved points, {raw} mm beside the raw z");
     let scores = folder.read("disparity.csv");
     assert!(cell(&folder, "disparity.csv", "pixels") > 30_000.0, "{scores}");
     assert!(cell(&folder, "disparity.csv", "mean_px") < 0.3, "{scores}");
