@@ -100,6 +100,6 @@ pub fn find(folder: &Path) -> Result<Found, DataSetError> {
         packed.truncate(LISTED);
         found.remarks.push(format!("packed files are not read, unpack them: {}{more}", packed.join(", ")));
     }
-    found.sequences.sort_by(|a, b| a.order().cmp(&b.order()));
+    found.sequences.sort_by_cached_key(Sequence::order);
     Ok(found)
 }

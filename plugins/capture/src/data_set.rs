@@ -151,6 +151,12 @@ impl Node for DataSet {
             }
             Err(error) => return check.error("folder", error.to_string(), ""),
         };
+        let needs_calibration =
+            ["calibration", "disparity", "depth"].iter().any(|port| check.is_read(port) != Some(false));
+        let first = sequence.calibration.as_ref().filter(|_| needs_calibration);
+        if let Some(Err(error)) = first.map(|files| files.read(0)) {
+            check.error("folder", format!("calibration: {error}"), "unpack or download that file again");
+        }
         for output in ["right", "calibration", "disparity", "depth", "detections", "instances"] {
             if check.is_read(output) == Some(true)
                 && let Some(why) = lacks(sequence, output)

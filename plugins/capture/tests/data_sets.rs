@@ -318,7 +318,10 @@ fn what_is_wrong_is_named_with_its_file() {
         message.contains("has no sequence `trainingQ/Adirondak`") && message.contains("testQ/Australia"),
         "{message}"
     );
-    let failure = |set: &str, sequence: &str| open(&folder, set, sequence).process().err().unwrap().to_string();
+    let failure = |set: &str, sequence: &str| {
+        let opened = try_open(&folder, &format!("folder = \"{set}\", sequence = \"{sequence}\""));
+        opened.and_then(|mut node| node.process()).err().unwrap().to_string()
+    };
     // A calibration that is cut off.
     let whole = std::fs::read_to_string(tree.at("MiddEval3/testQ/Australia/calib.txt")).unwrap();
     tree.write("MiddEval3/testQ/Australia/calib.txt", &whole[..whole.len() / 2]);

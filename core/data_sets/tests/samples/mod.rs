@@ -246,7 +246,7 @@ pub fn kitti(tree: &Tree) {
         }
         if name.ends_with("_10") {
             // Sparse, as the laser sees it.
-            let sparse = |x: u32, y: u32| if y % 2 == 0 && x > SHIFT as u32 { (256 * SHIFT) as u16 } else { 0 };
+            let sparse = |x: u32, y: u32| if y.is_multiple_of(2) && x > SHIFT { (256 * SHIFT) as u16 } else { 0 };
             tree.png16(&format!("{set}/disp_occ_0/{name}.png"), sparse);
         }
     }
