@@ -17,6 +17,7 @@ use std::path::Path;
 pub use error::DataSetError;
 use folder::Folder;
 pub use layouts::{KNOWN, Known};
+use panoscope_calibration::pictures::natural_order;
 pub use sequence::{CalibrationFiles, Holds, Labels, MaskFile, MaskLayer, Masks, Pictures, Sequence, Stacked, Truth};
 
 /// Levels of folders below the given one that are searched: archives often repeat the name of the data set in a folder of their own.
@@ -100,6 +101,6 @@ pub fn find(folder: &Path) -> Result<Found, DataSetError> {
         packed.truncate(LISTED);
         found.remarks.push(format!("packed files are not read, unpack them: {}{more}", packed.join(", ")));
     }
-    found.sequences.sort_by_cached_key(Sequence::order);
+    found.sequences.sort_by_cached_key(|sequence| natural_order(&sequence.name));
     Ok(found)
 }

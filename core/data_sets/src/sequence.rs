@@ -270,17 +270,4 @@ impl Sequence {
             _ => 2,
         }
     }
-
-    /// The order of sequences: numbers in names count as numbers.
-    pub(crate) fn order(&self) -> Vec<(String, u64)> {
-        let mut key = Vec::new();
-        let mut rest = self.name.as_str();
-        while !rest.is_empty() {
-            let letters = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
-            let digits = rest[letters..].find(|c: char| !c.is_ascii_digit()).map_or(rest.len(), |end| letters + end);
-            key.push((rest[..letters].to_owned(), rest[letters..digits].parse().unwrap_or(0)));
-            rest = &rest[digits..];
-        }
-        key
-    }
 }

@@ -11,7 +11,9 @@
 //!       labels.json                                     names and colours
 //! ```
 //!
-//! Some copies call the folders `left_frame` and `right_frame`. The masks of the test set of 2017 (`TypeSegmentation` and others) are not read.
+//! Who rectified the set of 2017 found that its frames are interlaced, its views not quite of one instant, and the calibrations of sets 3 and 6 off
+//! by 20 rows. Some copies call the folders `left_frame` and `right_frame`. The masks of the test set of 2017 (`TypeSegmentation` and others) are
+//! not read.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -133,6 +135,7 @@ pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     if !is_2018 && sequence.size == Some(STORED) {
         sequence.crop = Some(PICTURE);
         remarks.push(format!("the black border is cut off: views of {}x{}", PICTURE[2], PICTURE[3]));
+        remarks.push("its frames are interlaced, and the views of a pair are not quite of one instant".to_owned());
     }
     sequence.labels = masks.map(Labels::Masks);
     let labelled = sequence.labels.as_ref().map_or(0, Labels::count);
