@@ -4,7 +4,7 @@
 //! `imaging` because it needs a YAML parser.
 //!
 //! - [`read`] understands OpenCV's `FileStorage` YAML, ROS `camera_info`, Kalibr camera chains and the files of data sets (KITTI, Middlebury,
-//!   StereoMIS, EndoVis, rectified Hamlyn); [`write`] writes `FileStorage` YAML that OpenCV reads back bit by bit.
+//!   StereoMIS, EndoVis, rectified Hamlyn); [`write()`] writes `FileStorage` YAML that OpenCV reads back bit by bit.
 //! - [`packet`] turns the packet into camera models and a rectification, and refuses impossible ones.
 //! - [`pictures`] finds the picture files that a pattern matches, [`views`] groups those of several views by instant.
 //! - [`Board`] describes a printed pattern, [`ViewState`] says whether a view of it was used and if not, why.
