@@ -99,12 +99,13 @@ struct Source {
     args: &'static [(&'static str, &'static str)],
 }
 
-/// In a folder with pictures of two and four views and a calibration.
-const SOURCES: [Source; 7] = [
+/// In a folder with pictures of two and four views, a calibration and a data set.
+const SOURCES: [Source; 8] = [
     Source { name: "phantom", args: &[("seed", "3"), ("tools", "1")] },
     Source { name: "files", args: &[("left", "left.png"), ("right", "right.png"), ("calibration", "scope.yml")] },
     Source { name: "cameras", args: &[("left", "0"), ("right", "1"), ("calibration", "scope.yml")] },
     Source { name: "side_by_side", args: &[("video", "both.png"), ("calibration", "scope.yml")] },
+    Source { name: "data_set", args: &[("folder", "pairs")] },
     Source { name: "rtsp", args: &[("calibration", "scope.yml")] },
     Source { name: "cameras_on_arm", args: &[("calibration", "scope.yml")] },
     Source { name: "four_files", args: &[("views", "left.png; right.png; left.png; right.png")] },
@@ -122,10 +123,11 @@ fn refusal(graph: &str, source: &str) -> Option<(&'static str, &'static str)> {
         (_, "cameras_on_arm") => Some(("it follows no tip that an arm could follow", "there is no node `follow`")),
         ("arm_closed_loop", _) => Some(("without an arm there is no loop", "has no output `")),
         // panorama.toml takes them.
-        ("panorama_files", "phantom" | "side_by_side") => {
+        ("panorama_files", "phantom" | "side_by_side" | "data_set") => {
             Some(("it asks for its own files", "argument `left` is not given"))
         }
         (_, "phantom") => None,
+        ("stereo_judged" | "tools_judged", "data_set") => None,
         (name, _) if name.ends_with("_judged") => Some(("cameras know no truth", "has no output `")),
         _ => None,
     }
@@ -139,8 +141,13 @@ fn every_graph_takes_every_source_that_makes_sense_and_refuses_the_others() {
         let picture = image::RgbImage::from_fn(width, 480, |x, y| image::Rgb([x as u8, y as u8, (x + y) as u8]));
         picture.save(folder.at(&format!("{name}.png"))).expect("a picture");
     }
+    for side in ["left", "right"] {
+        std::fs::create_dir_all(folder.at(&format!("pairs/{side}"))).expect("a folder");
+        std::fs::copy(folder.at(&format!("{side}.png")), folder.at(&format!("pairs/{side}/0.png"))).expect("a copy");
+    }
+    std::fs::copy(folder.at("scope.yml"), folder.at("pairs/calibration.yml")).expect("a copy");
     assert_eq!(SOURCES.len(), files("sources").len(), "a source that ships is not in this test");
-    let value = |text: &str| match text.split("; ").all(|file| folder.at(file).is_file()) {
+    let value = |text: &str| match text.split("; ").all(|file| folder.at(file).exists()) {
         true => text.split("; ").map(|file| folder.at(file).display().to_string()).collect::<Vec<_>>().join(";"),
         false => text.to_owned(),
     };

@@ -9,15 +9,26 @@ use thiserror::Error;
 
 use crate::document::Node;
 use crate::error::{FileError, Mistake};
-use crate::{kalibr, opencv, packet, ros};
+use crate::{endovis, hamlyn, kalibr, kitti, middlebury, opencv, packet, ros, stereomis};
 
 /// Largest relative difference between two baselines that one file states.
 const BASELINE_PART: f64 = 0.01;
 
-/// Reads a calibration: one file, or the two halves of one (OpenCV's intrinsics and extrinsics, ROS's left and right).
+/// Which pair of KITTI's four cameras the views come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum KittiCameras {
+    /// Cameras 0 and 1.
+    Gray,
+    /// Cameras 2 and 3.
+    Colour,
+}
+
+/// Reads a calibration: one file, or the two halves of one (OpenCV's intrinsics and extrinsics, ROS's left and right, Hamlyn's intrinsics and
+/// extrinsics).
 ///
-/// Lengths in OpenCV's files are in mm, those in ROS and Kalibr files in metres. Width and height are 0 when the file does
-/// not state them, as in the output of OpenCV's sample; the caller takes them from the views.
+/// Lengths in OpenCV's files and in those of Middlebury, StereoMIS, EndoVis and Hamlyn are in mm, those in ROS, Kalibr and KITTI files in metres.
+/// Width and height are 0 when the file does not state them, as in the output of OpenCV's sample; the caller takes them from the views. Of KITTI's
+/// cameras those in colours are taken where the file has them; see [`read_kitti`].
 ///
 /// # Errors
 /// [`FileError`] names file, line and column of what is unreadable, missing or impossible: left and right swapped
@@ -25,13 +36,34 @@ const BASELINE_PART: f64 = 0.01;
 pub fn read(paths: &[PathBuf]) -> Result<Calibration, FileError> {
     let mut texts = Vec::new();
     for path in paths {
-        let text = fs::read(path).map_err(|error| Mistake::whole(error.to_string()).in_file(path))?;
-        let text = String::from_utf8(text)
-            .map_err(|_| Mistake::whole("this is no text: a YAML calibration file is needed").in_file(path))?;
-        texts.push((path.as_path(), text));
+        texts.push((path.as_path(), text_in(path)?));
     }
     let texts: Vec<(&Path, &str)> = texts.iter().map(|(path, text)| (*path, text.as_str())).collect();
     parse(&texts)
+}
+
+/// Reads one pair of cameras from a file of KITTI (`calib.txt`, `calib_cam_to_cam.txt`).
+///
+/// # Errors
+/// As [`read`]; also when the file is none of KITTI's.
+pub fn read_kitti(path: &Path, cameras: KittiCameras) -> Result<Calibration, FileError> {
+    let text = text_in(path)?;
+    let pair = if cameras == KittiCameras::Gray { kitti::GRAY } else { kitti::COLOUR };
+    let calibration = kitti::packet(&text, Some(pair)).map_err(|mistake| mistake.in_file(path))?;
+    check(&calibration).map_err(|why| Mistake::whole(why.to_string()).in_file(path))?;
+    Ok(calibration)
+}
+
+/// Largest file that is read, in bytes.
+const MOST_BYTES: u64 = 16 << 20;
+
+fn text_in(path: &Path) -> Result<String, FileError> {
+    let fail = |what: String| Mistake::whole(what).in_file(path);
+    if fs::metadata(path).is_ok_and(|file| file.len() > MOST_BYTES) {
+        return Err(fail(format!("the file is larger than {} MB: it is no calibration", MOST_BYTES >> 20)));
+    }
+    let bytes = fs::read(path).map_err(|error| fail(error.to_string()))?;
+    String::from_utf8(bytes).map_err(|_| fail("this is no text: a calibration file is needed".to_owned()))
 }
 
 /// Reads a calibration from the texts of its files; errors use the given names.
@@ -42,29 +74,60 @@ pub fn parse(texts: &[(&Path, &str)]) -> Result<Calibration, FileError> {
     let Some((first, _)) = texts.first() else {
         return Err(Mistake::whole("no calibration file is given").in_file(Path::new("")));
     };
-    let mut documents = Vec::new();
-    for (path, text) in texts {
-        if text.trim().is_empty() {
-            return Err(Mistake::whole("the file is empty").in_file(path));
-        }
-        documents.push(Node::parse(text).map_err(|mistake| mistake.in_file(path))?);
+    if let Some((path, _)) = texts.iter().find(|(_, text)| text.trim().is_empty()) {
+        return Err(Mistake::whole("the file is empty").in_file(path));
     }
-    let blame = |(index, mistake): (usize, Mistake)| mistake.in_file(texts.get(index).map_or(first, |(path, _)| path));
-    let calibration = match &documents[..] {
-        [left, right] if ros::is(left) && ros::is(right) => ros::packet(left, right).map_err(blame)?,
-        [one] if ros::is(one) => {
-            let what = "this camera_info describes one camera: give the left and the right file";
-            return Err(Mistake::whole(what).in_file(first));
-        }
-        [one] if kalibr::is(one) => kalibr::packet(one).map_err(|mistake| mistake.in_file(first))?,
-        all if opencv::is(all) => opencv::packet(all).map_err(blame)?,
-        _ => {
-            let what = "no calibration of a stereo pair: neither OpenCV's (M1, D1, M2, D2, R, T), nor ROS camera_info, nor a Kalibr camera chain; the file is cut off or of another kind";
-            return Err(Mistake::whole(what).in_file(first));
-        }
-    };
+    let calibration = match of_data_set(texts) {
+        Some(found) => found,
+        None => of_yaml(texts),
+    }?;
     check(&calibration).map_err(|why| Mistake::whole(why.to_string()).in_file(first))?;
     Ok(calibration)
+}
+
+/// The file that a mistake is in, by its index.
+fn blame(texts: &[(&Path, &str)], index: usize, mistake: Mistake) -> FileError {
+    mistake.in_file(texts.get(index).or(texts.first()).map_or(Path::new(""), |(path, _)| path))
+}
+
+/// Reads the plain texts of data sets; `None` for every other kind of file.
+fn of_data_set(texts: &[(&Path, &str)]) -> Option<Result<Calibration, FileError>> {
+    let result = match texts {
+        [(_, text)] if middlebury::is(text) => middlebury::packet(text).map_err(|mistake| (0, mistake)),
+        [(_, text)] if stereomis::is(text) => stereomis::packet(text).map_err(|mistake| (0, mistake)),
+        [(_, text)] if endovis::is(text) => endovis::packet(text).map_err(|mistake| (0, mistake)),
+        [(_, text)] if kitti::is(text) => kitti::packet(text, None).map_err(|mistake| (0, mistake)),
+        [(_, a), (_, b)] if hamlyn::is(a) && hamlyn::is(b) => hamlyn::packet([a, b]),
+        [(_, text)] if hamlyn::is(text) => {
+            let what =
+                "this is one camera matrix or pose: give the intrinsics and the extrinsics of the rectified views";
+            Err((0, Mistake::whole(what)))
+        }
+        _ => return None,
+    };
+    Some(result.map_err(|(index, mistake)| blame(texts, index, mistake)))
+}
+
+fn of_yaml(texts: &[(&Path, &str)]) -> Result<Calibration, FileError> {
+    let mut documents = Vec::new();
+    for (path, text) in texts {
+        documents.push(Node::parse(text).map_err(|mistake| mistake.in_file(path))?);
+    }
+    let first = texts.first().map_or(Path::new(""), |(path, _)| path);
+    let blame = |(index, mistake): (usize, Mistake)| blame(texts, index, mistake);
+    match &documents[..] {
+        [left, right] if ros::is(left) && ros::is(right) => ros::packet(left, right).map_err(blame),
+        [one] if ros::is(one) => {
+            let what = "this camera_info describes one camera: give the left and the right file";
+            Err(Mistake::whole(what).in_file(first))
+        }
+        [one] if kalibr::is(one) => kalibr::packet(one).map_err(|mistake| mistake.in_file(first)),
+        all if opencv::is(all) => opencv::packet(all).map_err(blame),
+        _ => {
+            let what = "no calibration of a stereo pair: neither OpenCV's (M1, D1, M2, D2, R, T), nor ROS camera_info, nor a Kalibr camera chain, nor a file of KITTI, Middlebury, StereoMIS or EndoVis; the file is cut off or of another kind";
+            Err(Mistake::whole(what).in_file(first))
+        }
+    }
 }
 
 /// Why the numbers of a file, each of them readable, describe no pair of cameras.

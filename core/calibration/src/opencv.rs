@@ -75,9 +75,10 @@ fn size(documents: &[Node]) -> Result<(u32, u32)> {
         let Some(found) = find(documents, names) else { return Ok(None) };
         found.node.pixels(found.name).map(Some).map_err(|mistake| (found.index, mistake))
     };
-    if let (Some(width), Some(height)) =
-        (pixels(&["image_width", "width", "imageWidth"])?, pixels(&["image_height", "height", "imageHeight"])?)
-    {
+    if let (Some(width), Some(height)) = (
+        pixels(&["image_width", "width", "imageWidth", "Camera.width"])?,
+        pixels(&["image_height", "height", "imageHeight", "Camera.height"])?,
+    ) {
         return Ok((width, height));
     }
     let Some(found) = find(documents, &["image_size", "imageSize", "size"]) else { return Ok((0, 0)) };

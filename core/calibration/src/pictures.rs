@@ -41,15 +41,14 @@ fn matches_counter(pattern: &str, name: &str) -> bool {
     })
 }
 
-/// Orders `img_2` before `img_10`.
-fn natural(name: &str) -> Vec<(u64, String)> {
+/// Orders `img_2` before `img_10`: a name as letters and numbers in turn, to be compared with others.
+pub fn natural_order(name: &str) -> Vec<(String, u64)> {
     let mut key = Vec::new();
     let mut rest = name;
     while !rest.is_empty() {
         let letters = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
         let digits = rest[letters..].find(|c: char| !c.is_ascii_digit()).map_or(rest.len(), |d| letters + d);
-        // The number stands behind its letters: pairs are compared letters first.
-        key.push((rest[letters..digits].parse().unwrap_or(u64::MAX), rest[..letters].to_owned()));
+        key.push((rest[..letters].to_owned(), rest[letters..digits].parse().unwrap_or(u64::MAX)));
         rest = &rest[digits..];
     }
     key
@@ -94,10 +93,7 @@ pub fn numbered_files(pattern: &Path, what: &str, fits: impl Fn(&Path) -> bool) 
             None => format!("the folder holds {} files and no {what}", names.len()),
         });
     }
-    found.sort_by_cached_key(|name| {
-        let key = natural(name);
-        (key.iter().map(|(number, letters)| (letters.clone(), *number)).collect::<Vec<_>>(), (*name).clone())
-    });
+    found.sort_by_cached_key(|name| (natural_order(name), (*name).clone()));
     Ok(found.into_iter().map(|name| folder.join(name)).collect())
 }
 

@@ -53,6 +53,8 @@ enum Command {
     Compare(commands::compare::Arguments),
     /// Writes what a recording holds as files of other programs: a folder of pictures and tables, Foxglove, rerun.
     Export(commands::export::Arguments),
+    /// Lists the sequences of public data sets in a folder, with their calibration, truth and labels.
+    Import(commands::import::Arguments),
     /// Runs a graph once for each value of parameters and shows what becomes of measures.
     Sweep(commands::sweep::Arguments),
     /// Compares runs of sweeps on one HTML page.
@@ -159,6 +161,7 @@ fn main() {
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),
         Command::Export(arguments) => commands::export::run(&arguments),
+        Command::Import(arguments) => commands::import::run(&arguments),
         Command::Sweep(arguments) => commands::sweep::run(&arguments),
         Command::Report(arguments) => commands::report::run(&arguments),
         Command::Tune(arguments) => commands::tune::run(&arguments),

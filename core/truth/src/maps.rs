@@ -84,6 +84,12 @@ pub enum ContentError {
         /// Names of the channels.
         channels: String,
     },
+    /// A picture that holds no points.
+    #[error("it holds {channels} number(s) per pixel: points are three floats per pixel, x, y and z")]
+    Points {
+        /// Numbers per pixel.
+        channels: usize,
+    },
     /// Values are missing.
     #[error("it holds {found} values, {expected} are expected")]
     Short {
@@ -132,7 +138,8 @@ impl RawMap {
 /// Reads the map of a file; its ending names the format.
 ///
 /// - NPY of two dimensions, f4 or f8; PFM of one channel
-/// - TIFF of 8, 16 or 32 bits without sign, or floats. Of three channels of floats the third one is taken: SCARED's points are x, y and z in mm
+/// - TIFF of 8, 16 or 32 bits without sign, or floats. Of three channels of floats the third one is taken: SCARED's points are x, y and z in mm of
+///   the raw left camera, and z is no depth of the rectified view; [`crate::points`] reads all three and moves them there
 /// - EXR: the only channel, or the one called Z, Y, V or depth; or three channels that hold the same
 /// - PNG of 8 or 16 bits, gray
 ///
@@ -197,7 +204,18 @@ fn png(bytes: &[u8]) -> Result<RawMap, ContentError> {
     Ok(RawMap { image: FloatImage { width, height, data }, stored })
 }
 
-fn tiff_map(bytes: &[u8]) -> Result<RawMap, ContentError> {
+/// All numbers of a TIFF.
+pub(crate) struct TiffValues {
+    pub width: usize,
+    pub height: usize,
+    /// Numbers per pixel: 1 or 3.
+    pub channels: usize,
+    /// As many as the size says, pixel after pixel.
+    pub data: Vec<f32>,
+    pub stored: Stored,
+}
+
+pub(crate) fn tiff_values(bytes: &[u8]) -> Result<TiffValues, ContentError> {
     let mut decoder = Decoder::new(Cursor::new(bytes))?;
     let (width, height) = decoder.dimensions()?;
     let (width, height) = (width as usize, height as usize);
@@ -209,7 +227,7 @@ fn tiff_map(bytes: &[u8]) -> Result<RawMap, ContentError> {
         ColorType::Multiband { num_samples, .. } if matches!(num_samples, 1 | 3) => usize::from(num_samples),
         other => return Err(ContentError::Samples { samples: format!("{other:?}") }),
     };
-    let (data, stored): (Vec<f32>, Stored) = match decoder.read_image()? {
+    let (mut data, stored): (Vec<f32>, Stored) = match decoder.read_image()? {
         DecodingResult::F32(values) => (values, Stored::Floats),
         DecodingResult::F64(values) => (values.into_iter().map(|v| v as f32).collect(), Stored::Floats),
         DecodingResult::F16(values) => (values.into_iter().map(f32::from).collect(), Stored::Floats),
@@ -224,9 +242,15 @@ fn tiff_map(bytes: &[u8]) -> Result<RawMap, ContentError> {
     if data.len() < count * channels {
         return Err(ContentError::Short { found: data.len(), expected: count * channels });
     }
+    data.truncate(count * channels);
+    Ok(TiffValues { width, height, channels, data, stored })
+}
+
+fn tiff_map(bytes: &[u8]) -> Result<RawMap, ContentError> {
+    let TiffValues { width, height, channels, data, stored } = tiff_values(bytes)?;
     let data = match channels {
-        3 => data.chunks_exact(3).take(count).map(|point| point[2]).collect(),
-        _ => data.into_iter().take(count).collect(),
+        3 => data.as_chunks::<3>().0.iter().map(|point| point[2]).collect(),
+        _ => data,
     };
     Ok(RawMap { image: FloatImage { width, height, data }, stored })
 }

@@ -234,8 +234,121 @@ impl Capture {
         }
     }
 
+    /// Opens sources that are named already; `texts` are their names for messages and for the place to continue at.
+    ///
+    /// # Errors
+    /// A source that does not open.
+    pub(crate) fn of_sources(
+        open: &Open<'_>,
+        params: &Settings,
+        names: &[SourceName],
+        texts: Vec<String>,
+        calibration: Option<Calibration>,
+    ) -> Result<Self> {
+        let demands = Demands {
+            width: params.width,
+            height: params.height,
+            fps: params.fps,
+            open_limit: Duration::from_secs_f64(params.open_limit_s.max(0.0)),
+            silence_limit: Duration::from_secs_f64(params.timeout_s.max(0.0)),
+            is_lossless: open.is_batch(),
+        };
+        let mut views =
+            Views::open(names, texts, demands, params.r#loop, (params.rate_hz, IMAGE_FPS), params.tolerance_ms)?;
+        for remark in views.remarks() {
+            open.info(&remark);
+        }
+        if let Some(words) = views.rates_in_words() {
+            open.warn(&words);
+        }
+        let halves = params.halves();
+        Ok(Self {
+            views,
+            halves,
+            depth: Depth::default(),
+            white: 255.0,
+            frame: 0,
+            since_open: 0,
+            timing: Timing::default(),
+            arrived_ns: None,
+            has_ended: false,
+            is_lost: false,
+            sizes_warned: false,
+            damage_warned: false,
+            reconnects: 0,
+            calibration,
+        })
+    }
+
+    /// Takes the pictures of the next tick: source and rectangle of each view. `None` for an empty tick, and at the end.
+    ///
+    /// # Errors
+    /// As [`Node::process`] of this node.
+    pub(crate) fn take(&mut self, cx: &Context<'_>, params: &Settings) -> Result<Option<Vec<(usize, Rect)>>> {
+        // Stills have no end: in batch mode they are one tick unless `loop` is set.
+        let is_shown = cx.is_batch() && !params.r#loop && self.frame > 0 && self.views.are_stills();
+        if self.has_ended || is_shown || (params.frames > 0 && self.frame >= params.frames) {
+            cx.end();
+            return Ok(None);
+        }
+        let Some(first_ns) = cx.clock_ns() else {
+            return Err(NodeError::new("this host has no clock: `capture` needs a newer Panoscope"));
+        };
+        let clock = || cx.clock_ns().unwrap_or(first_ns);
+        if self.grab(cx, &clock, params)?.is_none() {
+            return Ok(None);
+        }
+        self.set_time(cx, &clock);
+        self.wait(cx, &clock, params.pace);
+        self.frame += 1;
+        self.since_open += 1;
+        self.lock(cx, params);
+        if !self.decode(cx, params)? {
+            return Ok(None);
+        }
+        self.find_white(cx, params.bit_depth)?;
+        let views = if self.halves.is_some() { 2 } else { self.views.len() };
+        let mut parts = Vec::with_capacity(MAX_VIEWS);
+        for view in 0..views {
+            parts.push(self.part(view, &params.crop)?);
+        }
+        let differing = parts.iter().find(|p| (p.1.width, p.1.height) != (parts[0].1.width, parts[0].1.height));
+        if let Some((_, rect)) = differing
+            && !self.sizes_warned
+        {
+            self.sizes_warned = true;
+            cx.warn(&format!(
+                "the views differ in size ({}x{} and {}x{}): each is passed on as it is",
+                parts[0].1.width, parts[0].1.height, rect.width, rect.height
+            ));
+        }
+        if let Some(arrived_ns) = self.arrived_ns {
+            cx.metric("latency_ms", (clock() - arrived_ns) as f64 * 1e-6);
+        }
+        Ok(Some(parts))
+    }
+
+    /// Index of the newest picture of view 0 in its source, from 0.
+    pub(crate) fn picture_index(&mut self) -> u64 {
+        self.views.view(0).source.grabbed().saturating_sub(1)
+    }
+
+    /// Columns and rows of the newest picture of view 0 as it is stored: before it is split or cut.
+    pub(crate) fn stored_size(&mut self) -> (usize, usize) {
+        let picture = &self.views.view(0).picture;
+        (picture.width, picture.height)
+    }
+
+    /// Takes another calibration for the ticks from now on.
+    pub(crate) fn set_calibration(&mut self, calibration: Option<Calibration>) {
+        self.calibration = calibration;
+    }
+
     /// The calibration, if there is one and it was made for views of this size.
-    fn calibration_for(&mut self, cx: &Context<'_>, parts: &[(usize, Rect)]) -> Result<Option<Calibration>> {
+    ///
+    /// # Errors
+    /// It was made for views of another size.
+    pub(crate) fn calibration_for(&mut self, cx: &Context<'_>, parts: &[(usize, Rect)]) -> Result<Option<Calibration>> {
         let Some(calibration) = &mut self.calibration else { return Ok(None) };
         for (view, (_, rect)) in parts.iter().take(2).enumerate() {
             let camera = if view == 0 { &mut calibration.left } else { &mut calibration.right };
@@ -288,7 +401,10 @@ impl Capture {
     }
 
     /// Sets the output of one view if it is read.
-    fn write(&mut self, slot: &mut Slot<'_, Bgr8>, source: usize, rect: Rect) -> Result<()> {
+    ///
+    /// # Errors
+    /// No frame memory is left.
+    pub(crate) fn write(&mut self, slot: &mut Slot<'_, Bgr8>, source: usize, rect: Rect) -> Result<()> {
         if !slot.is_read() {
             return Ok(());
         }
@@ -320,14 +436,6 @@ impl Node for Capture {
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let calibration = params.read_calibration(open.graph_dir())?;
-        let demands = Demands {
-            width: params.width,
-            height: params.height,
-            fps: params.fps,
-            open_limit: Duration::from_secs_f64(params.open_limit_s.max(0.0)),
-            silence_limit: Duration::from_secs_f64(params.timeout_s.max(0.0)),
-            is_lossless: open.is_batch(),
-        };
         let texts = params.source_texts()?;
         let texts: Vec<String> = texts.into_iter().map(|(_, text)| text.to_owned()).collect();
         let names = texts.iter().map(|text| SourceName::parse(text, open.graph_dir()));
@@ -335,74 +443,11 @@ impl Node for Capture {
         for remark in pair_by_numbers(&mut names, &texts) {
             open.warn(&remark);
         }
-        let mut views =
-            Views::open(&names, texts, demands, params.r#loop, (params.rate_hz, IMAGE_FPS), params.tolerance_ms)?;
-        for remark in views.remarks() {
-            open.info(&remark);
-        }
-        if let Some(words) = views.rates_in_words() {
-            open.warn(&words);
-        }
-        let halves = params.halves();
-        Ok(Self {
-            views,
-            halves,
-            depth: Depth::default(),
-            white: 255.0,
-            frame: 0,
-            since_open: 0,
-            timing: Timing::default(),
-            arrived_ns: None,
-            has_ended: false,
-            is_lost: false,
-            sizes_warned: false,
-            damage_warned: false,
-            reconnects: 0,
-            calibration,
-        })
+        Self::of_sources(open, params, &names, texts, calibration)
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &Settings) -> Result<()> {
-        // Stills have no end: in batch mode they are one tick unless `loop` is set.
-        let is_shown = cx.is_batch() && !params.r#loop && self.frame > 0 && self.views.are_stills();
-        if self.has_ended || is_shown || (params.frames > 0 && self.frame >= params.frames) {
-            cx.end();
-            return Ok(());
-        }
-        let Some(first_ns) = cx.clock_ns() else {
-            return Err(NodeError::new("this host has no clock: `capture` needs a newer Panoscope"));
-        };
-        let clock = || cx.clock_ns().unwrap_or(first_ns);
-        if self.grab(cx, &clock, params)?.is_none() {
-            return Ok(());
-        }
-        self.set_time(cx, &clock);
-        self.wait(cx, &clock, params.pace);
-        self.frame += 1;
-        self.since_open += 1;
-        self.lock(cx, params);
-        if !self.decode(cx, params)? {
-            return Ok(());
-        }
-        self.find_white(cx, params.bit_depth)?;
-        let views = if self.halves.is_some() { 2 } else { self.views.len() };
-        let mut parts = Vec::with_capacity(MAX_VIEWS);
-        for view in 0..views {
-            parts.push(self.part(view, &params.crop)?);
-        }
-        let differing = parts.iter().find(|p| (p.1.width, p.1.height) != (parts[0].1.width, parts[0].1.height));
-        if let Some((_, rect)) = differing
-            && !self.sizes_warned
-        {
-            self.sizes_warned = true;
-            cx.warn(&format!(
-                "the views differ in size ({}x{} and {}x{}): each is passed on as it is",
-                parts[0].1.width, parts[0].1.height, rect.width, rect.height
-            ));
-        }
-        if let Some(arrived_ns) = self.arrived_ns {
-            cx.metric("latency_ms", (clock() - arrived_ns) as f64 * 1e-6);
-        }
+        let Some(parts) = self.take(cx, params)? else { return Ok(()) };
         if out.calibration.is_read()
             && let Some(calibration) = self.calibration_for(cx, &parts)?
         {

@@ -1,7 +1,9 @@
 //! Sources: cameras, video files, images, network streams, pipelines; the truth in files that belongs to their pictures.
 
+mod boxes;
 pub mod capture;
 pub mod crop;
+pub mod data_set;
 mod depth;
 pub mod devices;
 mod live;
@@ -17,4 +19,4 @@ mod views;
 
 use panoscope_node::export_plugin;
 
-export_plugin![capture::Capture, read_maps::ReadMaps, read_labels::ReadLabels];
+export_plugin![capture::Capture, data_set::DataSet, read_maps::ReadMaps, read_labels::ReadLabels];

@@ -37,7 +37,8 @@ pub struct Out<'f> {
 #[derive(Params)]
 pub struct ReadMapsParams {
     /// Folder, pattern (truth/*.pfm or truth/%04d.png) or file: NPY, PFM, TIFF, EXR or PNG. The n-th file in the order of their numbers belongs to
-    /// the n-th picture; a single file to every picture. Of TIFF files with three floats (SCARED: x, y, z in mm) the third one is taken.
+    /// the n-th picture; a single file to every picture. Of TIFF files with three floats the third one is taken; SCARED's x, y, z are of the raw left
+    /// camera, so that z fits no rectified view: `data_set` moves them there.
     #[param(default = "", reopen, file)]
     path: String,
     /// What the files hold.

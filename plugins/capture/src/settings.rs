@@ -8,6 +8,10 @@ use panoscope_node::{Choice, NodeError, Params, Rect, Result, Validation};
 use crate::crop::{self, Halves};
 use crate::source::{CaptureError, SourceName, unknown_element};
 
+/// Silence after which a live source is lost.
+const TIMEOUT_S: f64 = 1.0;
+/// Longest time that opening may take.
+const OPEN_LIMIT_S: f64 = 10.0;
 /// Most views of one node.
 pub const MAX_VIEWS: usize = 4;
 
@@ -102,13 +106,13 @@ pub struct Settings {
     #[param(default = 0.0, range = 0.0..=10000.0, unit = "ms", reopen)]
     pub tolerance_ms: f64,
     /// A camera, stream or live pipeline without data for this long is lost: it is opened again until it is back.
-    #[param(default = 1.0, range = 0.1..=60.0, unit = "s", reopen)]
+    #[param(default = TIMEOUT_S, range = 0.1..=60.0, unit = "s", reopen)]
     pub timeout_s: f64,
     /// Time limit for opening a camera, stream or pipeline.
-    #[param(default = 10.0, range = 0.1..=600.0, unit = "s", reopen)]
+    #[param(default = OPEN_LIMIT_S, range = 0.1..=600.0, unit = "s", reopen)]
     pub open_limit_s: f64,
-    /// Calibration file of the first two views: OpenCV's FileStorage YAML or a Kalibr camera chain; the two files of ROS (left;
-    /// right) or of OpenCV's sample (intrinsics; extrinsics) are separated by a semicolon.
+    /// Calibration file of the first two views: OpenCV's FileStorage YAML, a Kalibr camera chain, or the file of KITTI, Middlebury, StereoMIS or
+    /// EndoVis; the two files of ROS (left; right), of OpenCV's sample or of Hamlyn (intrinsics; extrinsics) are separated by a semicolon.
     #[param(default = "", reopen, file)]
     pub calibration: String,
 }
@@ -149,6 +153,34 @@ impl SourcesError {
 }
 
 impl Settings {
+    /// For files that are named otherwise: nothing is asked of cameras, nothing is cut or split.
+    pub(crate) fn of_files() -> Self {
+        let none = String::new;
+        Self {
+            left: none(),
+            right: none(),
+            views: none(),
+            split: Split::None,
+            crop: Vec::new(),
+            r#loop: false,
+            rate_hz: 0.0,
+            pace: Pace::Auto,
+            frames: 0,
+            width: 0,
+            height: 0,
+            fps: 0.0,
+            lock_exposure: false,
+            lock_white_balance: false,
+            lock_after: 0,
+            on_damage: OnDamage::Fail,
+            bit_depth: 0,
+            tolerance_ms: 0.0,
+            timeout_s: TIMEOUT_S,
+            open_limit_s: OPEN_LIMIT_S,
+            calibration: none(),
+        }
+    }
+
     /// The texts that name sources, each with its parameter.
     ///
     /// # Errors

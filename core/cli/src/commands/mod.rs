@@ -13,6 +13,7 @@ pub mod edit;
 pub mod eval;
 pub mod export;
 pub mod generate;
+pub mod import;
 pub mod list;
 pub mod lock;
 pub mod new;

@@ -45,7 +45,38 @@ pub fn file_seeds() -> Vec<Vec<u8>> {
     let kalibr = "cam0:\n  camera_model: pinhole\n  intrinsics: [750, 750, 319.5, 239.5]\n  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n  resolution: [640, 480]\n\
         cam1:\n  T_cn_cnm1:\n  - [1, 0, 0, -0.015]\n  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, 0, 1]\n  camera_model: pinhole\n  intrinsics: [750, 750, 319.5, 239.5]\n\
         \x20 distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n  resolution: [640, 480]\n";
+    let kitti = "P0: 7e2 0 6e2 0 0 7e2 1.7e2 0 0 0 1 0\nP1: 7e2 0 6e2 -3.8e2 0 7e2 1.7e2 0 0 0 1 0\n";
+    let raw = "S_rect_02: 1242 375\nP_rect_02: 7e2 0 6e2 44 0 7e2 1.7e2 0.2 0 0 1 0.003\nP_rect_03: 7e2 0 6e2 -340 0 7e2 1.7e2 2.2 0 0 1 0.003\n";
+    let middlebury = "cam0=[4e3 0 1177; 0 4e3 1012; 0 0 1]\ncam1=[4e3 0 1308; 0 4e3 1012; 0 0 1]\ndoffs=131\nbaseline=193\nwidth=2964\nheight=1988\n";
+    let side = |name: &str, shift: f64| {
+        let numbers = |key: &str, values: &[f64]| -> String {
+            values.iter().enumerate().map(|(index, value)| format!("{key}_{index}={value}\n")).collect()
+        };
+        let size = "res_x=1280\nres_y=1024\nfc_x=1035\nfc_y=1035\ncc_x=640\ncc_y=512\n";
+        let pose = numbers("R", &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]) + &numbers("T", &[shift, 0.0, 0.0]);
+        format!("[{name}]\n{size}{}{pose}", numbers("kc", &[0.1, 0.0, 0.0, 0.0, 0.0]))
+    };
+    let stereomis = side("StereoLeft", 0.0) + &side("StereoRight", -4.1);
+    let view = |n: u8| {
+        format!(
+            "Camera-{n}-F: 1084 1084 // focal\nCamera-{n}-C: 640 512\nCamera-{n}-Alpha: 0\nCamera-{n}-K: 0 0 0 0 0\n"
+        )
+    };
+    let endovis =
+        format!("Width: 1280\nHeight: 1024\n{}{}Extrinsic-Omega: 0 0.01 0\nExtrinsic-T: -4.3 0 0\n", view(0), view(1));
+    let hamlyn = "383 0 156 0\n0 383 124 0\n0 0 1 0\n#---\n1 0 0 -5.4\n0 1 0 0\n0 0 1 0\n";
     let texts = [
+        kitti.to_owned(),
+        raw.to_owned(),
+        raw.replace("S_rect_02: 1242 375\n", "S_rect_03: 1242 1e9\n"),
+        middlebury.to_owned(),
+        middlebury.replace("doffs=131", "doffs=nan"),
+        stereomis.clone(),
+        stereomis.replace("[StereoRight]", "[Stereo"),
+        endovis.clone(),
+        endovis.replace("0 0.01 0", "1e300 1e300 -1e300"),
+        hamlyn.to_owned(),
+        hamlyn.replace("-5.4", "1e308"),
         opencv.to_owned(),
         format!("{}#---\n{}", ros("left", 0.0), ros("right", -11.25)),
         kalibr.to_owned(),

@@ -3,6 +3,7 @@
 use panoscope_eval::eval::disparity::truth_files::{self, Loaded};
 use panoscope_imaging::stereo::FloatImage;
 use panoscope_imaging::stereo::formats::{read_npy, read_pfm, write_npy, write_pfm};
+use panoscope_truth::points;
 
 use crate::scratch;
 
@@ -72,6 +73,14 @@ pub fn truth_file(bytes: &[u8]) {
     let Some((kind, bytes)) = bytes.split_first() else { return };
     let ending = ENDINGS[usize::from(*kind) % ENDINGS.len()];
     let path = scratch::file(&format!("truth.{ending}"), bytes);
+    // Both kinds of TIFF read the same bytes.
+    if ending == "tif"
+        && let Ok(points) = points::decode(bytes)
+    {
+        assert_eq!(points.xyz_mm.len(), points.width * points.height);
+        let is_known = |point: &[f32; 3]| point.iter().all(|v| v.is_finite()) && point[2] > 0.0;
+        assert!(points.xyz_mm.iter().all(|point| is_known(point) || point.iter().all(|v| v.is_nan())));
+    }
     match truth_files::read(&path, 16.0) {
         Ok(Loaded::Plane(image)) => {
             assert_eq!(image.data.len(), image.width * image.height);

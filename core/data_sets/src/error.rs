@@ -1,0 +1,62 @@
+//! Why there is no sequence.
+
+use std::path::PathBuf;
+
+use crate::layouts;
+
+/// Names that a message lists.
+const LISTED: usize = 12;
+
+/// Why there is no sequence.
+#[derive(Debug, thiserror::Error)]
+pub enum DataSetError {
+    /// The folder does not exist.
+    #[error("there is no folder {path}", path = path.display())]
+    NoFolder {
+        /// As given.
+        path: PathBuf,
+    },
+    /// The folder cannot be read.
+    #[error("the folder {path} cannot be read: {cause}", path = path.display())]
+    Unreadable {
+        /// The folder.
+        path: PathBuf,
+        /// The system's error.
+        cause: std::io::Error,
+    },
+    /// No known layout.
+    #[error(
+        "{folder} holds no data set of a known layout ({known}){remarks}; `panoscope import {folder}` shows what is looked for",
+        folder = folder.display(),
+        known = layouts::names(),
+        remarks = in_words(remarks)
+    )]
+    Nothing {
+        /// The folder.
+        folder: PathBuf,
+        /// What stands in the way.
+        remarks: Vec<String>,
+    },
+    /// No sequence of that name.
+    #[error("{folder} has no sequence `{name}`: it has {names}", folder = folder.display(), names = listed(names))]
+    NoSequence {
+        /// The folder.
+        folder: PathBuf,
+        /// The name asked for.
+        name: String,
+        /// The names that are there.
+        names: Vec<String>,
+    },
+}
+
+fn in_words(remarks: &[String]) -> String {
+    if remarks.is_empty() { String::new() } else { format!("; {}", remarks.join("; ")) }
+}
+
+fn listed(names: &[String]) -> String {
+    let mut text = names.iter().take(LISTED).map(String::as_str).collect::<Vec<_>>().join(", ");
+    if names.len() > LISTED {
+        text.push_str(&format!(" and {} more", names.len() - LISTED));
+    }
+    text
+}

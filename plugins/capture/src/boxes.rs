@@ -1,0 +1,146 @@
+//! True boxes of one picture, from VOC and YOLO files and from masks.
+
+use std::path::Path;
+
+use panoscope_data_sets::MaskFile;
+use panoscope_node::abi::Detection;
+use panoscope_node::{LabeledDetections, LabeledInstances, NodeError, Rect, Result, Slot, detections};
+use panoscope_truth::labels;
+use panoscope_truth::masks::MaskPicture;
+
+/// Least pixels of a part of a mask that counts as an object: specks at the border of an instrument are none.
+const LEAST_PIXELS: usize = 16;
+/// The same as a share of the picture.
+const LEAST_SHARE: f64 = 1e-4;
+
+/// Boxes of a picture, in memory that is used again.
+#[derive(Debug, Default)]
+pub struct Boxes {
+    /// Class names, in the order of the data set as far as it gives one.
+    classes: Vec<String>,
+    items: Vec<Detection>,
+    /// One bit per pixel for each item that comes from a mask.
+    masks: Vec<u8>,
+}
+
+/// Whether a file is one of YOLO's labels.
+pub fn is_yolo(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("txt"))
+}
+
+impl Boxes {
+    /// No boxes; classes not in the list are added as they come.
+    pub fn new(classes: Vec<String>) -> Self {
+        Self { classes, ..Self::default() }
+    }
+
+    /// Forgets the picture before.
+    pub fn clear(&mut self) {
+        self.items.clear();
+        self.masks.clear();
+    }
+
+    fn class(&mut self, name: &str) -> u32 {
+        let at = self.classes.iter().position(|known| known == name).unwrap_or_else(|| {
+            self.classes.push(name.to_owned());
+            self.classes.len() - 1
+        });
+        at as u32
+    }
+
+    /// Reads a VOC or YOLO file; `size` of the picture in px.
+    ///
+    /// # Errors
+    /// A file that is missing or damaged, by its name and line.
+    pub fn read(&mut self, file: &Path, size: (usize, usize)) -> Result<()> {
+        let (width, height) = (size.0 as f64, size.1 as f64);
+        let wrong = |cause: &dyn std::fmt::Display| NodeError::new(format!("{}: {cause}", file.display()));
+        let text = std::fs::read_to_string(file).map_err(|error| wrong(&error))?;
+        if is_yolo(file) {
+            for object in labels::yolo(&text).map_err(|error| match error {
+                labels::LabelError::Line { line } => wrong(&format!("line {line}: {error}")),
+                other => wrong(&other),
+            })? {
+                let name = self.classes.get(object.class).cloned();
+                let class = self.class(&name.unwrap_or_else(|| format!("class {}", object.class)));
+                let [x, y, w, h] = object.bounds();
+                self.items.push(item([x * width, y * height, w * width, h * height], 1.0, class));
+            }
+            return Ok(());
+        }
+        let found = labels::voc(&text).map_err(|error| wrong(&error))?;
+        // Boxes are in px of the size that the file names, which need not be the picture's any more.
+        let (sx, sy) = (found.size[0].map_or(1.0, |w| width / w), found.size[1].map_or(1.0, |h| height / h));
+        for object in found.objects {
+            let class = self.class(&object.name.replace('\n', " "));
+            let [x0, y0, x1, y1] = object.corners;
+            let score = if object.is_difficult { 0.0 } else { 1.0 };
+            self.items.push(item([x0 * sx, y0 * sy, (x1 - x0) * sx, (y1 - y0) * sy], score, class));
+        }
+        Ok(())
+    }
+
+    /// Adds the connected parts of a mask; `part` of it is the picture.
+    ///
+    /// # Errors
+    /// A file that is missing, damaged or of another size than the stored picture.
+    pub fn read_mask(&mut self, file: &MaskFile, stored: (usize, usize), part: Rect) -> Result<()> {
+        let mask = MaskPicture::read(&file.path).map_err(|error| NodeError::new(error.to_string()))?;
+        let same = (mask.width, mask.height) == stored;
+        let cut = same.then(|| mask.cropped([part.x, part.y, part.width, part.height])).flatten();
+        let Some(mask) = cut else {
+            return Err(NodeError::new(format!(
+                "{} is {}x{}, its picture {}x{}: masks must have the pictures' size",
+                file.path.display(),
+                mask.width,
+                mask.height,
+                stored.0,
+                stored.1
+            )));
+        };
+        let least = LEAST_PIXELS.max((LEAST_SHARE * (mask.width * mask.height) as f64) as usize);
+        let row_len = mask.width.div_ceil(8);
+        for layer in file.layers.iter() {
+            for part in mask.parts(&layer.code, least) {
+                self.items.push(item(part.bounds.map(|v| v as f64), 1.0, layer.class));
+                let start = self.masks.len();
+                self.masks.resize(start + detections::mask_len(mask.width, mask.height), 0);
+                let bits = &mut self.masks[start..];
+                for index in part.pixels {
+                    let (x, y) = (index as usize % mask.width, index as usize / mask.width);
+                    bits[y * row_len + x / 8] |= 0x80 >> (x % 8);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sets the boxes.
+    ///
+    /// # Errors
+    /// No frame memory is left.
+    pub fn write(&self, slot: &mut Slot<'_, LabeledDetections>, size: (usize, usize)) -> Result<()> {
+        slot.set_detections(&self.items, &self.classes.join("\n"), size)
+    }
+
+    /// Sets boxes and masks, where all of them came from masks.
+    ///
+    /// # Errors
+    /// No frame memory is left.
+    pub fn write_instances(&self, slot: &mut Slot<'_, LabeledInstances>, size: (usize, usize)) -> Result<()> {
+        slot.set_instances(&self.items, &self.classes.join("\n"), size, &self.masks)
+    }
+}
+
+/// A true box: left, top, width, height in px.
+fn item([x, y, w, h]: [f64; 4], score: f32, class_index: u32) -> Detection {
+    Detection {
+        x_px: x as f32,
+        y_px: y as f32,
+        width_px: w as f32,
+        height_px: h as f32,
+        score,
+        class_index,
+        track_id: -1,
+    }
+}

@@ -1,0 +1,114 @@
+//! True disparity and depth of the left rectified view, from whatever the data set states.
+
+use panoscope_calibration::packet;
+use panoscope_data_sets::{Holds, Sequence, Truth};
+use panoscope_imaging::stereo::{FloatImage, Rectification};
+use panoscope_node::abi::Calibration;
+use panoscope_node::{Depth, Disparity, NodeError, Result, Slot, error};
+use panoscope_truth::{maps, points};
+
+/// Why an output of the truth stays empty, in words; `None` when it does not.
+pub(super) fn lacks(sequence: &Sequence, output: &str) -> Option<&'static str> {
+    if sequence.calibration.is_some() {
+        return None;
+    }
+    match (sequence.truth.as_ref()?.holds, output) {
+        (Holds::Disparity, "depth") => Some("it takes a calibration to turn disparity into depth, and there is none"),
+        (Holds::Depth, "disparity") => Some("it takes a calibration to turn depth into disparity, and there is none"),
+        (Holds::Points | Holds::StackedPoints, _) => {
+            Some("it takes a calibration to move points into the view, and there is none")
+        }
+        _ => None,
+    }
+}
+
+/// The maps of one picture, and the rectification that they are meant for.
+#[derive(Default)]
+pub(super) struct TruthMaps {
+    /// The packet that was read, and the same with its rectification.
+    known: Option<(Calibration, Calibration, Rectification)>,
+    disparity: Option<FloatImage>,
+    depth: Option<FloatImage>,
+}
+
+impl TruthMaps {
+    /// The packet with the rectification that a `rectify` node will use stated in it.
+    pub fn with_rectification(&mut self, calibration: Calibration) -> Result<Calibration> {
+        if let Some((_, stated, _)) = self.known.as_ref().filter(|(known, ..)| packet::same(known, &calibration)) {
+            return Ok(*stated);
+        }
+        let rectification = packet::rectification(&calibration)?;
+        let stated = match calibration.is_rectified {
+            0 => packet::with_rectification(&calibration, &rectification),
+            _ => calibration,
+        };
+        self.known = Some((calibration, stated, rectification));
+        Ok(stated)
+    }
+
+    /// Reads the truth of a picture of `size`; `read` says which of disparity and depth somebody wants.
+    ///
+    /// # Errors
+    /// A file that is damaged or of another size.
+    pub fn prepare(
+        &mut self,
+        truth: &Truth,
+        picture: usize,
+        calibration: Option<&Calibration>,
+        size: (usize, usize),
+        read: [bool; 2],
+    ) -> Result<()> {
+        (self.disparity, self.depth) = (None, None);
+        let Some(Some(file)) = truth.files.get(picture) else { return Ok(()) };
+        if read == [false; 2] {
+            return Ok(());
+        }
+        let rectification = calibration.and(self.known.as_ref()).map(|(.., rectification)| rectification);
+        let wrong = |error: maps::MapError| NodeError::new(error.to_string());
+        let check = |width: usize, height: usize| {
+            if (width, height) == size {
+                return Ok(());
+            }
+            Err(error!(
+                "{} is {width}x{height}, its picture {}x{}: truth must have the pictures' size",
+                file.display(),
+                size.0,
+                size.1
+            ))
+        };
+        if matches!(truth.holds, Holds::Points | Holds::StackedPoints) {
+            let Some(rectification) = rectification else { return Ok(()) };
+            let points = points::read(file).map_err(wrong)?;
+            let points = if truth.holds == Holds::StackedPoints { points.upper_half() } else { points };
+            check(points.width, points.height)?;
+            let depth = points.rectified_depth(rectification);
+            self.disparity = read[0].then(|| points::disparity_of_depth(&depth, rectification));
+            self.depth = Some(depth);
+            return Ok(());
+        }
+        let map = maps::read(file).map_err(wrong)?.divided(truth.divisor);
+        check(map.width, map.height)?;
+        if truth.holds == Holds::Disparity {
+            self.depth = rectification.filter(|_| read[1]).map(|r| points::depth_of_disparity(&map, r));
+            self.disparity = Some(map);
+        } else {
+            self.disparity = rectification.filter(|_| read[0]).map(|r| points::disparity_of_depth(&map, r));
+            self.depth = Some(map);
+        }
+        Ok(())
+    }
+
+    /// Sets the outputs.
+    ///
+    /// # Errors
+    /// No frame memory is left.
+    pub fn write(&self, disparity: &mut Slot<'_, Disparity>, depth: &mut Slot<'_, Depth>) -> Result<()> {
+        if let Some(map) = self.disparity.as_ref().filter(|_| disparity.is_read()) {
+            disparity.alloc(map.width, map.height)?.data.copy_from_slice(&map.data);
+        }
+        if let Some(map) = self.depth.as_ref().filter(|_| depth.is_read()) {
+            depth.alloc(map.width, map.height)?.data.copy_from_slice(&map.data);
+        }
+        Ok(())
+    }
+}
