@@ -102,12 +102,12 @@ fn joined(methods: &[Method], source: &Source) -> Result<String> {
         let wiring = &method.wiring;
         for (id, mut node) in wiring.registration() {
             for input in node.get_mut("inputs").and_then(Value::as_table_mut).into_iter().flat_map(|t| t.iter_mut()) {
-                rename(input.1, wiring.source(), index);
+                rename(input.1, &wiring.source(), index);
             }
             nodes.insert(format!("m{index}_{id}"), node.into());
         }
         let composite = &wiring.composites[0];
-        let homography = renamed(&composite.homographies[0], wiring.source(), index);
+        let homography = renamed(&composite.homographies[0], &wiring.source(), index);
         let mut judge: Table = format!(
             "type = \"evaluate_stitch\"\nbudget_ms = 60000\n[inputs]\nleft = \"{SOURCE}.left\"\nright = \"{SOURCE}.right\"\nhomography = {homography:?}\n"
         )
