@@ -107,9 +107,11 @@ fn joined(methods: &[Method], source: &Source) -> Result<String> {
             nodes.insert(format!("m{index}_{id}"), node.into());
         }
         let composite = &wiring.composites[0];
-        let homography = renamed(&composite.homographies[0], &wiring.source(), index);
+        let own = |reference: &str| renamed(reference, &wiring.source(), index);
+        let homography = own(&composite.homographies[0]);
+        let (left, right) = (own(&composite.views[0]), own(&composite.views[1]));
         let mut judge: Table = format!(
-            "type = \"evaluate_stitch\"\nbudget_ms = 60000\n[inputs]\nleft = \"{SOURCE}.left\"\nright = \"{SOURCE}.right\"\nhomography = {homography:?}\n"
+            "type = \"evaluate_stitch\"\nbudget_ms = 60000\n[inputs]\nleft = {left:?}\nright = {right:?}\nhomography = {homography:?}\n"
         )
         .parse()?;
         let truth = if source.has_truth {
@@ -219,14 +221,17 @@ mod tests {
         let nodes = graph["nodes"].as_table().unwrap();
         let mut names: Vec<&str> = nodes.keys().map(String::as_str).collect();
         names.sort_unstable();
-        let all = ["judge_0", "judge_1", "m0_wide/register", "m1_wide/join/register", "m1_wide/match", "scope"];
-        assert_eq!(names, all);
+        let grid = ["m1_wide/join/register", "m1_wide/match", "m1_wide/rectify"];
+        assert_eq!(names, [&["judge_0", "judge_1", "m0_wide/register"], &grid[..], &["scope"]].concat());
         assert_eq!(
             nodes["m0_wide/register"]["params"]["min_inliers"].as_integer(),
             Some(4),
             "the graph's own parameters stay"
         );
-        assert_eq!(nodes["m1_wide/match"]["inputs"]["left"].as_str(), Some("scope.left"));
+        assert_eq!(nodes["m1_wide/rectify"]["inputs"]["left"].as_str(), Some("scope.left"));
+        assert_eq!(nodes["m1_wide/match"]["inputs"]["left"].as_str(), Some("m1_wide/rectify.left"));
+        let judged = ["judge_0", "judge_1"].map(|judge| nodes[judge]["inputs"]["left"].as_str());
+        assert_eq!(judged, [Some("scope.left"), Some("m1_wide/rectify.left")]);
         let roi = &nodes["m1_wide/match"]["inputs"]["roi"];
         assert_eq!(
             (roi["from"].as_str(), roi["delay"].as_integer()),
