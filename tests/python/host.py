@@ -474,7 +474,9 @@ class HostTest(unittest.TestCase):
         for block in blocks:
             exec(block, names)
         self.assertEqual((len(names["result"]["wide.panorama"]), len(names["rows"])), (20, 2))
-        self.assertEqual([file.name for file in self.folder.iterdir()], ["a.mcap"], "what is watched writes nothing")
+        written = sorted(file.name for file in self.folder.iterdir())
+        self.assertEqual(written, ["a.mcap", "out"], "what is watched writes nothing")
+        self.assertEqual([file.name for file in (self.folder / "out").iterdir()], ["a"])
 
 
 if __name__ == "__main__":

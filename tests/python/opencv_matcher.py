@@ -19,6 +19,9 @@ import numpy as np
 import panoscope as ps
 from panoscope import installation
 
+# With several threads, OpenCV's block matching gives other values from call to call in the first pixels of the rows where its stripes meet.
+cv2.setNumThreads(1)
+
 
 @ps.node(family="stereo")
 class OpencvInPython:

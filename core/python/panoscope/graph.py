@@ -190,7 +190,7 @@ class Graph:
     def _open(self) -> Any:
         by_name = isinstance(self._args, Mapping)
         named = [(name, word(value)) for name, value in self._args.items()] if isinstance(self._args, Mapping) else []
-        words = [] if by_name else [word(word) for word in self._args]
+        words = [] if by_name else [word(arg) for arg in self._args]
         return _native.GraphFile(self.path, words, named, settings(self._set), self._overlays)
 
     def words(self) -> list[str]:
@@ -199,9 +199,9 @@ class Graph:
             # An option of the command may have an argument's name.
             args = [f"--graph-arg={name}={word(value)}" for name, value in self._args.items()]
         else:
-            args = [word(word) for word in self._args]
-        overlays = [word for file in self._overlays for word in ("--with", str(file))]
-        return [str(self.path), *args, *overlays, *(word for setting in settings(self._set) for word in ("--set", setting))]
+            args = [word(arg) for arg in self._args]
+        overlays = [text for file in self._overlays for text in ("--with", str(file))]
+        return [str(self.path), *args, *overlays, *(text for setting in settings(self._set) for text in ("--set", setting))]
 
     def check(self) -> list[Diagnostic]:
         """Checks the whole graph; returns its warnings. Mistakes raise :class:`GraphError`."""
