@@ -2,9 +2,19 @@
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use panoscope_engine::log::{Level, LogFn};
+use serde::Serialize;
+
+/// How lines are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object per line.
+    Json,
+}
 
 /// The same words of the same node are shown once in this time.
 const QUIET: Duration = Duration::from_secs(1);
@@ -17,13 +27,47 @@ struct Seen {
     left_out: u64,
 }
 
-/// Formats a line.
+/// A line as JSON.
+#[derive(Serialize)]
+struct JsonLine<'l> {
+    /// Milliseconds since 1970, wall clock.
+    unix_ms: u64,
+    level: &'static str,
+    node: &'l str,
+    message: &'l str,
+    /// How often the same words came since they were written last.
+    #[serde(skip_serializing_if = "is_zero")]
+    repeated: u64,
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
+}
+
+fn word(level: Level) -> &'static str {
+    match level {
+        Level::Error => "error",
+        Level::Warn => "warning",
+        Level::Info => "info",
+        Level::Debug => "debug",
+    }
+}
+
+fn json(level: Level, node: &str, message: &str, repeated: u64) -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let unix_ms = u64::try_from(since.as_millis()).unwrap_or(u64::MAX);
+    // Numbers and texts alone: nothing that JSON cannot hold.
+    serde_json::to_string(&JsonLine { unix_ms, level: word(level), node, message, repeated }).unwrap_or_default()
+}
+
+/// Formats a line for people.
 fn render(color: bool, level: Level, node: &str, words: &str, left_out: u64) -> String {
-    let (word, style) = match level {
-        Level::Error => ("error", "\x1b[1;31m"),
-        Level::Warn => ("warning", "\x1b[1;33m"),
-        Level::Info => ("info", "\x1b[1;32m"),
-        Level::Debug => ("debug", "\x1b[2m"),
+    let word = word(level);
+    let style = match level {
+        Level::Error => "\x1b[1;31m",
+        Level::Warn => "\x1b[1;33m",
+        Level::Info => "\x1b[1;32m",
+        Level::Debug => "\x1b[2m",
     };
     let again = if left_out > 0 { format!(" (and {left_out} times more)") } else { String::new() };
     if color {
@@ -34,7 +78,7 @@ fn render(color: bool, level: Level, node: &str, words: &str, left_out: u64) -> 
 }
 
 /// A log that hands lines to `show`; debug lines only with `verbose`.
-pub fn sink(verbose: bool, color: bool, show: impl Fn(&str) + Send + Sync + 'static) -> Box<LogFn> {
+pub fn sink(verbose: bool, format: LogFormat, color: bool, show: impl Fn(&str) + Send + Sync + 'static) -> Box<LogFn> {
     let seen: Mutex<HashMap<String, Seen>> = Mutex::new(HashMap::new());
     Box::new(move |level, node, words| {
         if level == Level::Debug && !verbose {
@@ -56,7 +100,11 @@ pub fn sink(verbose: bool, color: bool, show: impl Fn(&str) + Send + Sync + 'sta
         } else {
             seen.insert(format!("{node}\n{words}"), Seen { shown: now, left_out: 0 });
         }
-        show(&render(color, level, node, &panoscope_loader::sealed::readable(words), left_out));
+        let words = panoscope_loader::sealed::readable(words);
+        show(&match format {
+            LogFormat::Text => render(color, level, node, &words, left_out),
+            LogFormat::Json => json(level, node, &words, left_out),
+        });
     })
 }
 
@@ -69,13 +117,26 @@ mod tests {
     fn repeated_words_are_shown_once() {
         let lines = Arc::new(Mutex::new(Vec::new()));
         let into = Arc::clone(&lines);
-        let log = sink(false, false, move |line| into.lock().unwrap().push(line.to_owned()));
+        let log = sink(false, LogFormat::Text, false, move |line| into.lock().unwrap().push(line.to_owned()));
         for _ in 0..100 {
             log(Level::Error, "stitch", "no memory");
         }
         log(Level::Error, "stitch", "other words");
         log(Level::Debug, "stitch", "details");
         assert_eq!(*lines.lock().unwrap(), ["error [stitch] no memory", "error [stitch] other words"]);
+    }
+
+    #[test]
+    fn a_line_is_one_json_object() {
+        let line = json(Level::Warn, "a", "two\nlines and \"quotes\"", 2);
+        assert!(!line.contains('\n'));
+        let value: serde_json::Value = serde_json::from_str(&line).unwrap();
+        assert_eq!((value["level"].as_str(), value["node"].as_str()), (Some("warning"), Some("a")));
+        assert_eq!(
+            (value["message"].as_str(), value["repeated"].as_u64()),
+            (Some("two\nlines and \"quotes\""), Some(2))
+        );
+        assert!(value["unix_ms"].as_u64().unwrap() > 1_700_000_000_000);
     }
 
     #[test]

@@ -175,6 +175,18 @@ pub static PACKAGES: &[Package] = &[
         Evidence::Program("dot"),
     ),
     package(
+        Purpose::Test,
+        "prometheus",
+        [Some("golang-github-prometheus"), Some("prometheus"), Some("prometheus")],
+        Evidence::Program("promtool"),
+    ),
+    package(
+        Purpose::Test,
+        "chromium",
+        [Some("chromium"), Some("chromium"), None],
+        Evidence::Program("chromium"),
+    ),
+    package(
         Purpose::Wheels,
         "python3-pip",
         [Some("python3-pip"), Some("python-pip"), Some("python")],

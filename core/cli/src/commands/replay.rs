@@ -15,6 +15,7 @@ use super::run;
 use crate::End;
 use crate::given::Given;
 use crate::judge::Weight;
+use crate::log_lines::{self, LogFormat};
 use crate::progress::Progress;
 use crate::terminal::{log, out, stderr_color};
 use crate::trust::OwnPlugins;
@@ -124,7 +125,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         engine: Options {
             threads: arguments.threads.map_or(0, usize::from),
             frames: arguments.frames,
-            log: Some(crate::log_lines::sink(arguments.verbose, stderr_color(), progress.line_writer())),
+            log: Some(log_lines::sink(arguments.verbose, LogFormat::Text, stderr_color(), progress.line_writer())),
             ..Options::default()
         },
     };

@@ -16,10 +16,12 @@ use panoscope_loader::live::FileWatch;
 use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, LockError, lock_path};
 use panoscope_loader::sealed::readable;
 use panoscope_loader::verify::{self, Seal, VerifyError};
+use panoscope_monitor::{Address, Monitor};
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 
 use crate::given::Given;
 use crate::judge::{Facts, Verdict, Weight, judge};
+use crate::log_lines::{self, LogFormat};
 use crate::progress::Progress;
 use crate::terminal::{log, out, raw, stderr_color};
 use crate::trust::{IsolatedPlugins, Keys};
@@ -71,6 +73,13 @@ pub struct Arguments {
     /// Shows debug lines of nodes too.
     #[arg(long, short)]
     verbose: bool,
+    /// How lines of nodes are written; `json` writes one object per line to standard error: time, level, node, message.
+    #[arg(long, value_name = "FORMAT", default_value = "text")]
+    log_format: LogFormat,
+    /// Serves a page with pictures, ages and states, and metrics for Prometheus at /metrics, for reading only: a port of this machine such as 9464,
+    /// or IP:PORT. Whoever reaches the address sees the pictures; there is no password.
+    #[arg(long, value_name = "PORT|IP:PORT")]
+    web: Option<Address>,
 }
 
 /// Runs a graph to its end.
@@ -166,7 +175,22 @@ pub fn run_with(
         log!("note: {notice}");
     }
     let graph = ready.graph.clone();
-    let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless);
+    let monitor = match arguments.web.map(|address| (address, Monitor::start(address))) {
+        None => None,
+        Some((address, Ok(monitor))) => {
+            log!("serves http://{}", monitor.address());
+            if address.is_public() {
+                log!("warning: other machines can reach this address; whoever does sees the pictures");
+            }
+            Some(monitor)
+        }
+        Some((_, Err(error))) => {
+            log!("error: {error}");
+            return Ok(RunEnd::Not(End::Failed));
+        }
+    };
+    let is_json = arguments.log_format == LogFormat::Json;
+    let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless && !is_json);
     let faults = match &arguments.fault_log {
         Some(path) => Some(json_lines(path).with_context(|| format!("cannot write {}", path.display()))?),
         None => None,
@@ -188,7 +212,7 @@ pub fn run_with(
         frames: arguments.frames,
         paced: !arguments.unpaced,
         graph_dir: arguments.graph.parent().unwrap_or(Path::new("")).to_owned(),
-        log: Some(crate::log_lines::sink(arguments.verbose, stderr_color(), progress.line_writer())),
+        log: Some(log_lines::sink(arguments.verbose, arguments.log_format, stderr_color(), progress.line_writer())),
         process_allocations: allocations::process(),
         thread_allocations: allocations::thread(),
         faults,
@@ -218,6 +242,9 @@ pub fn run_with(
     let mut running = Running { live, catalog: &ready.catalog, expected_faults: BTreeSet::new() };
     watch(&engine, &mut progress, || {
         look(&mut running);
+        if let Some(monitor) = &monitor {
+            monitor.update(&engine, |graph| running.live.loader().catalog_of_graph(graph));
+        }
         if let Some(files) = &mut files {
             apply_changes(files, &mut running.live, &given);
         }

@@ -1,0 +1,210 @@
+//! `panoscope run --web`: the page, its pictures and the metrics of a running graph, over HTTP and in a browser.
+
+mod common;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use common::plugins;
+use panoscope_testing::{Folder, own_settings, skipped};
+
+const GRAPH: &str = r#"name = "watched"
+mode = "live"
+plugins = ["flow"]
+
+[nodes.source]
+type = "frames"
+params = { width_px = 64, height_px = 48, rate_hz = 30.0 }
+
+[nodes."a/pass"]
+type = "pass"
+inputs = { image = "source.image" }
+
+[nodes.end]
+type = "drain"
+inputs = { image = "a/pass.image" }
+"#;
+
+/// A running graph with its page; killed when dropped.
+struct Watched {
+    child: Child,
+    address: String,
+    _folder: Folder,
+}
+
+impl Watched {
+    fn start(name: &str) -> Self {
+        let folder = Folder::new(name, &[("graph.toml", GRAPH)]);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
+        own_settings(&mut command, folder.path());
+        command.current_dir(folder.path()).args(["run", "graph.toml", "--headless", "--web", "0"]);
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts");
+        let mut lines = BufReader::new(child.stderr.take().expect("standard error")).lines();
+        let address =
+            lines.by_ref().map_while(Result::ok).find_map(|line| Some(line.strip_prefix("serves http://")?.to_owned()));
+        // Read on, so that the program never waits for a reader.
+        thread::spawn(move || lines.for_each(drop));
+        Self { child, address: address.expect("the address is printed"), _folder: folder }
+    }
+
+    /// Status, head and body of the answer to a request with this first line and `Host`.
+    fn ask(&self, request: &str, host: &str) -> (u16, String, Vec<u8>) {
+        let mut stream = TcpStream::connect(&self.address).expect("the page is served");
+        stream.set_read_timeout(Some(Duration::from_secs(20))).expect("a limit");
+        write!(stream, "{request} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: 0\r\n\r\n")
+            .expect("sent");
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).expect("an answer");
+        let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n").expect("a head");
+        let head = String::from_utf8_lossy(&answer[..end]).to_lowercase();
+        let status = head.split(' ').nth(1).and_then(|status| status.parse().ok()).expect("a status");
+        (status, head, answer[end + 4..].to_vec())
+    }
+
+    fn get(&self, path: &str) -> (u16, String, Vec<u8>) {
+        self.ask(&format!("GET {path}"), &self.address)
+    }
+
+    /// Asks until the answer is 200: the first picture comes after the first request.
+    fn get_soon(&self, path: &str) -> (String, Vec<u8>) {
+        let until = Instant::now() + Duration::from_secs(20);
+        loop {
+            match self.get(path) {
+                (200, head, body) => return (head, body),
+                (status, _, body) if Instant::now() > until => {
+                    panic!("{path}: {status} {}", String::from_utf8_lossy(&body))
+                }
+                _ => thread::sleep(Duration::from_millis(50)),
+            }
+        }
+    }
+}
+
+impl Drop for Watched {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Whether a program is there.
+fn is_there(program: &str) -> bool {
+    Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success())
+}
+
+#[test]
+fn state_pictures_and_metrics_are_those_of_the_run() {
+    if plugins(&["flow"]).is_none() {
+        return;
+    }
+    let watched = Watched::start("web");
+    let (_, body) = watched.get_soon("/state");
+    let state: serde_json::Value = serde_json::from_slice(&body).expect("JSON");
+    assert_eq!(
+        (state["graph"].as_str(), state["pictures"][0]["name"].as_str()),
+        (Some("watched"), Some("a/pass.image"))
+    );
+    let (head, first) = watched.get_soon("/pictures/a/pass.image");
+    assert!(head.contains("content-type: image/jpeg") && head.contains("x-age-ms: "), "{head}");
+    assert_eq!(image::load_from_memory(&first).expect("a JPEG").into_rgb8().dimensions(), (64, 48));
+    let tick =
+        |head: &str| head.lines().find_map(|line| line.strip_prefix("x-tick: ")?.parse::<u64>().ok()).expect("a tick");
+    let until = Instant::now() + Duration::from_secs(20);
+    while tick(&watched.get_soon("/pictures/a/pass.image").0) == tick(&head) {
+        assert!(Instant::now() < until, "the picture stays the same");
+        thread::sleep(Duration::from_millis(50));
+    }
+    let (head, metrics) = watched.get_soon("/metrics");
+    assert!(head.contains("content-type: text/plain; version=0.0.4"), "{head}");
+    let metrics = String::from_utf8(metrics).expect("UTF-8");
+    let calls = metrics.lines().find_map(|line| line.strip_prefix("panoscope_node_calls_total{node=\"a/pass\"} "));
+    assert!(calls.expect("a count").parse::<f64>().expect("a number") > 0.0, "{metrics}");
+    if !is_there("promtool") {
+        return skipped!("no promtool: the metrics were not checked by Prometheus's own tool");
+    }
+    let mut promtool = Command::new("promtool");
+    let promtool =
+        promtool.args(["check", "metrics"]).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut promtool = promtool.spawn().expect("promtool");
+    promtool.stdin.take().expect("a pipe").write_all(metrics.as_bytes()).expect("written");
+    let output = promtool.wait_with_output().expect("promtool");
+    let words = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && words.is_empty(), "{words}");
+}
+
+#[test]
+fn nothing_can_be_changed_and_other_origins_are_refused() {
+    if plugins(&["flow"]).is_none() {
+        return;
+    }
+    let watched = Watched::start("web-refused");
+    let own = watched.address.clone();
+    watched.get_soon("/state");
+    for (request, host, status) in [
+        ("POST /state", own.as_str(), 405),
+        ("DELETE /", &own, 405),
+        ("PUT /pictures/a/pass.image", &own, 405),
+        ("GET /", "panoscope.example", 403),
+        ("GET /state", "127.0.0.1.example:80", 403),
+        ("GET /pictures/source.image", &own, 404),
+        ("GET /pictures/../state", &own, 404),
+        ("GET /etc/passwd", &own, 404),
+    ] {
+        let (given, _, body) = watched.ask(request, host);
+        assert_eq!(given, status, "{request} for {host}: {}", String::from_utf8_lossy(&body));
+    }
+    let (status, head, page) = watched.get("/");
+    assert!(status == 200 && head.contains("content-security-policy: default-src 'none'"), "{head}");
+    assert!(!String::from_utf8_lossy(&page).contains("http"), "the page loads nothing from elsewhere");
+}
+
+#[test]
+fn a_browser_shows_pictures_and_their_age() {
+    if plugins(&["flow"]).is_none() {
+        return;
+    }
+    if !is_there("chromium") {
+        return skipped!("no Chromium: `cargo xtask setup` installs it");
+    }
+    let watched = Watched::start("web-browser");
+    watched.get_soon("/state");
+    let profile = Folder::new("web-profile", &[]);
+    let mut browser = Command::new("chromium");
+    browser.args([
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+    ]);
+    browser.args(["--disable-component-update", "--disable-sync", "--virtual-time-budget=4000", "--dump-dom"]);
+    browser.arg(format!("--user-data-dir={}", profile.path().display())).arg(format!("http://{}/", watched.address));
+    let output = browser.output().expect("Chromium");
+    let page = String::from_utf8_lossy(&output.stdout);
+    assert!(page.contains("<h1 id=\"graph\">watched</h1>"), "{page}");
+    assert!(page.contains("<figure class=\"\"><img alt=\"a/pass\" src=\"blob:"), "a picture that is not old: {page}");
+    assert!(page.contains("<span id=\"state\" class=\"\">running</span>"), "{page}");
+}
+
+#[test]
+fn an_address_that_is_taken_or_none_is_an_error_before_the_graph_starts() {
+    if plugins(&["flow"]).is_none() {
+        return;
+    }
+    let watched = Watched::start("web-taken");
+    let folder = Folder::new("web-second", &[("graph.toml", GRAPH)]);
+    for (address, code, words) in [
+        (watched.address.as_str(), 1, "another program may use the port"),
+        ("nowhere", 2, "is no address to listen on"),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
+        let output =
+            command.current_dir(folder.path()).args(["run", "graph.toml", "--web", address]).output().expect("a run");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(code) && stderr.contains(words), "{address}: {stderr}");
+    }
+}

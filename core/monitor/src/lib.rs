@@ -1,0 +1,62 @@
+//! A running graph over HTTP, for reading only.
+//!
+//! [`Monitor`] serves, at an address that the user names:
+//!
+//! | path | content |
+//! |---|---|
+//! | `/` | a page with the pictures of the graph, their ages, and the state of its nodes |
+//! | `/state` | the same as JSON |
+//! | `/pictures/NODE.OUTPUT` | the newest picture of an output, JPEG |
+//! | `/metrics` | counters and times in the text format of Prometheus |
+//!
+//! Nothing can be changed through it. It never holds a frame back: pictures come from previews, which exist only while somebody looks. Requests
+//! are served on a thread of their own, which knows only what [`Monitor::update`] left there.
+
+mod address;
+mod error;
+mod metrics;
+mod page;
+mod pictures;
+mod server;
+mod state;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use panoscope_engine::Engine;
+use panoscope_graph::{Catalog, Graph};
+
+pub use address::{Address, AddressError};
+pub use error::MonitorError;
+
+use server::Server;
+use state::Shared;
+
+/// Serves a running graph until it is dropped.
+pub struct Monitor {
+    shared: Arc<Shared>,
+    server: Server,
+}
+
+impl Monitor {
+    /// Begins to listen. Until the first [`Self::update`] there is nothing to see.
+    ///
+    /// # Errors
+    /// The address cannot be listened on.
+    pub fn start(address: Address) -> Result<Self, MonitorError> {
+        let shared = Arc::new(Shared::default());
+        let server = Server::start(address, Arc::clone(&shared))?;
+        Ok(Self { shared, server })
+    }
+
+    /// The address that it listens on; the port is the one that the system chose if 0 was asked for.
+    pub fn address(&self) -> SocketAddr {
+        self.server.address()
+    }
+
+    /// Takes over what there is to show. Call it several times a second. `catalog` has the node types of the running graph; it is asked for when
+    /// the graph has changed.
+    pub fn update(&self, engine: &Engine, catalog: impl FnOnce(&Graph) -> Catalog) {
+        self.shared.update(engine, catalog);
+    }
+}

@@ -1,0 +1,113 @@
+//! Which outputs are shown, and their pictures as JPEG.
+
+use panoscope_base::{View, format};
+use panoscope_engine::memory::FrameRef;
+use panoscope_formats::{Pixels, still};
+use panoscope_graph::{Catalog, Graph};
+
+/// Packets that have a picture here.
+const PACKETS: [&str; 2] = ["image", "mask"];
+/// Most outputs that are shown of a graph without `[preset]`.
+const MOST: usize = 6;
+/// JPEG quality, percent.
+const QUALITY: u8 = 80;
+
+/// An output that is shown.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Shown {
+    /// The node.
+    pub node: String,
+    /// Its output.
+    pub output: String,
+    /// Words beside it.
+    pub label: String,
+}
+
+impl Shown {
+    /// `node.output`, as in a graph file.
+    pub fn name(&self) -> String {
+        format!("{}.{}", self.node, self.output)
+    }
+}
+
+/// The views of the graph's preset that have a picture; without one, what its sinks receive.
+pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
+    let type_of = |node: usize| graph.nodes[node].node_type(catalog);
+    let has_picture = |node: usize, port: usize| {
+        let packet = type_of(node).outputs.get(port).map(|port| port.packet.name.as_str());
+        packet.is_some_and(|packet| PACKETS.contains(&packet))
+    };
+    let shown = |node: usize, port: usize, label: &str| Shown {
+        node: graph.nodes[node].id.clone(),
+        output: type_of(node).outputs[port].name.clone(),
+        label: label.to_owned(),
+    };
+    let views = graph.preset.views.iter().filter(|view| has_picture(view.node, view.port));
+    let mut all: Vec<Shown> = views.map(|view| shown(view.node, view.port, &view.label)).collect();
+    if all.is_empty() {
+        let to_sinks = graph.edges.iter().filter(|edge| type_of(edge.to_node).outputs.is_empty());
+        for edge in to_sinks.filter(|edge| has_picture(edge.from_node, edge.from_port)) {
+            let label = &graph.nodes[edge.from_node].id;
+            let one = shown(edge.from_node, edge.from_port, label);
+            if all.len() < MOST && !all.iter().any(|known| known.name() == one.name()) {
+                all.push(one);
+            }
+        }
+    }
+    all
+}
+
+/// A frame as JPEG; or why there is none.
+pub fn jpeg(frame: &FrameRef) -> Result<Vec<u8>, String> {
+    let head = frame.frame();
+    let name = format::name(head.format);
+    let wrong = || format!("a picture of {} x {} {name} does not fit its bytes", head.width, head.height);
+    let (width, height, stride) = (head.width as usize, head.height as usize, head.stride_bytes as usize);
+    let need = format::image_bytes(width, height, stride, format::pixel_bytes(head.format)).ok_or_else(wrong)?;
+    let bytes = frame.bytes().get(..need).ok_or_else(wrong)?;
+    let view = |channels| View::with_stride(bytes, width, height, channels, stride);
+    let pixels = match name {
+        "gray8" => Pixels::Gray8(view(1)),
+        "bgr8" => Pixels::Bgr8(view(3)),
+        "rgba8" => Pixels::Rgba8(view(4)),
+        _ => return Err(format!("{name} has no picture here: put a `colorize` node in front")),
+    };
+    let mut out = Vec::new();
+    still::encode(&mut out, "jpg", &pixels, QUALITY, &mut Vec::new()).map_err(|error| error.to_string())?;
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_abi::Frame;
+    use panoscope_engine::memory::memory;
+
+    fn frame(format: &str, width: u32, height: u32, bytes: &[u8]) -> FrameRef {
+        let (buffer, data) = memory().allocate(bytes.len()).unwrap();
+        let format = format::image_named(format).unwrap().id;
+        let stride_bytes = width * format::pixel_bytes(format) as u32;
+        // SAFETY: a new buffer of this length, whose one reference goes to the frame.
+        unsafe {
+            std::ptr::copy_nonoverlapping(bytes.as_ptr(), data, bytes.len());
+            let empty = FrameRef::empty(Default::default()).into_raw();
+            FrameRef::adopt(Frame { buffer, data, len: bytes.len(), format, width, height, stride_bytes, ..empty })
+        }
+    }
+
+    #[test]
+    fn a_picture_becomes_a_jpeg_of_its_size() {
+        let bytes = [0, 0, 255].repeat(64 * 48);
+        let encoded = jpeg(&frame("bgr8", 64, 48, &bytes)).unwrap();
+        let decoded = image::load_from_memory(&encoded).unwrap().to_rgb8();
+        assert_eq!(decoded.dimensions(), (64, 48));
+        let [red, green, blue] = decoded.get_pixel(32, 24).0;
+        assert!(red > 245 && green < 10 && blue < 10, "{red} {green} {blue}");
+    }
+
+    #[test]
+    fn frames_without_a_picture_are_errors() {
+        assert!(jpeg(&frame("f32", 2, 2, &[0; 16])).unwrap_err().contains("colorize"));
+        assert!(jpeg(&frame("bgr8", 64, 48, &[0; 100])).unwrap_err().contains("does not fit"));
+    }
+}

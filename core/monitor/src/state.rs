@@ -1,0 +1,244 @@
+//! What the server knows of the running graph.
+
+use std::collections::HashMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use panoscope_engine::memory::FrameRef;
+use panoscope_engine::{Engine, Preview, Report, clock};
+use panoscope_graph::{Catalog, Graph};
+use serde::Serialize;
+
+use crate::pictures::{self, Shown};
+
+/// A picture that nobody asked for in this time is no longer taken from the graph.
+const MAX_UNSEEN: Duration = Duration::from_secs(3);
+/// How often it is looked whether the graph has changed.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Faults that are shown.
+const MOST_FAULTS: usize = 10;
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The newest picture of an output.
+#[derive(Clone)]
+struct Picture {
+    frame: FrameRef,
+    /// When its light arrived, in ns of the engine's clock.
+    arrived_ns: Option<i64>,
+}
+
+#[derive(Default)]
+struct Known {
+    report: Option<Report>,
+    faults: Vec<FaultLine>,
+    shown: Vec<Shown>,
+    pictures: HashMap<String, Picture>,
+    /// When somebody last asked for a picture.
+    asked: HashMap<String, Instant>,
+}
+
+/// A picture for a client.
+pub struct Encoded {
+    /// JPEG.
+    pub jpeg: Vec<u8>,
+    /// Number of its tick.
+    pub tick: u64,
+    /// Time since its light arrived.
+    pub age_ms: Option<f64>,
+}
+
+/// Used by the thread of the graph alone.
+#[derive(Default)]
+struct Source {
+    previews: HashMap<String, (String, Preview)>,
+    looked: Option<Instant>,
+    /// The graph that was looked at last.
+    graph: Option<Graph>,
+}
+
+/// Shared by the thread that watches the graph and the one that serves.
+#[derive(Default)]
+pub struct Shared {
+    known: Mutex<Known>,
+    source: Mutex<Source>,
+}
+
+/// A fault.
+#[derive(Clone, Debug, Serialize)]
+struct FaultLine {
+    unix_ms: u64,
+    node: String,
+    words: String,
+}
+
+/// `/state`.
+#[derive(Debug, Serialize)]
+pub struct State {
+    graph: String,
+    seconds: f64,
+    frames: u64,
+    fps: f64,
+    pictures: Vec<PictureState>,
+    nodes: Vec<NodeState>,
+    ages: Vec<AgeState>,
+    faults: Vec<FaultLine>,
+}
+
+#[derive(Debug, Serialize)]
+struct PictureState {
+    name: String,
+    label: String,
+    /// Number of its tick; `null` before the first one.
+    tick: Option<u64>,
+    /// Time since its light arrived.
+    age_ms: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct NodeState {
+    node: String,
+    count: u64,
+    p50_ms: f64,
+    p99_ms: f64,
+    dropped: u64,
+    faults: u64,
+    stopped: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct AgeState {
+    sink: String,
+    p50_ms: f64,
+    p99_ms: f64,
+}
+
+impl Picture {
+    fn age_ms(&self) -> Option<f64> {
+        let age_ns = clock::now_ns().saturating_add_signed(self.arrived_ns?.saturating_neg());
+        Some(age_ns as f64 / 1e6)
+    }
+}
+
+impl Shared {
+    /// See [`crate::Monitor::update`].
+    pub fn update(&self, engine: &Engine, catalog: impl FnOnce(&Graph) -> Catalog) {
+        let mut source = lock(&self.source);
+        let now = Instant::now();
+        if source.looked.is_none_or(|looked| now.duration_since(looked) >= LOOK_EVERY) {
+            source.looked = Some(now);
+            let graph = engine.graph();
+            let shown = (source.graph.as_ref() != Some(&graph)).then(|| pictures::of_graph(&graph, &catalog(&graph)));
+            source.graph = Some(graph);
+            let faults = engine.recent_faults();
+            let lines = faults.iter().rev().take(MOST_FAULTS).map(|fault| FaultLine {
+                unix_ms: fault.unix_ms,
+                node: fault.node.clone(),
+                words: fault.words.clone(),
+            });
+            let mut known = lock(&self.known);
+            known.faults = lines.collect();
+            known.shown = shown.unwrap_or_else(|| std::mem::take(&mut known.shown));
+            known.report = Some(engine.report());
+        }
+        let wanted: Vec<Shown> = {
+            let known = lock(&self.known);
+            let is_asked = |name: &String| known.asked.get(name).is_some_and(|at| now.duration_since(*at) < MAX_UNSEEN);
+            known.shown.iter().filter(|shown| is_asked(&shown.name())).cloned().collect()
+        };
+        source.subscribe(engine, &wanted);
+        for (name, (_, preview)) in &source.previews {
+            if let Some(frame) = preview.take() {
+                let arrived_ns = engine.arrived_ns(&frame.tick());
+                lock(&self.known).pictures.insert(name.clone(), Picture { frame, arrived_ns });
+            }
+        }
+        // Frames of pictures that nobody looks at go back to the graph.
+        lock(&self.known).pictures.retain(|name, _| source.previews.contains_key(name));
+    }
+
+    /// The newest picture of an output; `None` for names that are not shown. The picture is `Err` with a reason as long as
+    /// there is none.
+    pub fn picture(&self, name: &str) -> Option<Result<Encoded, String>> {
+        let mut known = lock(&self.known);
+        if !known.shown.iter().any(|shown| shown.name() == name) {
+            return None;
+        }
+        known.asked.insert(name.to_owned(), Instant::now());
+        let picture = known.pictures.get(name).cloned();
+        drop(known);
+        let encode = |picture: Picture| {
+            let jpeg = pictures::jpeg(&picture.frame)?;
+            Ok(Encoded { jpeg, tick: picture.frame.tick().seq, age_ms: picture.age_ms() })
+        };
+        Some(picture.map_or_else(|| Err("there is no picture yet".to_owned()), encode))
+    }
+
+    /// The counters; `None` before the first update.
+    pub fn report(&self) -> Option<Report> {
+        lock(&self.known).report.clone()
+    }
+
+    /// The state of the graph; `None` before the first update.
+    pub fn state(&self) -> Option<State> {
+        let known = lock(&self.known);
+        let report = known.report.as_ref()?;
+        let picture = |shown: &Shown| {
+            let picture = known.pictures.get(&shown.name());
+            PictureState {
+                name: shown.name(),
+                label: shown.label.clone(),
+                tick: picture.map(|picture| picture.frame.tick().seq),
+                age_ms: picture.and_then(Picture::age_ms),
+            }
+        };
+        let nodes = report.nodes.iter().map(|(node, n)| NodeState {
+            node: node.clone(),
+            count: n.count,
+            p50_ms: n.p50_ms,
+            p99_ms: n.p99_ms,
+            dropped: n.dropped,
+            faults: n.faults,
+            stopped: report.stopped.get(node).cloned(),
+        });
+        let ages = report.paths.iter().map(|(sink, path)| AgeState {
+            sink: sink.clone(),
+            p50_ms: path.age_p50_ms,
+            p99_ms: path.age_p99_ms,
+        });
+        Some(State {
+            graph: report.graph.clone(),
+            seconds: report.seconds,
+            frames: report.frames,
+            fps: report.fps,
+            pictures: known.shown.iter().map(picture).collect(),
+            nodes: nodes.collect(),
+            ages: ages.collect(),
+            faults: known.faults.clone(),
+        })
+    }
+}
+
+impl Source {
+    /// Takes previews of what is wanted, and gives the others up.
+    fn subscribe(&mut self, engine: &Engine, wanted: &[Shown]) {
+        let mut ended = Vec::new();
+        self.previews.retain(|name, (node, _)| {
+            let stays = wanted.iter().any(|shown| shown.name() == *name);
+            if !stays {
+                ended.push(node.clone());
+            }
+            stays
+        });
+        ended.iter().for_each(|node| engine.end_previews(node));
+        for shown in wanted {
+            if !self.previews.contains_key(&shown.name())
+                && let Some(preview) = engine.preview(&shown.node, &shown.output)
+            {
+                self.previews.insert(shown.name(), (shown.node.clone(), preview));
+            }
+        }
+    }
+}
