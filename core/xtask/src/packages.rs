@@ -180,12 +180,7 @@ pub static PACKAGES: &[Package] = &[
         [Some("golang-github-prometheus"), Some("prometheus"), Some("prometheus")],
         Evidence::Program("promtool"),
     ),
-    package(
-        Purpose::Test,
-        "chromium",
-        [Some("chromium"), Some("chromium"), None],
-        Evidence::Program("chromium"),
-    ),
+    package(Purpose::Test, "chromium", [Some("chromium"), Some("chromium"), None], Evidence::Program("chromium")),
     package(
         Purpose::Wheels,
         "python3-pip",
