@@ -33,6 +33,7 @@ pub const RESERVED_ARGS: &[&str] = &[
     "kill_every",
     "label",
     "lock",
+    "log_format",
     "measure",
     "minutes",
     "new_key",
@@ -60,6 +61,7 @@ pub const RESERVED_ARGS: &[&str] = &[
     "verify",
     "version",
     "watch",
+    "web",
     "windowed",
     "with",
 ];
