@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod disturbed;
+pub mod machines;
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;

@@ -83,6 +83,10 @@ enum Command {
     Eval(commands::eval::Eval),
     /// Calibrates two cameras from views of a printed board.
     Calibrate(commands::calibrate::Arguments),
+    /// Runs nodes of graphs of other machines, those with `on` and this machine's name.
+    Serve(commands::serve::Arguments),
+    /// Makes certificates by which machines know each other.
+    Keys(commands::keys::Arguments),
     /// Lists cameras.
     Devices(commands::devices::Arguments),
     /// Shows what is installed, what is missing and how to get it.
@@ -177,6 +181,8 @@ fn main() {
         Command::Eval(eval) => commands::eval::run(&eval),
         Command::Calibrate(arguments) => commands::calibrate::run(&arguments),
         Command::Generate(arguments) => commands::generate::run(&arguments, Arguments::command()),
+        Command::Serve(arguments) => commands::serve::run(&arguments),
+        Command::Keys(arguments) => commands::keys::run(&arguments),
         Command::Devices(arguments) => commands::devices::run(&arguments),
     };
     terminal::leave(match end {

@@ -5,8 +5,8 @@ use std::ffi::c_void;
 use std::sync::{Arc, Mutex, Weak};
 
 use panoscope_abi as abi;
-pub use panoscope_graph::Deny;
 use panoscope_graph::Node;
+pub use panoscope_graph::{Deny, Machine, Pixels};
 use serde::Serialize;
 
 use crate::host::{call_context, place_made};
@@ -39,6 +39,8 @@ pub struct GroupSettings {
     pub deny: Deny,
     /// Whether what the process writes to its standard error goes into the words about its end, and not to that of this process.
     pub keeps_stderr: bool,
+    /// The machine that it runs on, if it is another one.
+    pub machine: Option<Machine>,
 }
 
 /// The nodes of one name of `isolate`: they run in one process, which is started again after it died.
@@ -56,6 +58,11 @@ pub trait Group: Send + Sync {
         call: *mut abi::OpenCall,
         instance: *mut *mut c_void,
     ) -> abi::Status;
+
+    /// Longest pause before a failed node is opened again, ms: short where only a connection has to come back.
+    fn longest_pause_ms(&self) -> u64 {
+        u64::MAX
+    }
 
     /// What of [`GroupSettings::deny`] this kernel cannot refuse, in the words of a graph file.
     fn not_enforced(&self) -> Vec<&'static str>;
@@ -86,6 +93,26 @@ pub struct GroupReport {
     /// What the graph denies to the group and this kernel cannot refuse.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub not_enforced: Vec<&'static str>,
+    /// The connection to the machine that it runs on, if it is another one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub link: Option<LinkReport>,
+}
+
+/// The connection to another machine.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct LinkReport {
+    /// Its address.
+    pub address: String,
+    /// Its clock minus this machine's, both the system's monotonic clocks, ns; null while it is unknown.
+    pub clock_offset_ns: Option<i64>,
+    /// Largest error of the offset, ns.
+    pub clock_uncertainty_ns: u64,
+    /// Time there and back of the last probe, ns.
+    pub round_trip_ns: u64,
+    /// Bytes of messages and pixels sent there, since the connection was made.
+    pub sent_bytes: u64,
+    /// Bytes received from there.
+    pub received_bytes: u64,
 }
 
 /// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call, as [`abi::Host::alloc`]
@@ -110,8 +137,8 @@ pub unsafe fn keep_position(call: *mut c_void, state: &[u8]) {
     }
 }
 
-/// A group that exists, and what its process may not do.
-type Known = (Deny, Weak<dyn Group>);
+/// A group that exists, what its process may not do, and where it runs.
+type Known = (Deny, Option<Machine>, Weak<dyn Group>);
 
 /// The groups of a run.
 pub(crate) struct Groups {
@@ -151,6 +178,7 @@ impl Groups {
             memory_bytes,
             deny: Deny::default(),
             keeps_stderr: true,
+            machine: None,
         };
         match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
@@ -161,7 +189,7 @@ impl Groups {
     /// Counters of the groups that exist.
     pub fn report(&self) -> BTreeMap<String, GroupReport> {
         let known = lock(&self.known);
-        known.iter().filter_map(|(name, (_, group))| Some((name.clone(), group.upgrade()?.counts()))).collect()
+        known.iter().filter_map(|(name, (.., group))| Some((name.clone(), group.upgrade()?.counts()))).collect()
     }
 
     /// The group that a node runs in, if it is isolated. It exists as long as one of its nodes does. What its process may not do cannot change, so
@@ -170,20 +198,21 @@ impl Groups {
         let Some(name) = &node.isolate else { return Ok(None) };
         let mut known = lock(&self.known);
         let deny = node.deny;
-        if let Some((denied, group)) = known.get(name)
+        if let Some((denied, machine, group)) = known.get(name)
             && *denied == deny
+            && *machine == node.machine
             && let Some(group) = group.upgrade()
         {
             return Ok(Some(group));
         }
         let Self { threads, memory_bytes, keeps_stderr, .. } = *self;
-        let settings = GroupSettings { name: name.clone(), threads, memory_bytes, deny, keeps_stderr };
+        let settings = GroupSettings { name: name.clone(), threads, memory_bytes, deny, keeps_stderr, machine: node.machine.clone() };
         let made = match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
             None => Err("this program runs no processes for nodes".to_owned()),
         };
         let group = made.map_err(|reason| NotIsolated { node: node.id.clone(), group: name.clone(), reason })?;
-        known.insert(name.clone(), (deny, Arc::downgrade(&group)));
+        known.insert(name.clone(), (deny, node.machine.clone(), Arc::downgrade(&group)));
         Ok(Some(group))
     }
 }

@@ -220,7 +220,8 @@ pub(crate) fn runtime(
         id: node.id.clone(),
         node_type,
         group,
-        kind: description.kind,
+        // Waiting for another machine is no work for the pool's threads.
+        kind: if node.machine.is_some() { NodeKind::Blocking } else { description.kind },
         source: description.source,
         on_fault: node.on_fault,
         budget_ms: node.budget_ms,
@@ -438,6 +439,7 @@ mod tests {
             max_rate_hz: None,
             cpu: None,
             isolate: None,
+            machine: None,
             deny: panoscope_graph::Deny::default(),
             span: 0..0,
             line: 0,

@@ -150,6 +150,53 @@ impl Deny {
     }
 }
 
+/// How pixels travel to another machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Pixels {
+    /// As they are.
+    #[default]
+    Raw,
+    /// Compressed without loss: the same bytes arrive.
+    Lz4,
+}
+
+impl Pixels {
+    /// The words of a graph file.
+    pub(crate) const WORDS: [(&str, Self); 2] = [("raw", Self::Raw), ("lz4", Self::Lz4)];
+
+    /// The word that a graph file uses.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Raw => "raw",
+            Self::Lz4 => "lz4",
+        }
+    }
+}
+
+/// Another machine that nodes run on: an entry of `[machines]`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Machine {
+    /// Name in the graph, and that with which `panoscope serve --name` runs there.
+    pub name: String,
+    /// Where it listens: `tls/HOST:PORT`, or `tcp/HOST:PORT` without encryption.
+    pub address: String,
+    /// How pixels travel.
+    pub pixels: Pixels,
+    /// It counts as lost when nothing was heard of it for this long, ms.
+    pub timeout_ms: u32,
+    /// Whether addresses without encryption may lead to another machine.
+    pub plaintext: bool,
+}
+
+impl Machine {
+    /// A machine with the default settings and no address.
+    pub(crate) fn new(name: &str) -> Self {
+        let (name, address) = (name.to_owned(), String::new());
+        Self { name, address, pixels: Pixels::default(), timeout_ms: 1000, plaintext: false }
+    }
+}
+
 /// One node of a checked graph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Node {
@@ -177,6 +224,9 @@ pub struct Node {
     /// What the process of that group may not do.
     #[serde(default, skip_serializing_if = "Deny::is_empty")]
     pub deny: Deny,
+    /// The machine that the group runs on, if it is another one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub machine: Option<Machine>,
     /// Bytes of its id in the text.
     pub span: Range<usize>,
     /// Line of its id, from 1.

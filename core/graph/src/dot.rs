@@ -42,7 +42,8 @@ fn cluster(out: &mut String, graph: &Graph, catalog: &Catalog, nodes: &[usize], 
                 Some(group) => {
                     groups.push(group);
                     let name = quoted(&format!("cluster_process_{prefix}{group}"));
-                    let label = quoted(&format!("process {group}"));
+                    let what = if graph.nodes[index].machine.is_some() { "machine" } else { "process" };
+                    let label = quoted(&format!("{what} {group}"));
                     let _ = writeln!(out, "{indent}subgraph {name} {{\n{indent}    label = {label}; style = dashed;");
                     for &node in nodes.iter().filter(|&&n| graph.nodes[n].isolate.as_deref() == Some(group)) {
                         let local = &graph.nodes[node].id[prefix.len()..];

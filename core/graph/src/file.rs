@@ -1,6 +1,6 @@
 //! One file of a graph as read, before any name in it is looked up.
 
-use crate::checked::{Align, Deny, Mode, OnFault};
+use crate::checked::{Align, Deny, Machine, Mode, OnFault};
 use crate::diagnostic::Diagnostics;
 use crate::value::{Spanned, Table};
 use std::ops::Range;
@@ -16,6 +16,8 @@ pub(crate) struct FileText {
     pub(crate) isolate: Vec<(Spanned<String>, Spanned<String>)>,
     /// Groups and what their nodes may not do.
     pub(crate) deny: Vec<(Spanned<String>, Deny)>,
+    /// Other machines that nodes run on.
+    pub(crate) machines: Vec<MachineText>,
     pub(crate) nodes: Vec<NodeText>,
     pub(crate) pins: Vec<PinText>,
     pub(crate) views: Vec<ViewText>,
@@ -51,6 +53,14 @@ pub(crate) struct Export {
     pub(crate) targets: Vec<(String, Spanned<String>)>,
 }
 
+/// An entry of `[machines]`.
+#[derive(Clone, Debug)]
+pub(crate) struct MachineText {
+    pub(crate) name: Spanned<String>,
+    /// As it is used; the address is empty where the file gives none.
+    pub(crate) machine: Machine,
+}
+
 #[derive(Clone, Debug)]
 pub(crate) struct NodeText {
     /// Its name in the flattened graph: `depth/match` for node `match` of part `depth`.
@@ -70,9 +80,16 @@ pub(crate) struct NodeText {
     pub(crate) cpu: Option<u32>,
     /// The group whose process it runs in.
     pub(crate) isolate: Option<Spanned<String>>,
+    /// The machine that it runs on.
+    pub(crate) on: Option<Spanned<String>>,
 }
 
 impl NodeText {
+    /// Whether it runs in another process.
+    pub(crate) fn is_elsewhere(&self) -> bool {
+        self.isolate.is_some() || self.on.is_some()
+    }
+
     pub(crate) fn new(id: &Spanned<String>) -> Self {
         Self {
             id: id.clone(),
@@ -87,6 +104,7 @@ impl NodeText {
             max_rate_hz: None,
             cpu: None,
             isolate: None,
+            on: None,
         }
     }
 }

@@ -2,9 +2,9 @@
 
 use crate::args::{absolute, absolute_files};
 use crate::catalog::Catalog;
-use crate::checked::{Align, Mode, OnFault};
+use crate::checked::{Align, Machine, Mode, OnFault};
 use crate::edit::{EditError, GraphEdit, NoHome, edit_value, parse_value};
-use crate::file::{NodeText, RefText};
+use crate::file::{MachineText, NodeText, RefText};
 use crate::param::{ParamKind, Pick};
 use crate::source::{COMMAND_LINE, tidy};
 use crate::text::GraphText;
@@ -163,6 +163,17 @@ impl GraphText {
                 let _ = writeln!(out, "{} = [{words}]", text(&group.value));
             }
         }
+        for (k, MachineText { name, machine }) in self.machines.iter().enumerate() {
+            if self.machines[k + 1..].iter().any(|later| later.name.value == name.value) {
+                continue;
+            }
+            let Machine { address, pixels, timeout_ms, plaintext, .. } = machine;
+            let _ = writeln!(out, "\n[machines.{}]\naddress = {}", text(&name.value), text(address));
+            let _ = writeln!(out, "pixels = {}\ntimeout_ms = {timeout_ms}", text(pixels.word()));
+            if *plaintext {
+                out.push_str("plaintext = true\n");
+            }
+        }
         if !self.pins.is_empty() || !self.views.is_empty() {
             out.push_str("\n[preset]\n");
         }
@@ -243,6 +254,9 @@ impl GraphText {
         }
         if let Some(group) = &node.isolate {
             let _ = writeln!(out, "isolate = {}", text(&group.value));
+        }
+        if let Some(machine) = &node.on {
+            let _ = writeln!(out, "on = {}", text(&machine.value));
         }
     }
 

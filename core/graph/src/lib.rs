@@ -44,7 +44,7 @@ pub mod value;
 pub use args::{Arg, ArgKind};
 pub use catalog::{Catalog, NodeKind, NodeType, Offer, PluginProblem, Port};
 pub use check::{Checked, check};
-pub use checked::{Align, Deny, Edge, Graph, Mode, Node, OnFault, Pin, Preset, PresetView};
+pub use checked::{Align, Deny, Edge, Graph, Machine, Mode, Node, OnFault, Pin, Pixels, Preset, PresetView};
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
 pub use dot::to_dot;
 pub use flatten::{HomeEntry, ParamHome};

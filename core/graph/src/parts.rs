@@ -242,6 +242,11 @@ impl Flattener<'_> {
             let nodes = self.flat.nodes.iter_mut().filter(|n| n.id.value.starts_with(&inside));
             nodes.for_each(|n| n.isolate = Some(group.clone()));
         }
+        if let (Some(machine), true) = (&node.on, interface.is_some()) {
+            let inside = format!("{id}/");
+            let nodes = self.flat.nodes.iter_mut().filter(|n| n.id.value.starts_with(&inside));
+            nodes.for_each(|n| (n.on, n.isolate) = (Some(machine.clone()), None));
+        }
         self.flat.index.remove(&id);
         self.flat.parts.push(Part { node, interface });
     }

@@ -46,6 +46,9 @@ impl GraphText {
         let groups: BTreeSet<&str> = self.isolate.iter().map(|(_, group)| group.value.as_str()).collect();
         let nodes = || self.flat.nodes.iter().filter_map(|node| node.isolate.as_ref());
         let is_group = |name: &str| groups.contains(name) || nodes().any(|group| group.value == name);
+        let flat = &self.flat;
+        let is_on = |name: &str| flat.nodes.iter().any(|node| node.on.as_ref().is_some_and(|on| on.value == name));
+        self.machines.retain(|machine| is_on(&machine.name.value));
         let denied: Vec<_> = self.deny.iter().filter(|(group, _)| is_group(&group.value)).cloned().collect();
         self.deny = denied;
         self.is_reduced = true;

@@ -77,6 +77,11 @@ pub fn json_schema(catalog: &Catalog) -> Value {
                 "additionalProperties": { "type": "array", "items": { "enum": ["network", "new_files"] } },
                 "description": "Groups of isolated nodes, each with what its process may not do: open network connections, make or write files."
             },
+            "machines": {
+                "type": "object",
+                "additionalProperties": { "$ref": "#/$defs/machine" },
+                "description": "Other machines that nodes run on with `on`, where `panoscope serve` runs."
+            },
             "preset": {
                 "type": "object",
                 "additionalProperties": false,
@@ -94,6 +99,17 @@ pub fn json_schema(catalog: &Catalog) -> Value {
         },
         "$defs": {
             "node": node,
+            "machine": {
+                "type": "object",
+                "additionalProperties": false,
+                "required": ["address"],
+                "properties": {
+                    "address": { "type": "string", "description": "Where `panoscope serve` listens there: tls/HOST:PORT, or tcp/HOST:PORT inside one machine." },
+                    "pixels": { "enum": ["raw", "lz4"], "default": "raw", "description": "How pixels travel; lz4 compresses without loss." },
+                    "timeout_ms": { "type": "integer", "minimum": 100, "maximum": 60000, "default": 1000, "description": "The machine counts as lost when nothing was heard of it for this long." },
+                    "plaintext": { "type": "boolean", "default": false, "description": "Allows tcp/ to another machine: without encryption and without a check of who answers." }
+                }
+            },
             "group": {
                 "type": "string",
                 "pattern": "^[A-Za-z_][A-Za-z0-9_-]*$",
@@ -204,7 +220,8 @@ fn part_schema() -> Value {
             "graph": { "type": "string", "description": "The part's file, relative to this file." },
             "inputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/connections" } },
             "params": { "type": "object" },
-            "isolate": { "$ref": "#/$defs/group" }
+            "isolate": { "$ref": "#/$defs/group" },
+            "on": { "type": "string", "description": "The machine of [machines] that it runs on." }
         }
     })
 }
@@ -249,7 +266,8 @@ fn node_schema(catalog: &Catalog, node_type: &NodeType) -> Value {
             "budget_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_MS, "description": "Time it should not exceed per tick." },
             "max_rate_hz": { "type": "number", "exclusiveMinimum": 0, "maximum": HIGHEST_HZ, "description": "It runs at most this often." },
             "cpu": { "type": "integer", "minimum": 0, "maximum": 4095, "description": "Core its thread is pinned to." },
-            "isolate": { "$ref": "#/$defs/group" }
+            "isolate": { "$ref": "#/$defs/group" },
+            "on": { "type": "string", "description": "The machine of [machines] that it runs on." }
         }
     })
 }

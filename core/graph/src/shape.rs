@@ -13,11 +13,12 @@ use crate::value::{Kind, Spanned, Table, Value, plain_table};
 use std::collections::HashMap;
 use std::ops::Range;
 
-const TOP: [&str; 10] =
-    ["name", "mode", "plugins", "plugin_paths", "args", "nodes", "isolate", "deny", "preset", "editor"];
+const TOP: [&str; 11] =
+    ["name", "mode", "plugins", "plugin_paths", "args", "nodes", "isolate", "deny", "machines", "preset", "editor"];
 const TOP_OF_PART: [&str; 6] = ["name", "plugins", "plugin_paths", "part", "nodes", "editor"];
-const TOP_OF_OVERLAY: [&str; 6] = ["plugins", "plugin_paths", "args", "nodes", "isolate", "deny"];
-const NODE: [&str; 9] = ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu", "isolate"];
+const TOP_OF_OVERLAY: [&str; 7] = ["plugins", "plugin_paths", "args", "nodes", "isolate", "deny", "machines"];
+const NODE: [&str; 10] =
+    ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu", "isolate", "on"];
 /// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
 pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
 pub(crate) const HIGHEST_HZ: f64 = 1e9;
@@ -180,6 +181,7 @@ impl<'s> Reader<'s> {
                 "nodes" => self.nodes(value),
                 "isolate" => self.isolate(value),
                 "deny" => self.deny(value),
+                "machines" => self.machines(value),
                 "preset" => self.preset(value),
                 "editor" => {
                     if let Some(table) = self.table("`editor`", "a table", value) {
@@ -275,6 +277,7 @@ impl<'s> Reader<'s> {
                 "max_rate_hz" => node.max_rate_hz = self.positive("max_rate_hz", value, HIGHEST_HZ),
                 "cpu" => node.cpu = self.whole("cpu", value, 0..=4095).map(|n| n as u32),
                 "isolate" => node.isolate = self.group(value),
+                "on" => node.on = self.text("`on`", value),
                 _ => {}
             }
         }

@@ -4,7 +4,7 @@ use crate::args::{Arg, ArgUse, Bindings};
 use crate::catalog::Offer;
 use crate::checked::{Deny, Mode};
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
-use crate::file::{PinText, Role, ViewText};
+use crate::file::{MachineText, PinText, Role, ViewText};
 use crate::nearest::{list, nearest, sibling};
 use crate::options::GraphOptions;
 use crate::parse;
@@ -37,6 +37,8 @@ pub struct GraphText {
     pub(crate) isolate: Vec<(Spanned<String>, Spanned<String>)>,
     /// Groups and what their nodes may not do; of two entries of a group the last counts.
     pub(crate) deny: Vec<(Spanned<String>, Deny)>,
+    /// Other machines that nodes run on; of two entries of a name the last counts.
+    pub(crate) machines: Vec<MachineText>,
     pub(crate) pins: Vec<PinText>,
     pub(crate) views: Vec<ViewText>,
     pub(crate) editor: toml::Table,
@@ -146,6 +148,7 @@ impl GraphText {
         let mut root = shape::read(&sources, Role::Graph, graph);
         let mut isolate = std::mem::take(&mut root.isolate);
         let mut deny = std::mem::take(&mut root.deny);
+        let mut machines = std::mem::take(&mut root.machines);
         let (mut nodes, mut plugins, mut plugin_paths) = (Vec::new(), Vec::new(), Vec::new());
         let overlay_files: Vec<usize> = overlays.iter().map(|(index, _)| *index).collect();
         for (index, mut parsed) in overlays {
@@ -157,6 +160,7 @@ impl GraphText {
             plugin_paths.extend(overlay.plugin_paths);
             isolate.extend(overlay.isolate);
             deny.extend(overlay.deny);
+            machines.extend(overlay.machines);
         }
         diagnostics.extend(std::mem::take(&mut bindings.diagnostics));
         let (name, mode, editor, is_part) = (root.name.clone(), root.mode, root.editor.clone(), root.part.is_some());
@@ -179,6 +183,7 @@ impl GraphText {
             flat,
             isolate,
             deny,
+            machines,
             pins,
             views,
             editor,
@@ -283,11 +288,11 @@ impl GraphText {
         };
         let types = || self.flat.nodes.iter().filter_map(|node| Some((node, node.type_name.as_ref()?.value.as_str())));
         let is_complete = types().all(|(node, type_name)| {
-            node.isolate.is_some() || plugins.iter().any(|plugin| may_be_of(plugin, type_name))
+            node.is_elsewhere() || plugins.iter().any(|plugin| may_be_of(plugin, type_name))
         });
         let has_isolated_nodes = |plugin: &str| {
             let mut nodes = types().filter(|(_, type_name)| may_be_of(plugin, type_name)).peekable();
-            nodes.peek().is_some() && nodes.all(|(node, _)| node.isolate.is_some())
+            nodes.peek().is_some() && nodes.all(|(node, _)| node.is_elsewhere())
         };
         let is_isolated = |plugin: &String| {
             self.isolate.iter().any(|(name, _)| name.value == *plugin) || (is_complete && has_isolated_nodes(plugin))

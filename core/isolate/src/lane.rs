@@ -6,7 +6,7 @@
 use std::fs::File;
 use std::os::fd::{AsRawFd, FromRawFd};
 use std::sync::LazyLock;
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::time::Instant;
 
 use crate::wire::{BadMessage, Kind};
@@ -49,6 +49,20 @@ struct Head {
     len: AtomicU32,
     /// Signal that a thread of the lane received, set by the child's handler; 0 for none.
     signal: AtomicU32,
+    /// Of the connection to another machine, written by its link.
+    link: LinkCounts,
+}
+
+/// What a link knows of its connection. Atomics, because the host reads them at any time.
+#[repr(C)]
+#[derive(Default)]
+pub(crate) struct LinkCounts {
+    pub clock_offset_ns: AtomicI64,
+    /// 0 while the offset is unknown.
+    pub clock_uncertainty_ns: AtomicU64,
+    pub round_trip_ns: AtomicU64,
+    pub sent_bytes: AtomicU64,
+    pub received_bytes: AtomicU64,
 }
 
 const _: () = assert!(size_of::<Head>() <= HEAD_BYTES);
@@ -262,6 +276,11 @@ impl Lane {
             // SAFETY: a plain system call on a word of the mapping; the time limit lives until it returns, null is none.
             unsafe { libc::syscall(libc::SYS_futex, &raw const *turn, libc::FUTEX_WAIT, other | SLEEPS, limit) };
         }
+    }
+
+    /// What the link of another machine says of its connection.
+    pub fn link(&self) -> &LinkCounts {
+        &self.head().link
     }
 
     /// Records the signal that ends the process, in the child's handler.

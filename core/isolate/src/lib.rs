@@ -19,6 +19,7 @@ mod confine;
 mod description;
 mod host;
 mod lane;
+pub mod relay;
 mod socket;
 mod wire;
 
@@ -34,14 +35,24 @@ pub use host::{
 /// the name is for lists of processes.
 pub const COMMAND: &str = "isolated-nodes";
 
+/// Name of the program that links machines. It is beside this program, which so needs no network library.
+pub const MACHINE_PROGRAM: &str = "panoscope-machine";
+
+/// First argument of [`MACHINE_PROGRAM`] that makes it the link of a group that runs on another machine: `panoscope-machine link ... MACHINE`. Its
+/// standard input is the socket, as for [`COMMAND`].
+pub const LINK_COMMAND: &str = "link";
+
+/// Exit status of a link that has lost its machine, or was refused there; why stands in its standard error.
+pub const EXIT_LINK: i32 = 88;
+
 /// Exit status of a process that could not be locked in.
 pub(crate) const EXIT_CONFINED: i32 = 87;
 
 /// Incremented when the messages change: host and child must be of one build.
-pub(crate) const PROTOCOL: u32 = 2;
+pub const PROTOCOL: u32 = 3;
 
 /// The system's monotonic clock, the same in host and child.
-pub(crate) fn system_ns() -> i64 {
+pub fn system_ns() -> i64 {
     let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: only writes the struct.
     unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut time) };

@@ -12,7 +12,7 @@ use crate::sealed::Fingerprint;
 use crate::search::Loader;
 
 /// Programs of an installation that take part in runs, beside the running one.
-const PROGRAMS: [&str; 3] = ["panoscope", "panoscope-arm", "panoscope-theatre"];
+const PROGRAMS: [&str; 4] = ["panoscope", "panoscope-arm", "panoscope-machine", "panoscope-theatre"];
 
 /// Name of ONNX Runtime in a lock.
 const RUNTIME: &str = "onnxruntime";

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use panoscope_abi::NodeType;
-pub use panoscope_isolate::{COMMAND, Kernel, kernel};
+pub use panoscope_isolate::{COMMAND, Kernel, MACHINE_PROGRAM, kernel};
 
 use crate::map::load_image;
 

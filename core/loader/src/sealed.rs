@@ -25,6 +25,14 @@ impl Fingerprint {
         Self { bytes: bytes.len() as u64, sha256: hex(&Sha256::digest(bytes)) }
     }
 
+    /// The fingerprint of what an open file holds from its position on.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn of_open(file: &mut File) -> std::io::Result<Self> {
+        copy(file, &mut std::io::sink())
+    }
+
     /// The fingerprint of a file on disk, as it is now.
     ///
     /// # Errors

@@ -21,6 +21,9 @@ const THEATRE: &str = "panoscope-theatre";
 /// The process that guards an arm, which `arm_serial` and `arm_ur` start; it is built beside the program.
 const GUARD_PACKAGE: &str = "panoscope-arm-guard";
 const GUARD: &str = "panoscope-arm";
+/// The program that links machines, which `panoscope serve` and graphs with `on` start; it is built beside the program.
+const MACHINE_PACKAGE: &str = "panoscope-remote";
+const MACHINE: &str = "panoscope-machine";
 /// The Python package: the folder of its crate, and what Python calls its native part.
 const PYTHON: &str = "core/python";
 const PYTHON_PACKAGE: &str = "panoscope-python";
@@ -126,6 +129,8 @@ fn compile(workspace: &Workspace, profile: Profile, plugins: &[&Plugin]) -> Resu
         PROGRAM_PACKAGE,
         "--package",
         GUARD_PACKAGE,
+        "--package",
+        MACHINE_PACKAGE,
         "--package",
         PYTHON_PACKAGE,
     ]);
@@ -281,9 +286,9 @@ pub fn program_name() -> String {
     format!("{PROGRAM}{EXE_SUFFIX}")
 }
 
-/// Name of the file of the arm's guard.
-pub fn guard_name() -> String {
-    format!("{GUARD}{EXE_SUFFIX}")
+/// Names of the files of the programs that other programs start: the arm's guard, and what links machines.
+pub fn helper_names() -> [String; 2] {
+    [GUARD, MACHINE].map(|name| format!("{name}{EXE_SUFFIX}"))
 }
 
 /// Names of the files of the editor and the theatre.

@@ -59,6 +59,10 @@ const PARSERS: &[(&str, &[Source])] = &[
             &["read", "parse", "message", "word", "check_signature", "digest", "differences", "differences_among"],
         )],
     ),
+    (
+        "machine_message",
+        &[functions("core/isolate/src/relay/messages.rs", &["array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame"])],
+    ),
     ("keys", &[functions("core/loader/src/keys.rs", &["digits", "read", "name_of", "verifies", "in_folders", "find"])]),
     (
         "audit",

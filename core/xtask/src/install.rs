@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 
 use crate::build::{
-    Built, Means, PACKAGE_FILES, Profile, Windows, build, build_windows, guard_name, lay_out_models, library_name,
+    Built, Means, PACKAGE_FILES, Profile, Windows, build, build_windows, helper_names, lay_out_models, library_name,
     place, place_files, program_name, python_package, window_names,
 };
 use crate::onnxruntime;
@@ -108,7 +108,9 @@ impl Tree<'_> {
                 place(program, &library.join(name), means)?;
             }
         }
-        place(&self.built.program.with_file_name(guard_name()), &library.join(guard_name()), means)?;
+        for helper in helper_names() {
+            place(&self.built.program.with_file_name(&helper), &library.join(&helper), means)?;
+        }
         // Last, so that a program that starts finds everything it came with.
         place(&self.built.program, &library.join(program_name()), means)?;
         let bin = prefix.join("bin");

@@ -43,7 +43,7 @@ cargo xtask COMMAND
                        installs what is missing, builds, runs graphs/panorama.toml and prints what it wrote
   test [SUITE] [-- args of `cargo test`]
                        installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, faults,
-                       hostile-models, disk, damaged-streams, deaths, kill, asan, tsan, arm,
+                       hostile-models, disk, damaged-streams, deaths, network, kill, asan, tsan, arm,
                        sim
   interlock [--coverage | --mutants]
                        judges the tests of the arm's interlock: branch coverage (nightly compiler) and mutants; takes an hour

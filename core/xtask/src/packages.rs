@@ -176,6 +176,12 @@ pub static PACKAGES: &[Package] = &[
     ),
     package(
         Purpose::Test,
+        "iproute2",
+        [Some("iproute"), Some("iproute2"), None],
+        Evidence::Program("ip"),
+    ),
+    package(
+        Purpose::Test,
         "prometheus",
         [Some("golang-github-prometheus"), Some("prometheus"), Some("prometheus")],
         Evidence::Program("promtool"),

@@ -87,6 +87,8 @@ static SUITES: &[Suite] = &[
     ),
     // PANOSCOPE_DEATH_CASES and PANOSCOPE_DEATH_SEED, the same for processes of nodes that die.
     tests("deaths", &["-p", "panoscope-tests", "--test", "deaths"], &[("PANOSCOPE_DEATH_CASES", "500")]),
+    // PANOSCOPE_NETWORK_FAULTS and PANOSCOPE_NETWORK_SEED, for faults of the network between two machines.
+    tests("network", &["-p", "panoscope-tests", "--test", "machines"], &[("PANOSCOPE_NETWORK_FAULTS", "1000")]),
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
     tests("kill", &["-p", "panoscope-editor", "--test", "kill"], &[]),
     // The runtime without foreign libraries, built with a sanitizer.
@@ -260,7 +262,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, deaths, kill, asan, tsan, arm, sim"
+            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, deaths, network, kill, asan, tsan, arm, sim"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));

@@ -27,6 +27,8 @@ pub enum Bench {
     Stitch(Stitch),
     /// Detector and segmenter on a picture of 640x480, beside plain ONNX Runtime in Python.
     Tools(Tools),
+    /// An edge to another machine, beside zenoh alone and dora.
+    Remote(Arguments),
     /// A whole graph on views rendered beforehand: pictures a second, their age at 30 a second, where the time goes.
     System(System),
 }
@@ -126,6 +128,11 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
             let program = std::env::current_exe()?;
             let editor = program.with_file_name("panoscope-editor");
             (bench::editor::measure(&bench::editor::Options { program, editor, quick: arguments.quick })?, arguments)
+        }
+        Bench::Remote(arguments) => {
+            interrupt::listen();
+            let options = bench::remote::Options { program: std::env::current_exe()?, quick: arguments.quick };
+            (bench::remote::measure(session, &options)?, arguments)
         }
         Bench::Stitch(Stitch { common, size, plot }) => {
             interrupt::listen();

@@ -179,6 +179,7 @@ impl Change {
                     let is_replaced = !std::ptr::eq(runtime.declared, node_type)
                         || current.graph.nodes[before].isolate != graph.nodes[node].isolate
                         || current.graph.nodes[before].deny != graph.nodes[node].deny
+                        || current.graph.nodes[before].machine != graph.nodes[node].machine
                         || pinned_elsewhere
                         || as_once.contains(&graph.nodes[node].id);
                     if is_replaced {

@@ -129,6 +129,9 @@ impl Memory {
         };
         self.allocations.fetch_add(1, Ordering::Relaxed);
         pool.references[slot as usize].store(1, Ordering::Relaxed);
+        // Only the owner of the slot writes it.
+        let uses = &pool.uses[slot as usize];
+        uses.store(uses.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         let offset = (slot as u64) << bits;
         let id = BufferId { pool: number + 1, reserved: 0, offset };
         // SAFETY: the slot lies inside the reserved mapping.
@@ -158,6 +161,11 @@ impl Memory {
     /// References to a buffer.
     pub fn references(&self, id: BufferId) -> u32 {
         self.slot(id).map_or(0, |(pool, slot)| pool.references[slot].load(Ordering::Acquire))
+    }
+
+    /// How often a buffer was handed out, wrapping: while the number stays, so do the bytes of a frame in it. 0 for no buffer.
+    pub fn uses(&self, id: BufferId) -> u32 {
+        self.slot(id).map_or(0, |(pool, slot)| pool.uses[slot].load(Ordering::Relaxed))
     }
 
     /// Adds a reference to a buffer of which the caller holds one.

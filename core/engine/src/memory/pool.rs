@@ -34,6 +34,8 @@ pub(super) struct Pool {
     pub base: *mut u8,
     pub bits: u32,
     pub references: Box<[AtomicU32]>,
+    /// How often each slot was handed out, wrapping.
+    pub uses: Box<[AtomicU32]>,
     free: Mutex<Free>,
 }
 
@@ -71,10 +73,11 @@ impl Pool {
         if base == libc::MAP_FAILED {
             return None;
         }
-        let references = (0..slots).map(|_| AtomicU32::new(0)).collect();
+        let zeros = || (0..slots).map(|_| AtomicU32::new(0)).collect();
+        let (references, uses) = (zeros(), zeros());
         let slots = Vec::with_capacity(slots.min(1024));
         let free = Free { slots, untouched: 0, open: backing == Backing::Private, file: None, last: Weak::new() };
-        let pool = Pool { base: base.cast(), bits, references, free: Mutex::new(free) };
+        let pool = Pool { base: base.cast(), bits, references, uses, free: Mutex::new(free) };
         (backing == Backing::Private || pool.open(backing)).then_some(pool)
     }
 

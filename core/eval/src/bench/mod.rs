@@ -7,6 +7,7 @@ mod graph;
 mod gstreamer;
 pub mod hop;
 mod python;
+pub mod remote;
 pub mod scale;
 pub mod start;
 pub mod stereo;

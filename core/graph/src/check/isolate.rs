@@ -4,23 +4,29 @@ use std::path::PathBuf;
 
 use super::Checker;
 use crate::catalog::{NodeKind, NodeType};
-use crate::checked::Deny;
+use crate::checked::{Deny, Machine};
 use crate::file::NodeText;
 use crate::nearest::{list, nearest};
 use crate::text::GraphText;
 use crate::value::Spanned;
 
 impl GraphText {
-    /// The group that a node of a plugin runs in: its own, else that of its plugin.
+    /// The group that a node of a plugin runs in: that of its machine, its own, else that of its plugin.
     pub(crate) fn group_of<'t>(&'t self, node: &'t NodeText, plugin: &str) -> Option<&'t Spanned<String>> {
         let of_plugin = || self.isolate.iter().rev().find(|(name, _)| name.value == plugin).map(|(_, group)| group);
-        node.isolate.as_ref().or_else(of_plugin)
+        node.on.as_ref().or(node.isolate.as_ref()).or_else(of_plugin)
     }
 
     /// The group that a node runs in: as [`Self::group_of`], else, if another program runs it, a group of its plugin's name.
     pub(crate) fn group_name<'t>(&'t self, node: &'t NodeText, node_type: &'t NodeType) -> Option<&'t str> {
         let of_plugin = || node_type.interpreter.as_ref().map(|_| node_type.plugin.as_str());
         self.group_of(node, &node_type.plugin).map(|group| group.value.as_str()).or_else(of_plugin)
+    }
+
+    /// The machine that a node runs on, if it is another one; of two entries of a machine the last counts.
+    pub(crate) fn machine_of(&self, node: &NodeText) -> Option<&Machine> {
+        let name = &node.on.as_ref()?.value;
+        self.machines.iter().rev().find(|known| known.name.value == *name).map(|known| &known.machine)
     }
 
     /// What a group may not do.
@@ -63,10 +69,14 @@ impl Checker<'_> {
                 .help("groups are what `isolate` names");
         }
         self.interpreters();
+        self.machines();
         for (index, node) in text.flat.nodes.iter().enumerate() {
             let Some(node_type) = self.type_of(index) else { continue };
             let Some(group) = text.group_of(node, &node_type.plugin) else { continue };
             let id = self.id(index);
+            if node.on.is_some() {
+                continue;
+            }
             if node_type.kind == NodeKind::Realtime {
                 let message =
                     format!("`{id}` ({}) is a control loop, which cannot run in another process", node_type.name);
@@ -79,6 +89,58 @@ impl Checker<'_> {
                     format!("`{id}` has `cpu` and `isolate`; the thread that works for it is in another process");
                 self.error("isolated-cpu", &group.span, message).help("remove one of the two");
             }
+        }
+    }
+
+    /// Which nodes run on which machine, and which cannot.
+    fn machines(&mut self) {
+        let text = self.text;
+        let machines = || text.machines.iter().map(|known| known.name.value.as_str());
+        for (index, node) in text.flat.nodes.iter().enumerate() {
+            let Some(on) = &node.on else { continue };
+            let id = self.id(index);
+            if text.machine_of(node).is_none() && !text.incomplete {
+                let near = nearest(&on.value, machines());
+                let message = format!("`{id}` runs on `{}`, which is no machine of the graph", on.value);
+                let help = match text.machines.is_empty() {
+                    true => format!("add [machines.{}] with address = \"tls/10.0.0.2:7447\"", on.value),
+                    false => format!("machines of the graph: {}", list(machines(), 12, "and")),
+                };
+                self.error("unknown-machine", &on.span, message)
+                    .label(near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default())
+                    .help(help);
+                continue;
+            }
+            if let Some(group) = &node.isolate {
+                let message = format!("`{id}` has `on` and `isolate`");
+                self.error("machine-and-group", &group.span, message)
+                    .help("all nodes of a machine share one process there; remove `isolate`");
+            }
+            let Some(node_type) = self.type_of(index) else { continue };
+            if node_type.kind == NodeKind::Realtime {
+                let message =
+                    format!("`{id}` ({}) is a control loop, which cannot run on another machine", node_type.name);
+                self.error("remote-realtime", &on.span, message)
+                    .label("its period would depend on the network")
+                    .help("remove `on`");
+            }
+            if node.cpu.is_some() {
+                let message = format!("`{id}` has `cpu` and `on`; the thread that works for it is on another machine");
+                self.error("remote-cpu", &on.span, message).help("remove one of the two");
+            }
+            if node_type.interpreter.is_some() {
+                let message = format!("`{id}` ({}) is in Python, which no other machine runs yet", node_type.name);
+                self.error("remote-python", &on.span, message).help("remove `on`");
+            }
+        }
+        let on: Vec<&str> =
+            text.flat.nodes.iter().filter_map(|node| Some(node.on.as_ref()?.value.as_str())).collect();
+        let groups = text.isolate.iter().map(|(_, group)| group);
+        let groups = groups.chain(text.flat.nodes.iter().filter_map(|node| node.isolate.as_ref()));
+        let clashes: Vec<&Spanned<String>> = groups.filter(|group| on.contains(&group.value.as_str())).collect();
+        for group in clashes {
+            let message = format!("`{}` is a machine, so no group of isolated nodes can have this name", group.value);
+            self.error("group-named-as-machine", &group.span, message).help("choose another name for the group");
         }
     }
 

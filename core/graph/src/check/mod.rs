@@ -191,6 +191,7 @@ impl<'a> Checker<'a> {
                 max_rate_hz: node.max_rate_hz,
                 cpu: node.cpu,
                 deny: group.as_deref().map_or_else(Deny::default, |group| self.text.denied_to(group)),
+                machine: self.text.machine_of(node).cloned(),
                 isolate: group,
                 span: self.text.sources.of(&node.id.span).local(&node.id.span),
                 line: self.text.sources.line(&node.id.span),

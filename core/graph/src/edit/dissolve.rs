@@ -69,8 +69,13 @@ impl FileEdits<'_> {
             if let Some(graph) = item.get_mut("graph").and_then(Item::as_value_mut) {
                 rebase(graph, false, &from_dir, &to_dir);
             }
-            if let (Some(group), Some(table)) = (user.get("isolate"), item.as_table_like_mut()) {
-                table.insert("isolate", group.clone());
+            for key in ["isolate", "on"] {
+                if let (Some(name), Some(table)) = (user.get(key), item.as_table_like_mut()) {
+                    table.insert(key, name.clone());
+                    if key == "on" {
+                        table.remove("isolate");
+                    }
+                }
             }
             if let Item::Table(table) = &mut item {
                 place_at(table, position);

@@ -2,12 +2,15 @@
 
 use super::{Reader, is_node_id};
 use crate::args::{ArgKind, ArgText};
-use crate::checked::Deny;
-use crate::file::{Export, PartText};
+use crate::checked::{Deny, Machine, Pixels};
+use crate::file::{Export, MachineText, PartText};
 use crate::value::{Kind, Spanned, Value};
 
 const ARG: [&str; 6] = ["type", "doc", "default", "range", "unit", "choices"];
 const PART: [&str; 3] = ["inputs", "outputs", "params"];
+const MACHINE: [&str; 4] = ["address", "pixels", "timeout_ms", "plaintext"];
+/// Longest time that a machine may be silent, ms.
+const LONGEST_SILENCE_MS: i64 = 60_000;
 
 impl Reader<'_> {
     /// The table `[isolate]`: plugins and the groups of their nodes.
@@ -39,6 +42,61 @@ impl Reader<'_> {
                 }
             }
             self.file.deny.push((group.clone(), deny));
+        }
+    }
+
+    /// The table `[machines]`: other machines, each with its address and how pixels go there.
+    pub(super) fn machines(&mut self, value: &Value) {
+        let example = "a table such as [machines.rack] with address = \"tls/10.0.0.2:7447\"";
+        let Some(table) = self.table("`machines`", example, value) else { return };
+        for (name, value) in table {
+            if !is_node_id(&name.value) || name.value.contains('/') {
+                self.error("bad-machine", &name.span, format!("`{}` cannot name a machine", name.value))
+                    .help("its name has letters, digits, _ and -, as in [machines.rack]");
+                continue;
+            }
+            let Some(entries) = self.table("a machine", example, value) else { continue };
+            let mut machine = Machine::new(&name.value);
+            let mut has_address = false;
+            for (key, value) in entries {
+                match self.key("a machine", key, &MACHINE, entries) {
+                    "address" => {
+                        has_address = true;
+                        if let Some(address) = self.text("`address`", value) {
+                            self.address(&address);
+                            machine.address = address.value;
+                        }
+                    }
+                    "pixels" => machine.pixels = self.word("pixels", value, &Pixels::WORDS).unwrap_or_default(),
+                    "timeout_ms" => {
+                        if let Some(ms) = self.whole("timeout_ms", value, 100..=LONGEST_SILENCE_MS) {
+                            machine.timeout_ms = ms as u32;
+                        }
+                    }
+                    "plaintext" => match value.value {
+                        Kind::Bool(plaintext) => machine.plaintext = plaintext,
+                        _ => _ = self.wrong_type("`plaintext`", "true or false", value),
+                    },
+                    _ => {}
+                }
+            }
+            if !has_address {
+                self.error("machine-without-address", &name.span, format!("machine `{}` has no `address`", name.value))
+                    .help("write where `panoscope serve` listens there, as in address = \"tls/10.0.0.2:7447\"");
+            }
+            self.file.machines.push(MachineText { name: name.clone(), machine });
+        }
+    }
+
+    /// Objects to an address that names no protocol, or no port.
+    fn address(&mut self, address: &Spanned<String>) {
+        let (protocol, rest) = address.value.split_once('/').unwrap_or(("", &address.value));
+        let (host, port) = rest.rsplit_once(':').unwrap_or((rest, ""));
+        let is_known = ["tls", "tcp"].contains(&protocol);
+        if !is_known || host.is_empty() || port.parse::<u16>().is_err() {
+            self.error("bad-address", &address.span, format!("`{}` is no address of a machine", address.value))
+                .label("expected tls/HOST:PORT, or tcp/HOST:PORT inside one machine")
+                .help("it is the address that `panoscope serve` shows there, as in \"tls/10.0.0.2:7447\"");
         }
     }
 

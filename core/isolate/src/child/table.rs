@@ -303,7 +303,8 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
         call.lane.defer(Kind::Copied, |out| _ = out.u32(output));
         return abi::STATUS_OK;
     }
-    call.made(Kind::MakeMut, output, |out| _ = out.u32(output))
+    // The frame is for a relay between two machines; the host knows it.
+    call.made(Kind::MakeMut, output, |out| _ = out.u32(output).frame(&shown))
 }
 
 fn count_now(lane: &ChildLane, buffer: BufferId, is_retained: bool) {

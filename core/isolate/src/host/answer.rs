@@ -63,6 +63,11 @@ pub(super) struct Habits {
 const MAX_AGES: usize = 64;
 
 impl Habits {
+    /// With the clock in each call.
+    pub fn of_link() -> Self {
+        Self { clock: true, ..Self::default() }
+    }
+
     fn note_age(&mut self, input: u32) {
         if self.ages.len() < MAX_AGES && !self.ages.contains(&input) {
             self.ages.push(input);

@@ -191,6 +191,7 @@ impl Describer {
             memory_bytes: MEMORY_BYTES,
             deny: Deny { network: true, new_files: true },
             keeps_stderr: false,
+            machine: None,
         };
         let what = "the process that describes it".to_owned();
         let process = Process::start(&launch, &settings, what, 0, &Arc::new(Totals::default()))

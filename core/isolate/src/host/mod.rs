@@ -21,7 +21,7 @@ use panoscope_engine::memory::{Domain, SharedFrames};
 
 pub use self::describer::{DescribeError, Describer, Description, describe};
 pub use self::process::Launch;
-use self::process::Process;
+pub(crate) use self::process::{NodeLane, Process};
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -126,8 +126,16 @@ impl Isolated {
             // Both would write the same pools.
             old.wait_for_end();
         }
-        let what = format!("the process of group `{}`", self.settings.name);
-        let launch = image.launch.clone().map_or_else(Launch::own, Ok)?;
+        let what = match &self.settings.machine {
+            Some(machine) => format!("machine `{}`", machine.name),
+            None => format!("the process of group `{}`", self.settings.name),
+        };
+        let launch = match (&self.settings.machine, &image.launch) {
+            (Some(_), Some(_)) => return Err("no other machine runs nodes of its plugin".to_owned()),
+            (Some(machine), None) => Launch::link(machine)?,
+            (None, Some(launch)) => launch.clone(),
+            (None, None) => Launch::own()?,
+        };
         let started = Process::start(&launch, &self.settings, what, self.domain.number(), &self.totals);
         let new = started.map_err(|cause| {
             let (group, program) = (&self.settings.name, launch.program.display());
@@ -163,10 +171,18 @@ impl Group for Isolated {
             Err(words) => return refuse(words),
         };
         // SAFETY: the caller's promise.
-        unsafe { remote::open(process, &image, index, call, instance) }
+        unsafe { remote::open(process, &image, Some(entry), index, call, instance) }
+    }
+
+    fn longest_pause_ms(&self) -> u64 {
+        if self.settings.machine.is_some() { 100 } else { u64::MAX }
     }
 
     fn not_enforced(&self) -> Vec<&'static str> {
+        if self.settings.machine.is_some() {
+            // The other machine says so itself.
+            return Vec::new();
+        }
         crate::kernel().lacks(self.settings.deny)
     }
 
@@ -175,6 +191,8 @@ impl Group for Isolated {
         let Totals { processes, calls, round_trips, sleeps } = &*self.totals;
         // Held while a process starts, which a report does not wait for.
         let process = self.process.try_lock().ok().and_then(|process| process.upgrade());
+        let machine = self.settings.machine.as_ref();
+        let link = machine.zip(process.as_ref()).and_then(|(machine, process)| process.link_report(&machine.address));
         GroupReport {
             process_id: process.and_then(|process| process.id()),
             processes: load(processes),
@@ -182,6 +200,7 @@ impl Group for Isolated {
             round_trips: load(round_trips),
             sleeps: load(sleeps),
             not_enforced: self.not_enforced(),
+            link,
         }
     }
 

@@ -82,7 +82,7 @@ impl Group for PlayedGroup {
         *lock(&self.process) = Some(Arc::clone(&process));
         let nothing = PluginImage::new(Path::new("/dev/null"), Path::new("/dev/null"), None);
         // SAFETY: the caller's promise.
-        unsafe { remote::open(process, &nothing, 0, call, instance) }
+        unsafe { remote::open(process, &nothing, None, 0, call, instance) }
     }
 
     fn not_enforced(&self) -> Vec<&'static str> {

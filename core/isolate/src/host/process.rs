@@ -15,14 +15,14 @@ use std::time::{Duration, Instant};
 
 use panoscope_abi::BufferId;
 use panoscope_base as base;
-use panoscope_engine::isolation::GroupSettings;
+use panoscope_engine::isolation::{GroupSettings, LinkReport, Machine};
 use panoscope_engine::memory::{MOST_POOLS, Memory, PoolFile, memory};
 
 use super::{PluginImage, Totals, lock};
 use crate::lane::Lane;
 use crate::socket::{self, Tag};
 use crate::wire::{Reader, Writer, plain_words};
-use crate::{COMMAND, EXIT_CONFINED, PROTOCOL};
+use crate::{COMMAND, EXIT_CONFINED, EXIT_LINK, LINK_COMMAND, MACHINE_PROGRAM, PROTOCOL};
 
 /// How long a process may take to leave after its last instance closed, or to die after it was killed.
 const MAX_LEAVE: Duration = Duration::from_secs(1);
@@ -30,6 +30,7 @@ const MAX_LEAVE: Duration = Duration::from_secs(1);
 const STDERR_BYTES: u64 = 16 << 10;
 /// Most characters of them in a message.
 const MAX_SAID: usize = 300;
+const MAX_SAID_BY_LINK: usize = 1200;
 /// Name of the program whose processes run isolated nodes.
 const PROGRAM: &str = "panoscope";
 
@@ -46,8 +47,17 @@ pub struct Launch {
 
 impl Launch {
     /// This program, the one that is installed beside it, or the one that this process says it belongs to ([`base::program`]).
-    pub(super) fn own() -> Result<Self, String> {
+    pub(crate) fn own() -> Result<Self, String> {
         Ok(Self { program: program()?, arguments: vec![COMMAND.into()], environment: Vec::new() })
+    }
+
+    /// As [`Self::own`], for the link to another machine.
+    pub(super) fn link(machine: &Machine) -> Result<Self, String> {
+        let Machine { address, pixels, timeout_ms, plaintext, .. } = machine;
+        let settings = [address.clone(), pixels.word().to_owned(), timeout_ms.to_string(), plaintext.to_string()];
+        let arguments = [LINK_COMMAND.to_owned()].into_iter().chain(settings).map(OsString::from).collect();
+        let program = installed(MACHINE_PROGRAM, "which links machines")?;
+        Ok(Self { program, arguments, environment: Vec::new() })
     }
 
     /// Starts the program; its standard error goes to `stderr`, if that is given.
@@ -68,15 +78,21 @@ fn program() -> Result<PathBuf, String> {
         // The running version, even if its file was replaced meanwhile.
         return Ok(if is_running { PathBuf::from("/proc/self/exe") } else { me });
     }
-    let beside = me.with_file_name(PROGRAM);
+    installed(PROGRAM, "whose processes run isolated nodes")
+}
+
+/// A program of the installation, with what it is for.
+fn installed(name: &str, purpose: &str) -> Result<PathBuf, String> {
+    let me = base::program::file().ok_or_else(|| "this program's own file is unknown".to_owned())?;
+    let beside = me.with_file_name(name);
     // Test programs lie in a folder below.
-    let above = me.parent().and_then(Path::parent).map(|folder| folder.join(PROGRAM));
+    let above = me.parent().and_then(Path::parent).map(|folder| folder.join(name));
     let found = [Some(beside.clone()), above].into_iter().flatten().find(|file| file.is_file());
-    found.ok_or_else(|| format!("the program {} is missing, whose processes run isolated nodes", beside.display()))
+    found.ok_or_else(|| format!("the program {} is missing, {purpose}", beside.display()))
 }
 
 /// A lane and the node that uses it.
-pub(super) struct NodeLane {
+pub(crate) struct NodeLane {
     pub lane: Lane,
     /// Its name in the graph.
     pub node: String,
@@ -94,6 +110,8 @@ struct Life {
     id: u32,
     /// `None` where a thread of this process plays it, for tests.
     pidfd: Option<OwnedFd>,
+    /// Whether it is the link to another machine.
+    is_link: bool,
     /// Its standard error, where that is kept.
     stderr: Option<File>,
     state: Mutex<LifeState>,
@@ -119,7 +137,9 @@ impl Life {
         if state.words.is_some() {
             return;
         }
-        let said = self.stderr.as_ref().and_then(said);
+        // A link has lost its machine with whole sentences.
+        let most = if self.is_link { MAX_SAID_BY_LINK } else { MAX_SAID };
+        let said = self.stderr.as_ref().and_then(|stderr| said(stderr, most));
         state.words = Some(words(&self.what, &state, status, said));
         self.is_dead.store(true, Ordering::SeqCst);
         state.lanes.iter().for_each(|lane| lane.lane.close());
@@ -168,16 +188,16 @@ fn new_stderr() -> io::Result<File> {
     }
 }
 
-/// The last two lines in a file of [`new_stderr`]; `None` without one.
-fn said(stderr: &File) -> Option<String> {
+/// The last two lines in a file of [`new_stderr`], at most `most` characters; `None` without one.
+fn said(stderr: &File, most: usize) -> Option<String> {
     let mut bytes = vec![0; STDERR_BYTES as usize];
     let len = stderr.read_at(&mut bytes, 0).ok()?;
     let written = bytes[..len].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
     // The end counts: a line may be longer than what is shown.
-    let text = plain_words(&bytes[written.saturating_sub(4 * MAX_SAID)..written]);
+    let text = plain_words(&bytes[written.saturating_sub(4 * most)..written]);
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     let last = lines[lines.len().saturating_sub(2)..].join("; ");
-    let skipped = last.chars().count().saturating_sub(MAX_SAID);
+    let skipped = last.chars().count().saturating_sub(most);
     (!last.is_empty()).then(|| last.chars().skip(skipped).collect())
 }
 
@@ -203,6 +223,10 @@ fn words(what: &str, state: &LifeState, status: io::Result<ExitStatus>, said: Op
             (None, Some(EXIT_CONFINED)) => {
                 "cannot be locked in: the system refuses the restrictions that it says it has".to_owned()
             }
+            // It says itself what happened.
+            (None, Some(EXIT_LINK)) => {
+                return format!("{what} is lost: {}", said.unwrap_or_else(|| "its link gave no reason".to_owned()));
+            }
             (None, code) => format!("ended {location}: exit({})", code.unwrap_or(0)),
         },
     };
@@ -226,7 +250,7 @@ fn signal_words(signal: i32) -> String {
 }
 
 /// The process of a group. It ends when this is dropped.
-pub(super) struct Process {
+pub(crate) struct Process {
     life: Arc<Life>,
     socket: Mutex<Option<OwnedFd>>,
     /// Pools that the child knows, one bit each.
@@ -236,6 +260,7 @@ pub(super) struct Process {
     /// Plugins that the child was given.
     plugins: Mutex<Vec<u32>>,
     domain: u32,
+    is_link: bool,
     totals: Arc<Totals>,
     watcher: Mutex<Option<JoinHandle<()>>>,
 }
@@ -250,7 +275,8 @@ impl Process {
         totals: &Arc<Totals>,
     ) -> io::Result<Arc<Self>> {
         let (ours, theirs) = socket::pair()?;
-        let stderr = if settings.keeps_stderr { Some(new_stderr()?) } else { None };
+        let is_link = settings.machine.is_some();
+        let stderr = if settings.keeps_stderr || is_link { Some(new_stderr()?) } else { None };
         let mut child = launch.start(&settings.name, theirs, stderr.as_ref())?;
         let begun = pidfd(&child).and_then(|pidfd| {
             let mut hello = Vec::new();
@@ -266,6 +292,7 @@ impl Process {
             what,
             id: child.id(),
             pidfd: Some(pidfd),
+            is_link,
             stderr,
             state: Mutex::default(),
             ended: Condvar::new(),
@@ -288,10 +315,17 @@ impl Process {
                 end(&mut child);
             }
         })?;
-        Ok(Self::new(life, ours, domain, totals, watcher))
+        Ok(Self::new(life, ours, domain, is_link, totals, watcher))
     }
 
-    fn new(life: Arc<Life>, socket: OwnedFd, domain: u32, totals: &Arc<Totals>, watcher: JoinHandle<()>) -> Arc<Self> {
+    fn new(
+        life: Arc<Life>,
+        socket: OwnedFd,
+        domain: u32,
+        is_link: bool,
+        totals: &Arc<Totals>,
+        watcher: JoinHandle<()>,
+    ) -> Arc<Self> {
         Arc::new(Self {
             life,
             socket: Mutex::new(Some(socket)),
@@ -299,6 +333,7 @@ impl Process {
             files: Mutex::default(),
             plugins: Mutex::default(),
             domain,
+            is_link,
             totals: Arc::clone(totals),
             watcher: Mutex::new(Some(watcher)),
         })
@@ -315,6 +350,7 @@ impl Process {
             what: "the process".to_owned(),
             id: 0,
             pidfd: None,
+            is_link: false,
             stderr: None,
             state: Mutex::default(),
             ended: Condvar::new(),
@@ -346,7 +382,28 @@ impl Process {
                 let _ = thread.join();
             }
         })?;
-        Ok(Self::new(life, ours, domain, totals, watcher))
+        Ok(Self::new(life, ours, domain, false, totals, watcher))
+    }
+
+    /// Whether its nodes run on another machine.
+    pub fn is_link(&self) -> bool {
+        self.is_link
+    }
+
+    /// The connection to `address`, as the link describes it; `None` while no node uses it.
+    pub fn link_report(&self, address: &str) -> Option<LinkReport> {
+        let state = lock(&self.life.state);
+        let counts = state.lanes.first()?.lane.link();
+        let clock_uncertainty_ns = counts.clock_uncertainty_ns.load(Ordering::Relaxed);
+        let offset_ns = counts.clock_offset_ns.load(Ordering::Relaxed);
+        Some(LinkReport {
+            address: address.to_owned(),
+            clock_offset_ns: (clock_uncertainty_ns > 0).then_some(offset_ns),
+            clock_uncertainty_ns,
+            round_trip_ns: counts.round_trip_ns.load(Ordering::Relaxed),
+            sent_bytes: counts.sent_bytes.load(Ordering::Relaxed),
+            received_bytes: counts.received_bytes.load(Ordering::Relaxed),
+        })
     }
 
     /// The domain of its own pools.
@@ -428,13 +485,16 @@ impl Process {
         if plugins.contains(&image.id) {
             return Ok(());
         }
-        let file = File::open(&image.image)?;
-        let mut message = Vec::new();
-        let path = image.file.as_os_str().as_encoded_bytes();
-        Writer(&mut message).u32(Tag::Plugin as u32).u32(image.id).bytes(path);
-        self.send(&message, &file)?;
+        self.give_plugin_file(image.id, &File::open(&image.image)?, &image.file)?;
         plugins.push(image.id);
         Ok(())
+    }
+
+    /// Gives the child the bytes of a plugin; `path` is its file, for messages.
+    pub fn give_plugin_file(&self, id: u32, image: &File, path: &Path) -> io::Result<()> {
+        let mut message = Vec::new();
+        Writer(&mut message).u32(Tag::Plugin as u32).u32(id).bytes(path.as_os_str().as_encoded_bytes());
+        self.send(&message, image)
     }
 
     /// Makes sure that the child can map the pool of a buffer.
@@ -456,6 +516,17 @@ impl Process {
         Some((self.known_pools.get(buffer.pool as usize / 64)?, 1_u64 << (buffer.pool % 64)))
     }
 
+    /// Gives the child the file of a pool, which it writes if it is its own.
+    pub fn give_pool_file(&self, number: u32, file: &File, len: usize, is_own: bool) -> io::Result<()> {
+        let mut message = Vec::new();
+        Writer(&mut message).u32(Tag::Pool as u32).u32(number).u64(len as u64).u32(u32::from(is_own));
+        if is_own {
+            return self.send(&message, file);
+        }
+        // The pools of another group's process can be written; this process gets them for reading.
+        self.send(&message, &File::open(format!("/proc/self/fd/{}", file.as_raw_fd()))?)
+    }
+
     #[cold]
     fn send_pool(&self, buffer: BufferId, known: &AtomicU64, bit: u64) -> io::Result<()> {
         let mut files = lock(&self.files);
@@ -463,16 +534,7 @@ impl Process {
             return Ok(());
         }
         let pool = memory().pool_file(buffer.pool).ok_or(io::ErrorKind::NotFound)?;
-        let is_own = Memory::domain_of(buffer) == self.domain;
-        let mut message = Vec::new();
-        Writer(&mut message).u32(Tag::Pool as u32).u32(buffer.pool).u64(pool.len as u64).u32(u32::from(is_own));
-        if is_own {
-            self.send(&message, &*pool.file)?;
-        } else {
-            // The pools of another group's process can be written; this process gets them for reading.
-            let path = format!("/proc/self/fd/{}", pool.file.as_raw_fd());
-            self.send(&message, &File::open(path)?)?;
-        }
+        self.give_pool_file(buffer.pool, &pool.file, pool.len, Memory::domain_of(buffer) == self.domain)?;
         files.push(pool);
         known.fetch_or(bit, Ordering::Release);
         Ok(())
@@ -515,15 +577,15 @@ mod tests {
     #[test]
     fn the_last_lines_of_standard_error_are_kept() {
         let mut file = new_stderr().expect("memory");
-        assert_eq!(said(&file), None);
+        assert_eq!(said(&file, MAX_SAID), None);
         file.write_all(b"first\n\n\x1b[31mterminate called\n  what():  bad\xff\n").expect("room");
-        assert_eq!(said(&file).as_deref(), Some("[31mterminate called; what():  bad\u{fffd}"));
+        assert_eq!(said(&file, MAX_SAID).as_deref(), Some("[31mterminate called; what():  bad\u{fffd}"));
         let mut written = 0;
         while let Ok(len) = file.write(&[b'x'; 1000]) {
             written += len;
         }
         assert!(written < STDERR_BYTES as usize, "nobody makes it larger");
-        assert_eq!(said(&file).map(|said| said.len()), Some(MAX_SAID));
+        assert_eq!(said(&file, MAX_SAID).map(|said| said.len()), Some(MAX_SAID));
         let state = LifeState::default();
         let aborted = || Ok(ExitStatus::from_raw(libc::SIGABRT));
         let plain = words("the process", &state, aborted(), None);

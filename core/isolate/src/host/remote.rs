@@ -29,6 +29,8 @@ struct Remote {
     params_version: Option<u64>,
     /// Copies of inputs that the child could not map.
     copies: Vec<FrameRef>,
+    /// For a link: how often the buffer of each input was used, so that it knows which frames the other machine has.
+    uses: Vec<u32>,
     stock: Stock,
     habits: Habits,
     spent: Spent,
@@ -76,6 +78,7 @@ pub(super) fn proxy_of(entry: &'static NodeType) -> NodeType {
 pub(super) unsafe fn open(
     process: Arc<Process>,
     image: &PluginImage,
+    entry: Option<&NodeType>,
     index: u32,
     call: *mut abi::OpenCall,
     instance: *mut *mut c_void,
@@ -99,6 +102,8 @@ pub(super) unsafe fn open(
     };
     // SAFETY: the call has the host's table, of plain pointers.
     let host = unsafe { std::ptr::read(open.host) };
+    // A link translates times, for which it needs the clock.
+    let habits = if process.is_link() { Habits::of_link() } else { Habits::default() };
     let mut remote = Remote {
         process,
         lane,
@@ -107,8 +112,9 @@ pub(super) unsafe fn open(
         message: Vec::new(),
         params_version: None,
         copies: Vec::new(),
+        uses: Vec::new(),
         stock: Stock::default(),
-        habits: Habits::default(),
+        habits,
         spent: Spent::default(),
     };
     let threads = remote.host.threads;
@@ -118,6 +124,12 @@ pub(super) unsafe fn open(
         Writer(&mut remote.out).bytes(open.node_id.bytes()).bytes(open.graph_dir.bytes());
         Writer(&mut remote.out).params(open.params, open.params_len);
     }
+    if let Some(entry) = entry.filter(|_| remote.process.is_link()) {
+        // At the end, where only a link looks for them: the parameters that name files which the node reads.
+        let reads: Vec<u32> = (0..entry.params_len.min(open.params_len) as u32).filter(|at| is_read(entry, *at)).collect();
+        Writer(&mut remote.out).u64(reads.len() as u64);
+        reads.iter().for_each(|at| _ = Writer(&mut remote.out).u32(*at));
+    }
     // SAFETY: the caller's promise.
     let status = unsafe { remote.request(Kind::Open, target) };
     if status == abi::STATUS_OK {
@@ -125,6 +137,14 @@ pub(super) unsafe fn open(
         unsafe { *instance = Box::into_raw(Box::new(remote)).cast() };
     }
     status
+}
+
+/// Whether a parameter names a file that the node reads.
+fn is_read(entry: &NodeType, param: u32) -> bool {
+    // SAFETY: a validated descriptor, with `params_len` parameters.
+    let param = unsafe { &*entry.params.add(param as usize) };
+    let reads = param.flags & (abi::PARAM_MUST_EXIST | abi::PARAM_SHIPPED) != 0;
+    param.kind == abi::PARAM_PATH && reads && param.flags & abi::PARAM_WRITES == 0
 }
 
 /// The process of a call died.
@@ -251,6 +271,7 @@ impl Remote {
     /// Everything that the call points to lives.
     unsafe fn write_tick(&mut self, call: &abi::Call) -> Result<(), NotShared> {
         let sends_params = self.params_version != Some(call.params_version);
+        self.uses.clear();
         self.begin().u32(call.flags).tick(&call.tick).u64(call.outputs_read).u64(call.params_version);
         Writer(&mut self.out).u32(u32::from(sends_params));
         if sends_params {
@@ -269,12 +290,17 @@ impl Remote {
             let input = unsafe { *call.inputs.add(at) };
             let frame = self.shared(&input)?;
             Writer(&mut self.out).frame(&frame);
+            if self.process.is_link() {
+                self.uses.push(memory().uses(frame.buffer));
+            }
         }
         let mut out = Writer(&mut self.out);
         out.u64(call.outputs_len as u64);
         self.stock.write(call.outputs_len, &self.process, &mut out);
         // SAFETY: the call is running.
         unsafe { self.habits.write(&self.host, call.call, call.inputs_len, &mut out) };
+        // At the end, where only a link looks for them.
+        self.uses.drain(..).for_each(|uses| _ = out.u32(uses));
         Ok(())
     }
 

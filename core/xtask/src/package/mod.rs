@@ -14,7 +14,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 
-use crate::build::{Profile, guard_name, library_name, program_name, window_names};
+use crate::build::{Profile, helper_names, library_name, program_name, window_names};
 use crate::install::{self, LIBRARY};
 use crate::licences;
 use crate::onnxruntime;
@@ -142,7 +142,8 @@ fn commit_time_s(workspace: &Workspace) -> u64 {
 /// Programs and libraries of an installed tree.
 fn binaries(workspace: &Workspace, prefix: &Path) -> Vec<PathBuf> {
     let library = prefix.join(LIBRARY);
-    let programs = [program_name(), guard_name()].into_iter().chain(window_names()).map(|name| library.join(name));
+    let programs = [program_name()].into_iter().chain(helper_names()).chain(window_names());
+    let programs = programs.map(|name| library.join(name));
     let plugins = workspace.plugins.iter().map(|plugin| library.join("plugins").join(library_name(&plugin.name)));
     let runtime = library.join("onnxruntime").join(onnxruntime::LIBRARY);
     programs.chain(plugins).chain([runtime]).filter(|path| path.is_file()).collect()

@@ -13,6 +13,7 @@ mod graph;
 mod isolated;
 mod keys;
 mod labels;
+mod machine;
 mod model;
 mod numbers;
 mod packets;
@@ -52,6 +53,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "labelme", run: labels::labelme, seeds: labels::labelme_seeds },
     Target { name: "latch", run: arm::latch, seeds: arm::latch_seeds },
     Target { name: "lock", run: plugin::lock, seeds: plugin::lock_seeds },
+    Target { name: "machine_message", run: machine::run, seeds: machine::seeds },
     Target { name: "onnx", run: model::run, seeds: model::seeds },
     Target { name: "packet", run: packets::run, seeds: packets::seeds },
     Target { name: "picture", run: picture::run, seeds: picture::seeds },

@@ -1,0 +1,509 @@
+//! The link: the process that a host starts for a machine, and takes for the process of a group.
+
+use std::collections::{HashMap, HashSet};
+use std::ffi::OsString;
+use std::io::{Seek, SeekFrom};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::{Duration, Instant};
+
+use panoscope_isolate::relay::{self, Bytes, Given, Link, LinkLane, LinkNumbers, kind};
+use panoscope_isolate::{EXIT_LINK, system_ns};
+use panoscope_loader::sealed::Fingerprint;
+use zenoh::bytes::ZBytes;
+use zenoh::pubsub::Publisher;
+use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
+
+use crate::clock::Offset;
+use crate::files::Hashes;
+use crate::keys::Identity;
+use panoscope_isolate::relay::messages::{self as message, BadMessage, FileHash, Message, Turn};
+use crate::mirror::{Pool, Pools};
+use crate::network::{self, Address, UNNAMED};
+
+/// Attempts to reach the machine in the time in which it counts as lost.
+const ATTEMPTS: u32 = 4;
+/// Probes of the clock in that time.
+const PROBES: u32 = 10;
+
+/// What a host says about the machine, in the arguments of the process.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Arguments {
+    address: String,
+    compresses: bool,
+    timeout: Duration,
+    plaintext: bool,
+    machine: String,
+}
+
+impl Arguments {
+    /// Reads what follows [`panoscope_isolate::LINK_COMMAND`].
+    fn parse(words: &[OsString]) -> Option<Self> {
+        let words: Vec<&str> = words.iter().map(|word| word.to_str()).collect::<Option<_>>()?;
+        let [address, pixels, timeout_ms, plaintext, machine] = words[..] else { return None };
+        Some(Self {
+            address: address.to_owned(),
+            compresses: pixels == "lz4",
+            timeout: Duration::from_millis(timeout_ms.parse().ok()?),
+            plaintext: plaintext == "true",
+            machine: machine.to_owned(),
+        })
+    }
+}
+
+/// Ends the process; the host shows the words.
+fn lose(words: &str) -> ! {
+    eprintln!("{words}");
+    leave(EXIT_LINK)
+}
+
+fn leave(code: i32) -> ! {
+    // SAFETY: ends the process. Threads of zenoh may still run, so that nothing is destroyed.
+    unsafe { libc::_exit(code) }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn seconds(time: Duration) -> String {
+    format!("{} s", time.as_secs_f64())
+}
+
+/// A message of a lane that was received; the bytes of its frames begin at `begin`.
+struct Received {
+    turn: Turn,
+    payload: ZBytes,
+    begin: u64,
+}
+
+/// Frames that the other machine has.
+#[derive(Default)]
+struct There {
+    /// Of pools of this machine: how often the buffer had been handed out when the frame was sent.
+    sent: HashMap<(u32, u64), u32>,
+    /// Of the group's own pools: made there, or sent. Only the other machine writes these.
+    own: HashSet<(u32, u64)>,
+}
+
+/// What the threads of the process share.
+struct Connection {
+    arguments: Arguments,
+    down: Publisher<'static>,
+    /// Locked while a message is sent: a frame that another message names went before it.
+    there: Mutex<There>,
+    pools: Pools,
+    hashes: Hashes,
+    clock: Mutex<Offset>,
+    heard_ns: AtomicI64,
+    sent_bytes: AtomicU64,
+    received_bytes: AtomicU64,
+    lanes: Mutex<HashMap<u32, Sender<Received>>>,
+    shown: Mutex<Vec<Weak<LinkLane>>>,
+    is_ready: Mutex<bool>,
+    changed: Condvar,
+}
+
+/// Runs the process until its host is gone or its machine is lost. `words` is what follows [`panoscope_isolate::LINK_COMMAND`]; standard input is the
+/// socket of the host.
+pub fn run(words: &[OsString]) -> ! {
+    let Some(arguments) = Arguments::parse(words) else { lose("the program that started this link is of another version") };
+    let link = match Link::take() {
+        Ok(link) => link,
+        Err(cause) => lose(&format!("its link cannot start: {cause}")),
+    };
+    let (session, host) = match reach(&arguments) {
+        Ok(reached) => reached,
+        Err(words) => lose(&words),
+    };
+    match serve(&arguments, &link, &session, &host) {
+        Ok(connection) => {
+            let _ = connection.down.put(message::write(&Message::Bye)).wait();
+            let _ = session.close().wait();
+            leave(0)
+        }
+        Err(words) => lose(&words),
+    }
+}
+
+/// Connects to the machine, within the time in which it counts as lost. Returns the name of this host too.
+fn reach(arguments: &Arguments) -> Result<(Session, String), String> {
+    let Arguments { address, timeout, plaintext, .. } = arguments;
+    let address = Address::parse(address, *plaintext).map_err(|error| error.to_string())?;
+    let identity = match address.is_tls {
+        true => {
+            let folder = Identity::folder().ok_or("no folder of keys is known: set PANOSCOPE_KEYS")?;
+            let read = Identity::read(&folder);
+            Some(read.map_err(|error| {
+                format!("{error}; make keys with `panoscope keys`, and set PANOSCOPE_KEYS to this machine's folder")
+            })?)
+        }
+        false => None,
+    };
+    let host = identity.as_ref().map_or_else(|| UNNAMED.to_owned(), |identity| identity.name.clone());
+    let end = Instant::now() + *timeout;
+    wait_for_answer(&address.text, *timeout, end)?;
+    // What zenoh does on the way has limits of its own, which are longer.
+    let (limit, text) = (*timeout, address.text.clone());
+    let (done, opened) = channel::<()>();
+    let watch = move || {
+        if opened.recv_timeout(limit).is_err_and(|error| error == std::sync::mpsc::RecvTimeoutError::Timeout) {
+            lose(&format!("{text} answers, but no connection was made within {}; is it `panoscope serve`?", seconds(limit)));
+        }
+    };
+    std::thread::Builder::new().spawn(watch).map_err(|error| error.to_string())?;
+    let session = network::connect(&address, identity.as_ref());
+    drop(done);
+    let session = session.map_err(|error| {
+        let why = if address.is_tls {
+            "; both need certificates of one authority, and that of the machine must name this address"
+        } else {
+            ""
+        };
+        format!("{} refuses the connection: {error}{why}", address.text)
+    })?;
+    Ok((session, host))
+}
+
+/// Waits until something accepts connections at an address. Short attempts find a network that comes back sooner than one that the system repeats.
+fn wait_for_answer(address: &str, timeout: Duration, end: Instant) -> Result<(), String> {
+    let host = address.split_once('/').map_or(address, |(_, host)| host);
+    loop {
+        let begin = Instant::now();
+        let mut cause = match host.to_socket_addrs() {
+            Ok(addresses) => {
+                let mut cause = "it has no address".to_owned();
+                for one in addresses {
+                    match TcpStream::connect_timeout(&one, timeout / ATTEMPTS) {
+                        Ok(_) => return Ok(()),
+                        Err(error) => cause = error.to_string(),
+                    }
+                }
+                cause
+            }
+            Err(error) => error.to_string(),
+        };
+        if Instant::now() >= end {
+            cause.insert_str(0, &format!("nothing answers at {address} within {}: ", seconds(timeout)));
+            return Err(cause + "; is `panoscope serve` running there?");
+        }
+        std::thread::sleep((timeout / ATTEMPTS / 2).saturating_sub(begin.elapsed()));
+    }
+}
+
+/// Carries messages until the host is gone.
+fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> Result<Arc<Connection>, String> {
+    let words = |error: network::NetworkError| error.to_string();
+    let prefix = network::prefix(&arguments.machine, host, &session.zid().to_string());
+    let connection = Arc::new(Connection {
+        arguments: arguments.clone(),
+        down: network::publisher(session, format!("{prefix}/down"), false).map_err(words)?,
+        there: Mutex::default(),
+        pools: Pools::default(),
+        hashes: Hashes::default(),
+        clock: Mutex::default(),
+        heard_ns: AtomicI64::new(system_ns()),
+        sent_bytes: AtomicU64::new(0),
+        received_bytes: AtomicU64::new(0),
+        lanes: Mutex::default(),
+        shown: Mutex::default(),
+        is_ready: Mutex::default(),
+        changed: Condvar::new(),
+    });
+    let hear = |key: &str, receive: fn(&Connection, &Sample) -> Result<(), BadMessage>| {
+        let mine = Arc::clone(&connection);
+        let callback = move |sample: Sample| {
+            mine.heard_ns.store(system_ns(), Ordering::Relaxed);
+            mine.received_bytes.fetch_add(sample.payload().len() as u64, Ordering::Relaxed);
+            if let Err(bad) = receive(&mine, &sample) {
+                lose(&bad.to_string());
+            }
+        };
+        session.declare_subscriber(format!("{prefix}/{key}")).callback(callback).wait().map_err(|e| e.to_string())
+    };
+    // They live as long as the session.
+    let _up = hear("up", Connection::receive)?;
+    let _pong = hear("pong", Connection::measure)?;
+    let ping = network::publisher(session, format!("{prefix}/ping"), true).map_err(words)?;
+    let settings = link.settings;
+    let hello = Message::Hello {
+        version: crate::version(),
+        group: arguments.machine.clone(),
+        threads: settings.threads,
+        memory_bytes: settings.memory_bytes,
+        deny: (settings.deny.network, settings.deny.new_files),
+        compresses: arguments.compresses,
+        timeout_ms: u32::try_from(arguments.timeout.as_millis()).unwrap_or(u32::MAX),
+    };
+    connection.send(&hello, Vec::new())?;
+    let mine = Arc::clone(&connection);
+    std::thread::Builder::new().spawn(move || mine.probe(&ping)).map_err(|error| error.to_string())?;
+    connection.wait_until_ready()?;
+    let mut lanes = 0;
+    while let Some(given) = link.next().map_err(|error| error.to_string())? {
+        match given {
+            Given::Pool { number, len, is_own, file } => {
+                let pool = Pool::map(&file, len, is_own, is_own).map_err(|error| error.to_string())?;
+                connection.send(&Message::Pool { number, len: len as u64, is_own }, Vec::new())?;
+                // From here on frames of it may be sent.
+                connection.pools.add(number, pool);
+            }
+            Given::Plugin { id, path, image } => {
+                let mut image = image;
+                let hash = Fingerprint::of_open(&mut image).map_err(|error| error.to_string())?;
+                let path = path.display().to_string();
+                connection.send(&Message::Plugin { id, path, sha256: hash.sha256 }, Vec::new())?;
+            }
+            Given::Lane(lane) => {
+                lanes += 1;
+                let (sender, received) = channel();
+                lock(&connection.lanes).insert(lanes, sender);
+                connection.send(&Message::Lane { id: lanes }, Vec::new())?;
+                let lane = Arc::new(lane);
+                lock(&connection.shown).push(Arc::downgrade(&lane));
+                let (mine, id) = (Arc::clone(&connection), lanes);
+                let work = move || {
+                    if let Err(words) = mine.carry(id, &lane, &received) {
+                        lose(&words);
+                    }
+                    lock(&mine.lanes).remove(&id);
+                };
+                std::thread::Builder::new().spawn(work).map_err(|error| error.to_string())?;
+            }
+        }
+    }
+    Ok(connection)
+}
+
+impl Connection {
+    /// Sends a message with the bytes of its frames.
+    fn send(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), String> {
+        let _one_at_a_time = lock(&self.there);
+        self.put(message, frames)
+    }
+
+    fn put(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), String> {
+        let head = message::write(message);
+        let mut bytes = ZBytes::writer();
+        bytes.append(ZBytes::from(head));
+        frames.into_iter().for_each(|frame| bytes.append(ZBytes::from(frame)));
+        let bytes = bytes.finish();
+        self.sent_bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+        self.down.put(bytes).wait().map_err(|error| error.to_string())
+    }
+
+    /// A message of the server.
+    fn receive(&self, sample: &Sample) -> Result<(), BadMessage> {
+        let payload = sample.payload();
+        let mut reader = payload.reader();
+        match message::read(&mut reader).map_err(|_| BadMessage)? {
+            Message::Ready => {
+                *lock(&self.is_ready) = true;
+                self.changed.notify_all();
+            }
+            Message::Lost { words } => lose(&words),
+            Message::Turn(turn) => {
+                let begin = (payload.len() - reader.remaining()) as u64;
+                // A lane that is closed has no reader any more.
+                if let Some(lane) = lock(&self.lanes).get(&turn.lane) {
+                    let _ = lane.send(Received { turn, payload: payload.clone(), begin });
+                }
+            }
+            _ => return Err(BadMessage),
+        }
+        Ok(())
+    }
+
+    /// The answer to a probe: when it was sent, and the clock there.
+    fn measure(&self, sample: &Sample) -> Result<(), BadMessage> {
+        let now_ns = system_ns();
+        let bytes = sample.payload().to_bytes();
+        let (sent, rest) = bytes.split_first_chunk::<8>().ok_or(BadMessage)?;
+        let there = rest.first_chunk::<8>().ok_or(BadMessage)?;
+        lock(&self.clock).add(i64::from_le_bytes(*sent), i64::from_le_bytes(*there), now_ns);
+        // Whoever waits has looked at the clock before, or looks again.
+        drop(lock(&self.is_ready));
+        self.changed.notify_all();
+        Ok(())
+    }
+
+    /// The other machine's clock minus this one's, ns, and its largest error.
+    fn offset(&self) -> Option<(i64, u64)> {
+        lock(&self.clock).at(system_ns())
+    }
+
+    fn wait_until_ready(&self) -> Result<(), String> {
+        let timeout = self.arguments.timeout;
+        let waiting = |is_ready: &mut bool| !(*is_ready && self.offset().is_some());
+        let waited = self.changed.wait_timeout_while(lock(&self.is_ready), timeout, waiting);
+        let waited = waited.unwrap_or_else(PoisonError::into_inner).1;
+        match waited.timed_out() {
+            false => Ok(()),
+            true => Err(format!(
+                "it does not answer within {}: `panoscope serve` there has another --name than `{}`, or does not --allow this host",
+                seconds(timeout),
+                self.arguments.machine
+            )),
+        }
+    }
+
+    /// Measures the clock, shows what is known, and ends the process when the machine is silent for too long.
+    fn probe(&self, ping: &Publisher<'static>) {
+        let timeout = self.arguments.timeout;
+        loop {
+            let _ = ping.put(system_ns().to_le_bytes()).wait();
+            std::thread::sleep(timeout / PROBES);
+            let silent_ns = system_ns().saturating_sub(self.heard_ns.load(Ordering::Relaxed)).max(0);
+            if Duration::from_nanos(silent_ns.unsigned_abs()) > timeout {
+                lose(&format!("nothing was heard of {} for {}", self.arguments.address, seconds(timeout)));
+            }
+            let numbers = LinkNumbers {
+                clock: self.offset(),
+                round_trip_ns: lock(&self.clock).round_trip_ns(),
+                sent_bytes: self.sent_bytes.load(Ordering::Relaxed),
+                received_bytes: self.received_bytes.load(Ordering::Relaxed),
+            };
+            lock(&self.shown).retain(|lane| lane.upgrade().is_some_and(|lane| {
+                lane.show(&numbers);
+                true
+            }));
+        }
+    }
+
+    /// Carries the messages of a lane until its instance is closed.
+    fn carry(&self, id: u32, lane: &LinkLane, received: &Receiver<Received>) -> Result<(), String> {
+        let bad = |error: &dyn std::fmt::Display| format!("its link cannot go on: {error}");
+        let (mut message, mut rewritten) = (Vec::new(), Vec::new());
+        let mut request = 0;
+        // The host's clock minus the system's, ns.
+        let mut host_clock = None;
+        loop {
+            // The host is gone: the main thread leaves.
+            let Ok(asked) = lane.receive(&mut message) else { return Ok(()) };
+            if asked != kind::ANSWER {
+                request = asked;
+            }
+            self.pass(id, asked, &mut message, &mut host_clock).map_err(|error| bad(&error))?;
+            // The sender lives as long as this thread.
+            let Ok(Received { turn, payload, begin }) = received.recv() else { return Ok(()) };
+            let mut reader = payload.reader();
+            reader.seek(SeekFrom::Start(begin)).map_err(|error| bad(&error))?;
+            self.pools.fill(&turn.frames, true, &mut reader).map_err(|error| bad(&error))?;
+            let (answer, is_done) = (&turn.message, turn.kind == kind::DONE);
+            if is_done && request == kind::PROCESS {
+                for output in relay::outputs(answer).map_err(|error| bad(&error))? {
+                    if self.is_own(&output).map_err(|error| bad(&error))? {
+                        lock(&self.there).own.insert((output.pool, output.offset));
+                    }
+                }
+            }
+            let is_over = is_done
+                && (request == kind::CLOSE
+                    || (request == kind::OPEN && !relay::succeeded(answer).map_err(|error| bad(&error))?));
+            let arrived_ns = self.arrival(&turn, host_clock).filter(|_| is_done && request == kind::PROCESS);
+            let answer = match arrived_ns {
+                Some(arrived_ns) => {
+                    relay::arrived(answer, arrived_ns, &mut rewritten).map_err(|error| bad(&error))?;
+                    &rewritten
+                }
+                None => answer,
+            };
+            lane.post(turn.kind, answer).map_err(|error| bad(&error))?;
+            if is_over {
+                return Ok(());
+            }
+        }
+    }
+
+    fn is_own(&self, frame: &Bytes) -> Result<bool, BadMessage> {
+        Ok(self.pools.get(frame.pool)?.is_own)
+    }
+
+    /// When a result was made, ns of the host's clock: that is when the light of a source's tick arrived, unless the source says otherwise.
+    fn arrival(&self, turn: &Turn, host_clock: Option<i64>) -> Option<i64> {
+        let (offset_ns, _) = self.offset()?;
+        Some(turn.at_ns.saturating_sub(offset_ns).saturating_add(host_clock?))
+    }
+
+    /// Sends a message of the host, with the frames that the other machine does not have.
+    fn pass(
+        &self,
+        lane: u32,
+        asked: u32,
+        message: &mut Vec<u8>,
+        host_clock: &mut Option<i64>,
+    ) -> Result<(), Box<dyn std::error::Error>> {
+        let offset_ns = self.offset().map_or(0, |(offset_ns, _)| offset_ns);
+        let mut turn = Turn { lane, kind: asked, ..Turn::default() };
+        let mut inputs = Vec::new();
+        if asked == kind::PROCESS {
+            let request = relay::request(message)?;
+            if let Some((clock_ns, system_ns)) = request.clock {
+                *host_clock = Some(clock_ns.saturating_sub(system_ns));
+                let at = request.clock_position;
+                message[at..at + 8].copy_from_slice(&system_ns.saturating_add(offset_ns).to_le_bytes());
+            }
+            inputs = request.inputs;
+        } else if asked == kind::OPEN {
+            let open = relay::open(message)?;
+            let hash = |path: String| Some(FileHash { sha256: self.hashes.of(path.as_ref())?, path });
+            turn.files = open.files.into_iter().filter_map(hash).collect();
+        }
+        turn.message = std::mem::take(message);
+        let mut there = lock(&self.there);
+        let mut frames = Vec::new();
+        for input in inputs {
+            if there.takes(&input, self.is_own(&input)?) {
+                let (head, bytes) = self.pools.coded(&input, self.arguments.compresses)?;
+                turn.frames.push(head);
+                frames.push(bytes);
+            }
+        }
+        turn.at_ns = system_ns().saturating_add(offset_ns);
+        let turn = Message::Turn(turn);
+        self.put(&turn, frames)?;
+        if let Message::Turn(turn) = turn {
+            // Its memory is used again.
+            *message = turn.message;
+        }
+        Ok(())
+    }
+}
+
+impl There {
+    /// Whether a frame has to be sent; it counts as sent from here on.
+    fn takes(&mut self, frame: &Bytes, is_own: bool) -> bool {
+        let buffer = (frame.pool, frame.offset);
+        match is_own {
+            true => self.own.insert(buffer),
+            false => self.sent.insert(buffer, frame.uses) != Some(frame.uses),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_frame_crosses_once() {
+        let mut there = There::default();
+        let frame = |offset, uses| Bytes { pool: 3, offset, len: 8, is_pixels: true, uses };
+        assert!(there.takes(&frame(0, 1), false) && !there.takes(&frame(0, 1), false));
+        assert!(there.takes(&frame(64, 1), false), "another buffer");
+        assert!(there.takes(&frame(0, 2), false), "the buffer was handed out again: other bytes");
+        assert!(there.takes(&frame(0, 0), true) && !there.takes(&frame(0, 0), true), "only the other machine writes it");
+    }
+
+    #[test]
+    fn arguments_are_those_of_the_host() {
+        let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
+        let parsed = Arguments::parse(&words(&["tls/10.0.0.2:7447", "lz4", "1500", "false", "rack"])).expect("arguments");
+        assert_eq!((parsed.timeout, parsed.compresses, parsed.plaintext), (Duration::from_millis(1500), true, false));
+        assert_eq!(Arguments::parse(&words(&["tls/10.0.0.2:7447", "raw", "soon", "false", "rack"])), None);
+        assert_eq!(Arguments::parse(&words(&["rack"])), None);
+    }
+}

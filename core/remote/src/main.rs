@@ -1,0 +1,119 @@
+//! The program that links machines. Other programs start it, and users through `panoscope serve` and `panoscope keys`; its arguments are for them, and
+//! not for users.
+//!
+//! - `link ADDRESS PIXELS TIMEOUT_MS PLAINTEXT MACHINE`: see [`panoscope_remote::link`]
+//! - `serve NAME ADDRESS KEYS GRAPH_DIR PLAINTEXT HOST...`: KEYS is empty where no folder of keys is given
+//! - `keys FOLDER NAME[=ADDRESS,...]...`
+//! - `bench PORT BYTES COUNT`: zenoh alone; writes the seconds that it took
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use panoscope_isolate::LINK_COMMAND;
+use panoscope_remote::keys::{Identity, KEYS_VARIABLE, Member, make};
+use panoscope_remote::serve::{Options, Server};
+use panoscope_remote::{link, raw};
+
+/// The arguments or the keys are wrong.
+const WRONG: u8 = 2;
+
+static ENDS: AtomicBool = AtomicBool::new(false);
+
+extern "C" fn end(_: libc::c_int) {
+    ENDS.store(true, Ordering::Relaxed);
+}
+
+fn main() -> ExitCode {
+    let words: Vec<OsString> = std::env::args_os().skip(1).collect();
+    let Some((command, rest)) = words.split_first() else { return usage() };
+    if command == LINK_COMMAND {
+        link::run(rest);
+    }
+    let Some(rest) = rest.iter().map(|word| word.to_str()).collect::<Option<Vec<&str>>>() else { return usage() };
+    let done = match (command.to_str(), &rest[..]) {
+        (Some("serve"), [name, address, keys, graph_dir, plaintext, hosts @ ..]) => {
+            serve(name, address, keys, graph_dir, *plaintext == "true", hosts)
+        }
+        (Some("keys"), [folder, members @ ..]) if !members.is_empty() => make_keys(Path::new(folder), members),
+        (Some("bench"), [port, bytes, count]) => bench(port, bytes, count),
+        _ => return usage(),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(words) => {
+            eprintln!("error: {words}");
+            ExitCode::from(WRONG)
+        }
+    }
+}
+
+fn usage() -> ExitCode {
+    eprintln!("error: other programs of Panoscope start this one; see `panoscope serve --help` and `panoscope keys --help`");
+    ExitCode::from(WRONG)
+}
+
+/// Serves until a signal ends it.
+fn serve(
+    name: &str,
+    address: &str,
+    keys: &str,
+    graph_dir: &str,
+    plaintext: bool,
+    hosts: &[&str],
+) -> Result<(), String> {
+    let is_tls = address.starts_with("tls/");
+    let folder = if keys.is_empty() { Identity::folder() } else { Some(PathBuf::from(keys)) };
+    let identity = match folder.filter(|_| is_tls) {
+        Some(folder) => {
+            Some(Identity::read(&folder).map_err(|error| format!("{error}; `panoscope keys` makes keys"))?)
+        }
+        None => None,
+    };
+    if is_tls && hosts.is_empty() {
+        return Err("no host may run nodes here; name them with --allow, as in --allow theatre".to_owned());
+    }
+    if plaintext && !is_tls {
+        eprintln!("warning: whoever reaches {address} can run nodes here and see their pictures");
+    }
+    for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+        let handler: extern "C" fn(libc::c_int) = end;
+        // SAFETY: the handler only stores to an atomic.
+        unsafe { libc::signal(signal, handler as *const () as libc::sighandler_t) };
+    }
+    let options = Options {
+        name: name.to_owned(),
+        address: address.to_owned(),
+        plaintext,
+        identity,
+        hosts: hosts.iter().map(|host| (*host).to_owned()).collect(),
+        graph_dir: std::path::absolute(graph_dir).map_err(|error| format!("{graph_dir}: {error}"))?,
+        plugins: Vec::new(),
+    };
+    let server = Server::start(options, Box::new(|words: &str| eprintln!("{words}"))).map_err(|e| e.to_string())?;
+    println!("`{name}` listens at {address}");
+    while !ENDS.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    drop(server);
+    Ok(())
+}
+
+fn make_keys(folder: &Path, members: &[&str]) -> Result<(), String> {
+    let members = members.iter().map(|text| Member::parse(text)).collect::<Result<Vec<_>, _>>();
+    let made = members.and_then(|members| make(folder, &members)).map_err(|error| error.to_string())?;
+    made.iter().for_each(|folder| println!("{}", folder.display()));
+    println!("copy each folder to its machine, and name it there with --keys or {KEYS_VARIABLE};");
+    println!("{} makes more keys: it stays here", folder.join("authority-key.pem").display());
+    Ok(())
+}
+
+fn bench(port: &str, bytes: &str, count: &str) -> Result<(), String> {
+    let wrong = |error: std::num::ParseIntError| error.to_string();
+    let (port, bytes, count) = (port.parse().map_err(wrong)?, bytes.parse().map_err(wrong)?, count.parse().map_err(wrong)?);
+    let taken = raw::publish(port, bytes, count).map_err(|error| error.to_string())?;
+    println!("{}", taken.as_secs_f64());
+    Ok(())
+}

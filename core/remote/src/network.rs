@@ -1,0 +1,216 @@
+//! zenoh as both ends use it: one address, no discovery, one set of keys for each host.
+
+use std::net::ToSocketAddrs;
+use std::path::Path;
+
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::{Config, Session, Wait};
+
+use crate::keys::Identity;
+
+/// Name of a host that has no certificate.
+pub const UNNAMED: &str = "unnamed";
+
+/// Why a session could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum NetworkError {
+    /// An address that is none.
+    #[error("`{0}` is no address; write tls/HOST:PORT, or tcp/HOST:PORT inside one machine")]
+    BadAddress(String),
+    /// Without encryption to another machine.
+    #[error("`{0}` leads to another machine without encryption: {remedy}", remedy = "use tls/ and keys of `panoscope keys`")]
+    Plaintext(String),
+    /// TLS without certificates.
+    #[error("`{0}` needs keys: make them with `panoscope keys`, and name their folder with --keys or PANOSCOPE_KEYS")]
+    NoKeys(String),
+    /// zenoh refuses.
+    #[error("{0}")]
+    Zenoh(String),
+}
+
+/// An address in the words of a graph.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Address {
+    /// As it was given.
+    pub text: String,
+    /// Whether it is encrypted.
+    pub is_tls: bool,
+}
+
+impl Address {
+    /// Reads an address. Without encryption it has to stay on this machine, unless `plaintext`.
+    pub fn parse(text: &str, plaintext: bool) -> Result<Self, NetworkError> {
+        let bad = || NetworkError::BadAddress(text.to_owned());
+        let (protocol, host) = text.split_once('/').ok_or_else(bad)?;
+        let is_tls = match protocol {
+            "tls" => true,
+            "tcp" => false,
+            _ => return Err(bad()),
+        };
+        if host.contains(['#', '?', '/']) || !host.contains(':') {
+            return Err(bad());
+        }
+        let this = Self { text: text.to_owned(), is_tls };
+        if !is_tls && !plaintext && !is_loopback(host) { Err(NetworkError::Plaintext(this.text)) } else { Ok(this) }
+    }
+}
+
+/// Whether all addresses of a host and port are on this machine.
+fn is_loopback(host: &str) -> bool {
+    match host.to_socket_addrs() {
+        Ok(addresses) => {
+            let addresses: Vec<_> = addresses.collect();
+            !addresses.is_empty() && addresses.iter().all(|address| address.ip().is_loopback())
+        }
+        Err(_) => false,
+    }
+}
+
+/// A configuration without discovery.
+fn quiet() -> Result<Config, NetworkError> {
+    let mut config = Config::default();
+    let settings = [
+        ("mode", "\"peer\""),
+        ("scouting/multicast/enabled", "false"),
+        ("scouting/gossip/enabled", "false"),
+        ("scouting/delay", "0"),
+        ("open/return_conditions/connect_scouted", "false"),
+        ("adminspace/enabled", "false"),
+        // Whoever waits longer is lost anyway; a full queue must not close the connection.
+        ("transport/link/tx/queue/congestion_control/block/wait_before_close", "60000000"),
+        ("transport/unicast/open_timeout", "2000"),
+        ("transport/unicast/accept_timeout", "2000"),
+    ];
+    for (key, value) in settings {
+        set(&mut config, key, value)?;
+    }
+    Ok(config)
+}
+
+fn set(config: &mut Config, key: &str, value: &str) -> Result<(), NetworkError> {
+    config.insert_json5(key, value).map_err(|error| NetworkError::Zenoh(format!("{key} = {value}: {error}")))
+}
+
+fn quoted(text: &str) -> String {
+    format!("{text:?}")
+}
+
+fn path(path: &Path) -> String {
+    quoted(&path.display().to_string())
+}
+
+/// Certificates of both sides, and who answers must have the name that was called.
+fn with_tls(config: &mut Config, identity: &Identity, is_server: bool) -> Result<(), NetworkError> {
+    let side = if is_server { "listen" } else { "connect" };
+    let settings = [
+        ("root_ca_certificate".to_owned(), path(&identity.authority)),
+        (format!("{side}_certificate"), path(&identity.certificate)),
+        (format!("{side}_private_key"), path(&identity.key)),
+        ("enable_mtls".to_owned(), "true".to_owned()),
+        ("verify_name_on_connect".to_owned(), "true".to_owned()),
+    ];
+    for (key, value) in settings {
+        set(config, &format!("transport/link/tls/{key}"), &value)?;
+    }
+    Ok(())
+}
+
+fn open(config: Config) -> Result<Session, NetworkError> {
+    zenoh::open(config).wait().map_err(|error| NetworkError::Zenoh(error.to_string()))
+}
+
+/// Connects to a server.
+pub fn connect(address: &Address, identity: Option<&Identity>) -> Result<Session, NetworkError> {
+    let mut config = quiet()?;
+    set(&mut config, "connect/endpoints", &format!("[{}]", quoted(&address.text)))?;
+    set(&mut config, "connect/timeout_ms", "0")?;
+    set(&mut config, "connect/exit_on_failure", "true")?;
+    set(&mut config, "listen/endpoints", "[]")?;
+    if address.is_tls {
+        let identity = identity.ok_or_else(|| NetworkError::NoKeys(address.text.clone()))?;
+        with_tls(&mut config, identity, false)?;
+    }
+    open(config)
+}
+
+/// Listens for hosts. With certificates each host in `hosts` may use only its own keys, and others none.
+pub fn listen(
+    machine: &str,
+    address: &Address,
+    identity: Option<&Identity>,
+    hosts: &[String],
+) -> Result<Session, NetworkError> {
+    let mut config = quiet()?;
+    set(&mut config, "listen/endpoints", &format!("[{}]", quoted(&address.text)))?;
+    if address.is_tls {
+        let identity = identity.ok_or_else(|| NetworkError::NoKeys(address.text.clone()))?;
+        with_tls(&mut config, identity, true)?;
+        set(&mut config, "access_control", &access(machine, hosts))?;
+    }
+    open(config)
+}
+
+/// Who may use which keys, as zenoh reads it: everything else is refused.
+fn access(machine: &str, hosts: &[String]) -> String {
+    let list = |each: &dyn Fn(&String) -> String| hosts.iter().map(each).collect::<Vec<_>>().join(", ");
+    let rules = list(&|host| {
+        format!(
+            r#"{{ id: "keys-{host}", messages: ["put", "declare_subscriber"], flows: ["ingress", "egress"],
+                 permission: "allow", key_exprs: ["panoscope/{machine}/{host}/**"] }}"#
+        )
+    });
+    let subjects = list(&|host| format!(r#"{{ id: "host-{host}", cert_common_names: ["{host}"] }}"#));
+    let policies = list(&|host| format!(r#"{{ rules: ["keys-{host}"], subjects: ["host-{host}"] }}"#));
+    format!(
+        r#"{{ enabled: true, default_permission: "deny", rules: [{rules}], subjects: [{subjects}], policies: [{policies}] }}"#
+    )
+}
+
+/// The part of a connection's keys that both ends share.
+pub fn prefix(machine: &str, host: &str, session: &str) -> String {
+    format!("panoscope/{machine}/{host}/{session}")
+}
+
+/// Whether a name can be part of a key, and of a certificate: letters, digits, `_` and `-`.
+pub fn is_name(name: &str) -> bool {
+    let fits = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    !name.is_empty() && name.len() <= 64 && name.chars().all(fits)
+}
+
+/// A publisher of messages: nothing is dropped, the caller waits while the network is slow. `is_urgent` messages overtake others.
+pub fn publisher(
+    session: &Session,
+    key: String,
+    is_urgent: bool,
+) -> Result<zenoh::pubsub::Publisher<'static>, NetworkError> {
+    let (priority, congestion) = match is_urgent {
+        true => (Priority::RealTime, CongestionControl::Drop),
+        false => (Priority::Data, CongestionControl::Block),
+    };
+    let declared = session.declare_publisher(key).congestion_control(congestion).priority(priority).express(true).wait();
+    declared.map_err(|error| NetworkError::Zenoh(error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plain_addresses_stay_on_this_machine() {
+        assert!(Address::parse("tcp/127.0.0.1:7447", false).is_ok_and(|address| !address.is_tls));
+        assert!(Address::parse("tcp/[::1]:7447", false).is_ok());
+        assert!(matches!(Address::parse("tcp/192.0.2.1:7447", false), Err(NetworkError::Plaintext(_))));
+        assert!(matches!(Address::parse("tcp/0.0.0.0:7447", false), Err(NetworkError::Plaintext(_))));
+        assert!(Address::parse("tcp/192.0.2.1:7447", true).is_ok());
+        assert!(Address::parse("tls/192.0.2.1:7447", false).is_ok_and(|address| address.is_tls));
+        for bad in ["", "rack", "udp/127.0.0.1:1", "tls/rack", "tcp/127.0.0.1:1#iface=lo"] {
+            assert!(matches!(Address::parse(bad, true), Err(NetworkError::BadAddress(_))), "{bad}");
+        }
+    }
+
+    #[test]
+    fn names_fit_keys() {
+        assert!(is_name("rack") && is_name("theatre_2-b"));
+        assert!(!is_name("") && !is_name("a/b") && !is_name("*") && !is_name("a b") && !is_name(&"x".repeat(65)));
+    }
+}

@@ -1,0 +1,179 @@
+//! `panoscope serve`: takes groups of nodes for other machines.
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use panoscope_isolate::system_ns;
+use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
+
+use crate::files::Hashes;
+use crate::keys::Identity;
+use panoscope_isolate::relay::messages::{self as message, Message};
+use crate::network::{self, Address, NetworkError, UNNAMED};
+use crate::served::{self, Delivered};
+
+/// Most groups at a time.
+const MAX_SESSIONS: usize = 32;
+
+/// How a server is to be.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Name of this machine in graphs.
+    pub name: String,
+    /// Where to listen.
+    pub address: String,
+    /// Whether an address without encryption may be one that other machines reach.
+    pub plaintext: bool,
+    /// The keys of this machine.
+    pub identity: Option<Identity>,
+    /// Hosts that may use it, by the names in their certificates.
+    pub hosts: Vec<String>,
+    /// The folder here that stands for the folder of a host's graph.
+    pub graph_dir: PathBuf,
+    /// Folders of plugins besides those of the installation.
+    pub plugins: Vec<PathBuf>,
+}
+
+/// A line for the log.
+pub type LogFn = dyn Fn(&str) + Send + Sync;
+
+/// What all groups share.
+pub(crate) struct Shared {
+    pub options: Options,
+    pub session: Session,
+    pub hashes: Hashes,
+    log: Box<LogFn>,
+    open: Mutex<HashMap<(String, String), Open>>,
+}
+
+/// A group that is served.
+struct Open {
+    deliver: Sender<Delivered>,
+    heard_ns: Arc<AtomicI64>,
+    /// Its name, as the host gave it.
+    group: String,
+}
+
+/// A server. It ends when this is dropped.
+pub struct Server {
+    shared: Arc<Shared>,
+    _subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Server {
+    /// Listens from now on. `log` gets a line for each group that comes and goes.
+    ///
+    /// # Errors
+    /// The address cannot be listened at, or keys are missing.
+    pub fn start(options: Options, log: Box<LogFn>) -> Result<Self, NetworkError> {
+        let address = Address::parse(&options.address, options.plaintext)?;
+        let session = network::listen(&options.name, &address, options.identity.as_ref(), &options.hosts)?;
+        let hosts = if address.is_tls { options.hosts.clone() } else { vec![UNNAMED.to_owned()] };
+        let prefix = format!("panoscope/{}", options.name);
+        let shared = Arc::new(Shared { options, session, hashes: Hashes::default(), log, open: Mutex::default() });
+        let mut subscribers = Vec::new();
+        for host in hosts {
+            for key in ["down", "ping"] {
+                let mine = Arc::clone(&shared);
+                let name = host.clone();
+                let callback = move |sample: Sample| {
+                    let Some(id) = sample.key_expr().as_str().split('/').nth(3).map(str::to_owned) else { return };
+                    match key {
+                        "down" => mine.receive(&name, id, &sample),
+                        _ => mine.answer_probe(&name, id, &sample),
+                    }
+                };
+                let declared = shared.session.declare_subscriber(format!("{prefix}/{host}/*/{key}"));
+                let subscriber = declared.callback(callback).wait();
+                subscribers.push(subscriber.map_err(|error| NetworkError::Zenoh(error.to_string()))?);
+            }
+        }
+        Ok(Self { shared, _subscribers: subscribers })
+    }
+
+    /// Groups that are served now: the host of each, and its name.
+    pub fn groups(&self) -> Vec<(String, String)> {
+        lock(&self.shared.open).iter().map(|((host, _), open)| (host.clone(), open.group.clone())).collect()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        lock(&self.shared.open).clear();
+        let _ = self.shared.session.close().wait();
+    }
+}
+
+impl Shared {
+    /// Writes a line to the log.
+    pub fn log(&self, words: &str) {
+        (self.log)(words);
+    }
+
+    /// The key of a session, for what goes to its host.
+    pub fn key(&self, host: &str, id: &str, what: &str) -> String {
+        format!("{}/{what}", network::prefix(&self.options.name, host, id))
+    }
+
+    /// A session has ended.
+    pub fn end(&self, host: &str, id: &str) {
+        lock(&self.open).remove(&(host.to_owned(), id.to_owned()));
+    }
+
+    fn answer_probe(&self, host: &str, id: String, sample: &Sample) {
+        let now_ns = system_ns();
+        let bytes = sample.payload().to_bytes();
+        let Some(sent) = bytes.first_chunk::<8>() else { return };
+        let mut answer = [0; 16];
+        answer[..8].copy_from_slice(sent);
+        answer[8..].copy_from_slice(&now_ns.to_le_bytes());
+        let key = self.key(host, &id, "pong");
+        if let Some(open) = lock(&self.open).get(&(host.to_owned(), id)) {
+            open.heard_ns.store(now_ns, Ordering::Relaxed);
+        }
+        let put = self.session.put(key, answer.to_vec());
+        let _ = put.priority(zenoh::qos::Priority::RealTime).express(true).wait();
+    }
+
+    fn receive(self: &Arc<Self>, host: &str, id: String, sample: &Sample) {
+        let payload = sample.payload();
+        let mut reader = payload.reader();
+        let Ok(message) = message::read(&mut reader) else {
+            self.log(&format!("{host} sends messages that make no sense: it may be of another version"));
+            return;
+        };
+        let begin = (payload.len() - reader.remaining()) as u64;
+        let session = (host.to_owned(), id);
+        let mut open = lock(&self.open);
+        if let Message::Hello { group, .. } = &message {
+            // A link that comes again has lost its predecessor.
+            open.retain(|(known, _), old| known != host || old.group != *group);
+            if open.len() >= MAX_SESSIONS {
+                self.log(&format!("{host} is refused: {MAX_SESSIONS} groups run already"));
+                return;
+            }
+            let (deliver, delivered) = channel();
+            let heard_ns = Arc::new(AtomicI64::new(system_ns()));
+            let group = group.clone();
+            let (mine, heard) = (Arc::clone(self), Arc::clone(&heard_ns));
+            let (host, id) = session.clone();
+            let work = move || served::run(&mine, &host, &id, &delivered, &heard);
+            if std::thread::Builder::new().spawn(work).is_err() {
+                return;
+            }
+            open.insert(session.clone(), Open { deliver, heard_ns, group });
+        }
+        if let Some(known) = open.get(&session) {
+            known.heard_ns.store(system_ns(), Ordering::Relaxed);
+            let _ = known.deliver.send(Delivered { message, payload: payload.clone(), begin });
+        }
+    }
+}

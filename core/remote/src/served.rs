@@ -1,0 +1,346 @@
+//! One group of a host: its process here, its pools, and the lanes of its instances.
+
+use std::collections::{HashMap, HashSet};
+use std::fs::File;
+use std::io::{Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use panoscope_engine::isolation::Deny;
+use panoscope_isolate::relay::{self, Bytes, RelayError, Served, ServedLane, Settings, kind};
+use panoscope_isolate::system_ns;
+use panoscope_loader::sealed::SealedWriter;
+use panoscope_loader::{Loader, PluginFile, search_path};
+use zenoh::Wait;
+use zenoh::bytes::ZBytes;
+use zenoh::pubsub::Publisher;
+
+use crate::files::{self, Folders};
+use panoscope_isolate::relay::messages::{self as message, Message, Turn};
+use crate::mirror::{self, Pool, Pools};
+use crate::network;
+use crate::serve::Shared;
+
+/// A host that was silent for so many times the time that it gives this machine is gone.
+const PATIENCE: u32 = 2;
+/// Most lanes of a group.
+const MAX_LANES: usize = 1024;
+
+/// A message of the host; the bytes of its frames begin at `begin`.
+pub(crate) struct Delivered {
+    pub message: Message,
+    pub payload: ZBytes,
+    pub begin: u64,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What the threads of a group share.
+struct Group {
+    shared: Arc<Shared>,
+    up: Publisher<'static>,
+    pools: Pools,
+    /// Frames of the group's own pools that the host has as they are.
+    at_host: Mutex<HashSet<(u32, u64)>>,
+    folders: Mutex<Folders>,
+    compresses: bool,
+}
+
+/// Serves a group until its host ends it or is gone.
+pub(crate) fn run(shared: &Arc<Shared>, host: &str, id: &str, delivered: &Receiver<Delivered>, heard: &AtomicI64) {
+    let words = match serve(shared, host, id, delivered, heard) {
+        Ok(()) => format!("{host} ended its group"),
+        Err(words) => {
+            let lost = message::write(&Message::Lost { words: words.clone() });
+            let _ = shared.session.put(shared.key(host, id, "up"), lost).wait();
+            format!("{host}: {words}")
+        }
+    };
+    shared.log(&words);
+    shared.end(host, id);
+}
+
+fn serve(
+    shared: &Arc<Shared>,
+    host: &str,
+    id: &str,
+    delivered: &Receiver<Delivered>,
+    heard: &AtomicI64,
+) -> Result<(), String> {
+    let Ok(Delivered { message: Message::Hello { version, group, threads, memory_bytes, deny, compresses, timeout_ms }, .. }) =
+        delivered.recv()
+    else {
+        return Ok(());
+    };
+    let own = crate::version();
+    if version != own {
+        let name = &shared.options.name;
+        return Err(format!("the versions differ: {version} on the host, {own} on `{name}`; install the same on both"));
+    }
+    let (network, new_files) = deny;
+    let settings = Settings { threads: threads.clamp(1, 1024), memory_bytes, deny: Deny { network, new_files } };
+    let process = Served::start(&group, settings)?;
+    let up = network::publisher(&shared.session, shared.key(host, id, "up"), false).map_err(|e| e.to_string())?;
+    let this = Arc::new(Group {
+        shared: Arc::clone(shared),
+        up,
+        pools: Pools::default(),
+        at_host: Mutex::default(),
+        folders: Mutex::default(),
+        compresses,
+    });
+    this.put(&Message::Ready, Vec::new())?;
+    shared.log(&format!("{host} begins group `{group}`"));
+    let patience = Duration::from_millis(timeout_ms.clamp(100, 60_000).into()) * PATIENCE;
+    let mut lanes = HashMap::new();
+    let ended = this.deliver(&process, delivered, heard, patience, &mut lanes);
+    // Threads of lanes wait for the process, or for turns.
+    process.kill("its host is gone");
+    drop(lanes);
+    ended
+}
+
+impl Group {
+    fn put(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), String> {
+        let mut bytes = ZBytes::writer();
+        bytes.append(ZBytes::from(message::write(message)));
+        frames.into_iter().for_each(|frame| bytes.append(ZBytes::from(frame)));
+        self.up.put(bytes.finish()).wait().map_err(|error| error.to_string())
+    }
+
+    /// Takes the messages of the host, one after the other.
+    fn deliver(
+        self: &Arc<Self>,
+        process: &Served,
+        delivered: &Receiver<Delivered>,
+        heard: &AtomicI64,
+        patience: Duration,
+        lanes: &mut HashMap<u32, Option<Sender<Turn>>>,
+    ) -> Result<(), String> {
+        let bad = |error: &dyn std::fmt::Display| error.to_string();
+        loop {
+            let Delivered { message, payload, begin } = match delivered.recv_timeout(patience / 4) {
+                Ok(delivered) => delivered,
+                // Another session of the host took the place of this one, or the server ends.
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+                Err(RecvTimeoutError::Timeout) => {
+                    let silent_ns = system_ns().saturating_sub(heard.load(Ordering::Relaxed)).max(0);
+                    if Duration::from_nanos(silent_ns.unsigned_abs()) > patience {
+                        return Err(format!("nothing was heard of the host for {} s", patience.as_secs_f64()));
+                    }
+                    continue;
+                }
+            };
+            match message {
+                Message::Pool { number, len, is_own } => {
+                    let file = mirror::new_file(number, len).map_err(|error| bad(&error))?;
+                    let len = usize::try_from(len).map_err(|error| bad(&error))?;
+                    let pool = Pool::map(&file, len, is_own, true).map_err(|error| bad(&error))?;
+                    process.give_pool(number, &file, len, is_own).map_err(|_| process.death())?;
+                    self.pools.add(number, pool);
+                }
+                Message::Plugin { id, path, sha256 } => self.plugin(process, id, Path::new(&path), &sha256)?,
+                Message::Lane { id } => {
+                    if lanes.len() >= MAX_LANES {
+                        return Err(format!("more than {MAX_LANES} instances at a time"));
+                    }
+                    // It begins when its first turn says for which node.
+                    lanes.insert(id, None);
+                }
+                Message::Turn(turn) => {
+                    let mut reader = payload.reader();
+                    reader.seek(SeekFrom::Start(begin)).map_err(|error| bad(&error))?;
+                    // Here and not in the threads of lanes: a frame that one lane brings is there for the next.
+                    self.pools.fill(&turn.frames, false, &mut reader).map_err(|error| bad(&error))?;
+                    let own = turn.frames.iter().filter(|frame| self.pools.get(frame.pool).is_ok_and(|pool| pool.is_own));
+                    lock(&self.at_host).extend(own.map(|frame| (frame.pool, frame.offset)));
+                    let (id, is_last) = (turn.lane, turn.kind == kind::CLOSE);
+                    let Some(lane) = lanes.get_mut(&id) else { continue };
+                    if lane.is_none() {
+                        *lane = Some(self.begin(process, &turn)?);
+                    }
+                    // The thread of a lane whose node did not open is gone.
+                    if lane.as_ref().is_some_and(|lane| lane.send(turn).is_err()) || is_last {
+                        lanes.remove(&id);
+                    }
+                }
+                Message::Bye => return Ok(()),
+                Message::Hello { .. } | Message::Ready | Message::Lost { .. } => return Err(bad(&message::BadMessage)),
+            }
+        }
+    }
+
+    /// Begins the lane of an instance with its first turn.
+    fn begin(self: &Arc<Self>, process: &Served, turn: &Turn) -> Result<Sender<Turn>, String> {
+        let node = relay::open(&turn.message).map_err(|error| error.to_string())?.node;
+        let lane = process.lane(&node).map_err(|_| process.death())?;
+        let (sender, turns) = channel();
+        let (mine, id) = (Arc::clone(self), turn.lane);
+        let work = move || {
+            if let Err(words) = mine.carry(id, &lane, &turns) {
+                let _ = mine.put(&Message::Lost { words }, Vec::new());
+            }
+        };
+        std::thread::Builder::new().spawn(work).map_err(|error| error.to_string())?;
+        Ok(sender)
+    }
+
+    /// Gives the process this machine's own file of a plugin, if it is the host's to the byte.
+    fn plugin(&self, process: &Served, id: u32, path: &Path, sha256: &str) -> Result<(), String> {
+        let machine = &self.shared.options.name;
+        let name = path.file_name().unwrap_or(path.as_os_str());
+        let folders = search_path(&self.shared.options.plugins);
+        let loader = Loader::search(&folders);
+        let found = loader.found().find(|found| found.file.file_name() == Some(name));
+        let Some(PluginFile { file, note, .. }) = found else {
+            let folders: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
+            return Err(format!(
+                "plugin {} (SHA-256 {sha256} on the host) is not installed on `{machine}`: put it into one of {}",
+                path.display(),
+                folders.join(", ")
+            ));
+        };
+        let unreadable = |error: std::io::Error| format!("plugin {} on `{machine}`: {error}", file.display());
+        // The copy is what is compared and what runs.
+        let mut copy = SealedWriter::new(file).map_err(unreadable)?;
+        let own = copy.append_from(&mut File::open(file).map_err(unreadable)?).map_err(unreadable)?.sha256;
+        if own != sha256 {
+            return Err(format!(
+                "plugin {} differs: SHA-256 {sha256} on the host, {own} on `{machine}` ({}); install the same build on both",
+                path.display(),
+                file.display()
+            ));
+        }
+        let folder = |file: &Path| -> PathBuf { file.parent().unwrap_or(Path::new("")).join(&note.name) };
+        // Files that come with a plugin are in a folder of its name beside it.
+        lock(&self.folders).add(&folder(path), &folder(file));
+        let image = copy.seal().map_err(unreadable)?;
+        // Opened again, so that the position is at its begin and the process cannot move it.
+        let image = File::open(panoscope_loader::sealed::path_of(&image)).map_err(unreadable)?;
+        process.give_plugin(id, &image, file).map_err(|_| process.death())
+    }
+
+    /// Carries the turns of a lane until its instance is closed.
+    fn carry(&self, id: u32, lane: &ServedLane, turns: &Receiver<Turn>) -> Result<(), String> {
+        let bad = |error: &dyn std::fmt::Display| format!("the host sent what makes no sense: {error}");
+        let mut answer = Vec::new();
+        // The last request of the host, and the last question of the process, with the frame that it wants a copy of.
+        let (mut request, mut asked, mut original) = (0, 0, None);
+        while let Ok(turn) = turns.recv() {
+            if turn.kind != kind::ANSWER {
+                request = turn.kind;
+            }
+            let message = self.here(&turn, asked, original.take()).map_err(|error| match error {
+                NotHere::Bad(error) => bad(&error),
+                NotHere::Refused(words) => words,
+            })?;
+            asked = match lane.exchange(turn.kind, &message, &mut answer) {
+                Ok(asked) => asked,
+                Err(RelayError::Gone) => return Err(lane.death()),
+                Err(RelayError::Bad) => return Err("its process sent a message that makes no sense".to_owned()),
+            };
+            let nonsense = |error: RelayError| error.to_string();
+            let at_ns = system_ns();
+            let mut up = Turn { lane: id, kind: asked, at_ns, ..Turn::default() };
+            let mut frames = Vec::new();
+            if asked == kind::DONE && request == kind::PROCESS {
+                for output in relay::outputs(&answer).map_err(nonsense)? {
+                    if let Some((head, bytes)) = self.new_at_host(&output).map_err(|error| bad(&error))? {
+                        up.frames.push(head);
+                        frames.push(bytes);
+                    }
+                }
+            } else if asked == kind::MAKE_MUT {
+                original = Some(relay::made_copy(&answer).map_err(nonsense)?);
+            }
+            let is_over = asked == kind::DONE
+                && (request == kind::CLOSE
+                    || (request == kind::OPEN && !relay::succeeded(&answer).map_err(nonsense)?));
+            up.message = std::mem::take(&mut answer);
+            let up = Message::Turn(up);
+            self.put(&up, frames)?;
+            if let Message::Turn(turn) = up {
+                answer = turn.message;
+            }
+            if is_over {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+
+    /// A message of the host as the process here understands it.
+    fn here(&self, turn: &Turn, asked: u32, original: Option<Bytes>) -> Result<Vec<u8>, NotHere> {
+        let message = &turn.message;
+        let path = |path: &str| lock(&self.folders).here(path).display().to_string();
+        let graph_dir = self.shared.options.graph_dir.display().to_string();
+        match turn.kind {
+            kind::OPEN => {
+                let open = relay::open(message)?;
+                lock(&self.folders).add(Path::new(&open.graph_dir), &self.shared.options.graph_dir);
+                let folders = lock(&self.folders).clone();
+                files::compare(&turn.files, &folders, &self.shared.hashes, &self.shared.options.name)
+                    .map_err(|words| NotHere::Refused(format!("node `{}`: {words}", open.node)))?;
+                Ok(relay::with_paths(turn.kind, message, &graph_dir, path)?)
+            }
+            kind::PROCESS => {
+                // The node makes new frames in these.
+                let reserved = relay::request(message)?.reserved;
+                let mut at_host = lock(&self.at_host);
+                reserved.iter().for_each(|buffer| _ = at_host.remove(buffer));
+                drop(at_host);
+                Ok(relay::with_paths(turn.kind, message, &graph_dir, path)?)
+            }
+            kind::ANSWER if asked == kind::ALLOC || asked == kind::MAKE_MUT => {
+                if let Some(made) = relay::answered(message)? {
+                    lock(&self.at_host).remove(&(made.pool, made.offset));
+                    if let Some(original) = original {
+                        // The host copied it there; here the bytes are those that the node sees.
+                        let (from, to) = (self.pools.get(original.pool)?, self.pools.get(made.pool)?);
+                        from.copy_to(&original, &to, made.offset)?;
+                    }
+                }
+                Ok(message.clone())
+            }
+            kind::ANSWER if asked == kind::CLOCK => {
+                let mut message = message.clone();
+                if let Some(clock) = message.first_chunk_mut::<8>().filter(|_| turn.at_ns != 0) {
+                    // It went on meanwhile.
+                    let way_ns = system_ns().saturating_sub(turn.at_ns).max(0);
+                    *clock = i64::from_le_bytes(*clock).saturating_add(way_ns).to_le_bytes();
+                }
+                Ok(message)
+            }
+            _ => Ok(message.clone()),
+        }
+    }
+
+    /// An output that the host does not have, as it is sent; it counts as there from here on.
+    fn new_at_host(
+        &self,
+        output: &Bytes,
+    ) -> Result<Option<(message::FrameHead, Vec<u8>)>, message::BadMessage> {
+        let is_own = self.pools.get(output.pool)?.is_own;
+        if !is_own || !lock(&self.at_host).insert((output.pool, output.offset)) {
+            return Ok(None);
+        }
+        self.pools.coded(output, self.compresses).map(Some)
+    }
+}
+
+/// Why a message cannot be passed on.
+enum NotHere {
+    Bad(String),
+    Refused(String),
+}
+
+impl<E: std::error::Error> From<E> for NotHere {
+    fn from(error: E) -> Self {
+        Self::Bad(error.to_string())
+    }
+}

@@ -1,0 +1,386 @@
+//! Nodes on other machines: the same bytes, and what becomes of a graph when the machine or the network fails.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use panoscope_engine::{Engine, Options, Outcome, StartError};
+use panoscope_tests::machines::{Machine, Namespace, Relay, free_port, program, random};
+use panoscope_tests::{DisturbedRun, load, run_disturbed, scratch};
+
+/// A filter that forwards, one that makes pictures, one that writes to its input's pixels, one that asks for ages and a source with a clock, all on
+/// the other machine; and one that is here, between two that are there.
+const FILTERS: &str = r#"
+mode = "batch"
+plugins = ["flow", "phantom", "stereo", "overlay", "fixtures"]
+[nodes.scope]
+type = "phantom"
+params = { width = 160, height = 120 }
+[nodes.passes]
+type = "pass"
+on = "rack"
+inputs = { image = "scope.left" }
+[nodes.rectify]
+type = "rectify"
+on = "rack"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+[nodes.marks]
+type = "overlay"
+on = "rack"
+inputs = { image = "passes.image", detections = "scope.detections" }
+[nodes.here]
+type = "pass"
+inputs = { image = "rectify.left" }
+[nodes.old]
+type = "ages"
+on = "rack"
+inputs = { image = "here.image" }
+[nodes.far]
+type = "phantom"
+on = "rack"
+params = { width = 96, height = 64, seed = 3 }
+[nodes.end]
+type = "drain"
+inputs = { image = "marks.image" }
+[nodes.end_far]
+type = "drain"
+inputs = { image = "far.right" }
+"#;
+
+fn machine(address: &str, more: &str) -> String {
+    format!("[machines.rack]\naddress = \"{address}\"\n{more}\n")
+}
+
+fn at_home(text: &str) -> String {
+    text.lines().filter(|line| !line.starts_with("on =")).map(|line| format!("{line}\n")).collect()
+}
+
+fn options(frames: u64) -> Options {
+    Options { frames: Some(frames), ..Options::default() }
+}
+
+/// A machine without encryption on this one; `None` where there is no program.
+fn plain_machine(folder: &Path) -> Option<(Machine, u16)> {
+    let port = free_port();
+    let machine = Machine::start(&[], "rack", &format!("tcp/127.0.0.1:{port}"), &[], folder);
+    if machine.is_none() {
+        panoscope_testing::skipped!("there is no program `panoscope`");
+    }
+    Some((machine?, port))
+}
+
+#[test]
+fn a_graph_makes_the_same_bytes_wherever_its_nodes_run() {
+    let folder = scratch("machines-bytes");
+    let Some((_rack, port)) = plain_machine(&folder) else { return };
+    let home = run_disturbed(&folder, &at_home(FILTERS), options(12), |_| ());
+    assert!(home.packets.values().map(BTreeMap::len).sum::<usize>() > 12 * 5);
+    for pixels in ["raw", "lz4"] {
+        let address = format!("tcp/127.0.0.1:{port}");
+        let text = FILTERS.to_owned() + &machine(&address, &format!("pixels = \"{pixels}\""));
+        let DisturbedRun { report, outcome, faults, packets } = run_disturbed(&folder, &text, options(12), |_| ());
+        assert_eq!(outcome, Outcome::Done, "{faults:?}");
+        assert!(faults.is_empty(), "{faults:?}");
+        assert_eq!(packets, home.packets, "{pixels}");
+        assert_eq!(report.nodes["marks"].copies, home.report.nodes["marks"].copies, "copies are counted as at home");
+        assert_eq!(report.groups["rack"].processes, 1);
+    }
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn a_slow_and_lossy_network_changes_no_byte() {
+    let folder = scratch("machines-slow");
+    let Some((_rack, port)) = plain_machine(&folder) else { return };
+    let home = run_disturbed(&folder, &at_home(FILTERS), options(8), |_| ());
+    let relay = Relay::start(([127, 0, 0, 1], port).into(), 1);
+    relay.weather.delay_us.store(2_000, Ordering::Relaxed);
+    relay.weather.jitter_us.store(4_000, Ordering::Relaxed);
+    relay.weather.loses_one_of.store(100, Ordering::Relaxed);
+    let text = FILTERS.to_owned() + &machine(&format!("tcp/{}", relay.address), "timeout_ms = 5000");
+    let run = run_disturbed(&folder, &text, options(8), |_| std::thread::sleep(Duration::from_millis(20)));
+    assert_eq!((run.outcome, run.packets), (Outcome::Done, home.packets), "{:?}", run.faults);
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// Starts a graph and closes it; the reason why it does not start.
+fn refusal(folder: &Path, text: &str) -> String {
+    let (graph, catalog, loader) = load(&folder.join("graph.toml"), text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let options = Options { frames: Some(1), graph_dir: folder.to_owned(), ..Options::default() };
+    match Engine::start(graph, &catalog, &loader, options) {
+        Ok(engine) => panic!("it starts: {:?}", engine.recent_log()),
+        Err(StartError::Open { reason, .. }) => reason,
+        Err(other) => other.to_string(),
+    }
+}
+
+const ONE: &str = r#"
+mode = "live"
+plugins = ["flow", "phantom"]
+[nodes.scope]
+type = "phantom"
+params = { width = 96, height = 64 }
+[nodes.far]
+type = "pass"
+on = "rack"
+inputs = { image = { from = "scope.left", align = "latest" } }
+[nodes.end]
+type = "drain"
+inputs = { image = "scope.right" }
+[nodes.end_far]
+type = "drain"
+inputs = { image = "far.image" }
+"#;
+
+#[test]
+fn a_machine_that_does_not_answer_is_named() {
+    let folder = scratch("machines-silent");
+    let address = format!("tcp/127.0.0.1:{}", free_port());
+    let begin = Instant::now();
+    let words = refusal(&folder, &(ONE.to_owned() + &machine(&address, "")));
+    assert!(words.contains("machine `rack` is lost") && words.contains(&address), "{words}");
+    assert!(words.contains("is `panoscope serve` running there?"), "{words}");
+    assert!(begin.elapsed() < Duration::from_secs(20), "it fails soon");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn another_build_of_a_plugin_is_refused_with_both_hashes() {
+    let folder = scratch("machines-plugin");
+    let Some(program) = program() else { return panoscope_testing::skipped!("there is no program `panoscope`") };
+    let plugins = std::env::var_os("PANOSCOPE_PLUGIN_PATH")
+        .and_then(|list| std::env::split_paths(&list).next())
+        .unwrap_or_else(|| program.with_file_name("plugins"));
+    let other = folder.join("plugins");
+    std::fs::create_dir_all(&other).expect("a folder");
+    let Some(flow) = std::fs::read_dir(&plugins).ok().and_then(|entries| {
+        entries.flatten().map(|entry| entry.path()).find(|path| path.to_string_lossy().ends_with("flow.so"))
+    }) else {
+        return panoscope_testing::skipped!("there is no plugin `flow` in {}", plugins.display());
+    };
+    let mut bytes = std::fs::read(&flow).expect("a plugin");
+    bytes.push(0);
+    std::fs::write(other.join(flow.file_name().expect("a name")), bytes).expect("a plugin");
+    let port = free_port();
+    let variable = format!("PANOSCOPE_PLUGIN_PATH={}", other.display());
+    let _rack = Machine::start(&["env", &variable], "rack", &format!("tcp/127.0.0.1:{port}"), &[], &folder);
+    let words = refusal(&folder, &(ONE.to_owned() + &machine(&format!("tcp/127.0.0.1:{port}"), "")));
+    let hashes = words.split(|c: char| !c.is_ascii_hexdigit()).filter(|word| word.len() == 64).count();
+    assert!(words.contains("differs") && words.contains("install the same build") && hashes == 2, "{words}");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// Makes keys for machines; `None` where there is no program.
+fn keys(folder: &Path, names: &[&str]) -> Option<PathBuf> {
+    let keys = folder.join("keys");
+    let made = Command::new(program()?).arg("keys").arg(&keys).args(names).output().expect("it runs");
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    Some(keys)
+}
+
+/// Runs a graph with the keys of a host, in a process of its own: the variable is that of the process.
+fn run_as(folder: &Path, keys: &Path, text: &str) -> (bool, String) {
+    let graph = folder.join("graph.toml");
+    std::fs::write(&graph, text).expect("a file");
+    let mut command = Command::new(program().expect("a program"));
+    command.args(["run", "--headless", "--frames", "20"]).arg(&graph).env("PANOSCOPE_KEYS", keys);
+    let done = command.output().expect("it runs");
+    (done.status.success(), String::from_utf8_lossy(&done.stdout).into_owned() + &String::from_utf8_lossy(&done.stderr))
+}
+
+#[test]
+fn only_machines_with_certificates_and_permission_connect() {
+    let folder = scratch("machines-keys");
+    let Some(keys) = keys(&folder, &["theatre", "ward", "rack=127.0.0.1"]) else {
+        return panoscope_testing::skipped!("there is no program `panoscope`");
+    };
+    let strangers = folder.join("strangers");
+    std::fs::create_dir_all(&strangers).expect("a folder");
+    let strangers = self::keys(&strangers, &["theatre"]).expect("a program");
+    let address = format!("tls/127.0.0.1:{}", free_port());
+    let rack = keys.join("rack").display().to_string();
+    let machines = ["--allow", "theatre", "--keys", &rack];
+    let _rack = Machine::start(&[], "rack", &address, &machines, &folder).expect("a program");
+    let text = ONE.to_owned() + &machine(&address, "timeout_ms = 3000");
+    let (done, words) = run_as(&folder, &keys.join("theatre"), &text);
+    assert!(done, "{words}");
+    let (done, words) = run_as(&folder, &keys.join("ward"), &text);
+    assert!(!done && words.contains("does not --allow this host"), "{words}");
+    let (done, words) = run_as(&folder, &strangers.join("theatre"), &text);
+    assert!(!done && words.contains("certificates of one authority"), "{words}");
+    let (done, words) = run_as(&folder, &folder, &text);
+    assert!(!done && words.contains("panoscope keys"), "{words}");
+    let plain = text.replace("tls/", "tcp/");
+    let (done, words) = run_as(&folder, &keys.join("theatre"), &plain);
+    assert!(!done, "a server with certificates takes no host without: {words}");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn a_lost_machine_disturbs_no_other_node_and_comes_back() {
+    let folder = scratch("machines-lost");
+    let Some((rack, port)) = plain_machine(&folder) else { return };
+    let address = format!("tcp/127.0.0.1:{port}");
+    let text = ONE.to_owned() + &machine(&address, "");
+    let mut rack = Some(rack);
+    let (mut lost_at, mut at_return) = (None, None);
+    let end = Instant::now() + Duration::from_secs(60);
+    let run = run_disturbed(&folder, &text, Options::default(), |engine| {
+        let count = |node: &str| engine.report().nodes[node].count;
+        if lost_at.is_none() && count("end_far") >= 10 {
+            // The whole machine goes.
+            rack = None;
+            lost_at = Some(count("end"));
+        } else if rack.is_none() && lost_at.is_some_and(|lost_at| count("end") > lost_at + 60) {
+            rack = Machine::start(&[], "rack", &address, &[], &folder);
+            at_return = Some(count("end_far"));
+        }
+        let is_back = at_return.is_some_and(|before| count("end_far") > before + 10);
+        if is_back || Instant::now() > end {
+            engine.stop();
+        }
+    });
+    assert!(at_return.is_some() && Instant::now() < end, "it came back: {:?}", run.faults);
+    assert!(run.faults.iter().all(|fault| fault.node == "far"), "{:?}", run.faults);
+    assert!(run.faults.iter().any(|fault| fault.words.contains("machine `rack` is lost")), "{:?}", run.faults);
+    let seqs = run.port("scope.right");
+    assert!(seqs.windows(2).all(|pair| pair[1] == pair[0] + 1), "no picture of the main branch is lost: {seqs:?}");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn ages_of_light_from_another_machine_count_its_way_here() {
+    let folder = scratch("machines-ages");
+    let Some((_rack, port)) = plain_machine(&folder) else { return };
+    let relay = Relay::start(([127, 0, 0, 1], port).into(), 1);
+    const DELAY_US: u64 = 40_000;
+    relay.weather.delay_us.store(DELAY_US, Ordering::Relaxed);
+    let text = format!(
+        "mode = \"live\"\nplugins = [\"flow\", \"phantom\"]\n[nodes.far]\ntype = \"phantom\"\non = \"rack\"\n\
+         params = {{ width = 96, height = 64 }}\n[nodes.end]\ntype = \"drain\"\ninputs = {{ image = \"far.left\" }}\n{}",
+        machine(&format!("tcp/{}", relay.address), "timeout_ms = 5000")
+    );
+    let mut link = None;
+    let run = run_disturbed(&folder, &text, options(30), |engine| {
+        link = engine.report().groups["rack"].link.clone().or(link.take());
+    });
+    assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
+    let youngest_ms = run.report.paths["end"].age_p50_ms;
+    assert!(youngest_ms >= DELAY_US as f64 / 1e3 * 0.9, "{youngest_ms} ms");
+    let link = link.expect("a link");
+    // Both clocks are one here.
+    let offset_ns = link.clock_offset_ns.expect("it was measured");
+    assert!(offset_ns.unsigned_abs() <= link.clock_uncertainty_ns, "{link:?}");
+    assert!(link.clock_uncertainty_ns >= DELAY_US * 1000 && link.round_trip_ns >= 2 * DELAY_US * 1000, "{link:?}");
+    assert!(link.received_bytes > 30 * 96 * 64 * 3, "{link:?}");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn three_machines_in_namespaces_survive_a_cut_cable() {
+    let folder = scratch("machines-namespaces");
+    let (Some(one), Some(two)) = (Namespace::new(1), Namespace::new(2)) else {
+        return panoscope_testing::skipped!("this user makes no network namespaces");
+    };
+    let names = [format!("rack={}", one.address), format!("attic={}", two.address)];
+    let Some(keys) = keys(&folder, &["theatre", &names[0], &names[1]]) else {
+        return panoscope_testing::skipped!("there is no program `panoscope`");
+    };
+    let start = |space: &Namespace, name: &str| {
+        let own = keys.join(name).display().to_string();
+        let address = format!("tls/{}:7447", space.address);
+        let machine = Machine::start(&space.words(), name, &address, &["--allow", "theatre", "--keys", &own], &folder);
+        (machine.expect("a program"), address)
+    };
+    let ((_rack, rack), (_attic, attic)) = (start(&one, "rack"), start(&two, "attic"));
+    let text = format!(
+        "{ONE}[nodes.third]\ntype = \"pass\"\non = \"attic\"\ninputs = {{ image = {{ from = \"far.image\", align = \"latest\" }} }}\n\
+         [nodes.end_third]\ntype = \"drain\"\ninputs = {{ image = \"third.image\" }}\n{}{}",
+        machine(&rack, ""),
+        machine(&attic, "").replace("machines.rack", "machines.attic")
+    );
+    // The run takes the keys from the variable of its process.
+    let graph = folder.join("graph.toml");
+    std::fs::write(&graph, text).expect("a file");
+    let report = folder.join("report.json");
+    let mut command = Command::new(program().expect("a program"));
+    command.args(["run", "--headless", "--frames", "240", "--report"]).arg(&report).arg(&graph);
+    let mut run = command.env("PANOSCOPE_KEYS", keys.join("theatre")).spawn().expect("it runs");
+    std::thread::sleep(Duration::from_secs(2));
+    one.set_joined(false);
+    std::thread::sleep(Duration::from_secs(2));
+    one.set_joined(true);
+    let done = run.wait().expect("it ends");
+    let report = std::fs::read_to_string(&report).expect("a report");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let number = |node: &str, what: &str| report["nodes"][node][what].as_u64().expect("a number");
+    assert_eq!((number("end", "count"), number("scope", "dropped")), (240, 0), "the main branch: {report}");
+    assert_eq!(number("third", "faults"), 0, "of the other machine: {report}");
+    assert!(number("far", "faults") >= 1 && report["groups"]["rack"]["processes"].as_u64() >= Some(2), "{report}");
+    assert!(number("end_far", "count") > 60 && number("end_third", "count") > 60, "{report}");
+    assert_eq!(done.code(), Some(1), "a fault is a lost tick");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// Faults of the network at random moments: each picture that arrives is the right one, and every node works again in the end.
+///
+/// `PANOSCOPE_NETWORK_FAULTS` is their number, `PANOSCOPE_NETWORK_SEED` picks others.
+#[test]
+fn no_fault_of_the_network_makes_a_wrong_picture() {
+    let number = |name: &str, otherwise: u64| std::env::var(name).ok().and_then(|n| n.parse().ok()).unwrap_or(otherwise);
+    let (faults, seed) = (number("PANOSCOPE_NETWORK_FAULTS", 12), number("PANOSCOPE_NETWORK_SEED", 1));
+    const FRAMES: u64 = 60;
+    const AT_ONCE: u64 = 6;
+    let folder = scratch("machines-campaign");
+    let Some((_rack, port)) = plain_machine(&folder) else { return };
+    let home = run_disturbed(&folder, &at_home(FILTERS), options(FRAMES), |_| ());
+    let (mut made, mut state, mut delivered, mut lost) = (0, seed, 0, 0);
+    while made < faults {
+        let relay = Relay::start(([127, 0, 0, 1], port).into(), state);
+        let pixels = if random(&mut state) % 2 == 0 { "raw" } else { "lz4" };
+        let more = format!("pixels = \"{pixels}\"\ntimeout_ms = 300");
+        let text = FILTERS.to_owned() + &machine(&format!("tcp/{}", relay.address), &more);
+        let case = format!("seed {seed}, after {made} faults");
+        let begin = made;
+        let mut next = Instant::now() + Duration::from_millis(random(&mut state) % 200);
+        let run = run_disturbed(&folder, &text, options(FRAMES), |_| {
+            if Instant::now() < next || made >= faults || made >= begin + AT_ONCE {
+                return;
+            }
+            made += 1;
+            let weather = &relay.weather;
+            match random(&mut state) % 5 {
+                0 | 1 => _ = weather.resets.fetch_add(1, Ordering::Relaxed),
+                2 => {
+                    // Longer than the time after which a machine counts as lost, or shorter.
+                    weather.is_parted.store(true, Ordering::Relaxed);
+                    std::thread::sleep(Duration::from_millis(random(&mut state) % 600));
+                    weather.is_parted.store(false, Ordering::Relaxed);
+                }
+                3 => weather.loses_one_of.store(random(&mut state) % 60, Ordering::Relaxed),
+                _ => {
+                    weather.delay_us.store(random(&mut state) % 10_000, Ordering::Relaxed);
+                    weather.jitter_us.store(random(&mut state) % 20_000, Ordering::Relaxed);
+                }
+            }
+            next = Instant::now() + Duration::from_millis(random(&mut state) % 150);
+        });
+        for (port, packets) in &run.packets {
+            for (seq, hash) in packets {
+                assert_eq!(home.packets[port].get(seq), Some(hash), "{case}: packet {seq} of {port}");
+            }
+            delivered += packets.len();
+            lost += home.packets[port].len() - packets.len();
+        }
+        for port in ["scope.left", "scope.right"] {
+            assert_eq!(run.packets[port], home.packets[port], "{case}: nothing of the nodes here is lost");
+        }
+        let there = ["passes", "rectify", "marks", "old", "far"];
+        assert!(run.faults.iter().all(|fault| there.contains(&fault.node.as_str())), "{case}: {:?}", run.faults);
+    }
+    println!("{made} faults of the network: {delivered} packets delivered, none wrong, {lost} lost with their ticks");
+    assert!(delivered > 0);
+    let _ = std::fs::remove_dir_all(&folder);
+}
