@@ -161,6 +161,20 @@ const PARSERS: &[(&str, &[Source])] = &[
             &["bytes", "u8", "u32", "i32", "f64", "flag", "vector", "counted", "end", "read", "take", "size"],
         )],
     ),
+    (
+        "igtl",
+        &[
+            functions("core/igtl/src/header.rs", &["decode"]),
+            all("core/igtl/src/reader.rs"),
+            functions("core/igtl/src/metadata.rs", &["split", "entries"]),
+            functions("core/igtl/src/fields.rs", &["take", "items", "array", "floats", "text", "end", "padded", "floats3"]),
+            functions("core/igtl/src/message/mod.rs", &["decode", "from_parts", "content"]),
+            functions("core/igtl/src/message/image.rs", &["decode", "part_bytes"]),
+            functions("core/igtl/src/message/poly_data.rs", &["decode", "decode_attributes", "iter"]),
+            functions("core/igtl/src/message/query.rs", &["decode"]),
+            functions("core/igtl/src/message/small.rs", &["read", "decode", "decode_all", "each", "of"]),
+        ],
+    ),
     ("urdf", &[functions("core/arm/src/chain.rs", &["from_urdf", "path", "finite", "origin", "turning"])]),
     (
         "described_plugin, isolated_call",

@@ -180,6 +180,12 @@ pub static PACKAGES: &[Package] = &[
         [Some("golang-github-prometheus"), Some("prometheus"), Some("prometheus")],
         Evidence::Program("promtool"),
     ),
+    package(
+        Purpose::Test,
+        "libopenigtlink-dev",
+        [None, None, None],
+        Evidence::AnyFile(&["/usr/include/openigtlink/igtlMessageBase.h"]),
+    ),
     package(Purpose::Test, "chromium", [Some("chromium"), Some("chromium"), None], Evidence::Program("chromium")),
     package(
         Purpose::Wheels,
