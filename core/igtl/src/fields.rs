@@ -34,7 +34,7 @@ impl<'a> Fields<'a> {
 
     /// As [`Self::take`], for `count` items of `each` bytes.
     pub fn items(&mut self, field: &'static str, count: usize, each: usize) -> Result<&'a [u8]> {
-        self.take(field, count.checked_mul(each).unwrap_or(usize::MAX))
+        self.take(field, count.saturating_mul(each))
     }
 
     fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N]> {

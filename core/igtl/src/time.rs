@@ -18,7 +18,7 @@ impl Timestamp {
     pub fn from_unix_ns(ns: i128) -> Self {
         let ns = ns.max(0) as u128;
         match u32::try_from(ns / NS) {
-            Ok(seconds) => Self { seconds, fraction: ((ns % NS << 32) / NS) as u32 },
+            Ok(seconds) => Self { seconds, fraction: (((ns % NS) << 32) / NS) as u32 },
             Err(_) => Self { seconds: u32::MAX, fraction: u32::MAX },
         }
     }

@@ -76,7 +76,8 @@ pub struct Settings {
 
 /// Gives each message as a tick, in the order of arrival.
 ///
-/// **Time.** The capture time is the message's timestamp, counted from the first one of this run. The arrival, from which ages count, is the moment
+/// **Time.** The capture time is the message's timestamp, counted from the first one of this run; in live mode from the message that was quickest on its
+/// way, so that no tick is held back. The arrival, from which ages count, is the moment
 /// at which the last byte was read; with `clocks_agree` it is the message's timestamp.
 pub struct Receive {
     link: Arc<Link>,
@@ -85,6 +86,8 @@ pub struct Receive {
     opened: Instant,
     /// Timestamp and capture time that capture times count from.
     from: Option<(i128, i64)>,
+    /// When the first message of a live run was taken, and its capture time.
+    begun: Option<(Instant, i64)>,
     capture_ns: i64,
     has_warned: bool,
     refused: u64,
@@ -126,7 +129,19 @@ impl Receive {
         let stamp_ns = if is_timed && params.time_from == TimeFrom::Sender { sent_ns } else { received.arrived_utc_ns };
         let (first_ns, capture_ns) = *self.from.get_or_insert((stamp_ns, self.capture_ns + 1));
         let since_ns = i64::try_from(stamp_ns - first_ns).unwrap_or(0);
-        self.capture_ns = capture_ns.saturating_add(since_ns).max(self.capture_ns + 1);
+        let mut next_ns = capture_ns.saturating_add(since_ns);
+        if !cx.is_batch() {
+            // The host holds a live tick back until as much time has passed as capture times say. A message that was quicker on its way than the first
+            // one, or a sender whose clock is fast, must not make every later one late: capture times count from the quickest message.
+            let (begun, begun_ns) = *self.begun.get_or_insert_with(|| (Instant::now(), next_ns));
+            let passed_ns = i64::try_from(begun.elapsed().as_nanos()).unwrap_or(i64::MAX);
+            let ahead_ns = next_ns.saturating_sub(begun_ns).saturating_sub(passed_ns);
+            if ahead_ns > 0 {
+                next_ns -= ahead_ns;
+                self.from = Some((first_ns + i128::from(ahead_ns), capture_ns));
+            }
+        }
+        self.capture_ns = next_ns.max(self.capture_ns + 1);
         cx.set_capture_ns(self.capture_ns);
         let late_ns = received.arrived_utc_ns - sent_ns;
         if is_timed {
@@ -234,6 +249,7 @@ impl Node for Receive {
             packets: Packets::default(),
             opened: Instant::now(),
             from: None,
+            begun: None,
             capture_ns: -1,
             has_warned: false,
             refused: 0,

@@ -349,7 +349,7 @@ fn pictures_of_all_formats_and_in_parts_are_put_together() {
 #[test]
 fn only_the_named_device_is_taken_and_its_timestamps_are_capture_times() {
     let port = free_port();
-    let mut node = receiver(&format!("port = {port}, device = 'Wanted', a = 'World', b = 'Tool'"));
+    let mut node = batch_receiver(&format!("port = {port}, device = 'Wanted', a = 'World', b = 'Tool'"));
     let mut other = Plain::connect(port);
     let mut send = |device: &str, seconds: u32, x: f32| {
         let content = Content::Transform(Transform { translation_mm: [x, 0.0, 0.0], ..Transform::default() });

@@ -65,8 +65,8 @@ impl Transform {
         for i in 0..3 {
             for j in 0..=i {
                 let expected = if i == j { 1.0 } else { 0.0 };
-                // NaN is no rotation either.
-                if !((dot(c[i], c[j]) - expected).abs() <= TOLERANCE) {
+                let error = (dot(c[i], c[j]) - expected).abs();
+                if error.is_nan() || error > TOLERANCE {
                     return None;
                 }
             }
