@@ -10,6 +10,7 @@ mod calibration;
 mod descriptor;
 mod draw;
 mod graph;
+mod igtl;
 mod isolated;
 mod keys;
 mod labels;
@@ -47,6 +48,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "float_image", run: numbers::float_image, seeds: numbers::float_image_seeds },
     Target { name: "graph", run: graph::run, seeds: graph::seeds },
     Target { name: "guard_message", run: arm::message, seeds: arm::message_seeds },
+    Target { name: "igtl", run: igtl::run, seeds: igtl::seeds },
     Target { name: "isolated_call", run: isolated::calls, seeds: isolated::call_seeds },
     Target { name: "keys", run: keys::run, seeds: keys::seeds },
     Target { name: "labelme", run: labels::labelme, seeds: labels::labelme_seeds },
