@@ -167,7 +167,10 @@ const PARSERS: &[(&str, &[Source])] = &[
             functions("core/igtl/src/header.rs", &["decode"]),
             all("core/igtl/src/reader.rs"),
             functions("core/igtl/src/metadata.rs", &["split", "entries"]),
-            functions("core/igtl/src/fields.rs", &["take", "items", "array", "floats", "text", "end", "padded", "floats3"]),
+            functions(
+                "core/igtl/src/fields.rs",
+                &["take", "items", "array", "floats", "text", "end", "padded", "floats3"],
+            ),
             functions("core/igtl/src/message/mod.rs", &["decode", "from_parts", "content"]),
             functions("core/igtl/src/message/image.rs", &["decode", "part_bytes"]),
             functions("core/igtl/src/message/poly_data.rs", &["decode", "decode_attributes", "iter"]),
