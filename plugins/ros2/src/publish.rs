@@ -202,7 +202,7 @@ impl Node for Publish {
             writer.send(&message).map_err(wrong)?;
         }
         if let Some(disparity) = &input.disparity {
-            let calibration = input.calibration.as_ref().map(|calibration| &**calibration);
+            let calibration = input.calibration.as_deref();
             let message = convert::disparity_message(&disparity.view(), calibration, rectified());
             let place = &mut writers.disparity;
             let writer = made::<messages::DisparityImage<'_>>(place, at, "disparity").map_err(wrong)?;

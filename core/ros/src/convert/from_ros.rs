@@ -224,7 +224,7 @@ impl Numbers {
         let field: &PointField = message.fields.iter().find(|field| field.name == name)?;
         let bytes = if field.datatype == point_type::FLOAT64 { 8 } else { 4 };
         let fits = types.contains(&field.datatype) && u64::from(field.offset) + bytes <= u64::from(message.point_step);
-        fits.then(|| Self {
+        fits.then_some(Self {
             offset: field.offset as usize,
             datatype: field.datatype,
             is_bigendian: message.is_bigendian,
