@@ -127,7 +127,10 @@ const PARSERS: &[(&str, &[Source])] = &[
                     "pose",
                 ],
             ),
-            functions("core/ros/src/bag/reader.rs", &["next", "wrong", "damaged", "read_bytes"]),
+            functions(
+                "core/ros/src/bag/reader.rs",
+                &["next", "wrong", "damaged", "read_bytes", "bytes", "array", "in_chunk", "open_chunk", "record"],
+            ),
         ],
     ),
     ("gate", &[functions("core/live/src/gate.rs", &["check_head", "is_own_origin"])]),

@@ -1,6 +1,7 @@
 //! Reads a bag, message by message, in the order of its files.
 //!
-//! Nothing of a bag is trusted: records have a largest length, chunks are unpacked piece by piece, and names are cut.
+//! Nothing of a bag is trusted: records and unpacked chunks have a largest length, and memory is taken as bytes come. The readers of the crate `mcap`
+//! are not used, because they panic at damaged chunks and give up a chunk that is cut off; its parser of single records is.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fs::{self, File};
@@ -9,14 +10,13 @@ use std::path::{Path, PathBuf};
 
 use mcap::McapError;
 use mcap::records::{Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::error::BagError;
 
 /// Longest record: a picture of 8K with four bytes a pixel is half of it.
-const MAX_RECORD_BYTES: usize = 256 << 20;
-/// Bytes that are read at once.
-const MOST_AT_ONCE: usize = 1 << 20;
+const MAX_RECORD_BYTES: u64 = 256 << 20;
+/// Bytes before the body of a record: its kind and its length.
+const HEAD_BYTES: usize = 9;
 /// Channels and schemas of a file.
 const MAX_CHANNELS: usize = 10_000;
 /// Messages of a file that [`survey`] looks at.
@@ -44,11 +44,21 @@ pub struct BagTopic {
     pub message: String,
 }
 
+/// Records of an unpacked chunk.
+#[derive(Default)]
+struct Chunk {
+    bytes: Vec<u8>,
+    at: usize,
+    /// The file ended within it.
+    is_cut: bool,
+}
+
 /// A file that is being read, from any stream.
 struct Open<R> {
     path: PathBuf,
     input: R,
-    reader: LinearReader,
+    has_begun: bool,
+    chunk: Chunk,
     /// Names of types by schema.
     schemas: HashMap<u16, String>,
     /// Topic and type by channel; `None` for messages that are not in CDR.
@@ -58,82 +68,189 @@ struct Open<R> {
 
 impl<R: Read> Open<R> {
     fn new(path: PathBuf, input: R) -> Self {
-        // The index at the end is not needed, and is not there in a file that its recorder did not finish.
-        let options =
-            LinearReaderOptions::default().with_validate_chunk_crcs(true).with_record_length_limit(MAX_RECORD_BYTES);
-        let reader = LinearReader::new_with_options(options);
-        Self { path, input, reader, schemas: HashMap::new(), channels: HashMap::new(), messages: 0 }
+        let (schemas, channels) = (HashMap::new(), HashMap::new());
+        Self { path, input, has_begun: false, chunk: Chunk::default(), schemas, channels, messages: 0 }
     }
 
     fn wrong(&self, error: McapError) -> BagError {
-        let (path, messages) = (self.path.clone(), self.messages);
-        match error {
-            McapError::UnexpectedEof => BagError::CutOff { path, messages },
-            McapError::Io(cause) if cause.kind() == io::ErrorKind::UnexpectedEof => BagError::CutOff { path, messages },
-            McapError::Io(cause) => BagError::Read { path, cause },
-            other => BagError::Damaged { path, messages, words: other.to_string() },
+        self.damaged(error.to_string())
+    }
+
+    fn damaged(&self, words: impl Into<String>) -> BagError {
+        BagError::Damaged { path: self.path.clone(), messages: self.messages, words: words.into() }
+    }
+
+    fn cut_off(&self) -> BagError {
+        BagError::CutOff { path: self.path.clone(), messages: self.messages }
+    }
+
+    /// Up to `len` bytes; fewer where the file ends.
+    fn bytes(&mut self, len: u64) -> Result<Vec<u8>, BagError> {
+        if len > MAX_RECORD_BYTES {
+            return Err(self.damaged(format!("a record of {len} bytes is too long")));
+        }
+        let mut bytes = Vec::new();
+        match self.input.by_ref().take(len).read_to_end(&mut bytes) {
+            Ok(_) => Ok(bytes),
+            Err(cause) => Err(BagError::Read { path: self.path.clone(), cause }),
         }
     }
 
-    fn damaged(&self, words: &str) -> BagError {
-        BagError::Damaged { path: self.path.clone(), messages: self.messages, words: words.to_owned() }
+    /// `N` bytes.
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], BagError> {
+        self.bytes(N as u64)?.try_into().map_err(|_| self.cut_off())
+    }
+
+    /// The next record of the chunk: its kind and where its bytes are; `None` at the end of the chunk.
+    fn in_chunk(&mut self) -> Result<Option<(u8, std::ops::Range<usize>)>, BagError> {
+        let Chunk { bytes, at, is_cut } = &self.chunk;
+        let rest = bytes.get(*at..).unwrap_or_default();
+        if rest.is_empty() && !is_cut {
+            return Ok(None);
+        }
+        let whole = rest.split_first_chunk::<HEAD_BYTES>().and_then(|([opcode, len @ ..], body)| {
+            let len = usize::try_from(u64::from_le_bytes(*len)).ok().filter(|len| *len <= body.len())?;
+            Some((*opcode, *at + HEAD_BYTES..*at + HEAD_BYTES + len))
+        });
+        match whole {
+            Some((opcode, range)) => {
+                self.chunk.at = range.end;
+                Ok(Some((opcode, range)))
+            }
+            None if *is_cut => Err(self.cut_off()),
+            None => Err(self.damaged("a record does not fit its chunk")),
+        }
+    }
+
+    /// Reads and unpacks a chunk of `len` bytes. Of one that is cut off, what can be unpacked.
+    fn open_chunk(&mut self, len: u64) -> Result<(), BagError> {
+        let body = self.bytes(len)?;
+        let is_cut = (body.len() as u64) < len;
+        // Times of the first and the last message, size, checksum, name of the compression.
+        let fields = body.split_first_chunk::<32>().map(|(head, rest)| (*head, rest));
+        let Some((head, rest)) = fields else {
+            return Err(if is_cut { self.cut_off() } else { self.damaged("a chunk has no head") });
+        };
+        let number = |at: usize| u64::from_le_bytes(std::array::from_fn(|byte| head[at + byte]));
+        let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|byte| head[at + byte]));
+        let (size, crc, name_len) = (number(16), word(24), word(28) as usize);
+        let named =
+            rest.split_at_checked(name_len).and_then(|(name, rest)| Some((name, rest.split_first_chunk::<8>()?)));
+        let Some((name, (packed_len, packed))) = named else {
+            return Err(if is_cut { self.cut_off() } else { self.damaged("the head of a chunk does not fit it") });
+        };
+        if size > MAX_RECORD_BYTES {
+            return Err(self.damaged(format!("a chunk of {size} bytes is too long")));
+        }
+        let packed_len = usize::try_from(u64::from_le_bytes(*packed_len)).unwrap_or(usize::MAX);
+        let packed = &packed[..packed_len.min(packed.len())];
+        let mut bytes = Vec::new();
+        let unpacked = match name {
+            b"" => packed.take(size).read_to_end(&mut bytes),
+            b"zstd" => {
+                zstd::stream::read::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes))
+            }
+            b"lz4" => lz4::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes)),
+            other => {
+                let name = String::from_utf8_lossy(other).chars().take(20).collect::<String>();
+                return Err(self.damaged(format!("chunks compressed with `{name}` are not read here")));
+            }
+        };
+        if !is_cut {
+            if let Err(error) = unpacked {
+                return Err(self.damaged(format!("a chunk cannot be unpacked: {error}")));
+            }
+            if bytes.len() as u64 != size || crc != 0 && crc32fast::hash(&bytes) != crc {
+                return Err(self.damaged("a chunk has other bytes than were written"));
+            }
+        }
+        self.chunk = Chunk { bytes, at: 0, is_cut };
+        Ok(())
     }
 
     /// The next message that is wanted; `None` at the end.
     fn next(&mut self, wants: &mut dyn FnMut(&str, &str) -> bool) -> Result<Option<RawMessage>, BagError> {
-        loop {
-            let record = match self.reader.next_event() {
-                None => return Ok(None),
-                Some(Err(error)) => return Err(self.wrong(error)),
-                Some(Ok(LinearReadEvent::ReadRequest(need))) => {
-                    let buffer = self.reader.insert(need.min(MOST_AT_ONCE));
-                    match self.input.read(buffer) {
-                        Ok(read) => self.reader.notify_read(read),
-                        Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                        Err(cause) => return Err(BagError::Read { path: self.path.clone(), cause }),
-                    }
-                    continue;
-                }
-                Some(Ok(LinearReadEvent::Record { data, opcode })) => {
-                    if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
-                        continue;
-                    }
-                    match mcap::parse_record(opcode, data) {
-                        Ok(record) => record.into_owned(),
-                        Err(error) => return Err(self.wrong(error)),
-                    }
-                }
-            };
-            match record {
-                Record::Schema { header, .. } => {
-                    if self.schemas.len() >= MAX_CHANNELS {
-                        return Err(self.damaged("it has more than 10,000 types"));
-                    }
-                    self.schemas.insert(header.id, header.name);
-                }
-                Record::Channel(channel) => {
-                    if self.channels.len() >= MAX_CHANNELS {
-                        return Err(self.damaged("it has more than 10,000 topics"));
-                    }
-                    let message = self.schemas.get(&channel.schema_id).cloned();
-                    let known = message.filter(|_| channel.message_encoding == "cdr");
-                    self.channels.insert(channel.id, known.map(|message| (channel.topic, message)));
-                }
-                Record::Message { header, data } => {
-                    self.messages += 1;
-                    let Some(channel) = self.channels.get(&header.channel_id) else {
-                        return Err(self.damaged("a message belongs to no topic"));
-                    };
-                    let Some((topic, message)) = channel else { continue };
-                    if wants(topic, message) {
-                        let log_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
-                        let (topic, message) = (topic.clone(), message.clone());
-                        return Ok(Some(RawMessage { topic, message, log_ns, data: data.into_owned() }));
-                    }
-                }
-                _ => {}
+        if !self.has_begun {
+            self.has_begun = true;
+            if !self.array::<8>().is_ok_and(|magic| magic[..] == *mcap::MAGIC) {
+                return Err(self.damaged("it does not begin like an MCAP file"));
             }
         }
+        loop {
+            if let Some((opcode, range)) = self.in_chunk()? {
+                let bytes = std::mem::take(&mut self.chunk.bytes);
+                let found = self.record(opcode, &bytes[range], wants);
+                self.chunk.bytes = bytes;
+                match found? {
+                    Some(message) => return Ok(Some(message)),
+                    None => continue,
+                }
+            }
+            let [opcode, len @ ..] = self.array::<HEAD_BYTES>()?;
+            let len = u64::from_le_bytes(len);
+            match opcode {
+                op::FOOTER | op::DATA_END => return Ok(None),
+                op::CHUNK => self.open_chunk(len)?,
+                op::SCHEMA | op::CHANNEL | op::MESSAGE => {
+                    let body = self.bytes(len)?;
+                    if (body.len() as u64) < len {
+                        return Err(self.cut_off());
+                    }
+                    if let Some(message) = self.record(opcode, &body, wants)? {
+                        return Ok(Some(message));
+                    }
+                }
+                _ => {
+                    let skipped = io::copy(&mut self.input.by_ref().take(len), &mut io::sink());
+                    let skipped = skipped.map_err(|cause| BagError::Read { path: self.path.clone(), cause })?;
+                    if skipped < len {
+                        return Err(self.cut_off());
+                    }
+                }
+            }
+        }
+    }
+
+    /// Takes a record. Returns it if it is a message that is wanted.
+    fn record(
+        &mut self,
+        opcode: u8,
+        body: &[u8],
+        wants: &mut dyn FnMut(&str, &str) -> bool,
+    ) -> Result<Option<RawMessage>, BagError> {
+        if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
+            return Ok(None);
+        }
+        match mcap::parse_record(opcode, body).map_err(|error| self.wrong(error))? {
+            Record::Schema { header, .. } => {
+                if self.schemas.len() >= MAX_CHANNELS {
+                    return Err(self.damaged("it has more than 10,000 types"));
+                }
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                if self.channels.len() >= MAX_CHANNELS {
+                    return Err(self.damaged("it has more than 10,000 topics"));
+                }
+                let message = self.schemas.get(&channel.schema_id).cloned();
+                let known = message.filter(|_| channel.message_encoding == "cdr");
+                self.channels.insert(channel.id, known.map(|message| (channel.topic, message)));
+            }
+            Record::Message { header, data } => {
+                self.messages += 1;
+                let Some(channel) = self.channels.get(&header.channel_id) else {
+                    return Err(self.damaged("a message belongs to no topic"));
+                };
+                let Some((topic, message)) = channel else { return Ok(None) };
+                if wants(topic, message) {
+                    let log_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
+                    let (topic, message) = (topic.clone(), message.clone());
+                    return Ok(Some(RawMessage { topic, message, log_ns, data: data.into_owned() }));
+                }
+            }
+            _ => {}
+        }
+        Ok(None)
     }
 }
 
