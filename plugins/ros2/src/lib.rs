@@ -26,21 +26,3 @@ pub enum Networks {
     /// Whoever is on a network of this machine. DDS has no password: whoever reaches it sees the topics and can send to them.
     All,
 }
-
-/// Something that can listen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Listener {
-    /// What asks for it.
-    pub option: &'static str,
-    /// Protocol and purpose.
-    pub what: &'static str,
-    /// Where it listens unless told otherwise.
-    pub default_address: &'static str,
-}
-
-/// What this plugin can listen on.
-pub const LISTENERS: &[Listener] = &[Listener {
-    option: "nodes `ros2_publish` and `ros2_subscribe`",
-    what: "DDS over UDP, ports 7400 + 250 * domain and the following 250",
-    default_address: "the loopback device; `networks = \"all\"` for others",
-}];
