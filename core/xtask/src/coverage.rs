@@ -107,6 +107,34 @@ const PARSERS: &[(&str, &[Source])] = &[
     ),
     ("packet", &[all("core/base/src/packet/")]),
     (
+        "ros_message, ros_bag",
+        &[
+            functions("core/ros/src/cdr.rs", &["decode", "decode_body"]),
+            functions(
+                "core/ros/src/convert/from_ros.rs",
+                &[
+                    "checked",
+                    "picture",
+                    "compressed",
+                    "depth_mm",
+                    "disparity",
+                    "of",
+                    "bytes",
+                    "number",
+                    "cloud",
+                    "boxes",
+                    "joints",
+                    "pose",
+                ],
+            ),
+            functions(
+                "core/ros/src/bag/reader.rs",
+                &["next", "wrong", "damaged", "read_bytes", "bytes", "array", "in_chunk", "open_chunk", "record"],
+            ),
+        ],
+    ),
+    ("gate", &[functions("core/live/src/gate.rs", &["check_head", "is_own_origin"])]),
+    (
         "onnx",
         &[
             functions(

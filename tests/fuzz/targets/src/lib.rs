@@ -20,6 +20,7 @@ mod packets;
 mod picture;
 mod plugin;
 mod recording;
+mod ros;
 mod scratch;
 
 use std::path::Path;
@@ -46,6 +47,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "digests", run: recording::digests, seeds: recording::digest_seeds },
     Target { name: "event", run: recording::event, seeds: recording::event_seeds },
     Target { name: "float_image", run: numbers::float_image, seeds: numbers::float_image_seeds },
+    Target { name: "gate", run: ros::gate, seeds: ros::gate_seeds },
     Target { name: "graph", run: graph::run, seeds: graph::seeds },
     Target { name: "guard_message", run: arm::message, seeds: arm::message_seeds },
     Target { name: "igtl", run: igtl::run, seeds: igtl::seeds },
@@ -59,6 +61,8 @@ pub const TARGETS: &[Target] = &[
     Target { name: "picture", run: picture::run, seeds: picture::seeds },
     Target { name: "plugin_note", run: plugin::note, seeds: plugin::note_seeds },
     Target { name: "recording", run: recording::file, seeds: recording::file_seeds },
+    Target { name: "ros_bag", run: ros::bag, seeds: ros::bag_seeds },
+    Target { name: "ros_message", run: ros::message, seeds: ros::message_seeds },
     Target { name: "rtde", run: arm::rtde, seeds: arm::rtde_seeds },
     Target { name: "truth_file", run: numbers::truth_file, seeds: numbers::truth_file_seeds },
     Target { name: "urdf", run: arm::urdf, seeds: arm::urdf_seeds },
