@@ -26,11 +26,11 @@ pub const NUMPY: Packages =
 /// Names the folder of [`PEERS`] for the tests that use them.
 pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 
-/// What Panoscope is tested beside: readers of the files that `panoscope export` writes, OpenCV, and what runs notebooks; 1.1 GB. foxglove-sdk is
+/// What Panoscope is tested beside: readers of the files that `panoscope export` and `panoscope dicom` write, OpenCV, and what runs notebooks; 1.1 GB. foxglove-sdk is
 /// of the version of the crate `foxglove`: schemas are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
-    modules: "cv2, foxglove, ipykernel, mcap, mcap_protobuf, nbclient, numpy, PIL, rerun",
+    modules: "cv2, foxglove, ipykernel, mcap, mcap_protobuf, nbclient, numpy, PIL, pydicom, rerun",
     requirements: &[
         "foxglove-sdk==0.30.3",
         "ipykernel>=6,<8",
@@ -40,6 +40,7 @@ pub const PEERS: Packages = Packages {
         "numpy>=1.24,<3",
         "opencv-python-headless>=4.10,<5",
         "pillow",
+        "pydicom>=3,<4",
         "rerun-sdk==0.41.0",
     ],
     folder: "python_peers",
