@@ -48,6 +48,11 @@ impl Walk<'_> {
         Ok(&self.bytes[at..end])
     }
 
+    /// A head that was read does not reach beyond the item around it.
+    fn inside(&self, end: usize) -> Result<(), String> {
+        if self.at <= end { Ok(()) } else { Err(format!("at byte {end}: an element reaches beyond its item")) }
+    }
+
     fn u16(&mut self) -> Result<u16, String> {
         self.take(2).map(|b| u16::from_le_bytes([b[0], b[1]]))
     }
@@ -66,7 +71,7 @@ impl Walk<'_> {
             let tag = (self.u16()?, self.u16()?);
             if tag == ITEM_END && delimited {
                 self.u32()?;
-                return Ok(());
+                return self.inside(end);
             }
             if tag.0 == 0xFFFE {
                 return Err(format!("at byte {start}: an item outside a sequence"));
@@ -87,8 +92,9 @@ impl Walk<'_> {
                     (Some(&vr == b"SQ"), length)
                 }
             };
+            self.inside(end)?;
             if length == UNDEFINED {
-                self.items(self.bytes.len(), true, depth)?;
+                self.items(end, true, depth)?;
                 continue;
             }
             let value_end = self.at.saturating_add(length as usize);
@@ -114,6 +120,7 @@ impl Walk<'_> {
             let start = self.at;
             let tag = (self.u16()?, self.u16()?);
             let length = self.u32()?;
+            self.inside(end)?;
             match tag {
                 SEQUENCE_END if delimited => return Ok(()),
                 ITEM if length == UNDEFINED => self.elements(end, true, depth + 1)?,
@@ -159,6 +166,12 @@ mod tests {
             (implicit((0x40, 0x100), 8, &implicit(ITEM, 100, b"")), "an item of 100 bytes"),
             (implicit(ITEM, 0, b""), "outside a sequence"),
             (vec![1, 2, 3], "announced"),
+            // An element whose head reaches beyond its item, and one that does not end inside it.
+            (
+                [implicit((0x40, 0x100), 12, &implicit(ITEM, 4, b"\x10\0\x10\0")), vec![0; 8]].concat(),
+                "beyond its item",
+            ),
+            (implicit((0x40, 0x100), 16, &implicit(ITEM, 8, &implicit((8, 0x96), UNDEFINED, b""))), "does not end"),
         ] {
             let error = check(&bytes, Encoding::Implicit).unwrap_err();
             assert!(error.contains(words) && error.contains("at byte"), "{error}");
