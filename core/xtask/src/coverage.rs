@@ -69,6 +69,16 @@ const PARSERS: &[(&str, &[Source])] = &[
         ],
     ),
     (
+        "dicom_entry",
+        &[
+            all("core/dicom/src/lengths.rs"),
+            functions("core/dicom/src/entry.rs", &["decode", "of", "check"]),
+            functions("core/dicom/src/part10.rs", &["parse"]),
+        ],
+    ),
+    ("dicom_film", &[all("core/dicom/src/object/mp4.rs"), all("core/dicom/src/object/jpeg.rs")]),
+    ("dicom_lengths", &[functions("core/dicom/src/object/report.rs", &["read", "length"])]),
+    (
         "calibration",
         &[
             all("core/calibration/src/document.rs"),

@@ -186,6 +186,10 @@ pub static PACKAGES: &[Package] = &[
         [None, None, None],
         Evidence::AnyFile(&["/usr/include/openigtlink/igtlMessageBase.h"]),
     ),
+    // An archive with a worklist server, tools that write and validate DICOM; 17 MB in all.
+    package(Purpose::Test, "orthanc", [None, None, None], Evidence::Program("Orthanc")),
+    package(Purpose::Test, "dcmtk", [Some("dcmtk"), None, Some("dcmtk")], Evidence::Program("dump2dcm")),
+    package(Purpose::Test, "dicom3tools", [None, None, None], Evidence::Program("dciodvfy")),
     package(Purpose::Test, "chromium", [Some("chromium"), Some("chromium"), None], Evidence::Program("chromium")),
     package(
         Purpose::Wheels,

@@ -8,6 +8,7 @@ mod arm;
 mod audit;
 mod calibration;
 mod descriptor;
+mod dicom;
 mod draw;
 mod graph;
 mod igtl;
@@ -44,6 +45,9 @@ pub const TARGETS: &[Target] = &[
     Target { name: "coco", run: labels::coco, seeds: labels::coco_seeds },
     Target { name: "descriptor", run: descriptor::run, seeds: descriptor::seeds },
     Target { name: "described_plugin", run: isolated::description, seeds: isolated::description_seeds },
+    Target { name: "dicom_entry", run: dicom::entry, seeds: dicom::entry_seeds },
+    Target { name: "dicom_film", run: dicom::film, seeds: dicom::film_seeds },
+    Target { name: "dicom_lengths", run: dicom::lengths, seeds: dicom::lengths_seeds },
     Target { name: "digests", run: recording::digests, seeds: recording::digest_seeds },
     Target { name: "event", run: recording::event, seeds: recording::event_seeds },
     Target { name: "float_image", run: numbers::float_image, seeds: numbers::float_image_seeds },
