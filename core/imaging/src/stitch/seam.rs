@@ -17,6 +17,8 @@ const UNIT: f32 = 64.0;
 const LENGTH_LEVELS: f32 = 1.0;
 /// Levels that a pixel of doubt about where the views match adds to the cost of a cell.
 const DOUBT_LEVELS: f32 = 4.0;
+/// Doubt per pixel by which the reference view is moved.
+const MOVED_DOUBT: f32 = 0.25;
 /// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
 const RIM: f32 = 3.0;
 
@@ -80,13 +82,25 @@ impl Seam {
     }
 
     /// Takes over how uncertain a mesh is; `None` for a view that a homography places. To be called after [`Seam::resize`].
-    pub fn doubt(&mut self, mesh: Option<&Mesh>, canvas: Canvas, scale: usize) {
+    ///
+    /// `reference`: the mesh of the reference view. Where it moves that view the panorama shows neither camera's perspective, which the seam shuns.
+    pub fn doubt(&mut self, mesh: Option<&Mesh>, reference: Option<&Mesh>, canvas: Canvas, scale: usize) {
         let Some(mesh) = mesh else { return self.doubt.fill(0.0) };
+        let moved = reference.and_then(|mesh| Some((mesh, mesh.moved()?)));
         for y in 0..self.rows {
             for x in 0..self.columns {
                 let middle = |cell: usize, origin: i32| (cell as f32 + 0.5) * scale as f32 - origin as f32;
                 let at = [middle(x, canvas.left), middle(y, canvas.top)];
-                self.doubt[y * self.columns + x] = DOUBT_LEVELS * mesh.doubt_px(at);
+                let mut doubt_px = mesh.doubt_px(at);
+                if let Some((reference, [low, high])) = moved {
+                    let at = at.map(f64::from);
+                    if (0..2).all(|k| at[k] > low[k] && at[k] < high[k])
+                        && let Some(shown) = reference.map(at)
+                    {
+                        doubt_px += MOVED_DOUBT * (shown[0] - at[0]).hypot(shown[1] - at[1]) as f32;
+                    }
+                }
+                self.doubt[y * self.columns + x] = DOUBT_LEVELS * doubt_px;
             }
         }
     }
