@@ -22,6 +22,23 @@ const MOVED_DOUBT: f32 = 0.25;
 /// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
 const RIM: f32 = 3.0;
 
+/// A transition reaches this far beside the seam, px.
+const BESIDE_PX: f64 = 16.0;
+
+/// How far the reference view is moved at a place, or where a transition reaches from a seam there.
+fn moved_px(reference: &Mesh, [low, high]: [[f64; 2]; 2], at: [f64; 2]) -> f64 {
+    let mut most = 0.0f64;
+    for step in [[0.0, 0.0], [BESIDE_PX, 0.0], [-BESIDE_PX, 0.0], [0.0, BESIDE_PX], [0.0, -BESIDE_PX]] {
+        let near = [at[0] + step[0], at[1] + step[1]];
+        if (0..2).all(|k| near[k] > low[k] && near[k] < high[k])
+            && let Some(shown) = reference.map(near)
+        {
+            most = most.max((shown[0] - near[0]).hypot(shown[1] - near[1]));
+        }
+    }
+    most
+}
+
 /// Which cells show the new view rather than those before it.
 #[derive(Debug, Default)]
 pub struct Seam {
@@ -92,13 +109,8 @@ impl Seam {
                 let middle = |cell: usize, origin: i32| (cell as f32 + 0.5) * scale as f32 - origin as f32;
                 let at = [middle(x, canvas.left), middle(y, canvas.top)];
                 let mut doubt_px = mesh.doubt_px(at);
-                if let Some((reference, [low, high])) = moved {
-                    let at = at.map(f64::from);
-                    if (0..2).all(|k| at[k] > low[k] && at[k] < high[k])
-                        && let Some(shown) = reference.map(at)
-                    {
-                        doubt_px += MOVED_DOUBT * (shown[0] - at[0]).hypot(shown[1] - at[1]) as f32;
-                    }
+                if let Some((reference, bounds)) = moved {
+                    doubt_px += MOVED_DOUBT * moved_px(reference, bounds, at.map(f64::from)) as f32;
                 }
                 self.doubt[y * self.columns + x] = DOUBT_LEVELS * doubt_px;
             }
