@@ -78,8 +78,9 @@ fn views_without_a_calibration_are_joined_by_their_features() {
     for part in ["panorama_mesh", "panorama_grid"] {
         let folder = scratch(&format!("no-calibration-{part}"));
         for (name, shift) in [("left", (0, 0)), ("right", SHIFT)] {
-            let picture =
-                image::GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| image::Luma([texture(x + shift.0, y + 100 - shift.1)]));
+            let picture = image::GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| {
+                image::Luma([texture(x + shift.0, y + 100 - shift.1)])
+            });
             picture.save(folder.join(format!("{name}.png"))).expect("written");
         }
         let graph = |calibration: &str| {

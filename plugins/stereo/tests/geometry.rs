@@ -57,8 +57,12 @@ fn views_without_a_calibration_pass_until_one_arrives() -> TestResult {
     let (left, right) = pair(|_, _| 40.0, 0.0);
     let mut node = Harness::<Rectify>::from_toml("params = { uncalibrated = \"pass\" }")?;
     for is_given in [false, false, true, false] {
-        node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left))
-            .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right));
+        node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left)).input_image::<Bgr8>(
+            "right",
+            SIZE.0,
+            SIZE.1,
+            &bgr(&right),
+        );
         if is_given {
             node.input_value("calibration", rectified(FOCAL, BASELINE));
         }

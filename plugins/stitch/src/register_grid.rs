@@ -4,7 +4,9 @@ use panoscope_imaging::features::RegisterSurf;
 use panoscope_imaging::geometry::RansacParams;
 use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid};
 use panoscope_node::abi::{Calibration, Camera};
-use panoscope_node::{Choice, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Validation, Value};
+use panoscope_node::{
+    Choice, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Validation, Value,
+};
 
 use crate::register_surf;
 use crate::registration::{HoldParams, Out, Registered, Reporter};

@@ -104,7 +104,11 @@ fn without_a_disparity_the_views_are_registered_by_features() {
     assert_eq!((warnings, look(false).1), (1, 1), "once");
     // Views without a calibration are taken as rectified where there is a disparity.
     let (found, warnings, back) = look(true);
-    assert!(found.state == abi::STATE_FRESH && (found.left_from_right[2] - 60.0).abs() < 0.5, "{:?}", found.left_from_right);
+    assert!(
+        found.state == abi::STATE_FRESH && (found.left_from_right[2] - 60.0).abs() < 0.5,
+        "{:?}",
+        found.left_from_right
+    );
     assert_eq!((warnings, back, look(false).1), (1, 1, 2));
     let nothing = Harness::<RegisterGridNode>::problems(&Setup::new(""), &["left", "calibration"]).unwrap();
     assert!(format!("{nothing:?}").contains("there is nothing to register by"), "{nothing:?}");

@@ -30,13 +30,7 @@ impl Contour {
 
     /// Measures a grid of `width`, and continues each surface by one corner beyond its rim, so that a rim between corners can be drawn. `place` gives
     /// pixel and depth of a place in the camera's frame.
-    pub fn find(
-        &mut self,
-        corners: &mut [Corner],
-        width: usize,
-        max_slope: f32,
-        place: impl Fn([f32; 3]) -> [f32; 3],
-    ) {
+    pub fn find(&mut self, corners: &mut [Corner], width: usize, max_slope: f32, place: impl Fn([f32; 3]) -> [f32; 3]) {
         let height = corners.len() / width;
         self.find_near(corners, width);
         self.inside.clear();
@@ -86,7 +80,11 @@ impl Contour {
         for at in (0..corners.len()).filter(|at| unknown[*at]) {
             let (x, y) = (at % width, at / width);
             // Deep in a hole nothing is near that is not marked already.
-            let is_deep = x > 0 && y > 0 && x + 1 < width && y + 1 < height && [at - 1, at + 1, at - width, at + width].iter().all(|k| unknown[*k]);
+            let is_deep = x > 0
+                && y > 0
+                && x + 1 < width
+                && y + 1 < height
+                && [at - 1, at + 1, at - width, at + width].iter().all(|k| unknown[*k]);
             if is_deep {
                 near[at] = true;
                 continue;
@@ -125,7 +123,8 @@ fn beyond(corners: &[Corner], size: (usize, usize), at: usize, max_slope: f32) -
     let (mut sum, mut count) = ([0.0f32; 3], 0.0);
     for (near, behind) in around(size, at).filter(|(near, _)| known(near)) {
         let (a, b) = (corners[near].world, behind.filter(|index| known(index)).map(|index| corners[index].world));
-        let Some(b) = b.filter(|b| !rims::is_steep(a, *b, max_slope) && !rims::is_steep(a, reference, max_slope)) else {
+        let Some(b) = b.filter(|b| !rims::is_steep(a, *b, max_slope) && !rims::is_steep(a, reference, max_slope))
+        else {
             continue;
         };
         (sum, count) = ([0, 1, 2].map(|k| sum[k] + 2.0 * a[k] - b[k]), count + 1.0);
@@ -187,7 +186,8 @@ mod tests {
         };
         let jumps: Vec<f32> = (6..17).map(|y| crossing(y + 1) - crossing(y)).collect();
         assert!(jumps.iter().all(|jump| (-0.2..1.4).contains(jump)), "{jumps:?}");
-        let (corners, contour) = found(|x, y| if (8..14).contains(&x) && (8..14).contains(&y) { f32::NAN } else { 50.0 });
+        let (corners, contour) =
+            found(|x, y| if (8..14).contains(&x) && (8..14).contains(&y) { f32::NAN } else { 50.0 });
         assert!(contour.inside()[11 * SIDE + 11] < RIM && corners[11 * SIDE + 11].place[0].is_nan());
     }
 

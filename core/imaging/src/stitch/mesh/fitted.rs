@@ -60,7 +60,9 @@ impl Fitted<'_> {
     /// Where a point of the reference view is drawn by the homography from its place in the other view; `None` outside the mesh.
     fn at(&self, at: Point) -> Option<Point> {
         let (cell, t) = self.lattice.cell_of(at)?;
-        let of = |vertex: usize| [self.base[vertex][0] + self.shift[vertex][0], self.base[vertex][1] + self.shift[vertex][1]];
+        let of = |vertex: usize| {
+            [self.base[vertex][0] + self.shift[vertex][0], self.base[vertex][1] + self.shift[vertex][1]]
+        };
         Some(self.there.map(self.lattice.interpolate(of, cell, t)))
     }
 }
