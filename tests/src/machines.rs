@@ -120,9 +120,9 @@ impl Namespace {
         ["ip", "netns", "exec", &self.name]
     }
 
-    /// Cuts the cable, or joins it again.
+    /// Cuts the cable, or joins it again. The far end of it: while this one is up, nothing for that address takes another way.
     pub fn set_joined(&self, joined: bool) {
-        ip(&["link", "set", &self.device, if joined { "up" } else { "down" }]);
+        ip(&["-n", &self.name, "link", "set", "eth0", if joined { "up" } else { "down" }]);
     }
 }
 
@@ -234,11 +234,14 @@ fn carry(mut from: TcpStream, to: TcpStream, seed: u64, weather: &Arc<Weather>, 
             let len = match from.read(&mut buffer) {
                 Ok(0) => break,
                 Ok(len) => len,
-                Err(error) if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) => continue,
+                Err(error) if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) => {
+                    continue;
+                }
                 Err(_) => break,
             };
             let load = |number: &AtomicU64| number.load(Ordering::Relaxed);
-            let mut wait = Duration::from_micros(load(&mine.delay_us) + random(&mut state) % (load(&mine.jitter_us) + 1));
+            let mut wait =
+                Duration::from_micros(load(&mine.delay_us) + random(&mut state) % (load(&mine.jitter_us) + 1));
             let loses = load(&mine.loses_one_of);
             if loses > 0 && random(&mut state) % loses == 0 {
                 wait += RESEND;
@@ -267,4 +270,3 @@ fn deliver(mut to: TcpStream, pieces: &Receiver<(Instant, Vec<u8>)>, weather: &W
         }
     }
 }
-

@@ -114,7 +114,7 @@ const SOURCES: [Source; 8] = [
 /// Why a graph does not take a source, and the words of the error that says so; `None` where it does.
 fn refusal(graph: &str, source: &str) -> Option<(&'static str, &'static str)> {
     const NO_SCOPE: &str = "replaces nothing: the graph has no node of that name";
-    let has_tip = matches!(graph, "surgeon" | "thesis_chapter6" | "arm_closed_loop");
+    let has_tip = matches!(graph, "surgeon" | "navigation" | "thesis_chapter6" | "arm_closed_loop");
     match (graph, source) {
         ("four_cameras" | "four_cameras_mesh", "four_files") => None,
         ("four_cameras" | "four_cameras_mesh", _) => Some(("it looks at four views, the source has two", NO_SCOPE)),

@@ -72,3 +72,45 @@ inputs = {{ image = "wide.panorama" }}
         let _ = std::fs::remove_dir_all(&folder);
     }
 }
+
+#[test]
+fn views_without_a_calibration_are_joined_by_their_features() {
+    for part in ["panorama_mesh", "panorama_grid"] {
+        let folder = scratch(&format!("no-calibration-{part}"));
+        for (name, shift) in [("left", (0, 0)), ("right", SHIFT)] {
+            let picture = image::GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| {
+                image::Luma([texture(x + shift.0, y + 100 - shift.1)])
+            });
+            picture.save(folder.join(format!("{name}.png"))).expect("written");
+        }
+        let graph = |calibration: &str| {
+            format!(
+                r#"
+mode = "batch"
+plugins = ["capture", "flow"]
+[nodes.scope]
+type = "capture"
+params = {{ left = "left.png", right = "right.png", loop = true }}
+[nodes.wide]
+graph = "{}"
+inputs = {{ left = "scope.left", right = "scope.right"{calibration} }}
+[nodes.end]
+type = "drain"
+inputs = {{ image = "wide.panorama" }}
+"#,
+                root().join(format!("graphs/parts/{part}.toml")).display()
+            )
+        };
+        // Its output stays empty, or nothing is connected.
+        for calibration in [", calibration = \"scope.calibration\"", ""] {
+            let options = Options { frames: Some(FRAMES), ..Options::default() };
+            let run = run_disturbed(&folder, &graph(calibration), options, |_| ());
+            assert_eq!(run.outcome, Outcome::Done, "{part}: {:?}", run.faults);
+            assert!(run.faults.is_empty(), "{part}: {:?}", run.faults);
+            assert_eq!(run.report.nodes["end"].count, FRAMES, "{part}");
+            let metrics = &run.report.nodes["wide/join/register"].metrics;
+            assert!(metrics["lost_in_a_row"] == 0.0 && metrics["rms_px"] < 1.0, "{part}: {metrics:?}");
+        }
+        let _ = std::fs::remove_dir_all(&folder);
+    }
+}

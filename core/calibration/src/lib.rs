@@ -25,7 +25,7 @@ mod opencv;
 pub mod packet;
 pub mod pictures;
 mod rectified;
-mod ros;
+pub mod ros;
 mod stereomis;
 mod view;
 pub mod views;

@@ -45,6 +45,9 @@ enum Command {
     Lock(commands::lock::Arguments),
     /// Shows the audit log of the theatre, and whether it is whole.
     Audit(commands::audit::Arguments),
+    /// Stills, clips and measurements as DICOM: worklist, objects, storage at a PACS.
+    #[command(subcommand)]
+    Dicom(commands::dicom::Dicom),
     /// Runs a graph and writes the run down, so that it can be repeated to the byte.
     Record(commands::record::Arguments),
     /// Plays a recording again, or runs another graph on its pictures.
@@ -161,6 +164,7 @@ fn main() {
         Command::Theatre(arguments) => commands::edit::run(&arguments, true),
         Command::Lock(arguments) => commands::lock::run(&arguments),
         Command::Audit(arguments) => commands::audit::run(&arguments),
+        Command::Dicom(command) => commands::dicom::run(&command),
         Command::Record(arguments) => commands::record::run(&arguments),
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),

@@ -206,7 +206,14 @@ impl Groups {
             return Ok(Some(group));
         }
         let Self { threads, memory_bytes, keeps_stderr, .. } = *self;
-        let settings = GroupSettings { name: name.clone(), threads, memory_bytes, deny, keeps_stderr, machine: node.machine.clone() };
+        let settings = GroupSettings {
+            name: name.clone(),
+            threads,
+            memory_bytes,
+            deny,
+            keeps_stderr,
+            machine: node.machine.clone(),
+        };
         let made = match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
             None => Err("this program runs no processes for nodes".to_owned()),

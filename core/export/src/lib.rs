@@ -1,19 +1,18 @@
 //! Recordings as files that other programs open.
 //!
 //! [`Export`] selects ports and ticks of a recording and knows what each port holds. [`folder::write`] makes a folder of PNG, NPY, PLY, CSV and
-//! YAML files, [`foxglove::write`] an MCAP file with the schemas of Foxglove. The Python package writes files of rerun, from the same packets.
+//! YAML files, [`foxglove::write`] an MCAP file with the schemas of Foxglove; [`foxglove::encode`] gives the same messages of one packet. The Python package writes files of rerun, from the same packets.
 //!
 //! Both give a [`PortReport`] per port: what a target cannot show is named there and never missing without a word.
 
 mod error;
 pub mod folder;
 pub mod foxglove;
-mod frames;
-mod messages;
+pub mod ros2;
 mod selection;
 mod table_file;
 mod value;
 
 pub use error::{ExportError, ValueError};
 pub use selection::{Export, Form, Port, PortReport, Selection};
-pub use value::{Kind, Picture, Value};
+pub use value::{Kind, Layout, Picture, Value};

@@ -8,6 +8,33 @@ use panoscope_record::format::PacketHead;
 
 use crate::error::ValueError;
 
+/// How the bytes of a packet are laid out.
+#[derive(Clone, Copy, Debug)]
+pub struct Layout {
+    /// One of the contract's `FORMAT_` constants.
+    pub format: u32,
+    /// Columns; 0 for plain data.
+    pub width: u32,
+    /// Rows; 0 for plain data.
+    pub height: u32,
+    /// Bytes from one row to the next.
+    pub stride_bytes: u32,
+}
+
+impl From<&PacketHead> for Layout {
+    fn from(head: &PacketHead) -> Self {
+        let PacketHead { format, width, height, stride_bytes, .. } = *head;
+        Self { format, width, height, stride_bytes }
+    }
+}
+
+impl From<&abi::Frame> for Layout {
+    fn from(frame: &abi::Frame) -> Self {
+        let abi::Frame { format, width, height, stride_bytes, .. } = *frame;
+        Self { format, width, height, stride_bytes }
+    }
+}
+
 /// What the packets of a port hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -61,6 +88,15 @@ impl Kind {
             (format, _) => format::of(format).filter(|format| format.is_image).map(|_| Self::Picture),
         }
     }
+
+    /// The kind of the packets of a port whose type has this name. `None` for types that are not of the contract.
+    pub fn of_packet(name: &str) -> Option<Self> {
+        match name {
+            "image" | "mask" | "disparity" | "depth" | "confidence" => Some(Self::Picture),
+            "cloud" => Some(Self::Cloud),
+            plain => Self::of(abi::FORMAT_BYTES, Some(plain)),
+        }
+    }
 }
 
 /// The value of a packet.
@@ -97,13 +133,14 @@ impl<'b> Value<'b> {
     ///
     /// # Errors
     /// The bytes are no packet of that kind.
-    pub fn read(kind: Kind, head: &PacketHead, bytes: &'b [u8]) -> Result<Self, ValueError> {
+    pub fn read(kind: Kind, layout: impl Into<Layout>, bytes: &'b [u8]) -> Result<Self, ValueError> {
+        let layout = layout.into();
         Ok(match kind {
-            Kind::Picture => Self::Picture(Picture::read(head, bytes)?),
+            Kind::Picture => Self::Picture(Picture::read(layout, bytes)?),
             Kind::Cloud => {
-                let width = head.width as usize;
-                let height = if width == 0 { 0 } else { head.height as usize };
-                let cloud = Cloud::parse(bytes, width, height, head.stride_bytes as usize)?;
+                let width = layout.width as usize;
+                let height = if width == 0 { 0 } else { layout.height as usize };
+                let cloud = Cloud::parse(bytes, width, height, layout.stride_bytes as usize)?;
                 let cells = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
                 Self::Cloud(cells.filter_map(|(column, row)| cloud.point(column, row)).collect(), width)
             }
@@ -139,8 +176,8 @@ enum Samples {
 }
 
 impl Picture {
-    fn read(head: &PacketHead, bytes: &[u8]) -> Result<Self, ValueError> {
-        let PacketHead { format: id, width, height, stride_bytes, .. } = *head;
+    fn read(layout: Layout, bytes: &[u8]) -> Result<Self, ValueError> {
+        let Layout { format: id, width, height, stride_bytes } = layout;
         let wrong = || ValueError::Picture { width, height, format: format::name(id), stride_bytes, len: bytes.len() };
         // Rows without pixels take no bytes, however many there are.
         let rows = if width == 0 { 0 } else { height as usize };

@@ -267,7 +267,9 @@ impl ParamKind {
                 }
                 let base = min.unwrap_or(0);
                 match step.filter(|s| *s > 1) {
-                    Some(step) if (number - base) % step != 0 => Err(ValueError::OffStep { step, base }),
+                    Some(step) if (i128::from(*number) - i128::from(base)) % i128::from(step) != 0 => {
+                        Err(ValueError::OffStep { step, base })
+                    }
                     _ => Ok(()),
                 }
             }

@@ -287,9 +287,8 @@ impl GraphText {
                 && of_plugin(plugin).is_some_and(|offer| offer.node_types.iter().any(|known| known == name))
         };
         let types = || self.flat.nodes.iter().filter_map(|node| Some((node, node.type_name.as_ref()?.value.as_str())));
-        let is_complete = types().all(|(node, type_name)| {
-            node.is_elsewhere() || plugins.iter().any(|plugin| may_be_of(plugin, type_name))
-        });
+        let is_complete = types()
+            .all(|(node, type_name)| node.is_elsewhere() || plugins.iter().any(|plugin| may_be_of(plugin, type_name)));
         let has_isolated_nodes = |plugin: &str| {
             let mut nodes = types().filter(|(_, type_name)| may_be_of(plugin, type_name)).peekable();
             nodes.peek().is_some() && nodes.all(|(node, _)| node.is_elsewhere())

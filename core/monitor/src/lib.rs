@@ -14,6 +14,7 @@
 
 mod address;
 mod error;
+mod host;
 mod metrics;
 mod page;
 mod pictures;
@@ -28,6 +29,7 @@ use panoscope_graph::{Catalog, Graph};
 
 pub use address::{Address, AddressError};
 pub use error::MonitorError;
+pub use host::is_own_host;
 
 use server::Server;
 use state::Shared;

@@ -1,13 +1,13 @@
 //! The HTTP server: a thread with a runtime of its own.
 
-use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use axum::Router;
 use axum::extract::{Path, Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -15,6 +15,7 @@ use tokio::sync::oneshot;
 
 use crate::address::Address;
 use crate::error::MonitorError;
+use crate::host::is_own_host;
 use crate::state::Shared;
 use crate::{metrics, page};
 
@@ -90,7 +91,7 @@ async fn guard(request: Request, next: Next) -> Response {
         return refuse(StatusCode::METHOD_NOT_ALLOWED, "this page can only be read");
     }
     let host = request.headers().get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("");
-    if !is_own(host) {
+    if !is_own_host(host) {
         let words = "ask with an IP address or `localhost` as the host: a name could belong to another page";
         return refuse(StatusCode::FORBIDDEN, words);
     }
@@ -105,15 +106,6 @@ async fn guard(request: Request, next: Next) -> Response {
     headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(page::POLICY));
     headers.insert("cross-origin-resource-policy", HeaderValue::from_static("same-origin"));
     response
-}
-
-/// Whether `Host` is an IP address or `localhost`. A page elsewhere can have its own name resolve to this machine and then read answers; the
-/// `Host` of its requests is that name.
-fn is_own(host: &str) -> bool {
-    let Ok(uri) = host.parse::<Uri>() else { return false };
-    let Some(name) = uri.host() else { return false };
-    let name = name.trim_start_matches('[').trim_end_matches(']');
-    name == "localhost" || name.parse::<IpAddr>().is_ok()
 }
 
 fn refuse(status: StatusCode, words: &str) -> Response {
@@ -160,19 +152,4 @@ async fn picture(State(shared): State<Arc<Shared>>, Path(name): Path<String>) ->
 
 async fn unknown() -> Response {
     refuse(StatusCode::NOT_FOUND, "there are /, /state, /pictures/NODE.OUTPUT and /metrics")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_addresses_and_localhost_are_own_hosts() {
-        for host in ["127.0.0.1:9464", "localhost", "localhost:1", "[::1]:80", "10.0.0.2"] {
-            assert!(is_own(host), "{host}");
-        }
-        for host in ["", "evil.example:9464", "localhost.evil.example", "127.0.0.1.evil.example", "a b"] {
-            assert!(!is_own(host), "{host}");
-        }
-    }
 }

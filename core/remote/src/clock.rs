@@ -83,7 +83,10 @@ mod tests {
                 offset.add(now_ns, now_ns + there_ns + truth_ns, now_ns + there_ns + back_ns);
                 now_ns += there_ns + back_ns + 100_000_000;
                 let (found_ns, error_ns) = offset.at(now_ns).expect("a probe");
-                assert!(found_ns.abs_diff(truth_ns) <= error_ns, "seed {seed}: {found_ns} is not {truth_ns} +- {error_ns}");
+                assert!(
+                    found_ns.abs_diff(truth_ns) <= error_ns,
+                    "seed {seed}: {found_ns} is not {truth_ns} +- {error_ns}"
+                );
             }
             let (_, error_ns) = offset.at(now_ns).expect("a probe");
             assert!(error_ns < 2_000_000, "the best of 64 probes is far better than their mean: {error_ns}");

@@ -201,7 +201,8 @@ mod tests {
     fn keys_are_made_once_and_more_later() {
         let folder = std::env::temp_dir().join(format!("panoscope-keys-{}", std::process::id()));
         let _ = fs::remove_dir_all(&folder);
-        let members = |names: &[&str]| names.iter().map(|name| Member::parse(name).expect("a name")).collect::<Vec<_>>();
+        let members =
+            |names: &[&str]| names.iter().map(|name| Member::parse(name).expect("a name")).collect::<Vec<_>>();
         let made = make(&folder, &members(&["theatre", "rack=127.0.0.1,rack.local"])).expect("keys");
         assert_eq!(made, [folder.join("theatre"), folder.join("rack")]);
         let rack = Identity::read(&made[1]).expect("keys");

@@ -20,9 +20,9 @@ use zenoh::{Session, Wait};
 use crate::clock::Offset;
 use crate::files::Hashes;
 use crate::keys::Identity;
-use panoscope_isolate::relay::messages::{self as message, BadMessage, FileHash, Message, Turn};
 use crate::mirror::{Pool, Pools};
 use crate::network::{self, Address, UNNAMED};
+use panoscope_isolate::relay::messages::{self as message, BadMessage, FileHash, Message, Turn};
 
 /// Attempts to reach the machine in the time in which it counts as lost.
 const ATTEMPTS: u32 = 4;
@@ -110,7 +110,9 @@ struct Connection {
 /// Runs the process until its host is gone or its machine is lost. `words` is what follows [`panoscope_isolate::LINK_COMMAND`]; standard input is the
 /// socket of the host.
 pub fn run(words: &[OsString]) -> ! {
-    let Some(arguments) = Arguments::parse(words) else { lose("the program that started this link is of another version") };
+    let Some(arguments) = Arguments::parse(words) else {
+        lose("the program that started this link is of another version")
+    };
     let link = match Link::take() {
         Ok(link) => link,
         Err(cause) => lose(&format!("its link cannot start: {cause}")),
@@ -151,7 +153,10 @@ fn reach(arguments: &Arguments) -> Result<(Session, String), String> {
     let (done, opened) = channel::<()>();
     let watch = move || {
         if opened.recv_timeout(limit).is_err_and(|error| error == std::sync::mpsc::RecvTimeoutError::Timeout) {
-            lose(&format!("{text} answers, but no connection was made within {}; is it `panoscope serve`?", seconds(limit)));
+            lose(&format!(
+                "{text} answers, but no connection was made within {}; is it `panoscope serve`?",
+                seconds(limit)
+            ));
         }
     };
     std::thread::Builder::new().spawn(watch).map_err(|error| error.to_string())?;
@@ -366,10 +371,12 @@ impl Connection {
                 sent_bytes: self.sent_bytes.load(Ordering::Relaxed),
                 received_bytes: self.received_bytes.load(Ordering::Relaxed),
             };
-            lock(&self.shown).retain(|lane| lane.upgrade().is_some_and(|lane| {
-                lane.show(&numbers);
-                true
-            }));
+            lock(&self.shown).retain(|lane| {
+                lane.upgrade().is_some_and(|lane| {
+                    lane.show(&numbers);
+                    true
+                })
+            });
         }
     }
 
@@ -446,7 +453,10 @@ impl Connection {
                 let at = request.clock_position;
                 message[at..at + 8].copy_from_slice(&system_ns.saturating_add(offset_ns).to_le_bytes());
             }
-            inputs = request.inputs;
+            // Before the lock: a pool that is still on its way is sent by another thread.
+            for input in request.inputs {
+                inputs.push((input, self.is_own(&input)?));
+            }
         } else if asked == kind::OPEN {
             let open = relay::open(message)?;
             let hash = |path: String| Some(FileHash { sha256: self.hashes.of(path.as_ref())?, path });
@@ -455,8 +465,8 @@ impl Connection {
         turn.message = std::mem::take(message);
         let mut there = lock(&self.there);
         let mut frames = Vec::new();
-        for input in inputs {
-            if there.takes(&input, self.is_own(&input)?) {
+        for (input, is_own) in inputs {
+            if there.takes(&input, is_own) {
                 let (head, bytes) = self.pools.coded(&input, self.arguments.compresses)?;
                 turn.frames.push(head);
                 frames.push(bytes);
@@ -495,13 +505,17 @@ mod tests {
         assert!(there.takes(&frame(0, 1), false) && !there.takes(&frame(0, 1), false));
         assert!(there.takes(&frame(64, 1), false), "another buffer");
         assert!(there.takes(&frame(0, 2), false), "the buffer was handed out again: other bytes");
-        assert!(there.takes(&frame(0, 0), true) && !there.takes(&frame(0, 0), true), "only the other machine writes it");
+        assert!(
+            there.takes(&frame(0, 0), true) && !there.takes(&frame(0, 0), true),
+            "only the other machine writes it"
+        );
     }
 
     #[test]
     fn arguments_are_those_of_the_host() {
         let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
-        let parsed = Arguments::parse(&words(&["tls/10.0.0.2:7447", "lz4", "1500", "false", "rack"])).expect("arguments");
+        let parsed =
+            Arguments::parse(&words(&["tls/10.0.0.2:7447", "lz4", "1500", "false", "rack"])).expect("arguments");
         assert_eq!((parsed.timeout, parsed.compresses, parsed.plaintext), (Duration::from_millis(1500), true, false));
         assert_eq!(Arguments::parse(&words(&["tls/10.0.0.2:7447", "raw", "soon", "false", "rack"])), None);
         assert_eq!(Arguments::parse(&words(&["rack"])), None);

@@ -51,7 +51,9 @@ fn main() -> ExitCode {
 }
 
 fn usage() -> ExitCode {
-    eprintln!("error: other programs of Panoscope start this one; see `panoscope serve --help` and `panoscope keys --help`");
+    eprintln!(
+        "error: other programs of Panoscope start this one; see `panoscope serve --help` and `panoscope keys --help`"
+    );
     ExitCode::from(WRONG)
 }
 
@@ -67,9 +69,7 @@ fn serve(
     let is_tls = address.starts_with("tls/");
     let folder = if keys.is_empty() { Identity::folder() } else { Some(PathBuf::from(keys)) };
     let identity = match folder.filter(|_| is_tls) {
-        Some(folder) => {
-            Some(Identity::read(&folder).map_err(|error| format!("{error}; `panoscope keys` makes keys"))?)
-        }
+        Some(folder) => Some(Identity::read(&folder).map_err(|error| format!("{error}; `panoscope keys` makes keys"))?),
         None => None,
     };
     if is_tls && hosts.is_empty() {
@@ -112,7 +112,8 @@ fn make_keys(folder: &Path, members: &[&str]) -> Result<(), String> {
 
 fn bench(port: &str, bytes: &str, count: &str) -> Result<(), String> {
     let wrong = |error: std::num::ParseIntError| error.to_string();
-    let (port, bytes, count) = (port.parse().map_err(wrong)?, bytes.parse().map_err(wrong)?, count.parse().map_err(wrong)?);
+    let (port, bytes, count) =
+        (port.parse().map_err(wrong)?, bytes.parse().map_err(wrong)?, count.parse().map_err(wrong)?);
     let taken = raw::publish(port, bytes, count).map_err(|error| error.to_string())?;
     println!("{}", taken.as_secs_f64());
     Ok(())

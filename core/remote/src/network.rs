@@ -18,7 +18,10 @@ pub enum NetworkError {
     #[error("`{0}` is no address; write tls/HOST:PORT, or tcp/HOST:PORT inside one machine")]
     BadAddress(String),
     /// Without encryption to another machine.
-    #[error("`{0}` leads to another machine without encryption: {remedy}", remedy = "use tls/ and keys of `panoscope keys`")]
+    #[error(
+        "`{0}` leads to another machine without encryption: {remedy}",
+        remedy = "use tls/ and keys of `panoscope keys`"
+    )]
     Plaintext(String),
     /// TLS without certificates.
     #[error("`{0}` needs keys: make them with `panoscope keys`, and name their folder with --keys or PANOSCOPE_KEYS")]
@@ -187,7 +190,8 @@ pub fn publisher(
         true => (Priority::RealTime, CongestionControl::Drop),
         false => (Priority::Data, CongestionControl::Block),
     };
-    let declared = session.declare_publisher(key).congestion_control(congestion).priority(priority).express(true).wait();
+    let declared =
+        session.declare_publisher(key).congestion_control(congestion).priority(priority).express(true).wait();
     declared.map_err(|error| NetworkError::Zenoh(error.to_string()))
 }
 

@@ -1,7 +1,7 @@
 //! zenoh alone, as the peer of benches: the same session settings, and payloads of one size.
 
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use zenoh::Wait;

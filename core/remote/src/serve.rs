@@ -12,9 +12,9 @@ use zenoh::{Session, Wait};
 
 use crate::files::Hashes;
 use crate::keys::Identity;
-use panoscope_isolate::relay::messages::{self as message, Message};
 use crate::network::{self, Address, NetworkError, UNNAMED};
 use crate::served::{self, Delivered};
+use panoscope_isolate::relay::messages::{self as message, Message};
 
 /// Most groups at a time.
 const MAX_SESSIONS: usize = 32;

@@ -19,10 +19,10 @@ use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 
 use crate::files::{self, Folders};
-use panoscope_isolate::relay::messages::{self as message, Message, Turn};
 use crate::mirror::{self, Pool, Pools};
 use crate::network;
 use crate::serve::Shared;
+use panoscope_isolate::relay::messages::{self as message, Message, Turn};
 
 /// A host that was silent for so many times the time that it gives this machine is gone.
 const PATIENCE: u32 = 2;
@@ -72,8 +72,10 @@ fn serve(
     delivered: &Receiver<Delivered>,
     heard: &AtomicI64,
 ) -> Result<(), String> {
-    let Ok(Delivered { message: Message::Hello { version, group, threads, memory_bytes, deny, compresses, timeout_ms }, .. }) =
-        delivered.recv()
+    let Ok(Delivered {
+        message: Message::Hello { version, group, threads, memory_bytes, deny, compresses, timeout_ms },
+        ..
+    }) = delivered.recv()
     else {
         return Ok(());
     };
@@ -157,7 +159,8 @@ impl Group {
                     reader.seek(SeekFrom::Start(begin)).map_err(|error| bad(&error))?;
                     // Here and not in the threads of lanes: a frame that one lane brings is there for the next.
                     self.pools.fill(&turn.frames, false, &mut reader).map_err(|error| bad(&error))?;
-                    let own = turn.frames.iter().filter(|frame| self.pools.get(frame.pool).is_ok_and(|pool| pool.is_own));
+                    let own =
+                        turn.frames.iter().filter(|frame| self.pools.get(frame.pool).is_ok_and(|pool| pool.is_own));
                     lock(&self.at_host).extend(own.map(|frame| (frame.pool, frame.offset)));
                     let (id, is_last) = (turn.lane, turn.kind == kind::CLOSE);
                     let Some(lane) = lanes.get_mut(&id) else { continue };
@@ -321,10 +324,7 @@ impl Group {
     }
 
     /// An output that the host does not have, as it is sent; it counts as there from here on.
-    fn new_at_host(
-        &self,
-        output: &Bytes,
-    ) -> Result<Option<(message::FrameHead, Vec<u8>)>, message::BadMessage> {
+    fn new_at_host(&self, output: &Bytes) -> Result<Option<(message::FrameHead, Vec<u8>)>, message::BadMessage> {
         let is_own = self.pools.get(output.pool)?.is_own;
         if !is_own || !lock(&self.at_host).insert((output.pool, output.offset)) {
             return Ok(None);

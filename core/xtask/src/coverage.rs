@@ -61,7 +61,10 @@ const PARSERS: &[(&str, &[Source])] = &[
     ),
     (
         "machine_message",
-        &[functions("core/isolate/src/relay/messages.rs", &["array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame"])],
+        &[functions(
+            "core/isolate/src/relay/messages.rs",
+            &["array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame"],
+        )],
     ),
     ("keys", &[functions("core/loader/src/keys.rs", &["digits", "read", "name_of", "verifies", "in_folders", "find"])]),
     (
@@ -72,6 +75,16 @@ const PARSERS: &[(&str, &[Source])] = &[
             all("core/audit/src/read.rs"),
         ],
     ),
+    (
+        "dicom_entry",
+        &[
+            all("core/dicom/src/lengths.rs"),
+            functions("core/dicom/src/entry.rs", &["decode", "of", "check"]),
+            functions("core/dicom/src/part10.rs", &["parse"]),
+        ],
+    ),
+    ("dicom_film", &[all("core/dicom/src/object/mp4.rs"), all("core/dicom/src/object/jpeg.rs")]),
+    ("dicom_lengths", &[functions("core/dicom/src/object/report.rs", &["read", "length"])]),
     (
         "calibration",
         &[
@@ -110,6 +123,34 @@ const PARSERS: &[(&str, &[Source])] = &[
         ],
     ),
     ("packet", &[all("core/base/src/packet/")]),
+    (
+        "ros_message, ros_bag",
+        &[
+            functions("core/ros/src/cdr.rs", &["decode", "decode_body"]),
+            functions(
+                "core/ros/src/convert/from_ros.rs",
+                &[
+                    "checked",
+                    "picture",
+                    "compressed",
+                    "depth_mm",
+                    "disparity",
+                    "of",
+                    "bytes",
+                    "number",
+                    "cloud",
+                    "boxes",
+                    "joints",
+                    "pose",
+                ],
+            ),
+            functions(
+                "core/ros/src/bag/reader.rs",
+                &["next", "wrong", "damaged", "read_bytes", "bytes", "array", "in_chunk", "open_chunk", "record"],
+            ),
+        ],
+    ),
+    ("gate", &[functions("core/live/src/gate.rs", &["check_head", "is_own_origin"])]),
     (
         "onnx",
         &[
@@ -164,6 +205,23 @@ const PARSERS: &[(&str, &[Source])] = &[
             "core/arm_guard/src/rtde.rs",
             &["bytes", "u8", "u32", "i32", "f64", "flag", "vector", "counted", "end", "read", "take", "size"],
         )],
+    ),
+    (
+        "igtl",
+        &[
+            functions("core/igtl/src/header.rs", &["decode"]),
+            all("core/igtl/src/reader.rs"),
+            functions("core/igtl/src/metadata.rs", &["split", "entries"]),
+            functions(
+                "core/igtl/src/fields.rs",
+                &["take", "items", "array", "floats", "text", "end", "padded", "floats3"],
+            ),
+            functions("core/igtl/src/message/mod.rs", &["decode", "from_parts", "content"]),
+            functions("core/igtl/src/message/image.rs", &["decode", "part_bytes"]),
+            functions("core/igtl/src/message/poly_data.rs", &["decode", "decode_attributes", "iter"]),
+            functions("core/igtl/src/message/query.rs", &["decode"]),
+            functions("core/igtl/src/message/small.rs", &["read", "decode", "decode_all", "each", "of"]),
+        ],
     ),
     ("urdf", &[functions("core/arm/src/chain.rs", &["from_urdf", "path", "finite", "origin", "turning"])]),
     (

@@ -174,18 +174,23 @@ pub static PACKAGES: &[Package] = &[
         [Some("graphviz"), Some("graphviz"), Some("graphviz")],
         Evidence::Program("dot"),
     ),
-    package(
-        Purpose::Test,
-        "iproute2",
-        [Some("iproute"), Some("iproute2"), None],
-        Evidence::Program("ip"),
-    ),
+    package(Purpose::Test, "iproute2", [Some("iproute"), Some("iproute2"), None], Evidence::Program("ip")),
     package(
         Purpose::Test,
         "prometheus",
         [Some("golang-github-prometheus"), Some("prometheus"), Some("prometheus")],
         Evidence::Program("promtool"),
     ),
+    package(
+        Purpose::Test,
+        "libopenigtlink-dev",
+        [None, None, None],
+        Evidence::AnyFile(&["/usr/include/openigtlink/igtlMessageBase.h"]),
+    ),
+    // An archive with a worklist server, tools that write and validate DICOM; 17 MB in all.
+    package(Purpose::Test, "orthanc", [None, None, None], Evidence::Program("Orthanc")),
+    package(Purpose::Test, "dcmtk", [Some("dcmtk"), None, Some("dcmtk")], Evidence::Program("dump2dcm")),
+    package(Purpose::Test, "dicom3tools", [None, None, None], Evidence::Program("dciodvfy")),
     package(Purpose::Test, "chromium", [Some("chromium"), Some("chromium"), None], Evidence::Program("chromium")),
     package(
         Purpose::Wheels,

@@ -26,12 +26,14 @@ pub const NUMPY: Packages =
 /// Names the folder of [`PEERS`] for the tests that use them.
 pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 
-/// What Panoscope is tested beside: readers of the files that `panoscope export` writes, OpenCV, and what runs notebooks; 1.1 GB. foxglove-sdk is
+/// What Panoscope is tested beside: readers of the files that `panoscope export` and `panoscope dicom` write, a client of Foxglove's protocol, bags and DDS of ROS 2,
+/// OpenCV, and what runs notebooks; 1.1 GB. foxglove-sdk is
 /// of the version of the crate `foxglove`: schemas are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
-    modules: "cv2, foxglove, ipykernel, mcap, mcap_protobuf, nbclient, numpy, PIL, rerun",
+    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, nbclient, numpy, PIL, pydicom, pyigtl, rerun, rosbags, websockets",
     requirements: &[
+        "cyclonedds==11.0.1",
         "foxglove-sdk==0.30.3",
         "ipykernel>=6,<8",
         "mcap==1.6.0",
@@ -40,7 +42,11 @@ pub const PEERS: Packages = Packages {
         "numpy>=1.24,<3",
         "opencv-python-headless>=4.10,<5",
         "pillow",
+        "pydicom>=3,<4",
+        "pyigtl==0.3.4",
         "rerun-sdk==0.41.0",
+        "rosbags==0.11.9",
+        "websockets==17.4",
     ],
     folder: "python_peers",
 };

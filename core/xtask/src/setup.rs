@@ -104,6 +104,25 @@ enum Root {
     Sudo,
 }
 
+/// Runs apt-get so that no package starts a service, now or at the next boot: tests start their servers themselves.
+const WITHOUT_SERVICES: &str = r#"
+policy=/usr/sbin/policy-rc.d
+if [ ! -e $policy ]; then
+    trap 'rm -f $policy' EXIT
+    printf '#!/bin/sh\nexit 101\n' > $policy && chmod 755 $policy
+fi
+fresh=
+for service in orthanc prometheus; do
+    [ -e /lib/systemd/system/$service.service ] || fresh="$fresh $service"
+done
+apt-get "$@" || exit
+for service in $fresh; do
+    if [ -e /lib/systemd/system/$service.service ]; then
+        rm -f /etc/systemd/system/multi-user.target.wants/$service.service
+    fi
+done
+"#;
+
 impl Root {
     fn available() -> Option<Self> {
         let id = process::capture(Command::new("id").arg("-u")).ok()?;
@@ -126,7 +145,8 @@ impl Root {
                 sudo
             }
         };
-        command.args(["DEBIAN_FRONTEND=noninteractive", "apt-get", "-o", "DPkg::Lock::Timeout=120"]).args(args);
+        command.args(["DEBIAN_FRONTEND=noninteractive", "sh", "-c", WITHOUT_SERVICES, "sh"]);
+        command.args(["-o", "DPkg::Lock::Timeout=120"]).args(args);
         process::capture(&mut command).map(drop).context("apt-get could not finish")
     }
 }

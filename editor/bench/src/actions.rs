@@ -75,6 +75,10 @@ pub enum Action {
     Plugins,
     /// Swap rebuilt plugins in.
     Reload,
+    /// Change between dark and light.
+    Theme,
+    /// Open the palette of commands.
+    Commands,
     /// Show the keys.
     Help,
     /// Close what is open, or clear the selection.
@@ -123,6 +127,8 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Plugins, NONE, Key::U, "Plugins and what they offer"),
         (Reload, CTRL, Key::R, "Swap rebuilt plugins in"),
         (Restart, SHIFT, Key::R, "Restart the graph"),
+        (Theme, Modifiers::SHIFT, Key::T, "Dark or light"),
+        (Commands, CTRL, Key::K, "Find a command, node or parameter"),
         (Help, NONE, Key::F1, "These keys"),
         (Escape, NONE, Key::Escape, "Close what is open"),
     ]

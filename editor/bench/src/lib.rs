@@ -6,6 +6,7 @@
 
 pub mod actions;
 pub mod app;
+pub mod arrangement;
 pub mod canvas;
 pub mod palette;
 pub mod panels;

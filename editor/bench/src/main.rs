@@ -2,10 +2,15 @@
 //! read.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::Parser;
+use eframe::egui::vec2;
 use panoscope_editor::app::{App, Options};
-use panoscope_editor_widgets::window;
+use panoscope_editor::arrangement::Arrangement;
+use panoscope_editor_widgets::{theme, window};
+use panoscope_graph::GraphText;
+use panoscope_loader::Loader;
 
 /// Shows a running graph and edits it.
 #[derive(Parser)]
@@ -17,6 +22,12 @@ struct Arguments {
     given: window::Given,
     #[command(flatten)]
     window: window::Arguments,
+    /// Dark or light; `system` is as the desktop.
+    #[arg(long, default_value = "system")]
+    theme: theme::Choice,
+    /// Writes how the graph is arranged in a window of `--size` (JSON: scale, least text, shares of the window) and exits. Nothing runs.
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["screenshot", "measure"])]
+    arrangement: Option<PathBuf>,
 }
 
 panoscope_engine::guard_exits!();
@@ -34,6 +45,21 @@ fn in_a_folder(file: &Path) -> bool {
     folder.is_dir() && file.extension().is_some_and(|e| e == "toml")
 }
 
+/// Writes how the graph is arranged; returns the exit code.
+fn write_arrangement(arguments: &Arguments, text: &str, file: &Path) -> i32 {
+    let paths = GraphText::parse_with(&arguments.graph, text, &arguments.given.options()).plugin_paths();
+    let loader = Arc::new(Loader::search(&panoscope_loader::search_path(&paths)));
+    let (width, height) = arguments.window.size;
+    let seen = Arrangement::of(&arguments.graph, text, loader, vec2(width, height));
+    match std::fs::write(file, format!("{:#}\n", seen.json())) {
+        Ok(()) => 0,
+        Err(error) => {
+            eprintln!("error: {} was not written: {error}", file.display());
+            1
+        }
+    }
+}
+
 fn run(arguments: &Arguments) -> i32 {
     let text = match std::fs::read_to_string(&arguments.graph) {
         Ok(text) => text,
@@ -44,12 +70,16 @@ fn run(arguments: &Arguments) -> i32 {
             return 2;
         }
     };
+    if let Some(file) = &arguments.arrangement {
+        return write_arrangement(arguments, &text, file);
+    }
     let shot = arguments.window.shot();
     let viewport = window::viewport(&arguments.graph, "panoscope-editor", arguments.window.size);
     let path = arguments.graph.clone();
     let options = Options {
         frames: arguments.window.frames,
         scale: arguments.window.scale,
+        theme: arguments.theme,
         shot,
         given: arguments.given.options(),
         config: panoscope_editor_model::arguments::config_folder(),

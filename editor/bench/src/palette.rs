@@ -1,4 +1,4 @@
-//! The palette: a search field with a list, to add a node, connect the selected one or find one by keyboard.
+//! The palette: a search field with a list, to add a node, connect the selected one, find one, or find any command or parameter by keyboard.
 
 use std::sync::{Arc, Mutex};
 
@@ -9,9 +9,11 @@ use eframe::egui::{
 use panoscope_graph::NodeType;
 use panoscope_loader::Loader;
 
+use crate::actions::{self, Action};
 use crate::panels::inspector::candidates;
 use crate::search;
-use panoscope_editor_model::document::Document;
+use panoscope_editor_model::document::{Document, default_value};
+use panoscope_editor_model::graph_view::{GraphView, NodeView};
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, PendingWire};
 use panoscope_editor_widgets::theme;
@@ -34,6 +36,8 @@ pub enum Purpose {
     },
     /// Finding a node.
     Find,
+    /// Finding a command, a node, or a parameter of any node.
+    Command,
 }
 
 /// What the user picked.
@@ -45,6 +49,10 @@ pub enum Picked {
     Connect(String, String, Output),
     /// A node to go to.
     Go(String),
+    /// An action to perform.
+    Perform(Action),
+    /// A parameter to go to: node, name.
+    Param(String, String),
 }
 
 /// All node types of this machine. They are loaded on a thread of their own, because loading plugins takes time.
@@ -72,8 +80,50 @@ impl Types {
     }
 }
 
+/// All actions.
+fn commands() -> impl Iterator<Item = Entry> {
+    actions::ALL.iter().filter(|(action, ..)| *action != Action::Commands).map(|(action, _, _, description)| Entry {
+        name: (*description).to_owned(),
+        side: actions::key_name(*action),
+        doc: format!("Command {action:?}"),
+        color: theme::accent(),
+        picked: Picked::Perform(*action),
+    })
+}
+
+/// All nodes that are shown.
+fn nodes(view: &GraphView) -> impl Iterator<Item = Entry> + '_ {
+    view.nodes.iter().map(|n| Entry {
+        name: n.id().to_owned(),
+        side: n.outline.type_name.clone(),
+        doc: n.node_type.as_ref().and_then(|t| t.doc.lines().next()).unwrap_or_default().to_owned(),
+        color: theme::family(n.family()),
+        picked: Picked::Go(n.id().to_owned()),
+    })
+}
+
+/// The parameters of all nodes, those inside folded parts included, with their values.
+fn params(view: &GraphView) -> impl Iterator<Item = Entry> + '_ {
+    let entry = |n: &NodeView, param: &panoscope_graph::Param| {
+        let value = n.outline.params.get(&param.name).cloned().unwrap_or_else(|| default_value(&param.kind));
+        Entry {
+            name: format!("{}.{}", n.id(), param.name),
+            side: format!("{value} {}", param.unit).trim_end().to_owned(),
+            doc: param.doc.lines().next().unwrap_or_default().to_owned(),
+            color: theme::family(n.family()),
+            picked: Picked::Param(n.id().to_owned(), param.name.clone()),
+        }
+    };
+    let of = move |n: &NodeView| -> Vec<Entry> {
+        n.node_type.iter().flat_map(|t| &t.params).map(|param| entry(n, param)).collect()
+    };
+    let inside = view.flat.iter().flat_map(|flat| &flat.nodes).filter(|n| view.node(n.id()).is_none());
+    view.nodes.iter().chain(inside).flat_map(of)
+}
+
 struct Entry {
     name: String,
+    /// On the right: type, key or value.
     side: String,
     doc: String,
     color: eframe::egui::Color32,
@@ -125,16 +175,8 @@ impl Palette {
                 };
                 pairs.map(entry).collect()
             }
-            Purpose::Find => {
-                let entry = |n: &panoscope_editor_model::graph_view::NodeView| Entry {
-                    name: n.id().to_owned(),
-                    side: n.outline.type_name.clone(),
-                    doc: n.node_type.as_ref().and_then(|t| t.doc.lines().next()).unwrap_or_default().to_owned(),
-                    color: theme::family(n.family()),
-                    picked: Picked::Go(n.id().to_owned()),
-                };
-                view.nodes.iter().map(entry).collect()
-            }
+            Purpose::Command => commands().chain(nodes(view)).chain(params(view)).collect(),
+            Purpose::Find => nodes(view).collect(),
         }
     }
 
@@ -144,6 +186,7 @@ impl Palette {
             Purpose::Add { .. } => "Add a node for this wire",
             Purpose::Connect { .. } => "Connect: name of an input or output",
             Purpose::Find => "Find a node",
+            Purpose::Command => "A command, a node, or a parameter of the graph",
         }
     }
 
@@ -168,7 +211,7 @@ impl Palette {
         let shown = Modal::new(Id::new("palette"))
             .area(area)
             .frame(frame)
-            .backdrop_color(theme::SUNK.gamma_multiply(0.5))
+            .backdrop_color(theme::sunk().gamma_multiply(0.5))
             .show(ctx, |ui| {
                 ui.set_width(520.0);
                 let hint = self.hint();
@@ -188,7 +231,7 @@ impl Palette {
                         if order.is_empty() {
                             let reading = matches!(self.purpose, Purpose::Add { .. }) && types.get().is_none();
                             let message = if reading { "loading the plugins" } else { "no match" };
-                            ui.label(RichText::new(message).color(theme::MUTED));
+                            ui.label(RichText::new(message).color(theme::muted()));
                         }
                     },
                 );
@@ -214,10 +257,10 @@ fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
             ui.spacing_mut().interact_size.y = 16.0;
             ui.add(Label::new(RichText::new(&entry.name).strong()).selectable(false));
             ui.with_layout(eframe::egui::Layout::right_to_left(Align::Center), |ui| {
-                ui.add(Label::new(RichText::new(&entry.side).size(11.0).color(theme::MUTED)).selectable(false));
+                ui.add(Label::new(RichText::new(&entry.side).size(11.0).color(theme::muted())).selectable(false));
             });
         });
-        let doc = RichText::new(&entry.doc).size(11.5).color(theme::MUTED);
+        let doc = RichText::new(&entry.doc).size(11.5).color(theme::muted());
         ui.add(Label::new(doc).wrap_mode(TextWrapMode::Truncate).selectable(false));
     });
     row.clicked()

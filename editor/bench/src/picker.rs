@@ -195,8 +195,8 @@ impl Picker {
         let new = [x0.min(x1), y0.min(y1), (x1 - x0).abs(), (y1 - y0).abs()];
         if ground.dragged() {
             let rect = Rect::from_two_pos(map.at([x0, y0]), map.at([x1, y1]));
-            let stroke = Stroke::new(1.5, theme::ACCENT);
-            ui.painter().rect(rect, 0.0, theme::ACCENT.gamma_multiply(0.12), stroke, StrokeKind::Inside);
+            let stroke = Stroke::new(1.5, theme::accent());
+            ui.painter().rect(rect, 0.0, theme::accent().gamma_multiply(0.12), stroke, StrokeKind::Inside);
         }
         if ground.drag_stopped() {
             self.begun = None;
@@ -247,7 +247,7 @@ impl Picker {
                 }
             }
         }
-        let color = if grip.has_focus() || grip.hovered() { theme::ACCENT } else { Color32::WHITE };
+        let color = if grip.has_focus() || grip.hovered() { theme::accent() } else { Color32::WHITE };
         let radius = if self.kind == Pick::Points { 7.0 } else { 5.0 };
         ui.painter().circle_stroke(at, radius, Stroke::new(4.0, Color32::from_black_alpha(170)));
         ui.painter().circle_stroke(at, radius, Stroke::new(2.0, color));
@@ -281,7 +281,7 @@ impl Picker {
         }
         let rect = Rect::from_two_pos(map.at([x, y]), map.at([x + w, y + h]));
         ui.painter().rect_stroke(rect, 0.0, Stroke::new(3.5, Color32::from_black_alpha(150)), StrokeKind::Middle);
-        ui.painter().rect_stroke(rect, 0.0, Stroke::new(1.5, theme::ACCENT), StrokeKind::Middle);
+        ui.painter().rect_stroke(rect, 0.0, Stroke::new(1.5, theme::accent()), StrokeKind::Middle);
         let first = self.handle(ui, map, rect.min, index, " corner 1");
         let second = self.handle(ui, map, rect.max, index, " corner 2");
         let middle = self.handle(ui, map, rect.center(), index, "");
@@ -306,7 +306,7 @@ impl Picker {
         ui.scope_builder(UiBuilder::new().max_rect(bar), |ui| {
             ui.horizontal(|ui| {
                 let points = self.kind == Pick::Points;
-                ui.label(RichText::new(format!("{}.{}", self.node, self.param)).color(theme::ACCENT));
+                ui.label(RichText::new(format!("{}.{}", self.node, self.param)).color(theme::accent()));
                 let thing = if points { "point" } else { "rectangle" };
                 let add = ui.add_enabled(self.may_add(values), Button::new(format!("Add a {thing}")));
                 if add
@@ -339,7 +339,7 @@ impl Picker {
                 }
                 done = ui.button("Done").on_hover_text("Escape").clicked();
                 let hint = if points { "click to add, drag to move" } else { "drag to draw, handles to change" };
-                ui.label(RichText::new(hint).color(theme::MUTED));
+                ui.label(RichText::new(hint).color(theme::muted()));
             });
         });
         done

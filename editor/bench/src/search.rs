@@ -19,9 +19,9 @@ pub fn field(ui: &mut Ui, typed: &mut String, fresh: &mut bool, hint: &str, name
 pub fn mark_row(ui: &Ui, rect: Rect, row: &Response, chosen: bool) {
     if chosen {
         row.scroll_to_me(None);
-        ui.painter().rect_filled(rect, 4.0, theme::ACCENT.gamma_multiply(0.18));
+        ui.painter().rect_filled(rect, 4.0, theme::accent().gamma_multiply(0.18));
     } else if row.hovered() {
-        ui.painter().rect_filled(rect, 4.0, theme::RAISED);
+        ui.painter().rect_filled(rect, 4.0, theme::raised());
     }
 }
 

@@ -138,7 +138,13 @@ impl View3d {
         self.viewpoint.size_px = size;
         let painter = ui.painter_at(rect);
         let (Some((texture, size)), Some(packet)) = (shown.texture(output), shown.packet(output)) else {
-            painter.text(rect.center(), Align2::CENTER_CENTER, "nothing yet", FontId::proportional(16.0), theme::MUTED);
+            painter.text(
+                rect.center(),
+                Align2::CENTER_CENTER,
+                "nothing yet",
+                FontId::proportional(16.0),
+                theme::muted(),
+            );
             return;
         };
         let scale = (rect.width() / size.x).min(rect.height() / size.y);
@@ -147,7 +153,7 @@ impl View3d {
         painter.image(texture, inner, uv, Color32::WHITE);
         let Some(depth_buffer) = packet.depth_buffer.clone() else {
             let caption = "the cloud has no points in the chosen depth range";
-            painter.text(rect.center(), Align2::CENTER_CENTER, caption, FontId::proportional(15.0), theme::MUTED);
+            painter.text(rect.center(), Align2::CENTER_CENTER, caption, FontId::proportional(15.0), theme::muted());
             return;
         };
         let view = Projector { depth_buffer: &depth_buffer, inner, scale };
@@ -186,12 +192,12 @@ impl View3d {
             for (k, pair) in here.windows(2).enumerate() {
                 let width = (7.0 - 0.7 * k as f32).max(1.5);
                 if let Some([a, b]) = view.line(pair[0], pair[1]) {
-                    painter.line_segment([a, b], Stroke::new(width + 2.0, theme::SUNK.gamma_multiply(0.8)));
+                    painter.line_segment([a, b], Stroke::new(width + 2.0, theme::sunk().gamma_multiply(0.8)));
                     painter.line_segment([a, b], Stroke::new(width, theme::family("arm")));
                 }
             }
             for at in here.iter().filter_map(|joint| view.at(*joint)) {
-                painter.circle(at, 3.5, theme::SUNK, Stroke::new(1.5, theme::family("arm")));
+                painter.circle(at, 3.5, theme::sunk(), Stroke::new(1.5, theme::family("arm")));
             }
             if let Some(at) = here.first().and_then(|foot| view.at(*foot)) {
                 let caption = format!("{} (foot)", output.node);
@@ -209,7 +215,7 @@ impl View3d {
                 Some((wxyz, mm)) => moved_back(wxyz, mm, *place),
                 None => *place,
             };
-            let color = if trajectory.now.is_some() { theme::LIVE } else { theme::WARN };
+            let color = if trajectory.now.is_some() { theme::live() } else { theme::warn() };
             let line: Vec<Pos2> = trajectory.points_mm.iter().filter_map(|p| view.at(here(p))).collect();
             for pair in line.windows(2) {
                 painter.line_segment([pair[0], pair[1]], Stroke::new(2.0, color.gamma_multiply(0.9)));
@@ -226,9 +232,11 @@ impl View3d {
             painter.text(name, Align2::LEFT_BOTTOM, output.to_string(), FontId::proportional(12.0), color);
             if trajectory.now.is_some() {
                 let still = [1.0, 0.0, 0.0, 0.0];
-                for (axis, color) in
-                    [([1.0, 0.0, 0.0], theme::FAULT), ([0.0, 1.0, 0.0], theme::WARN), ([0.0, 0.0, 1.0], theme::ACCENT)]
-                {
+                for (axis, color) in [
+                    ([1.0, 0.0, 0.0], theme::fault()),
+                    ([0.0, 1.0, 0.0], theme::warn()),
+                    ([0.0, 0.0, 1.0], theme::accent()),
+                ] {
                     let end = moved(still, last, axis.map(|a: f64| a * AXIS_MM));
                     if let Some(end) = view.at(end) {
                         painter.line_segment([at, end], Stroke::new(2.0, color));
@@ -242,7 +250,7 @@ impl View3d {
         let places: Vec<Pos2> = self.points.iter().filter_map(|p| view.at(p.map(f64::from))).collect();
         if let [a, b] = places[..] {
             painter.line_segment([a, b], Stroke::new(4.0, Color32::from_black_alpha(150)));
-            painter.line_segment([a, b], Stroke::new(2.0, theme::ACCENT));
+            painter.line_segment([a, b], Stroke::new(2.0, theme::accent()));
             if let Some(mm) = self.distance_mm() {
                 let middle = a + (b - a) / 2.0 + vec2(10.0, 10.0);
                 painter.text(
@@ -250,12 +258,12 @@ impl View3d {
                     Align2::LEFT_TOP,
                     format!("{mm:.2} mm"),
                     FontId::proportional(16.0),
-                    theme::ACCENT,
+                    theme::accent(),
                 );
             }
         }
         for at in places {
-            painter.circle(at, 5.0, theme::SUNK, Stroke::new(2.0, theme::ACCENT));
+            painter.circle(at, 5.0, theme::sunk(), Stroke::new(2.0, theme::accent()));
         }
     }
 
@@ -266,11 +274,11 @@ impl View3d {
         if button.on_hover_text("Distance of two points in mm: click them, or use arrow keys and Enter").clicked() {
             self.toggle_measuring();
         }
-        ui.label(RichText::new("depth from").color(theme::MUTED));
+        ui.label(RichText::new("depth from").color(theme::muted()));
         let [near, far] = &mut self.viewpoint.clip_mm;
         let first = ui.add(DragValue::new(near).range(0.0..=*far - 1.0).speed(0.5).suffix(" mm").max_decimals(0));
         ui.ctx().accesskit_node_builder(first.id, |n| n.set_label("Nearest depth shown"));
-        ui.label(RichText::new("to").color(theme::MUTED));
+        ui.label(RichText::new("to").color(theme::muted()));
         let second =
             ui.add(DragValue::new(far).range(*near + 1.0..=Viewpoint::FAR_MM).speed(0.5).suffix(" mm").max_decimals(0));
         ui.ctx().accesskit_node_builder(second.id, |n| n.set_label("Farthest depth shown"));

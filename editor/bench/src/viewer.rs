@@ -150,14 +150,14 @@ impl Viewer {
         let ground = ui.interact(rect, Id::new("viewer"), Sense::click_and_drag());
         ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Viewer of {}", a.output)));
         let painter = ui.painter_at(rect);
-        painter.rect_filled(rect, 0.0, theme::SUNK);
+        painter.rect_filled(rect, 0.0, theme::sunk());
         let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
         let b = self.b.clone().filter(|b| shown.texture(&b.output).is_some());
         let image_rect = shown.texture(&a.output).map(|(_, size)| fit(room, size));
         match (shown.texture(&a.output), b) {
             (None, _) => {
                 let caption = shown.text(&a.output).unwrap_or("nothing yet").to_owned();
-                painter.text(room.center(), Align2::CENTER_CENTER, caption, FontId::monospace(16.0), theme::TEXT);
+                painter.text(room.center(), Align2::CENTER_CENTER, caption, FontId::monospace(16.0), theme::text());
             }
             (Some((texture, size)), None) => picture(&painter, texture, fit(room, size), Color32::WHITE),
             (Some((texture, size)), Some(b)) => {
@@ -179,7 +179,7 @@ impl Viewer {
         if let Some(age) = shown.stale(&a.output) {
             let at = room.center_top() + vec2(0.0, 16.0);
             let caption = format!("no new packet for {} s", age.as_secs());
-            painter.text(at, Align2::CENTER_TOP, caption, FontId::proportional(18.0), theme::WARN);
+            painter.text(at, Align2::CENTER_TOP, caption, FontId::proportional(18.0), theme::warn());
         }
         self.bar(ui, rect, shown, &a, others);
         if !self.picking {
@@ -216,7 +216,7 @@ impl Viewer {
                 let right = Rect::from_min_max(pos2(x, inner.top()), inner.max);
                 picture(&painter.with_clip_rect(left.intersect(painter.clip_rect())), a.1, inner, Color32::WHITE);
                 picture(&painter.with_clip_rect(right.intersect(painter.clip_rect())), second, inner, Color32::WHITE);
-                painter.vline(x, inner.y_range(), Stroke::new(1.5, theme::ACCENT));
+                painter.vline(x, inner.y_range(), Stroke::new(1.5, theme::accent()));
                 let top = inner.top() + 8.0;
                 tag(painter, pos2(x - 8.0, top), Align2::RIGHT_TOP, a.0.output.to_string());
                 tag(painter, pos2(x + 8.0, top), Align2::LEFT_TOP, b.output.to_string());
@@ -267,7 +267,7 @@ impl Viewer {
                 if let Some(caption) = shown.text(&a.output).filter(|_| shown.texture(&a.output).is_some()) {
                     about += &format!("   {caption}");
                 }
-                ui.label(RichText::new(about).color(theme::MUTED));
+                ui.label(RichText::new(about).color(theme::muted()));
                 ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                     if ui.button("Close").on_hover_text("Escape").clicked() {
                         self.close();
@@ -300,7 +300,7 @@ impl Viewer {
                     });
                     let id = combo.response.id;
                     ui.ctx().accesskit_node_builder(id, |n| n.set_label("Compare with"));
-                    ui.label(RichText::new("compare").color(theme::MUTED));
+                    ui.label(RichText::new("compare").color(theme::muted()));
                 });
             });
         });
@@ -341,11 +341,11 @@ fn picture(painter: &Painter, texture: TextureId, rect: Rect, tint: Color32) {
 
 /// A label on an image, readable on any background.
 fn tag(painter: &Painter, at: Pos2, align: Align2, caption: String) {
-    let galley = painter.layout_no_wrap(caption, FontId::proportional(12.0), theme::TEXT);
+    let galley = painter.layout_no_wrap(caption, FontId::proportional(12.0), theme::text());
     let margin = vec2(6.0, 3.0);
     let rect = align.anchor_size(at, galley.size() + 2.0 * margin);
     painter.rect_filled(rect, 4.0, Color32::from_black_alpha(170));
-    painter.galley(rect.min + margin, galley, theme::TEXT);
+    painter.galley(rect.min + margin, galley, theme::text());
 }
 
 /// Four times the absolute difference, at the first image's size, and the mean difference over all channels.

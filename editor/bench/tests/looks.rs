@@ -10,7 +10,7 @@ use eframe::egui::{Key, Modifiers, Rect, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
 use panoscope_editor_model::session::Phase;
-use panoscope_editor_widgets::theme::GROUND;
+use panoscope_editor_widgets::theme::ground;
 
 const NONE: Modifiers = Modifiers::NONE;
 
@@ -36,7 +36,7 @@ fn at_rest(folder: &Folder) -> Window {
 fn looks(window: &mut Window, name: &str) {
     window.harness.remove_cursor();
     window.steps(3);
-    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, GROUND);
+    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, ground());
     compare(name, picture, &[]);
 }
 
@@ -67,7 +67,7 @@ fn the_editor_matches_the_golden_images() {
     let picture = window.harness.get_by_label("Pick level.spots here").rect();
     window.harness.remove_cursor();
     window.steps(3);
-    let now = paint(&window.harness.ctx, window.harness.output(), &window.textures, GROUND);
+    let now = paint(&window.harness.ctx, window.harness.output(), &window.textures, ground());
     let age = Rect::from_min_size(picture.center_top(), vec2(0.0, 48.0)).expand2(vec2(160.0, 0.0));
     compare("bench_picker", now, &[age]);
 }

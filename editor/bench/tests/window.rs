@@ -204,6 +204,9 @@ fn a_conflict_is_shown_and_nothing_is_lost() {
     std::fs::write(&path, &theirs).expect("written");
     window.until_shown("Take the file's");
     assert_eq!(**window.app().document().text(), *ours);
+    // The bar shows what differs: the comment of the file, the nodes that the window's text lacks.
+    window.until_shown("Difference: 1 in this window (-)");
+    window.harness.get_by_label("Text of the difference");
     // Saving does not overwrite a text that the user has not seen.
     window.key(CTRL, Key::S);
     assert_eq!(std::fs::read_to_string(&path).expect("read"), theirs);

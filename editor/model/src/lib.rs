@@ -7,12 +7,14 @@
 pub mod arguments;
 pub mod content;
 pub mod copying;
+pub mod difference;
 pub mod disk;
 pub mod document;
 mod entries;
 pub mod folding;
 pub mod graph_view;
 pub mod history;
+pub mod idle;
 pub mod layout;
 mod mark;
 pub mod numbered;

@@ -25,6 +25,8 @@ pub enum Action {
     Again,
     /// Show the next page of settings.
     More,
+    /// Show or hide the checklist.
+    Checklist,
 }
 
 /// Actions with their keys; the first key is shown.
@@ -38,6 +40,7 @@ pub const KEYS: &[(Action, &[Key])] = &[
     (Action::Stop, &[Key::E, Key::F20]),
     (Action::Again, &[Key::Enter]),
     (Action::More, &[Key::T]),
+    (Action::Checklist, &[Key::C]),
     (Action::One(0), &[Key::Num1]),
     (Action::One(1), &[Key::Num2]),
     (Action::One(2), &[Key::Num3]),

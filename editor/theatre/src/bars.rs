@@ -7,8 +7,9 @@ use eframe::egui::{
     pos2, vec2,
 };
 
+use super::alarms::Urgency;
 use super::arm::STOP_RED;
-use super::notices::{Facts, OLD_MS, Urgency, format_bytes};
+use super::notices::{Facts, OLD_MS, format_bytes};
 use super::{Action, EDGE, HOLD, Outage, OutageStage, REMARK, Theatre, key_name, settings};
 use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_widgets::theme;
@@ -40,23 +41,23 @@ impl Theatre {
             right = rect.left() - 10.0;
         };
         let (message, fill, color) = match (&status.phase, self.frozen) {
-            _ if facts.is_dark() => ("RESTARTING".to_owned(), theme::FAULT, theme::BLACK),
-            _ if facts.why_dark.is_some() => ("NO PICTURE".to_owned(), theme::FAULT, theme::BLACK),
-            (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::RAISED, theme::MUTED),
-            (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::FAULT, theme::BLACK),
-            (_, Some(since)) => (format!("FROZEN  {}", format_clock(since)), theme::ACCENT, theme::BLACK),
+            _ if facts.is_dark() => ("RESTARTING".to_owned(), theme::fault(), theme::BLACK),
+            _ if facts.why_dark.is_some() => ("NO PICTURE".to_owned(), theme::fault(), theme::BLACK),
+            (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::raised(), theme::muted()),
+            (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::fault(), theme::BLACK),
+            (_, Some(since)) => (format!("FROZEN  {}", format_clock(since)), theme::accent(), theme::BLACK),
             // Delayed images must not be called live.
             _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > OLD_MS) => {
-                ("DELAYED".to_owned(), theme::WARN, theme::BLACK)
+                ("DELAYED".to_owned(), theme::warn(), theme::BLACK)
             }
-            _ => ("LIVE".to_owned(), theme::RAISED, theme::LIVE),
+            _ => ("LIVE".to_owned(), theme::raised(), theme::live()),
         };
         chip(&message, fill, color);
         if let Some(clip) = &self.clip {
             chip(&format!("REC  {}", format_clock(clip.since)), STOP_RED, Color32::WHITE);
             let free = facts.free_bytes.map(|b| format!("{} free", format_bytes(b))).unwrap_or_default();
             let font = FontId::proportional(14.0);
-            let rect = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::MUTED);
+            let rect = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::muted());
             right = rect.left() - 16.0;
         }
         if let Some((heading, line)) = self.verified.mark() {
@@ -73,17 +74,19 @@ impl Theatre {
             let share = (since.elapsed().as_secs_f32() / HOLD.as_secs_f32()).min(1.0);
             let text = FontId::proportional(22.0);
             let message = "Keep holding Esc to leave";
-            let rect = painter.text(room.left_center(), Align2::LEFT_CENTER, message, text, theme::TEXT);
+            let rect = painter.text(room.left_center(), Align2::LEFT_CENTER, message, text, theme::text());
             let rail = Rect::from_min_size(pos2(rect.right() + 20.0, rect.center().y - 3.0), vec2(160.0, 6.0));
-            painter.rect_filled(rail, 3.0, theme::RAISED);
+            painter.rect_filled(rail, 3.0, theme::raised());
             let done = Rect::from_min_size(rail.min, vec2(rail.width() * share, rail.height()));
-            painter.rect_filled(done, 3.0, theme::ACCENT);
+            painter.rect_filled(done, 3.0, theme::accent());
             return;
         }
         let label = |message: &str| WidgetInfo::labeled(WidgetType::Label, true, message.to_owned());
         for (k, notice) in self.notices.iter().enumerate() {
             let response = ui.interact(room, ui.id().with(("notice", k)), Sense::hover());
             response.widget_info(|| label(&format!("Notice: {}", notice.message)));
+            let action = notice.action;
+            ui.ctx().accesskit_node_builder(response.id, |node| node.set_description(format!("To do: {action}")));
         }
         let remark = self.remark.as_ref().filter(|(.., at)| at.elapsed() < REMARK);
         if let Some((message, ..)) = remark {
@@ -92,16 +95,16 @@ impl Theatre {
         }
         let Some(first) = self.notices.first() else {
             let (message, color) = match remark {
-                Some((message, wrong, _)) => (message.clone(), if *wrong { theme::WARN } else { theme::TEXT }),
-                None => (self.plan.name.clone(), theme::MUTED),
+                Some((message, wrong, _)) => (message.clone(), if *wrong { theme::warn() } else { theme::text() }),
+                None => (self.plan.name.clone(), theme::muted()),
             };
             painter.text(room.left_center(), Align2::LEFT_CENTER, message, FontId::proportional(20.0), color);
             return;
         };
         let color = match first.urgency {
-            Urgency::Alarm => theme::FAULT,
-            Urgency::Warning => theme::WARN,
-            Urgency::Note => theme::MUTED,
+            Urgency::Alarm => theme::fault(),
+            Urgency::Warning => theme::warn(),
+            Urgency::Note => theme::muted(),
         };
         // A sign and the font size show the urgency without relying on colour.
         let at = pos2(room.left() + 14.0, room.center().y);
@@ -110,6 +113,8 @@ impl Theatre {
         }
         let rest: Vec<&str> = self.notices.iter().skip(1).map(|n| n.message.as_str()).collect();
         let rest = remark.iter().map(|(message, ..)| message.as_str()).chain(rest).collect::<Vec<_>>().join("   ·   ");
+        // What to do, where nothing else is to be said.
+        let rest = if rest.is_empty() { format!("To do: {}", first.action) } else { rest };
         let left = room.left() + if first.urgency >= Urgency::Warning { 44.0 } else { 0.0 };
         let (y, size) = if rest.is_empty() { (room.center().y, 24.0) } else { (room.center().y - 10.0, 22.0) };
         let size = if first.urgency == Urgency::Note { 18.0 } else { size };
@@ -125,8 +130,8 @@ impl Theatre {
         let galley = fitted(&first.message, size, color);
         painter.galley(pos2(left, y - galley.size().y / 2.0), galley, color);
         if !rest.is_empty() {
-            let galley = fitted(&rest, 15.0, theme::TEXT.gamma_multiply(0.8));
-            painter.galley(pos2(left, room.center().y + 8.0), galley, theme::TEXT);
+            let galley = fitted(&rest, 15.0, theme::text().gamma_multiply(0.8));
+            painter.galley(pos2(left, room.center().y + 8.0), galley, theme::text());
         }
     }
 
@@ -204,16 +209,16 @@ impl Theatre {
 /// Draws the mark of an unverified graph, which is visible as long as it runs. `right` is the middle of its right edge; returns its rectangle.
 fn unverified(ui: &mut Ui, right: Pos2, heading: &str, line: &str) -> Rect {
     let painter = ui.painter();
-    let heading_text = painter.layout_no_wrap(heading.to_owned(), FontId::proportional(15.0), theme::WARN);
-    let line_text = painter.layout_no_wrap(line.to_owned(), FontId::proportional(13.0), theme::TEXT);
+    let heading_text = painter.layout_no_wrap(heading.to_owned(), FontId::proportional(15.0), theme::warn());
+    let line_text = painter.layout_no_wrap(line.to_owned(), FontId::proportional(13.0), theme::text());
     let text = vec2(heading_text.size().x.max(line_text.size().x), heading_text.size().y + line_text.size().y);
     let size = text + vec2(28.0, 8.0);
     let rect = Rect::from_min_size(pos2(right.x - size.x, right.y - size.y / 2.0), size);
-    painter.rect_stroke(rect, CornerRadius::same(8), Stroke::new(1.5, theme::WARN), StrokeKind::Inside);
+    painter.rect_stroke(rect, CornerRadius::same(8), Stroke::new(1.5, theme::warn()), StrokeKind::Inside);
     let at = rect.min + vec2(14.0, 4.0);
     let below = at + vec2(0.0, heading_text.size().y);
-    painter.galley(at, heading_text, theme::WARN);
-    painter.galley(below, line_text, theme::TEXT);
+    painter.galley(at, heading_text, theme::warn());
+    painter.galley(below, line_text, theme::text());
     let response = ui.interact(rect, ui.id().with("verified"), Sense::hover());
     let caption = format!("{}: {line}", heading[..1].to_owned() + &heading[1..].to_lowercase());
     response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, caption.clone()));
@@ -230,22 +235,22 @@ fn button_named(ui: &mut Ui, rect: Rect, name: &str, caption: &str, key: &str, o
     let response = ui.interact(rect, ui.id().with(("button", key)), Sense::click());
     response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, on, name.to_owned()));
     let fill = match () {
-        () if on => theme::ACCENT.gamma_multiply(0.32),
-        () if response.is_pointer_button_down_on() => theme::LINE,
-        () if response.hovered() => theme::RAISED.gamma_multiply(1.25),
-        () => theme::RAISED,
+        () if on => theme::accent().gamma_multiply(0.32),
+        () if response.is_pointer_button_down_on() => theme::line(),
+        () if response.hovered() => theme::raised().gamma_multiply(1.25),
+        () => theme::raised(),
     };
-    let edge = if response.has_focus() || on { theme::ACCENT } else { Color32::TRANSPARENT };
+    let edge = if response.has_focus() || on { theme::accent() } else { Color32::TRANSPARENT };
     let painter = ui.painter();
     painter.rect(rect, 12.0, fill, Stroke::new(2.0, edge), StrokeKind::Inside);
     let c = rect.center();
-    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, caption, FontId::proportional(20.0), theme::TEXT);
-    painter.text(c + vec2(0.0, 17.0), Align2::CENTER_CENTER, key, FontId::proportional(13.0), theme::MUTED);
+    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, caption, FontId::proportional(20.0), theme::text());
+    painter.text(c + vec2(0.0, 17.0), Align2::CENTER_CENTER, key, FontId::proportional(13.0), theme::muted());
     response.clicked()
 }
 
 /// Draws a warning sign.
-fn sign(painter: &eframe::egui::Painter, at: eframe::egui::Pos2, size: f32, color: Color32) {
+pub(super) fn sign(painter: &eframe::egui::Painter, at: eframe::egui::Pos2, size: f32, color: Color32) {
     let corners = vec![at + vec2(0.0, -size), at + vec2(size, size * 0.8), at + vec2(-size, size * 0.8)];
     painter.add(Shape::convex_polygon(corners, color, Stroke::NONE));
     let bar = Stroke::new(size * 0.22, theme::BLACK);

@@ -6,10 +6,12 @@
 //! alone.
 
 mod actions;
+mod alarms;
 mod arm;
 mod arrange;
 mod audit;
 mod bars;
+mod checklist;
 mod guard;
 mod link;
 mod measure;
@@ -47,10 +49,11 @@ use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{Costs, Shot};
 
 pub use actions::{Action, key_name};
+pub use alarms::{ALL as ALARMS, Alarm, Urgency};
 pub use arrange::Layout;
 pub use guard::{Guard, Program};
 pub use measure::Length;
-pub use notices::{Notice, Urgency};
+pub use notices::Notice;
 pub use open::{OpenError, Opened, Options, Ready, Verified};
 pub use open_failed::OpenFailed;
 pub use opening::Opening;
@@ -60,6 +63,7 @@ pub use runner::{Outage, OutageStage};
 pub use storage::{free_bytes, with_clip, without_clip, write_still};
 
 use audit::Audit;
+pub use checklist::{Check, State};
 use measure::Measure;
 use notices::{Facts, Stages};
 use outage::Resuming;
@@ -106,6 +110,9 @@ pub struct Theatre {
     chosen: HashMap<(String, String), ParamValue>,
     /// Visible page of the settings.
     page: usize,
+    /// Whether the checklist is shown, and its lines.
+    checking: bool,
+    checks: Vec<Check>,
     stages: Stages,
     notices: Vec<Notice>,
     remark: Option<(String, bool, Instant)>,
@@ -196,6 +203,8 @@ impl Theatre {
             emergency: false,
             chosen: HashMap::new(),
             page: 0,
+            checking: false,
+            checks: Vec::new(),
             stages: Stages::default(),
             notices: Vec::new(),
             remark: None,
@@ -370,7 +379,14 @@ impl Theatre {
         let stage =
             Rect::from_min_max(pos2(whole.left() + EDGE, top.bottom()), pos2(whole.right() - EDGE, bottom.top() - 8.0));
         self.top_bar(ui, top, &status, &facts);
-        self.stage(ui, stage, &facts);
+        self.update_checklist(&facts, &counters);
+        let mut pictures = stage;
+        if self.checking {
+            // Beside the pictures, which become narrower.
+            pictures.min.x += checklist::WIDTH + EDGE;
+            self.show_checklist(ui, stage.with_max_x(stage.left() + checklist::WIDTH));
+        }
+        self.stage(ui, pictures, &facts);
         self.bottom_bar(ui, bottom);
         self.request_previews();
         // Ages must be redrawn even when nothing new arrives.
@@ -431,6 +447,7 @@ impl Theatre {
             Action::Stop => self.emergency_stop(true),
             Action::Again => self.again(),
             Action::More => self.page += 1,
+            Action::Checklist => self.checking ^= true,
         }
         if matches!(action, Action::Next | Action::Previous | Action::One(_)) && self.measure.is_on() {
             self.measure = Measure::default();

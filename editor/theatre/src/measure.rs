@@ -172,6 +172,20 @@ impl Measure {
         }
     }
 
+    /// The measurement as a row of a node `measure`, as JSON: pixels of the image, mm, the 95 % error bound.
+    pub fn row(&self) -> Option<serde_json::Value> {
+        match (self.points(), self.distance(), self.depth()) {
+            ([a, b], Some(length), _) => Some(serde_json::json!({
+                "u0_px": a.at_px.0, "v0_px": a.at_px.1, "u1_px": b.at_px.0, "v1_px": b.at_px.1,
+                "distance_mm": length.mm, "error_mm": length.error_mm,
+            })),
+            ([a], _, Some(depth)) => Some(serde_json::json!({
+                "u_px": a.at_px.0, "v_px": a.at_px.1, "depth_mm": depth.mm, "error_mm": depth.error_mm,
+            })),
+            _ => None,
+        }
+    }
+
     /// The image with the measurement drawn on it, for a still.
     pub fn pixels(&self) -> Option<Pixels> {
         let on = self.on.as_ref()?;
@@ -228,9 +242,17 @@ mod tests {
         measure.set_rig(Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: f64::NAN }, Noise::USUAL);
         let error = measure.distance().and_then(|l| l.error_mm).expect("the rig is known");
         assert!((0.01..1.0).contains(&error), "{error} mm");
+        let row = measure.row().expect("a measurement");
+        assert!(
+            row["u0_px"].as_f64().zip(row["u1_px"].as_f64()).is_some_and(|(a, b)| (b - a - 10.0).abs() < 1e-3),
+            "{row}"
+        );
+        assert!(row["distance_mm"].as_f64().is_some_and(|mm| (mm - 10.0).abs() < 1e-6), "{row}");
+        assert_eq!(row["error_mm"].as_f64(), Some(error));
         assert!(measure.pixels().is_some_and(|p| p.rgba.contains(&0xE9)), "the line is drawn");
         measure.tap(0.1, 0.1);
         assert_eq!(measure.points().len(), 1);
+        assert!(measure.row().is_some_and(|row| row["depth_mm"].as_f64().is_some_and(|mm| (mm - 50.0).abs() < 1e-6)));
     }
 
     #[test]

@@ -9,6 +9,7 @@ use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::Phase;
 
+use super::alarms::{self, Alarm, Urgency};
 use super::outage::OutageFacts;
 use super::runner::OutageStage;
 
@@ -23,17 +24,6 @@ pub const LOW_BYTES: u64 = 2 << 30;
 /// Free space below which nothing is recorded.
 pub const FULL_BYTES: u64 = 64 << 20;
 
-/// Urgency of a notice.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Urgency {
-    /// For information.
-    Note,
-    /// Needs attention soon.
-    Warning,
-    /// Needs attention now.
-    Alarm,
-}
-
 /// A notice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Notice {
@@ -41,6 +31,8 @@ pub struct Notice {
     pub urgency: Urgency,
     /// Its text, one sentence.
     pub message: String,
+    /// What to do.
+    pub action: &'static str,
 }
 
 /// The facts that notices are made from.
@@ -123,27 +115,28 @@ pub fn format_bytes(bytes: u64) -> String {
 
 /// All notices for these facts, the most urgent first.
 pub fn notices(facts: &Facts) -> Vec<Notice> {
-    use Urgency::{Alarm, Note, Warning};
     let mut all = Vec::new();
-    let mut notify = |urgency, message: String| all.push(Notice { urgency, message });
+    let mut notify = |kind: Alarm, message: String| {
+        all.push(Notice { urgency: kind.urgency, message, action: kind.action });
+    };
     if facts.emergency {
-        notify(Alarm, "Emergency stop: the arm is stopped".to_owned());
+        notify(alarms::EMERGENCY, alarms::EMERGENCY.text.to_owned());
     }
     if let Some(why) = &facts.why_dark {
-        notify(Alarm, format!("No image: {why}"));
+        notify(alarms::NO_IMAGE, format!("No image: {why}"));
     } else if let Some(outage) = &facts.outage {
-        notify(Alarm, outage.message());
+        notify(alarms::RESTARTING, outage.message());
     } else if let Some(why) = &facts.raw_only {
-        notify(Alarm, format!("Camera image only: {why}"));
+        notify(alarms::CAMERA_ONLY, format!("Camera image only: {why}"));
     } else if let Phase::Failed(why) = &facts.phase {
-        notify(Alarm, format!("The system stopped: {why}"));
+        notify(alarms::STOPPED, format!("The system stopped: {why}"));
     }
     if facts.phase == Phase::Ended {
-        notify(Warning, "The source has ended".to_owned());
+        notify(alarms::ENDED, alarms::ENDED.text.to_owned());
     }
     for (camera, since) in &facts.lost {
         notify(
-            Alarm,
+            alarms::CAMERA_LOST,
             match since {
                 Some(since) => format!("{camera} lost: no image for {} s", since.as_secs().max(1)),
                 None => format!("{camera} delivers no image"),
@@ -151,35 +144,35 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
         );
     }
     for view in &facts.stopped {
-        notify(Alarm, format!("{view} has stopped"));
+        notify(alarms::VIEW_STOPPED, format!("{view} has stopped"));
     }
     for message in &facts.stages {
-        notify(Alarm, message.clone());
+        notify(alarms::STAGE, message.clone());
     }
     if let Some(problem) = facts.problem.as_ref().filter(|_| facts.why_dark.is_none()) {
-        notify(Warning, problem.clone());
+        notify(alarms::NOT_CHANGED, problem.clone());
     }
     if let Some(age) = facts.age_ms.filter(|age| *age > OLD_MS && facts.stopped.is_empty()) {
-        notify(Warning, format!("Image is {:.1} s old", age / 1e3));
+        notify(alarms::OLD_IMAGE, format!("Image is {:.1} s old", age / 1e3));
     }
     match facts.free_bytes {
-        Some(free) if free < FULL_BYTES => notify(Alarm, "The disk is full: nothing can be recorded".to_owned()),
+        Some(free) if free < FULL_BYTES => notify(alarms::DISK_FULL, alarms::DISK_FULL.text.to_owned()),
         Some(free) if free < LOW_BYTES && facts.recording => {
-            notify(Warning, format!("The disk is nearly full: {} free", format_bytes(free)));
+            notify(alarms::DISK_LOW, format!("The disk is nearly full: {} free", format_bytes(free)));
         }
         _ => {}
     }
     if let Some(problem) = &facts.audit_problem {
-        notify(Warning, format!("The audit log is not written: {problem}"));
+        notify(alarms::AUDIT, format!("The audit log is not written: {problem}"));
     }
     if facts.drifted {
-        notify(Warning, "The calibration does not fit any more: distances may be wrong, calibrate again".to_owned());
+        notify(alarms::DRIFTED, alarms::DRIFTED.text.to_owned());
     }
     if facts.swapped {
-        notify(Alarm, "The left and right cameras are swapped".to_owned());
+        notify(alarms::SWAPPED, alarms::SWAPPED.text.to_owned());
     }
     if let Some(difference) = &facts.unlocked {
-        notify(Note, format!("Runs although it differs from its lock: {difference}"));
+        notify(alarms::UNLOCKED, format!("Runs although it differs from its lock: {difference}"));
     }
     all.sort_by_key(|n| std::cmp::Reverse(n.urgency));
     all

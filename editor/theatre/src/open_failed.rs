@@ -49,28 +49,28 @@ impl OpenFailed {
             };
             ui.spacing_mut().item_spacing.y = 10.0;
             ui.add_space(room.height() * 0.12);
-            ui.add(text("The theatre could not be opened", 18.0, theme::MUTED));
-            ui.add(text(&self.refusal.heading, 34.0, theme::FAULT));
+            ui.add(text("The theatre could not be opened", 18.0, theme::muted()));
+            ui.add(text(&self.refusal.heading, 34.0, theme::fault()));
             ui.add_space(14.0);
             let most = (ui.available_height() - 340.0).max(120.0);
-            let frame = Frame::new().fill(theme::PANEL).corner_radius(8.0).inner_margin(Margin::same(18));
+            let frame = Frame::new().fill(theme::panel()).corner_radius(8.0).inner_margin(Margin::same(18));
             frame.show(ui, |ui| {
                 ui.set_width(ui.available_width());
                 ScrollArea::vertical().max_height(most).auto_shrink([false, true]).show(ui, |ui| {
                     for cause in &self.refusal.causes {
                         // A listing needs a monospaced font.
-                        let message = RichText::new(cause).size(17.0).color(theme::TEXT);
+                        let message = RichText::new(cause).size(17.0).color(theme::text());
                         let message = if cause.contains('\n') { message.monospace().size(14.0) } else { message };
                         ui.add(egui::Label::new(message).wrap());
                     }
                 });
             });
             ui.add_space(14.0);
-            ui.add(text("What to do", 18.0, theme::MUTED));
+            ui.add(text("What to do", 18.0, theme::muted()));
             for (remedy, command) in &self.refusal.remedies {
-                ui.add(text(remedy, 17.0, theme::TEXT));
+                ui.add(text(remedy, 17.0, theme::text()));
                 if let Some(command) = command {
-                    let message = RichText::new(command).monospace().size(16.0).color(theme::ACCENT);
+                    let message = RichText::new(command).monospace().size(16.0).color(theme::accent());
                     ui.add(egui::Label::new(message).wrap());
                     ui.add_space(4.0);
                 }

@@ -241,7 +241,7 @@ impl Opening {
             Stage::Running(theatre) => {
                 if self.form.is_some() {
                     // Beside the pictures: nothing covers them.
-                    let frame = Frame::new().fill(theme::PANEL).inner_margin(Margin::same(20));
+                    let frame = Frame::new().fill(theme::panel()).inner_margin(Margin::same(20));
                     let panel = Panel::left("arguments").frame(frame).exact_size(460.0);
                     let (path, form) = (&self.path, &mut self.form);
                     panel.show(ui, |ui| {
@@ -270,7 +270,7 @@ impl Opening {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         ui.label(RichText::new(format!("Arguments of {name}")).size(26.0));
         ui.add(
-            egui::Label::new(RichText::new("Files can be dropped on the window.").size(15.0).color(theme::MUTED))
+            egui::Label::new(RichText::new("Files can be dropped on the window.").size(15.0).color(theme::muted()))
                 .wrap(),
         );
         ui.add_space(3.0 * theme::STEP);

@@ -162,7 +162,9 @@ impl Theatre {
         if let Some(raw) = &self.plan.raw {
             requests.insert(raw.output.clone(), of(raw, MAX_WIDTH));
         }
-        if let Some(rig) = self.plan.rig.as_ref().filter(|_| self.measure.is_on() && self.rig.is_none()) {
+        if let Some(rig) =
+            self.plan.rig.as_ref().filter(|_| (self.measure.is_on() || self.checking) && self.rig.is_none())
+        {
             let packet = "calibration".to_owned();
             requests
                 .insert(rig.calibration.clone(), PreviewRequest { packet, max_width: 1, ..PreviewRequest::default() });

@@ -21,7 +21,8 @@ impl Theatre {
                 None => main.and_then(|m| self.shown.pixels(&m.output).cloned()),
             }
         };
-        let result = pixels.map(|pixels| self.storage.still(pixels));
+        let row = self.measure.row();
+        let result = pixels.map(|pixels| self.storage.still(pixels, row));
         match result {
             Some(Ok(number)) => self.audit.log(Event::Still { number }),
             Some(Err(error)) => self.notify(error.to_string(), true),

@@ -84,10 +84,10 @@ pub fn show(ui: &mut Ui, rect: Rect, setting: &Setting, value: Option<&ParamValu
     let id = ui.id().with(("setting", &setting.node, &setting.param.name));
     let response = ui.interact(rect, id, Sense::click_and_drag());
     let painter = ui.painter().clone();
-    let color = if response.has_focus() { theme::ACCENT } else { theme::MUTED };
+    let color = if response.has_focus() { theme::accent() } else { theme::muted() };
     painter.text(rect.left_top(), Align2::LEFT_TOP, &setting.label, FontId::proportional(16.0), color);
     let shown = value.map_or_else(|| "-".to_owned(), |v| message(v, unit_suffix(&setting.param.unit)));
-    painter.text(rect.right_top(), Align2::RIGHT_TOP, &shown, FontId::proportional(18.0), theme::TEXT);
+    painter.text(rect.right_top(), Align2::RIGHT_TOP, &shown, FontId::proportional(18.0), theme::text());
     let Some(value) = value else {
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, false, setting.label.clone()));
         return None;
@@ -115,8 +115,8 @@ pub fn show(ui: &mut Ui, rect: Rect, setting: &Setting, value: Option<&ParamValu
             let label = setting.label.clone();
             response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label.clone()));
             let area = Rect::from_min_max(pos2(rect.left(), rect.bottom() - 32.0), rect.max);
-            painter.rect_filled(area, 8.0, theme::RAISED);
-            painter.text(area.center(), Align2::CENTER_CENTER, "next", FontId::proportional(15.0), theme::MUTED);
+            painter.rect_filled(area, 8.0, theme::raised());
+            painter.text(area.center(), Align2::CENTER_CENTER, "next", FontId::proportional(15.0), theme::muted());
             let next = (index + 1) % choices.len().max(1);
             let name = choices.get(next)?.clone();
             response.clicked().then_some(ParamValue::Choice { index: next, name })
@@ -134,9 +134,9 @@ fn slider(ui: &Ui, rect: Rect, response: &Response, setting: &Setting, span: Spa
     let y = rail.center().y;
     let painter = ui.painter();
     let line = |from: f32, to: f32| Rect::from_min_max(pos2(from, y - 4.0), pos2(to, y + 4.0));
-    painter.rect_filled(line(rail.left() - 4.0, rail.right() + 4.0), CornerRadius::same(4), theme::RAISED);
-    painter.rect_filled(line(rail.left() - 4.0, x), CornerRadius::same(4), theme::ACCENT.gamma_multiply(0.7));
-    painter.circle(pos2(x, y), 13.0, Color32::from_rgb(0xE8, 0xED, 0xF2), Stroke::new(2.0, theme::ACCENT));
+    painter.rect_filled(line(rail.left() - 4.0, rail.right() + 4.0), CornerRadius::same(4), theme::raised());
+    painter.rect_filled(line(rail.left() - 4.0, x), CornerRadius::same(4), theme::accent().gamma_multiply(0.7));
+    painter.circle(pos2(x, y), 13.0, Color32::from_rgb(0xE8, 0xED, 0xF2), Stroke::new(2.0, theme::accent()));
     let dragged = response.is_pointer_button_down_on() || response.dragged() || response.clicked();
     let pointer = response.interact_pointer_pos().filter(|_| dragged);
     let wanted = pointer.map(|at| {
@@ -157,9 +157,9 @@ fn slider(ui: &Ui, rect: Rect, response: &Response, setting: &Setting, span: Spa
 
 fn switch(ui: &Ui, rect: Rect, on: bool) {
     let track = Rect::from_min_size(pos2(rect.left(), rect.bottom() - 30.0), vec2(60.0, 28.0));
-    let fill = if on { theme::ACCENT.gamma_multiply(0.7) } else { theme::RAISED };
+    let fill = if on { theme::accent().gamma_multiply(0.7) } else { theme::raised() };
     let painter = ui.painter();
-    painter.rect(track, 14.0, fill, Stroke::new(1.0, theme::LINE), StrokeKind::Inside);
+    painter.rect(track, 14.0, fill, Stroke::new(1.0, theme::line()), StrokeKind::Inside);
     let x = if on { track.right() - 14.0 } else { track.left() + 14.0 };
     painter.circle_filled(pos2(x, track.center().y), 10.0, Color32::from_rgb(0xE8, 0xED, 0xF2));
 }

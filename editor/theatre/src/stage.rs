@@ -98,7 +98,7 @@ impl Theatre {
         if let Some(raw) = self.plan.raw.clone() {
             // A background and border distinguish it from an image that it may cover.
             ui.painter().rect_filled(side.expand(4.0), 6.0, theme::BLACK);
-            ui.painter().rect_stroke(side.expand(4.0), 6.0, Stroke::new(1.5, theme::LIVE), StrokeKind::Inside);
+            ui.painter().rect_stroke(side.expand(4.0), 6.0, Stroke::new(1.5, theme::live()), StrokeKind::Inside);
             self.picture(ui, side, &raw, Some(&format!("Live: {}", raw.label)), true, facts);
         }
     }
@@ -135,16 +135,16 @@ impl Theatre {
             Align2::LEFT_CENTER,
             title,
             FontId::proportional(16.0),
-            theme::TEXT.gamma_multiply(0.85),
+            theme::text().gamma_multiply(0.85),
         );
         let age = self.age_ms(&pane.output).filter(|_| live || self.frozen.is_none());
         let (message, color) = match age {
-            _ if stopped => ("no new image".to_owned(), theme::FAULT),
-            Some(age) if age > 9_999.0 => ("no new image".to_owned(), theme::FAULT),
-            Some(age) if age > OLD_MS => (format!("{:.1} s old", age / 1e3), theme::WARN),
+            _ if stopped => ("no new image".to_owned(), theme::fault()),
+            Some(age) if age > 9_999.0 => ("no new image".to_owned(), theme::fault()),
+            Some(age) if age > OLD_MS => (format!("{:.1} s old", age / 1e3), theme::warn()),
             // In steps of 10 ms, so that the number does not flicker.
-            Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), theme::MUTED),
-            None => (String::new(), theme::MUTED),
+            Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), theme::muted()),
+            None => (String::new(), theme::muted()),
         };
         painter.text(
             pos2(rect.right(), rect.top() + TITLE / 2.0),
@@ -161,7 +161,7 @@ impl Theatre {
                 let tint = if stopped { Color32::from_gray(90) } else { Color32::WHITE };
                 image(ui, texture, inner, tint);
                 if stopped {
-                    painter.rect_stroke(inner, 0.0, Stroke::new(3.0, theme::FAULT), StrokeKind::Inside);
+                    painter.rect_stroke(inner, 0.0, Stroke::new(3.0, theme::fault()), StrokeKind::Inside);
                 }
             }
             None => {
@@ -198,7 +198,7 @@ impl Theatre {
         let line = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.right_top());
         let painter = ui.painter_at(rect);
         let hint = self.measure.hint();
-        painter.text(line.left_center(), Align2::LEFT_CENTER, hint, FontId::proportional(18.0), theme::ACCENT);
+        painter.text(line.left_center(), Align2::LEFT_CENTER, hint, FontId::proportional(18.0), theme::accent());
         image(ui, texture, inner, Color32::WHITE);
         let response = ui.interact(inner, ui.id().with("measure"), Sense::click());
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Measure here"));
@@ -219,10 +219,10 @@ impl Theatre {
         let points: Vec<_> = self.measure.points().iter().map(|p| (on_screen(p.at_px), p.position)).collect();
         if let [(a, _), (b, _)] = points[..] {
             painter.line_segment([a, b], Stroke::new(5.0, Color32::from_black_alpha(160)));
-            painter.line_segment([a, b], Stroke::new(2.5, theme::ACCENT));
+            painter.line_segment([a, b], Stroke::new(2.5, theme::accent()));
         }
         for (at, position) in &points {
-            let color = if position.is_some() { theme::ACCENT } else { theme::FAULT };
+            let color = if position.is_some() { theme::accent() } else { theme::fault() };
             painter.circle_stroke(*at, 9.0, Stroke::new(5.0, Color32::from_black_alpha(160)));
             painter.circle_stroke(*at, 9.0, Stroke::new(2.5, color));
             painter.circle_filled(*at, 2.0, color);
@@ -235,7 +235,7 @@ impl Theatre {
         };
         if let Some(message) = result {
             // Beside the title, where it covers nothing.
-            painter.text(line.right_center(), Align2::RIGHT_CENTER, message, FontId::proportional(26.0), theme::TEXT);
+            painter.text(line.right_center(), Align2::RIGHT_CENTER, message, FontId::proportional(26.0), theme::text());
         }
     }
 }
@@ -247,12 +247,12 @@ fn with_title(picture: Rect) -> Rect {
 
 /// Draws the full reason for a missing image and what to do.
 fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
-    ui.painter().rect_filled(room, 4.0, theme::SUNK);
+    ui.painter().rect_filled(room, 4.0, theme::sunk());
     let (why, remedy) = match why {
         NoPicture::Because { why, remedy } => (why.as_str(), *remedy),
         NoPicture::Plain(message) => {
             let font = FontId::proportional(20.0);
-            ui.painter().text(room.center(), Align2::CENTER_CENTER, *message, font, theme::MUTED);
+            ui.painter().text(room.center(), Align2::CENTER_CENTER, *message, font, theme::muted());
             return;
         }
     };
@@ -262,8 +262,11 @@ fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
         let job = LayoutJob::simple(message.to_owned(), FontId::proportional(size), color, width);
         ui.painter().layout_job(job)
     };
-    let parts =
-        [("No image", 26.0, theme::FAULT, 12.0), (why, 18.0, theme::TEXT, 20.0), (remedy, 18.0, theme::ACCENT, 0.0)];
+    let parts = [
+        ("No image", 26.0, theme::fault(), 12.0),
+        (why, 18.0, theme::text(), 20.0),
+        (remedy, 18.0, theme::accent(), 0.0),
+    ];
     // In a small rectangle the text is made smaller instead of cut off.
     let (mut scale, mut laid) = (1.0, Vec::new());
     while scale > 0.5 {
@@ -283,7 +286,7 @@ fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
         let response = ui.interact(pane, ui.id().with(("no image", message)), Sense::hover());
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, message));
         at.y += galley.size().y + gap;
-        ui.painter_at(room).galley(pane.min, galley, theme::TEXT);
+        ui.painter_at(room).galley(pane.min, galley, theme::text());
     }
 }
 
@@ -295,7 +298,7 @@ pub(super) fn capture_arrows(ui: &Ui, id: Id) {
 
 /// Draws a frame around the focused image, outside of it.
 pub(super) fn focus_frame(ui: &Ui, rect: Rect) {
-    ui.painter().rect_stroke(rect.expand(4.0), 6.0, Stroke::new(2.0, theme::ACCENT), StrokeKind::Inside);
+    ui.painter().rect_stroke(rect.expand(4.0), 6.0, Stroke::new(2.0, theme::accent()), StrokeKind::Inside);
 }
 
 fn image(ui: &Ui, texture: TextureId, rect: Rect, tint: Color32) {

@@ -83,12 +83,25 @@ pub enum StillError {
 /// # Errors
 /// See [`StillError`]; an older file is unchanged.
 pub fn write_still(file: &Path, pixels: &Pixels) -> Result<(), StillError> {
-    let name = || file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let bytes = png(pixels).map_err(|cause| StillError::Encode { name: name(), cause })?;
-    disk::replace(file, &bytes, None).map_err(|cause| match cause.kind() {
-        std::io::ErrorKind::StorageFull => StillError::DiskFull { name: name() },
-        _ => StillError::Write { name: name(), cause },
+    let bytes = png(pixels).map_err(|cause| StillError::Encode { name: name_of(file), cause })?;
+    write(file, &bytes)
+}
+
+fn name_of(file: &Path) -> String {
+    file.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn write(file: &Path, bytes: &[u8]) -> Result<(), StillError> {
+    disk::replace(file, bytes, None).map_err(|cause| match cause.kind() {
+        std::io::ErrorKind::StorageFull => StillError::DiskFull { name: name_of(file) },
+        _ => StillError::Write { name: name_of(file), cause },
     })
+}
+
+/// Writes the measurement of a still beside it: one line with the name of the picture and a table as that of a node `measure`, as JSON.
+fn write_table(still: &Path, row: &serde_json::Value) -> Result<(), StillError> {
+    let line = serde_json::json!({ "picture": name_of(still), "table": [row] });
+    write(&still.with_extension("jsonl"), format!("{line}\n").as_bytes())
 }
 
 /// Why a clip could not be started.
@@ -148,6 +161,8 @@ pub fn without_clip(text: &str, node: &str) -> Result<String, EditError> {
 struct StillJob {
     file: PathBuf,
     pixels: Pixels,
+    /// What was measured in it.
+    row: Option<serde_json::Value>,
 }
 
 /// Files of stills and clips: writes stills on a thread of its own, so that the window is not blocked, and reads the free space.
@@ -178,8 +193,9 @@ impl Storage {
         let (results, done) = channel();
         let thread = std::thread::Builder::new().name("stills".to_owned()).spawn(move || {
             for job in queue {
-                let name = job.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                let _ = results.send(write_still(&job.file, &job.pixels).map(|()| name));
+                let table = |()| job.row.as_ref().map_or(Ok(()), |row| write_table(&job.file, row));
+                let written = write_still(&job.file, &job.pixels).and_then(table);
+                let _ = results.send(written.map(|()| name_of(&job.file)));
             }
         })?;
         // Absolute, because relative paths in a graph start from the graph's folder.
@@ -201,14 +217,14 @@ impl Storage {
         Ok(file)
     }
 
-    /// Queues a still for writing and returns its number; [`Self::finished`] returns the result.
+    /// Queues a still for writing, with what was measured in it, and returns its number; [`Self::finished`] returns the result.
     ///
     /// # Errors
     /// The folder cannot be created, or the writing thread has ended.
-    pub fn still(&mut self, pixels: Pixels) -> Result<u32, StillError> {
+    pub fn still(&mut self, pixels: Pixels, row: Option<serde_json::Value>) -> Result<u32, StillError> {
         let number = self.next;
         let file = self.next_file("still", "png")?;
-        let sent = self.jobs.as_ref().map(|jobs| jobs.send(StillJob { file, pixels }));
+        let sent = self.jobs.as_ref().map(|jobs| jobs.send(StillJob { file, pixels, row }));
         if matches!(sent, Some(Ok(()))) { Ok(number) } else { Err(StillError::NoThread) }
     }
 
@@ -258,13 +274,15 @@ mod tests {
         let _ = std::fs::remove_dir_all(&folder);
         let mut storage = Storage::new(&folder, None).unwrap();
         let pixels = Pixels { width: 2, height: 1, rgba: vec![9, 8, 7, 255, 1, 2, 3, 255] };
-        storage.still(pixels.clone()).unwrap();
-        storage.still(pixels).unwrap();
+        storage.still(pixels.clone(), None).unwrap();
+        storage.still(pixels, Some(serde_json::json!({ "distance_mm": 9.5 }))).unwrap();
         drop(storage);
         let mut names: Vec<String> =
             std::fs::read_dir(&folder).unwrap().map(|f| f.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
-        assert_eq!(names, ["still_0001.png", "still_0002.png"], "no partial files");
+        assert_eq!(names, ["still_0001.png", "still_0002.jsonl", "still_0002.png"], "no partial files");
+        let table = std::fs::read_to_string(folder.join("still_0002.jsonl")).unwrap();
+        assert_eq!(table, "{\"picture\":\"still_0002.png\",\"table\":[{\"distance_mm\":9.5}]}\n");
         let picture = image::open(folder.join("still_0001.png")).unwrap().to_rgb8();
         assert_eq!(picture.into_raw(), [9, 8, 7, 1, 2, 3]);
         let mut storage = Storage::new(&folder, Some("case 7")).unwrap();

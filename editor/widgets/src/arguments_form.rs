@@ -45,7 +45,7 @@ pub fn show(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) -> Option<FormRe
         }
     });
     for problem in &form.problems {
-        ui.add(Label::new(RichText::new(problem).size(style.size).color(theme::FAULT)).wrap());
+        ui.add(Label::new(RichText::new(problem).size(style.size).color(theme::fault())).wrap());
     }
     ui.add_space(theme::STEP);
     ui.horizontal(|ui| {
@@ -56,7 +56,7 @@ pub fn show(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) -> Option<FormRe
         if button(ui, "Cancel") {
             request = Some(FormRequest::Cancel);
         }
-        ui.label(RichText::new("The graph file is not changed.").size(style.size * 0.85).color(theme::MUTED));
+        ui.label(RichText::new("The graph file is not changed.").size(style.size * 0.85).color(theme::muted()));
     });
     request
 }
@@ -93,12 +93,12 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
             (None, None) if form.required.contains(&arg.name) => "required".to_owned(),
             (None, None) => "not used".to_owned(),
         };
-        let color = if state == "required" { theme::WARN } else { theme::MUTED };
+        let color = if state == "required" { theme::warn() } else { theme::muted() };
         ui.label(RichText::new(state).size(style.size * 0.85).color(color));
         let range = arg.range.map(|(low, high)| format!("{low} to {high}"));
         let limits = [range.as_deref(), Some(arg.unit.as_str())];
         let limits: Vec<&str> = limits.into_iter().flatten().filter(|t| !t.is_empty()).collect();
-        ui.label(RichText::new(limits.join(" ")).size(style.size * 0.85).color(theme::MUTED));
+        ui.label(RichText::new(limits.join(" ")).size(style.size * 0.85).color(theme::muted()));
         if given.is_some() {
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 let clear = ui.small_button("clear").on_hover_text("Takes the value away, so that the default applies");
@@ -110,7 +110,7 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
         }
     });
     if !arg.doc.is_empty() {
-        ui.add(Label::new(RichText::new(&arg.doc).size(style.size * 0.85).color(theme::MUTED)).wrap());
+        ui.add(Label::new(RichText::new(&arg.doc).size(style.size * 0.85).color(theme::muted())).wrap());
     }
     let now = form.values.get(&arg.name).cloned().or_else(|| arg.default.clone()).unwrap_or_default();
     let new = match arg.kind {

@@ -41,7 +41,7 @@ impl Crosshair {
         let Some([x, y]) = self.at else { return };
         let at = pos2(rect.left() + x * rect.width(), rect.top() + y * rect.height());
         let (far, near) = REACH;
-        for stroke in [Stroke::new(5.0, Color32::from_black_alpha(160)), Stroke::new(2.0, theme::ACCENT)] {
+        for stroke in [Stroke::new(5.0, Color32::from_black_alpha(160)), Stroke::new(2.0, theme::accent())] {
             for direction in [vec2(1.0, 0.0), vec2(-1.0, 0.0), vec2(0.0, 1.0), vec2(0.0, -1.0)] {
                 painter.line_segment([at + direction * near, at + direction * far], stroke);
             }

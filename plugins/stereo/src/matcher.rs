@@ -14,6 +14,8 @@ pub struct In<'f> {
     right: Image<'f, Gray8>,
     /// Part of the left view that is matched; the whole view when unconnected.
     roi: Option<Value<'f, abi::Roi>>,
+    /// Calibration of the rectified views; read only with `rectified_only`.
+    calibration: Option<Value<'f, abi::Calibration>>,
 }
 
 /// Outputs.
@@ -46,6 +48,9 @@ pub struct SearchWindow {
     /// Removes patches of the left map with at most this many pixels as wrong matches; 0 keeps all.
     #[param(default = 0, range = 0..=10000, unit = "px")]
     speckle_area_px: usize,
+    /// Makes no map in a tick without `calibration`: views that nobody has rectified cannot be matched along rows.
+    #[param(default = false)]
+    rectified_only: bool,
 }
 
 impl SearchWindow {
@@ -94,6 +99,9 @@ pub fn process<'f, K: StereoKernel>(
     out: &mut Out<'f>,
     (window, left_right_px): (&SearchWindow, i32),
 ) -> Result<()> {
+    if window.rectified_only && input.calibration.is_none() {
+        return Ok(());
+    }
     let (left, right) = (input.left.view(), input.right.view());
     let (width, height) = (left.width, left.height);
     if (right.width, right.height) != (width, height) {

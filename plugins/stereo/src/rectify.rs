@@ -5,7 +5,7 @@ use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
-    Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error,
+    Bgr8, Choice, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error,
 };
 
 use panoscope_calibration::packet as calibration;
@@ -38,6 +38,18 @@ pub struct RectifyNodeParams {
     /// Passes the views on unchanged: for views that another program has rectified.
     #[param(default = false)]
     bypass: bool,
+    /// What becomes of views without a calibration.
+    #[param(default = "refuse")]
+    uncalibrated: Uncalibrated,
+}
+
+/// See [`RectifyNodeParams::uncalibrated`].
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Uncalibrated {
+    /// The node fails.
+    Refuse,
+    /// The views are handed on as they are, without a calibration, until one arrives.
+    Pass,
 }
 
 /// Maps of one calibration.
@@ -51,6 +63,8 @@ struct Maps {
 /// See the module.
 pub struct Rectify {
     maps: Option<Maps>,
+    /// Views have been handed on without a calibration.
+    is_passing: bool,
 }
 
 /// Whether the cameras are those of the rectified views, so that every pixel stays where it is.
@@ -89,16 +103,24 @@ impl Node for Rectify {
     type Params = RectifyNodeParams;
 
     fn validate(params: &RectifyNodeParams, check: &mut Validation<'_>) {
-        if !params.bypass && check.is_connected("calibration") == Some(false) {
+        if params.bypass || check.is_connected("calibration") != Some(false) {
+            return;
+        }
+        if params.uncalibrated == Uncalibrated::Refuse {
             check.node_error(
                 "there is no calibration to rectify by: input `calibration` is not connected",
                 "connect it, as in calibration = \"scope.calibration\", or set bypass = true when the views are rectified already",
+            );
+        } else {
+            check.node_warning(
+                "there is no calibration to rectify by: the views stay as they are, and nothing is known of their depth",
+                "connect it, as in calibration = \"scope.calibration\"",
             );
         }
     }
 
     fn open(_: &Open<'_>, _: &RectifyNodeParams) -> Result<Self> {
-        Ok(Self { maps: None })
+        Ok(Self { maps: None, is_passing: false })
     }
 
     fn process<'f>(
@@ -123,8 +145,18 @@ impl Node for Rectify {
             }
             self.maps = None;
             self.maps = Some(Maps::new(given, cx)?);
+            if std::mem::replace(&mut self.is_passing, false) {
+                cx.info("a calibration has arrived: the views are rectified from now on");
+            }
         }
         let Some(maps) = &self.maps else {
+            if params.uncalibrated == Uncalibrated::Pass {
+                if !std::mem::replace(&mut self.is_passing, true) {
+                    cx.warn("no calibration has arrived: the views stay as they are, and nothing is known of their depth. Connect `calibration`");
+                }
+                out.left.forward(input.left.frame())?;
+                return out.right.forward(input.right.frame());
+            }
             return Err(error!(
                 "no calibration has arrived: connect `calibration`, or set `bypass` when the views are rectified already"
             ));

@@ -53,6 +53,36 @@ fn rectified_views_are_handed_on() -> TestResult {
 }
 
 #[test]
+fn views_without_a_calibration_pass_until_one_arrives() -> TestResult {
+    let (left, right) = pair(|_, _| 40.0, 0.0);
+    let mut node = Harness::<Rectify>::from_toml("params = { uncalibrated = \"pass\" }")?;
+    for is_given in [false, false, true, false] {
+        node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left)).input_image::<Bgr8>(
+            "right",
+            SIZE.0,
+            SIZE.1,
+            &bgr(&right),
+        );
+        if is_given {
+            node.input_value("calibration", rectified(FOCAL, BASELINE));
+        }
+        let is_known = is_given || node.logs().iter().any(|line| line.message.contains("has arrived: the views are"));
+        let out = node.process()?;
+        assert_eq!(out.plane::<Bgr8>("left")?.data, bgr(&left));
+        assert_eq!(out.plane::<Bgr8>("right")?.data, bgr(&right));
+        assert_eq!(out.is_empty("calibration")?, !is_known);
+    }
+    let warned: Vec<_> = node.logs().iter().filter(|line| line.level == Level::Warn).collect();
+    assert!(warned.len() == 1 && warned[0].message.contains("no calibration has arrived"), "{warned:?}");
+    // The graph is told too, and by default it is refused.
+    let connected = ["left", "right"];
+    let told = |toml: &str| format!("{:?}", Harness::<Rectify>::problems(&Setup::new(toml), &connected));
+    assert!(told("params = { uncalibrated = \"pass\" }").contains("the views stay as they are"));
+    assert!(told("").contains("there is no calibration to rectify by"));
+    Ok(())
+}
+
+#[test]
 fn turned_cameras_are_turned_back() -> TestResult {
     // The right camera stands 2 rows too low; the calibration says so by its principal row.
     let (left, right) = pair(|_, _| 40.0, 2.0);

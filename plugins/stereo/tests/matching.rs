@@ -253,6 +253,17 @@ fn only_the_roi_is_matched() -> TestResult {
 }
 
 #[test]
+fn views_that_nobody_has_rectified_are_not_matched_where_that_is_asked() -> TestResult {
+    let (left, right) = pair(slanted, 0.0);
+    let mut node = Harness::<StereoBm>::from_toml("params = { rectified_only = true }")?;
+    assert!(run(&mut node, &left, &right)?.is_empty("disparity")?);
+    node.input_value("calibration", common::rectified(400.0, 15.0));
+    assert!(!run(&mut node, &left, &right)?.is_empty("disparity")?);
+    assert!(!run(&mut Harness::<StereoBm>::from_toml("")?, &left, &right)?.is_empty("disparity")?);
+    Ok(())
+}
+
+#[test]
 fn views_of_two_sizes_are_refused() -> TestResult {
     let mut node = Harness::<StereoBm>::from_toml("")?;
     let failed = node

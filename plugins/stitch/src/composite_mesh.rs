@@ -13,8 +13,8 @@ use panoscope_node::{
 use crate::composite::{CompositeNodeParams, OnLost, Scene, SceneInputs, Slots, check_views, draw};
 use crate::register_grid;
 
-/// Columns of the table of vertices.
-pub const VERTEX_COLUMNS: [&str; 4] = ["x_px", "y_px", "right_x_px", "right_y_px"];
+/// Columns of the table of vertices: their place in the panorama, from the left view's origin, and what they show of each view.
+pub const VERTEX_COLUMNS: [&str; 6] = ["x_px", "y_px", "right_x_px", "right_y_px", "left_x_px", "left_y_px"];
 /// Columns of the table of vertices of more than two views: the number of the view as in `shown`, then the same.
 pub const VIEW_VERTEX_COLUMNS: [&str; 5] = ["view", "x_px", "y_px", "right_x_px", "right_y_px"];
 
@@ -51,10 +51,11 @@ pub struct CompositeMeshParams {
 }
 
 impl CompositeMeshParams {
-    /// For the camera that stands `along` baselines right of and below the first.
-    fn mesh(&self, along: [f64; 2]) -> MeshParams {
+    /// For the camera that stands `along` baselines right of and below the first, `is_pair` when there is no third one.
+    fn mesh(&self, along: [f64; 2], is_pair: bool) -> MeshParams {
         MeshParams {
             along,
+            moves_reference: is_pair,
             most_stretch: self.most_stretch / 100.0,
             zone_px: self.zone_px,
             cell_px: f64::from(self.cell),
@@ -99,8 +100,8 @@ pub struct Out<'f> {
     canvas: Slot<'f, Roi>,
     /// View that each pixel shows: 0 none, 1 the left, 2 the right one.
     shown: Slot<'f, Gray8>,
-    /// Vertices of the mesh: where each point of the left view's plane lies in the right view. Empty before the first mesh. With `views` those of all
-    /// further views, one after the other, after the number of the view.
+    /// Vertices of the mesh: which point of the right view, and of the left one, each point of the panorama shows. Empty before the first mesh. With
+    /// `views` those of all further views, one after the other, after the number of the view; the first view then stays as it is.
     mesh: Slot<'f, TableData>,
 }
 
@@ -115,35 +116,23 @@ pub struct CompositeMesh {
     seams: u64,
 }
 
-/// A view that is rectified already.
-fn rectified(size: (usize, usize)) -> RectifiedView {
-    RectifiedView {
-        size,
-        focal_px: [1.0; 2],
-        centre_px: [0.0; 2],
-        distortion: [0.0; 12],
-        rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        rectified_focal_px: [1.0; 2],
-        rectified_centre_px: [0.0; 2],
-    }
-}
-
 /// Appends the vertices, row after row.
-fn push_vertices(rows: &mut Vec<f64>, view: Option<usize>, mesh: &Mesh) {
+fn push_vertices(rows: &mut Vec<f64>, view: Option<usize>, mesh: &Mesh, reference: Option<&Mesh>) {
     let lattice = mesh.lattice();
     for (index, source) in mesh.source().iter().enumerate() {
+        let at = lattice.position(index % lattice.columns, index / lattice.columns);
         rows.extend(view.map(|view| view as f64));
-        rows.extend(lattice.position(index % lattice.columns, index / lattice.columns));
+        rows.extend(at);
         rows.extend(source.map(f64::from));
+        if view.is_none() {
+            rows.extend(reference.and_then(|mesh| mesh.source().get(index)).map_or(at, |left| left.map(f64::from)));
+        }
     }
 }
 
 /// The first view and a further one, as the disparity sees them.
 fn cameras(calibration: Option<&Calibration>, sizes: [(usize, usize); 2]) -> Result<[RectifiedView; 2]> {
-    let Some(c) = calibration else { return Ok(sizes.map(rectified)) };
-    let is_rectified = c.is_rectified != 0;
-    let left = register_grid::view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified);
-    let right = register_grid::view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified);
+    let [left, right] = register_grid::views(calibration, sizes);
     if [left.size, right.size] != sizes {
         let [(width, height), (right_width, right_height)] = sizes;
         return Err(error!(
@@ -231,12 +220,14 @@ impl CompositeMesh {
         for view in 1..scene.count {
             let columns = if input.views.is_some() { params.camera_columns as usize } else { 2 };
             let along = [view % columns, view / columns].map(|steps| steps as f64);
-            self.followers[view - 1].set_params(params.mesh(along));
+            self.followers[view - 1].set_params(params.mesh(along, input.views.is_none()));
             if let Some(report) = self.follow(cx, (scene, view), disparity, input.calibration.as_deref())? {
                 all = Some(all.map_or(report, |others| worst(others, report)));
             }
             self.kernel.set_mesh(view, self.followers[view - 1].mesh());
         }
+        let is_pair = input.views.is_none();
+        self.kernel.set_mesh(0, self.followers.first().filter(|_| is_pair).and_then(MeshFollower::reference_mesh));
         self.joined = joined;
         Ok(all)
     }
@@ -246,7 +237,7 @@ impl CompositeMesh {
         self.rows.clear();
         for (index, follower) in self.followers.iter().take(count - 1).enumerate() {
             if let Some(mesh) = follower.mesh() {
-                push_vertices(&mut self.rows, is_list.then_some(index + 2), mesh);
+                push_vertices(&mut self.rows, is_list.then_some(index + 2), mesh, follower.reference_mesh());
             }
         }
         match () {

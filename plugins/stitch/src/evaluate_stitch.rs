@@ -119,8 +119,8 @@ pub struct EvaluateStitch {
     ticks: u64,
 }
 
-/// The mesh of a view that `composite_mesh` wrote: vertices row after row, at the multiples of the side of a cell.
-fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<Mesh>> {
+/// The mesh of a view that `composite_mesh` wrote, and that of the left view: vertices row after row, at the multiples of the side of a cell.
+fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<(Mesh, Option<Mesh>)>> {
     let bad = || error!("the table at `mesh` holds no mesh: connect the output `mesh` of a `composite_mesh`");
     let rows: Vec<&[f64]> = if table.names().eq(VERTEX_COLUMNS) {
         table.rows().collect()
@@ -141,8 +141,12 @@ fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<Mesh>> {
         columns,
         rows: rows.len() / columns,
     };
-    let source = rows.iter().map(|row| [row[2] as f32, row[3] as f32]).collect();
-    Mesh::of_vertices(lattice, source).map(Some).ok_or_else(bad)
+    let of = |column: usize| {
+        let source = rows.iter().map(|row| [row[column] as f32, row[column + 1] as f32]).collect();
+        Mesh::of_vertices(lattice, source).ok_or_else(bad)
+    };
+    let has_left = table.names().eq(VERTEX_COLUMNS);
+    Ok(Some((of(2)?, has_left.then(|| of(4)).transpose()?)))
 }
 
 /// Root mean square distance of two maps over the points of the right view that the true one brings into the left view, and how
@@ -247,7 +251,8 @@ impl Node for EvaluateStitch {
         let right = (input.right.width(), input.right.height());
         let map = input.homography.as_ref().filter(|h| h.state != abi::STATE_LOST).map(|h| Map(h.left_from_right));
         let mesh = input.mesh.as_ref().map(|mesh| mesh_of(mesh, params.view)).transpose()?.flatten();
-        let placed = map.and_then(|map| Placement::new(map, mesh));
+        let (mesh, left_mesh) = mesh.map_or((None, None), |(mesh, left)| (Some(mesh), left));
+        let placed = map.and_then(|map| Placement::new(map, mesh)).map(|placed| placed.with_reference(left_mesh));
         let left = (input.left.width(), input.left.height());
         if let (Some(map), Some(placed), Some(given)) = (&map, &placed, &input.homography) {
             row[2] = f64::from(given.inliers);

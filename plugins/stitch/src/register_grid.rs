@@ -1,10 +1,14 @@
 //! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
 
+use panoscope_imaging::features::RegisterSurf;
 use panoscope_imaging::geometry::RansacParams;
 use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid};
 use panoscope_node::abi::{Calibration, Camera};
-use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Value};
+use panoscope_node::{
+    Choice, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Validation, Value,
+};
 
+use crate::register_surf;
 use crate::registration::{HoldParams, Out, Registered, Reporter};
 
 /// Point that a grid cell contributes.
@@ -71,20 +75,26 @@ impl RegisterGridParams {
 #[derive(Ports)]
 pub struct In<'f> {
     /// Disparity of the left rectified view, full size.
-    disparity: Image<'f, Disparity>,
+    disparity: Option<Image<'f, Disparity>>,
     /// Calibration of the pictures to stitch. The homography is between these pictures, not between the rectified views, unless the calibration says
-    /// that they are rectified.
-    calibration: Value<'f, Calibration>,
+    /// that they are rectified. Unconnected, they are taken as rectified.
+    calibration: Option<Value<'f, Calibration>>,
+    /// Left view: with `right`, registered by its features in a tick without a disparity.
+    left: Option<Image<'f, Gray8>>,
+    /// Right view of the same instant.
+    right: Option<Image<'f, Gray8>>,
 }
 
 /// See the module.
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
+    /// For ticks without a disparity.
+    features: Option<RegisterSurf>,
     reporter: Reporter,
 }
 
 /// One side of a calibration.
-pub(crate) fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified: bool) -> RectifiedView {
+fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified: bool) -> RectifiedView {
     let focal_px = [projection[0], projection[5]];
     let centre_px = [projection[2], projection[6]];
     let size = (camera.width as usize, camera.height as usize);
@@ -113,6 +123,60 @@ pub(crate) fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12],
     }
 }
 
+/// A view that is rectified already.
+fn rectified(size: (usize, usize)) -> RectifiedView {
+    RectifiedView {
+        size,
+        focal_px: [1.0; 2],
+        centre_px: [0.0; 2],
+        distortion: [0.0; 12],
+        rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        rectified_focal_px: [1.0; 2],
+        rectified_centre_px: [0.0; 2],
+    }
+}
+
+/// Both views of a calibration; without one, views of these sizes that are rectified already.
+pub(crate) fn views(calibration: Option<&Calibration>, sizes: [(usize, usize); 2]) -> [RectifiedView; 2] {
+    let Some(c) = calibration else { return sizes.map(rectified) };
+    let is_rectified = c.is_rectified != 0;
+    [
+        view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified),
+        view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified),
+    ]
+}
+
+impl RegisterGridNode {
+    /// A tick without a disparity: registers by features, as `register_surf` does with its defaults. Does nothing where the views are not connected.
+    fn by_features(
+        &mut self,
+        cx: &Context<'_>,
+        input: &In<'_>,
+        out: &mut Out<'_>,
+        params: &RegisterGridParams,
+    ) -> Result<()> {
+        let (Some(left), Some(right)) = (&input.left, &input.right) else { return Ok(()) };
+        if self.features.is_none() {
+            cx.warn("there is no disparity: the views are registered by their features, and one homography joins them");
+        }
+        let wanted = register_surf::by_default(&params.keep);
+        let kernel = self.features.get_or_insert_with(|| RegisterSurf::new(wanted));
+        kernel.set_params(wanted);
+        let found = kernel.register(left.view(), right.view(), cx.pool());
+        let found = Registered {
+            left_from_right: &found.left_from_right,
+            rms_px: found.rms_px,
+            refused_rms_px: found.refused_rms_px,
+            inliers: found.inliers,
+            state: found.state,
+            roi_left: &found.roi_left,
+            roi_right: &found.roi_right,
+        };
+        let help = "connect a calibration, move back, or clean the lenses";
+        self.reporter.finish(cx, out, &found, params.keep.max_rms_px, help)
+    }
+}
+
 impl Node for RegisterGridNode {
     const INFO: NodeInfo = NodeInfo::compute(
         "register_grid",
@@ -123,8 +187,18 @@ impl Node for RegisterGridNode {
     type Out<'f> = Out<'f>;
     type Params = RegisterGridParams;
 
+    fn validate(_: &RegisterGridParams, check: &mut Validation<'_>) {
+        let is_open = |name: &str| check.is_connected(name) == Some(false);
+        if is_open("disparity") && (is_open("left") || is_open("right")) {
+            check.node_error(
+                "there is nothing to register by",
+                "connect `disparity`, as in disparity = \"match.disparity\", or the views `left` and `right`",
+            );
+        }
+    }
+
     fn open(_: &Open<'_>, params: &RegisterGridParams) -> Result<Self> {
-        Ok(Self { kernel: RegisterGrid::new(params.kernel()), reporter: Reporter::default() })
+        Ok(Self { kernel: RegisterGrid::new(params.kernel()), features: None, reporter: Reporter::default() })
     }
 
     fn process<'f>(
@@ -138,11 +212,13 @@ impl Node for RegisterGridNode {
         if *self.kernel.params() != wanted {
             self.kernel.set_params(wanted);
         }
-        let c = &*input.calibration;
-        let rectified = c.is_rectified != 0;
-        let left = view(&c.left, &c.rectified_from_left, &c.left_projection, rectified);
-        let right = view(&c.right, &c.rectified_from_right, &c.right_projection, rectified);
-        let found = self.kernel.register(input.disparity.view(), &left, &right);
+        let Some(disparity) = &input.disparity else { return self.by_features(cx, &input, &mut out, params) };
+        if self.features.take().is_some() {
+            cx.info("there is a disparity: the views are registered by it from now on");
+        }
+        let size = (disparity.width(), disparity.height());
+        let [left, right] = views(input.calibration.as_deref(), [size; 2]);
+        let found = self.kernel.register(disparity.view(), &left, &right);
         cx.metric("grid_points", found.points as f64);
         let found = Registered {
             left_from_right: &found.left_from_right,

@@ -80,6 +80,26 @@ impl RegisterSurfParams {
     }
 }
 
+/// What the kernel does with this node's defaults.
+pub(crate) fn by_default(keep: &HoldParams) -> RegisterParams {
+    RegisterSurfParams {
+        roi: true,
+        scale: 2,
+        hessian_threshold: 50.0,
+        max_points: 400,
+        spread: true,
+        second_look: false,
+        octaves: 4,
+        upright: true,
+        ratio: 0.8,
+        ransac_px: 5.0,
+        min_inliers: 8,
+        keep: keep.clone(),
+        strips: false,
+    }
+    .kernel()
+}
+
 /// Inputs of the registration.
 #[derive(Ports)]
 pub struct In<'f> {

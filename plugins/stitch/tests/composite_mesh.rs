@@ -152,7 +152,8 @@ fn the_judge_reads_the_mesh() {
             .input_image::<Gray8>("shown", canvas_size.0, canvas_size.1, &shown)
             .input_value("canvas", made.canvas);
         if with_mesh {
-            judge.input_table("mesh", &["x_px", "y_px", "right_x_px", "right_y_px"], &mesh);
+            let names = ["x_px", "y_px", "right_x_px", "right_y_px", "left_x_px", "left_y_px"];
+            judge.input_table("mesh", &names, &mesh);
         }
         let out = judge.process().unwrap();
         let table = out.table("table").unwrap();

@@ -86,6 +86,35 @@ fn spots(side: usize) -> Vec<u8> {
 }
 
 #[test]
+fn without_a_disparity_the_views_are_registered_by_features() {
+    let mut node = Harness::<RegisterGridNode>::open(Setup::new("params = { max_rms_px = 0.0 }")).unwrap();
+    let mut look = |has_map: bool| {
+        let (left, right) = (spots(0), spots(1));
+        node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &left).input_image::<Gray8>("right", SIZE.0, SIZE.1, &right);
+        if has_map {
+            node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &steps(0.0));
+        }
+        let found: Homography = node.process().unwrap().value("homography").unwrap();
+        let said = |word: &str| node.logs().iter().filter(|line| line.message.contains(word)).count();
+        (found, said("registered by their features"), said("registered by it from now on"))
+    };
+    let (found, warnings, _) = look(false);
+    let [x, y] = panoscope_imaging::geometry::Homography(found.left_from_right).map([80.0, 100.0]);
+    assert!(found.state == abi::STATE_FRESH && (175.0..200.0).contains(&x) && (95.0..105.0).contains(&y), "{x} {y}");
+    assert_eq!((warnings, look(false).1), (1, 1), "once");
+    // Views without a calibration are taken as rectified where there is a disparity.
+    let (found, warnings, back) = look(true);
+    assert!(
+        found.state == abi::STATE_FRESH && (found.left_from_right[2] - 60.0).abs() < 0.5,
+        "{:?}",
+        found.left_from_right
+    );
+    assert_eq!((warnings, back, look(false).1), (1, 1, 2));
+    let nothing = Harness::<RegisterGridNode>::problems(&Setup::new(""), &["left", "calibration"]).unwrap();
+    assert!(format!("{nothing:?}").contains("there is nothing to register by"), "{nothing:?}");
+}
+
+#[test]
 fn features_that_no_plane_explains_are_not_called_fresh() {
     let open = |limit: f64| {
         let toml = format!(

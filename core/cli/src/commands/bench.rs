@@ -25,6 +25,8 @@ pub enum Bench {
     Editor(Arguments),
     /// Registration, seam and blend at three sizes, beside OpenCV.
     Stitch(Stitch),
+    /// Messages of OpenIGTLink through a graph, beside the OpenIGTLink library and pyigtl.
+    Igtl(Arguments),
     /// Detector and segmenter on a picture of 640x480, beside plain ONNX Runtime in Python.
     Tools(Tools),
     /// An edge to another machine, beside zenoh alone and dora.
@@ -138,6 +140,10 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
             interrupt::listen();
             let options = bench::stitch::Options { quick: common.quick, sizes: size.clone(), plot: plot.clone() };
             (bench::stitch::measure(session, &options)?, common)
+        }
+        Bench::Igtl(arguments) => {
+            let options = bench::igtl::Options { program: std::env::current_exe()?, quick: arguments.quick };
+            (bench::igtl::measure(session, &options)?, arguments)
         }
         Bench::Tools(Tools { common, python, model, masks }) => {
             let (python, model, masks) = (python.clone(), model.clone(), masks.clone());

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use panoscope_eval::text_table::table;
-use panoscope_export::{Export, ExportError, PortReport, Selection, folder, foxglove};
+use panoscope_export::{Export, ExportError, PortReport, Selection, folder, foxglove, ros2};
 use panoscope_loader::python_module;
 use panoscope_record::{PortTypes, Recording, own_folders};
 use serde::Deserialize;
@@ -51,6 +51,9 @@ struct Targets {
     /// Writes an MCAP file with the schemas of Foxglove.
     #[arg(long, value_name = "FILE.mcap")]
     foxglove: Option<PathBuf>,
+    /// Writes a bag of ROS 2: a folder with an MCAP file and metadata.yaml, which every distribution since Humble reads.
+    #[arg(long, value_name = "DIR")]
+    ros2: Option<PathBuf>,
     /// Writes a file of rerun, through Python with the package rerun-sdk.
     #[arg(long, value_name = "FILE.rrd")]
     rerun: Option<PathBuf>,
@@ -86,7 +89,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Ok(export) => export,
         Err(error) => return Ok(failed(&error)),
     };
-    let Targets { folder, foxglove, rerun } = &arguments.targets;
+    let Targets { folder, foxglove, ros2, rerun } = &arguments.targets;
     if let Some(path) = folder {
         match folder::write(&export, path, arguments.force) {
             Ok(reports) => show(path, &reports.iter().map(Line::from).collect::<Vec<_>>()),
@@ -95,6 +98,12 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     }
     if let Some(path) = foxglove {
         match foxglove::write(&export, path, arguments.force) {
+            Ok(reports) => show(path, &reports.iter().map(Line::from).collect::<Vec<_>>()),
+            Err(error) => return Ok(failed(&error)),
+        }
+    }
+    if let Some(path) = ros2 {
+        match ros2::write(&export, path, arguments.force) {
             Ok(reports) => show(path, &reports.iter().map(Line::from).collect::<Vec<_>>()),
             Err(error) => return Ok(failed(&error)),
         }

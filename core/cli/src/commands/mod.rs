@@ -7,6 +7,7 @@ pub mod check;
 pub mod compare;
 pub mod describe;
 pub mod devices;
+pub mod dicom;
 pub mod doctor;
 pub mod dot;
 pub mod edit;

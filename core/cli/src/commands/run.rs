@@ -11,6 +11,7 @@ use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
 use panoscope_graph::{Catalog, Diagnostics, GraphOptions, GraphText, OnFault, installed};
+use panoscope_live::{FoxgloveServer, LiveServerError};
 use panoscope_loader::Live;
 use panoscope_loader::live::FileWatch;
 use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, LockError, lock_path};
@@ -80,6 +81,14 @@ pub struct Arguments {
     /// or IP:PORT. Whoever reaches the address sees the pictures; there is no password.
     #[arg(long, value_name = "PORT|IP:PORT")]
     web: Option<Address>,
+    /// Serves outputs and parameters to Foxglove over a WebSocket: a port of this machine such as 8765, or IP:PORT. Whoever reaches the address sees
+    /// the pictures; there is no password.
+    #[arg(long, value_name = "PORT|IP:PORT")]
+    foxglove: Option<Address>,
+    /// Lets clients of --foxglove set numbers, switches and choices: those that `[preset]` pins, without pins those of all nodes that do not act on
+    /// the world.
+    #[arg(long, requires = "foxglove")]
+    foxglove_set: bool,
 }
 
 /// Runs a graph to its end.
@@ -189,6 +198,14 @@ pub fn run_with(
             return Ok(RunEnd::Not(End::Failed));
         }
     };
+    let mut foxglove = match arguments.foxglove.map(|address| serve_foxglove(&graph.name, address, arguments)) {
+        None => None,
+        Some(Ok(server)) => Some(server),
+        Some(Err(error)) => {
+            log!("error: {error}");
+            return Ok(RunEnd::Not(End::Failed));
+        }
+    };
     let is_json = arguments.log_format == LogFormat::Json;
     let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless && !is_json);
     let faults = match &arguments.fault_log {
@@ -245,16 +262,32 @@ pub fn run_with(
         if let Some(monitor) = &monitor {
             monitor.update(&engine, |graph| running.live.loader().catalog_of_graph(graph));
         }
+        if let Some(foxglove) = &mut foxglove {
+            foxglove.update(&mut running.live).iter().for_each(|line| log!("{line}"));
+        }
         if let Some(files) = &mut files {
             apply_changes(files, &mut running.live, &given);
         }
     });
+    drop(foxglove);
     let Running { expected_faults, .. } = running;
     let mut verdict = close(&engine, on_duty, arguments.frames, &progress, &expected_faults);
     if let Some(path) = &arguments.report {
         report_into(path, &engine.report(), &mut verdict);
     }
     Ok(RunEnd::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
+}
+
+/// Serves the graph to Foxglove and says where.
+fn serve_foxglove(name: &str, address: Address, arguments: &Arguments) -> Result<FoxgloveServer, LiveServerError> {
+    let may_set = arguments.foxglove_set;
+    let server = FoxgloveServer::start(name, panoscope_live::Options { address, may_set })?;
+    log!("serves ws://{} for Foxglove", server.address());
+    if address.is_public() {
+        let also = if may_set { " and sets parameters" } else { "" };
+        log!("warning: other machines can reach this address; whoever does sees the pictures{also}");
+    }
+    Ok(server)
 }
 
 /// Closes a run that is over or to end, shows its summary and judges it. Faults of the nodes in `expected_faults` do not fail it.

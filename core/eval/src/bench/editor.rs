@@ -29,11 +29,11 @@ inputs = { image = "wide.panorama" }
 
 const INPUT: &str = "panorama, 640x480, source at 10 fps, window of 1440x900, software GL";
 
-/// A graph of 300 nodes: chains of `pass`.
-fn large() -> String {
+/// A graph of `chains` chains of 23 `pass` nodes and a source.
+fn large(chains: usize) -> String {
     let mut text = "name = \"large\"\nplugins = [\"flow\"]\n".to_owned();
     text += "[nodes.source]\ntype = \"frames\"\nparams = { width_px = 64, height_px = 48, rate_hz = 10.0 }\n";
-    for chain in 0..13 {
+    for chain in 0..chains {
         let mut from = "source".to_owned();
         for link in 0..23 {
             let (id, node_type) = (format!("n{chain}_{link}"), if link == 22 { "drain" } else { "pass" });
@@ -116,6 +116,22 @@ impl Bench<'_> {
         Self::json(&file)
     }
 
+    /// How the window would arrange a graph: `arrangement/<name>` in a window of 1440x900.
+    fn arrangement(&self, name: &str, graph: &Path) -> Result<[Figure; 2]> {
+        let file = self.folder.join("arrangement.json");
+        let status = Command::new(&self.options.editor).arg(graph).arg("--arrangement").arg(&file).status()?;
+        if !status.success() {
+            return Err(EvalError::Peer { reason: "the editor did not arrange the graph".to_owned() });
+        }
+        let seen = Self::json(&file)?;
+        let value = |key: &str| seen[key].as_f64().unwrap_or(f64::NAN);
+        let input = format!("{} nodes, window of 1440x900", value("nodes"));
+        Ok([
+            Figure::new(&format!("arrangement/{name}/used"), value("used_pct"), "%", &input),
+            Figure::new(&format!("arrangement/{name}/least_text"), value("text_px"), "px", &input),
+        ])
+    }
+
     /// What the window reports of a run.
     fn with(&self, graph: &Path, actions: &[&str]) -> Result<Value> {
         let editor = &self.options.editor;
@@ -149,15 +165,16 @@ pub fn measure(options: &Options) -> Result<Vec<Figure>> {
     std::fs::create_dir_all(&folder)?;
     let quick = options.quick;
     let bench = Bench { options, screen: Screen::find()?, folder: folder.clone(), seconds: if quick { 8 } else { 20 } };
-    let (graph, many) = (folder.join("graph.toml"), folder.join("large.toml"));
+    let [graph, many, most] = ["graph.toml", "large.toml", "largest.toml"].map(|name| folder.join(name));
     std::fs::write(&graph, GRAPH)?;
-    std::fs::write(&many, large())?;
-    let figures = all(&bench, &graph, &many, if quick { 1 } else { 3 });
+    std::fs::write(&many, large(13))?;
+    std::fs::write(&most, large(44))?;
+    let figures = all(&bench, [&graph, &many, &most], if quick { 1 } else { 3 });
     let _ = std::fs::remove_dir_all(&folder);
     figures
 }
 
-fn all(bench: &Bench<'_>, graph: &Path, many: &Path, rounds: usize) -> Result<Vec<Figure>> {
+fn all(bench: &Bench<'_>, [graph, many, most]: [&Path; 3], rounds: usize) -> Result<Vec<Figure>> {
     let number = |value: &Value, name: &str| value[name].as_f64().unwrap_or(f64::NAN);
     let (mut without, mut with, mut ui_ms, mut cpu_pct) = (f64::INFINITY, f64::INFINITY, f64::INFINITY, f64::INFINITY);
     for _ in 0..rounds {
@@ -169,11 +186,19 @@ fn all(bench: &Bench<'_>, graph: &Path, many: &Path, rounds: usize) -> Result<Ve
     }
     let pan = bench.with(many, &["pan"])?;
     let whole = "300 nodes, all in view, moved with every frame";
-    Ok(vec![
+    let pan_most = bench.with(most, &["pan"])?;
+    let whole_most = "1,013 nodes, all in view, moved with every frame";
+    let mut figures = vec![
         Figure::new("editor_cost_pct", (with / without - 1.0) * 100.0, "%", INPUT),
         Figure::new("ui_ms", ui_ms, "ms", INPUT),
         Figure::new("ui_ms/share_of_a_core", cpu_pct, "%", INPUT),
         Figure::new("ui_ms/pan_300", number(&pan, "ui_ms"), "ms", whole),
         Figure::new("ui_ms/pan_300_fps", number(&pan, "ui_fps"), "fps", whole),
-    ])
+        Figure::new("ui_ms/pan_1000", number(&pan_most, "ui_ms"), "ms", whole_most),
+        Figure::new("ui_ms/pan_1000_fps", number(&pan_most, "ui_fps"), "fps", whole_most),
+    ];
+    for (name, graph) in [("panorama", graph), ("300", many), ("1000", most)] {
+        figures.extend(bench.arrangement(name, graph)?);
+    }
+    Ok(figures)
 }

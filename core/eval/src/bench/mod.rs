@@ -6,6 +6,7 @@ pub mod editor;
 mod graph;
 mod gstreamer;
 pub mod hop;
+pub mod igtl;
 mod python;
 pub mod remote;
 pub mod scale;

@@ -16,8 +16,8 @@ use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
 use crate::text_table::table;
 
-/// Pairs that are rendered and played round and round.
-const PAIRS: u64 = 120;
+/// Pairs that are rendered, and played there and back again without end.
+const PAIRS: u64 = 60;
 /// Type of the source that is rendered beforehand.
 const SOURCE: &str = "phantom";
 
@@ -114,7 +114,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     let (name, phantom) = source(&mut graph)?;
     let folder = Folder::new("panoscope-bench-system")?;
     note!(session, "rendering {PAIRS} pairs");
-    let pairs = Pairs::render(session, &folder, "pairs", &phantom, PAIRS)?;
+    let pairs = Pairs::render(session, &folder, "pairs", &phantom, PAIRS)?.and_back(PAIRS)?;
     let [unheld, held] = ["off", "on"].map(|pace| played(&graph, folder.path(), &name, &pairs.node(pace)));
     let (unheld, held) = (unheld?, held?);
     // The first time round each picture is decoded, later ones are kept.

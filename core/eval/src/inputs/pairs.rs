@@ -53,6 +53,22 @@ impl Pairs {
         Ok(Self { folder })
     }
 
+    /// Appends the pairs between the last and the first one, backwards, so that playing them round and round never jumps: a tracker that loses
+    /// its instrument at a jump would be what is measured. `count` pairs have been rendered.
+    pub fn and_back(self, count: u64) -> Result<Self> {
+        for (step, from) in (1..count.saturating_sub(1)).rev().enumerate() {
+            for side in ["left", "right"] {
+                let file = |number: u64| self.folder.join(format!("{side}_{number:04}.png"));
+                let (from, to) = (file(from), file(count + step as u64));
+                // A second name costs no space; not every file system has them.
+                std::fs::hard_link(&from, &to)
+                    .or_else(|_| std::fs::copy(&from, &to).map(drop))
+                    .on_file(FileAction::Create, &to)?;
+            }
+        }
+        Ok(self)
+    }
+
     /// As [`Pairs::render`], with the phantom's parameters as TOML writes them within braces.
     pub fn of(session: &dyn Session, place: &Folder, name: &str, params: &str, count: u64) -> Result<Self> {
         let node: Table = format!("type = \"phantom\"\nparams = {{ {params} }}").parse()?;

@@ -133,8 +133,7 @@ impl Checker<'_> {
                 self.error("remote-python", &on.span, message).help("remove `on`");
             }
         }
-        let on: Vec<&str> =
-            text.flat.nodes.iter().filter_map(|node| Some(node.on.as_ref()?.value.as_str())).collect();
+        let on: Vec<&str> = text.flat.nodes.iter().filter_map(|node| Some(node.on.as_ref()?.value.as_str())).collect();
         let groups = text.isolate.iter().map(|(_, group)| group);
         let groups = groups.chain(text.flat.nodes.iter().filter_map(|node| node.isolate.as_ref()));
         let clashes: Vec<&Spanned<String>> = groups.filter(|group| on.contains(&group.value.as_str())).collect();

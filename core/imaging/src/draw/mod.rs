@@ -4,6 +4,7 @@
 //! same bytes on every machine.
 
 mod colormap;
+mod contour;
 mod font;
 mod labels;
 mod overlay;

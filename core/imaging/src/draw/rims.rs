@@ -23,7 +23,8 @@ pub struct Rims {
     open: Vec<usize>,
 }
 
-fn is_known(corner: &Corner) -> bool {
+/// Whether there is a point of a surface.
+pub fn is_known(corner: &Corner) -> bool {
     !corner.place[0].is_nan()
 }
 

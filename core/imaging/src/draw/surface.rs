@@ -2,6 +2,7 @@
 //!
 //! Angles go through the platform's sine: unlike the rest of this module, bytes may differ between machines.
 
+use super::contour::{Contour, RIM};
 use super::rims::{self, Rims};
 use super::{Color, line, text};
 use crate::ViewMut;
@@ -93,6 +94,7 @@ pub struct SurfacePainter {
     depth: Vec<f32>,
     sorted: Vec<f32>,
     rims: Rims,
+    contour: Contour,
 }
 
 /// A point of the surface.
@@ -191,13 +193,14 @@ impl SurfacePainter {
             }
         }
         self.rims.clean(&mut self.corners, w, orbit.max_slope);
+        self.contour.find(&mut self.corners, w, orbit.max_slope, |world| projection.project(world));
         let [(sy, cy), (sp, cp)] = turn;
         rims::light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
         self.depth.resize(out.width * out.height, f32::INFINITY);
         for j in 0..h - 1 {
             for i in 0..w - 1 {
                 let at = j * w + i;
-                let [a, b, c, d] = [at, at + 1, at + w, at + w + 1].map(|k| self.corners[k]);
+                let [a, b, c, d] = [at, at + 1, at + w, at + w + 1];
                 self.triangle(out, orbit.max_slope, [a, b, c]);
                 self.triangle(out, orbit.max_slope, [b, d, c]);
             }
@@ -224,10 +227,14 @@ impl SurfacePainter {
         self.sorted.get(self.sorted.len() * 98 / 100).copied().unwrap_or(1.0)
     }
 
-    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, max_slope: f32, t: [Corner; 3]) {
-        if t.iter().any(|c| c.place[0].is_nan()) {
+    /// Draws what lies within the surface's rim of the triangle between three corners.
+    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, max_slope: f32, corners: [usize; 3]) {
+        let t = corners.map(|at| self.corners[at]);
+        let inside = corners.map(|at| self.contour.inside()[at]);
+        if t.iter().any(|c| c.place[0].is_nan()) || inside.iter().all(|v| *v < RIM) {
             return;
         }
+        let is_whole = inside.iter().all(|v| *v >= RIM);
         let is_steep = |a: usize, b: usize| rims::is_steep(t[a].world, t[b].world, max_slope);
         if is_steep(0, 1) || is_steep(0, 2) || is_steep(1, 2) {
             return;
@@ -248,6 +255,9 @@ impl SurfacePainter {
                 let u = ((fx - p[0]) * (r[1] - p[1]) - (fy - p[1]) * (r[0] - p[0])) / area;
                 let v = ((q[0] - p[0]) * (fy - p[1]) - (q[1] - p[1]) * (fx - p[0])) / area;
                 if u < 0.0 || v < 0.0 || u + v > 1.0 {
+                    continue;
+                }
+                if !is_whole && inside[0] + u * (inside[1] - inside[0]) + v * (inside[2] - inside[0]) < RIM {
                     continue;
                 }
                 let z = p[2] + u * (q[2] - p[2]) + v * (r[2] - p[2]);

@@ -9,8 +9,9 @@ use super::params::*;
 use super::projective::{self, IDENTITY};
 use super::segments;
 use super::taps::{TAPS, Taps};
-use crate::geometry::Homography;
-use crate::{Parallel, Simd, View, ViewMut};
+use super::warp::Span;
+use crate::geometry::{Homography, Point};
+use crate::{Parallel, Rect, Simd, View, ViewMut};
 
 /// Joins views into one panorama. Keeps everything that outlives a frame: canvas, seam, gains, last good geometry,
 /// work memory. In steady state nothing is allocated.
@@ -80,10 +81,10 @@ impl Compositor {
 
     /// Draws view `view` by a mesh instead of its homography, or by its homography again with `None`, from the next frame on.
     ///
-    /// The mesh maps the reference view to this one. The homography still says whether the frame is used, and the canvas covers both.
-    /// A view beyond [`MAX_VIEWS`] and the reference view have none.
+    /// The mesh maps the reference plane to this view. The homography still says whether the frame is used, and the canvas covers both. The mesh of the
+    /// reference view, number 0, moves a part of it on that plane; outside the mesh it stays where it is. A view beyond [`MAX_VIEWS`] has none.
     pub fn set_mesh(&mut self, view: usize, mesh: Option<&Mesh>) {
-        if view == 0 || view >= MAX_VIEWS {
+        if view >= MAX_VIEWS {
             return;
         }
         let held = &mut self.layers.meshes[view];
@@ -207,7 +208,8 @@ impl Compositor {
             quads[view] = projective::warped_corners(&given[view], *w, *h, view)?;
         }
         let mut bounds = Bounds::of(quads[..self.sizes.len()].iter());
-        for (mesh, size) in self.layers.meshes.iter().zip(&self.sizes) {
+        // The reference view is moved inside its own bounds, or where another view lies.
+        for (mesh, size) in self.layers.meshes.iter().zip(&self.sizes).skip(1) {
             if let Some([[x0, y0], [x1, y1]]) = mesh.given().and_then(|mesh| mesh.footprint(*size)) {
                 bounds = bounds.union(Bounds { x0, y0, x1, y1 });
             }
@@ -315,6 +317,7 @@ impl Compositor {
                 source_from_canvas: IDENTITY,
                 source_from_tap: IDENTITY,
                 shift: None,
+                moved: None,
                 origins: [[0.0; 2]; 2],
                 tap_step: 1.0,
                 taps: Taps::default(),
@@ -347,6 +350,11 @@ impl Compositor {
             let mesh = self.layers.meshes[view].given();
             let (spans, size) = (&mut self.layers.spans[view], p.canvas);
             warp.mapping(mesh).coverage((w, h), size.width, size.height, spans);
+            warp.moved = None;
+            if let Some(mesh) = mesh.filter(|_| view == 0) {
+                warp.moved = mesh.moved().and_then(|bounds| on_canvas(bounds, p.canvas));
+                stay_outside(mesh, (w, h), p.canvas, spans);
+            }
             let from_tap = match mesh {
                 Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: warp.origins[1], step: warp.tap_step }),
                 None => Mapping::Plane(&warp.source_from_tap),
@@ -362,6 +370,41 @@ impl Compositor {
                 step.segments.reserve(p.canvas.height, columns);
                 step.seam.reserve(columns, rows, cut);
             }
+        }
+    }
+}
+
+/// The canvas pixels inside bounds on the reference plane; `None` without any.
+fn on_canvas([low, high]: [Point; 2], canvas: Canvas) -> Option<Rect> {
+    let along = |low: f64, high: f64, origin: i32, size: usize| {
+        let at = |v: f64| (v + f64::from(origin)).clamp(0.0, size as f64) as usize;
+        (at(low.floor()), at(high.ceil() + 1.0))
+    };
+    let (x0, x1) = along(low[0], high[0], canvas.left, canvas.width);
+    let (y0, y1) = along(low[1], high[1], canvas.top, canvas.height);
+    (x0 < x1 && y0 < y1).then_some(Rect { x: x0, y: y0, width: x1 - x0, height: y1 - y0 })
+}
+
+/// Adds to the columns that the mesh of the reference view covers those beside the mesh, where that view stays where it is.
+fn stay_outside(mesh: &Mesh, (width, height): (usize, usize), canvas: Canvas, spans: &mut [Span]) {
+    let lattice = mesh.lattice();
+    let ([x0, y0], [x1, y1]) = (lattice.position(0, 0), lattice.position(lattice.columns - 1, lattice.rows - 1));
+    for (y, span) in spans.iter_mut().enumerate() {
+        let row = y as i64 - i64::from(canvas.top);
+        if row < 0 || row >= height as i64 {
+            continue;
+        }
+        let start = canvas.left.max(0) as u32;
+        let own = Span { start, end: (i64::from(canvas.left) + width as i64).clamp(0, canvas.width as i64) as u32 };
+        if (row as f64) < y0 || row as f64 > y1 || span.is_empty() {
+            *span = own;
+            continue;
+        }
+        if x0 > 0.0 {
+            span.start = own.start;
+        }
+        if x1 < width as f64 - 1.0 {
+            span.end = own.end;
         }
     }
 }

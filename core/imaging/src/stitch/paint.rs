@@ -39,6 +39,8 @@ pub(super) struct Warp {
     pub(super) source_from_tap: [f64; 9],
     /// Columns and rows to add to a canvas position, when the view is only shifted by whole pixels.
     pub(super) shift: Option<(i64, i64)>,
+    /// Canvas rectangle in which the mesh of the reference view moves it.
+    pub(super) moved: Option<Rect>,
     /// Positions of the first canvas pixel and of the first tap on the reference plane, px.
     pub(super) origins: [[f32; 2]; 2],
     /// Distance of neighbouring taps there, px.
@@ -115,7 +117,7 @@ impl Layers {
             let gain = taps::fixed_gain(&self.gains[k]);
             let step = &mut self.steps[k];
             step.seam.resize(canvas.width.div_ceil(scale), canvas.height.div_ceil(scale));
-            step.seam.doubt(self.meshes[k].given(), canvas, scale);
+            step.seam.doubt(self.meshes[k].given(), self.meshes[0].given(), canvas, scale);
             self.joined.measure(taps, &gain, &mut step.seam, pool);
             let found = step.seam.update(params, k == 1, may_learn, &mut self.cut);
             found_any |= found;
@@ -148,7 +150,7 @@ impl Layers {
         avx2: bool,
     ) {
         let stride = out.stride;
-        let first = Source::new(&views[0], &self.warps[0], None, &self.gains[0], avx2);
+        let first = Source::new(&views[0], &self.warps[0], self.meshes[0].given(), &self.gains[0], avx2);
         let spans = &self.spans[0];
         let chunks = canvas.height.div_ceil(ROWS);
         let rows = |chunk: usize| chunk * ROWS..(chunk * ROWS + ROWS).min(canvas.height);
@@ -286,6 +288,8 @@ struct Source<'a> {
     view: View<'a, u8>,
     source_from_canvas: Mapping<'a>,
     shift: Option<(i64, i64)>,
+    /// Where the view is sampled although it is only shifted elsewhere.
+    moved: Option<Rect>,
     gain: [i16; 4],
     avx2: bool,
 }
@@ -298,8 +302,10 @@ struct Work {
 
 impl<'a> Source<'a> {
     fn new(view: &View<'a, u8>, warp: &'a Warp, mesh: Option<&'a Mesh>, gain: &[f32; 3], avx2: bool) -> Self {
-        let shift = warp.shift.filter(|_| mesh.is_none() && gain.iter().all(|g| *g == 1.0));
-        Self { view: *view, source_from_canvas: warp.mapping(mesh), shift, gain: taps::fixed_gain(gain), avx2 }
+        let is_plain = mesh.is_none() || warp.moved.is_some();
+        let shift = warp.shift.filter(|_| is_plain && gain.iter().all(|g| *g == 1.0));
+        let (source_from_canvas, moved) = (warp.mapping(mesh), warp.moved.filter(|_| mesh.is_some()));
+        Self { view: *view, source_from_canvas, shift, moved, gain: taps::fixed_gain(gain), avx2 }
     }
 
     /// Samples up to a block of canvas pixels from `(x, y)` on into `work.pixels`.
@@ -311,12 +317,26 @@ impl<'a> Source<'a> {
 
     /// Writes the canvas columns `start..end` of row `y` into `row`.
     fn draw(&self, start: usize, end: usize, y: usize, row: &mut [u8], work: &mut Work) {
-        if let Some((dx, dy)) = self.shift {
+        let Some(shift) = self.shift else { return self.draw_sampled(start, end, y, row, work) };
+        let Some(moved) = self.moved.filter(|moved| y >= moved.y && y < moved.y + moved.height) else {
+            return self.copy(shift, start, end, y, row);
+        };
+        let (from, to) = (moved.x.clamp(start, end), (moved.x + moved.width).clamp(start, end));
+        self.copy(shift, start, from, y, row);
+        self.draw_sampled(from, to, y, row, work);
+        self.copy(shift, to, end, y, row);
+    }
+
+    fn copy(&self, (dx, dy): (i64, i64), start: usize, end: usize, y: usize, row: &mut [u8]) {
+        let end = end.min((self.view.width as i64 - dx).max(0) as usize);
+        if start < end {
             let (sx, sy) = (start as i64 + dx, y as i64 + dy);
             let at = sy as usize * self.view.stride + sx as usize * 3;
             row[start * 3..end * 3].copy_from_slice(&self.view.data[at..at + (end - start) * 3]);
-            return;
         }
+    }
+
+    fn draw_sampled(&self, start: usize, end: usize, y: usize, row: &mut [u8], work: &mut Work) {
         let mut x = start;
         while x < end {
             let n = (end - x).min(BLOCK);

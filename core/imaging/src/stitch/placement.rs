@@ -9,6 +9,8 @@ use crate::{Rect, View};
 const SLOPE_PX: f64 = 8.0;
 /// Spacing of the places at which stretch is measured, px.
 const STRETCH_STEP: usize = 16;
+/// Steps of the search for the place of a point.
+const PLACE_STEPS: usize = 24;
 
 /// Where a composite places the other view: by a mesh where there is one, else by a homography.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,12 +18,36 @@ pub struct Placement {
     left_from_other: Homography,
     other_from_left: Homography,
     mesh: Option<Mesh>,
+    /// Where the left view is drawn; `None` where it is.
+    reference: Option<Mesh>,
 }
 
 impl Placement {
-    /// `None` when the homography has no inverse.
+    /// The left view stays where it is. `None` when the homography has no inverse.
     pub fn new(left_from_other: Homography, mesh: Option<Mesh>) -> Option<Self> {
-        Some(Self { left_from_other, other_from_left: left_from_other.inverse()?, mesh })
+        Some(Self { left_from_other, other_from_left: left_from_other.inverse()?, mesh, reference: None })
+    }
+
+    /// The left view is drawn by a mesh too.
+    pub fn with_reference(self, reference: Option<Mesh>) -> Self {
+        Self { reference, ..self }
+    }
+
+    /// Point of the left view that the panorama shows at a point of its plane; the mesh leaves what lies beside it where it is.
+    fn left_of(&self, at: Point) -> Point {
+        self.reference.as_ref().and_then(|mesh| mesh.map(at)).unwrap_or(at)
+    }
+
+    /// Where the panorama draws a point of the left view.
+    fn place_of(&self, left: Point) -> Point {
+        let mut at = left;
+        if self.reference.is_some() {
+            for _ in 0..PLACE_STEPS {
+                let shown = self.left_of(at);
+                at = [0, 1].map(|k| at[k] + left[k] - shown[k]);
+            }
+        }
+        at
     }
 
     /// Where a point of the left view's plane is taken from in the other view; `None` outside the mesh.
@@ -41,14 +67,19 @@ impl Placement {
         Some([along(SLOPE_PX, 0.0)?, along(0.0, SLOPE_PX)?])
     }
 
-    /// Distance on the left view's plane between the point `left` and the place where the composite draws its counterpart `other`.
+    /// Distance in the panorama between the places where the composite draws the point `left` and its counterpart `other`.
     /// `None` outside the mesh.
     pub fn error_px(&self, other: Point, left: Point) -> Option<f64> {
+        self.apart_px(other, self.place_of(left))
+    }
+
+    /// Distance in the panorama between a point of its plane and the place where the composite draws the point `other`.
+    fn apart_px(&self, other: Point, place: Point) -> Option<f64> {
         if self.mesh.is_none() {
-            return Some(self.left_from_other.squared_error(other, left).sqrt());
+            return Some(self.left_from_other.squared_error(other, place).sqrt());
         }
-        let at = self.other_of(left)?;
-        let [[a, c], [b, d]] = self.slope(left)?;
+        let at = self.other_of(place)?;
+        let [[a, c], [b, d]] = self.slope(place)?;
         let (dx, dy) = (other[0] - at[0], other[1] - at[1]);
         let determinant = a * d - b * c;
         // Where the mesh folds over, distances of the other view stand in.
@@ -69,8 +100,8 @@ impl Placement {
             squares += if self.mesh.is_none() && previous.mesh.is_none() {
                 self.left_from_other.squared_error(point, previous.left_from_other.map(point))
             } else {
-                let left = self.left_from_other.map(point);
-                self.error_px(previous.other_of(left)?, left)?.powi(2)
+                let place = self.left_from_other.map(point);
+                self.apart_px(previous.other_of(place)?, place)?.powi(2)
             };
         }
         Some((squares / 9.0).sqrt())
@@ -110,6 +141,7 @@ impl Placement {
                 }
                 let (u, v) = (x as i64 - i64::from(left_at.0), y as i64 - i64::from(left_at.1));
                 let (Ok(u), Ok(v)) = (usize::try_from(u), usize::try_from(v)) else { continue };
+                let [u, v] = self.left_of([u as f64, v as f64]).map(|at| at.round().max(0.0) as usize);
                 let error = pairs.at(u, v).and_then(|(other, left)| self.error_px(other, left));
                 errors.extend(error);
             }
@@ -124,8 +156,9 @@ impl Placement {
         for y in (0..shown.height).step_by(STRETCH_STEP) {
             for x in (0..shown.width).step_by(STRETCH_STEP) {
                 let at = [f64::from(x as i32 - left_at.0), f64::from(y as i32 - left_at.1)];
-                let in_left = at[0] >= 0.0 && at[1] >= 0.0 && at[0] < left.width as f64 && at[1] < left.height as f64;
-                if shown.row(y)[x] != view || in_left {
+                let is_in = |[x, y]: Point| x >= 0.0 && y >= 0.0 && x < left.width as f64 && y < left.height as f64;
+                // Seen by the other camera alone, or beside where the left view would lie.
+                if shown.row(y)[x] != view || (is_in(at) && is_in(self.left_of(at))) {
                     continue;
                 }
                 all.extend(self.stretch(at));

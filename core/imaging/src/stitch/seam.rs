@@ -17,8 +17,27 @@ const UNIT: f32 = 64.0;
 const LENGTH_LEVELS: f32 = 1.0;
 /// Levels that a pixel of doubt about where the views match adds to the cost of a cell.
 const DOUBT_LEVELS: f32 = 4.0;
+/// Doubt per pixel by which the reference view is moved.
+const MOVED_DOUBT: f32 = 0.25;
 /// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
 const RIM: f32 = 3.0;
+
+/// A transition reaches this far beside the seam, px.
+const BESIDE_PX: f64 = 16.0;
+
+/// How far the reference view is moved at a place, or where a transition reaches from a seam there.
+fn moved_px(reference: &Mesh, [low, high]: [[f64; 2]; 2], at: [f64; 2]) -> f64 {
+    let mut most = 0.0f64;
+    for step in [[0.0, 0.0], [BESIDE_PX, 0.0], [-BESIDE_PX, 0.0], [0.0, BESIDE_PX], [0.0, -BESIDE_PX]] {
+        let near = [at[0] + step[0], at[1] + step[1]];
+        if (0..2).all(|k| near[k] > low[k] && near[k] < high[k])
+            && let Some(shown) = reference.map(near)
+        {
+            most = most.max((shown[0] - near[0]).hypot(shown[1] - near[1]));
+        }
+    }
+    most
+}
 
 /// Which cells show the new view rather than those before it.
 #[derive(Debug, Default)]
@@ -80,13 +99,20 @@ impl Seam {
     }
 
     /// Takes over how uncertain a mesh is; `None` for a view that a homography places. To be called after [`Seam::resize`].
-    pub fn doubt(&mut self, mesh: Option<&Mesh>, canvas: Canvas, scale: usize) {
+    ///
+    /// `reference`: the mesh of the reference view. Where it moves that view the panorama shows neither camera's perspective, which the seam shuns.
+    pub fn doubt(&mut self, mesh: Option<&Mesh>, reference: Option<&Mesh>, canvas: Canvas, scale: usize) {
         let Some(mesh) = mesh else { return self.doubt.fill(0.0) };
+        let moved = reference.and_then(|mesh| Some((mesh, mesh.moved()?)));
         for y in 0..self.rows {
             for x in 0..self.columns {
                 let middle = |cell: usize, origin: i32| (cell as f32 + 0.5) * scale as f32 - origin as f32;
                 let at = [middle(x, canvas.left), middle(y, canvas.top)];
-                self.doubt[y * self.columns + x] = DOUBT_LEVELS * mesh.doubt_px(at);
+                let mut doubt_px = mesh.doubt_px(at);
+                if let Some((reference, bounds)) = moved {
+                    doubt_px += MOVED_DOUBT * moved_px(reference, bounds, at.map(f64::from)) as f32;
+                }
+                self.doubt[y * self.columns + x] = DOUBT_LEVELS * doubt_px;
             }
         }
     }

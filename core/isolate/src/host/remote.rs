@@ -126,7 +126,8 @@ pub(super) unsafe fn open(
     }
     if let Some(entry) = entry.filter(|_| remote.process.is_link()) {
         // At the end, where only a link looks for them: the parameters that name files which the node reads.
-        let reads: Vec<u32> = (0..entry.params_len.min(open.params_len) as u32).filter(|at| is_read(entry, *at)).collect();
+        let reads: Vec<u32> =
+            (0..entry.params_len.min(open.params_len) as u32).filter(|at| is_read(entry, *at)).collect();
         Writer(&mut remote.out).u64(reads.len() as u64);
         reads.iter().for_each(|at| _ = Writer(&mut remote.out).u32(*at));
     }

@@ -45,7 +45,9 @@ impl Served {
         };
         let what = format!("the process of group `{name}`");
         let process = Process::start(&launch, &group, what, 0, &Arc::new(Totals::default()));
-        process.map(Self).map_err(|cause| format!("a process could not be started from {}: {cause}", launch.program.display()))
+        process
+            .map(Self)
+            .map_err(|cause| format!("a process could not be started from {}: {cause}", launch.program.display()))
     }
 
     /// Gives it a pool, which it writes if it is its own.

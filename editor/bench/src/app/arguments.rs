@@ -40,7 +40,7 @@ impl App {
     pub(super) fn ask_arguments(&mut self, ctx: &Context) {
         let Some(mut form) = self.arguments.take() else { return };
         let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
-        let modal = egui::Modal::new("arguments".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+        let modal = egui::Modal::new("arguments".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
         let starts = !self.document.missing_args().is_empty();
         let shown = modal.frame(frame).show(ctx, |ui| {
             ui.set_width(520.0);
@@ -50,7 +50,7 @@ impl App {
             } else {
                 "Values apply to the running graph."
             };
-            ui.label(RichText::new(hint).size(12.0).color(theme::MUTED));
+            ui.label(RichText::new(hint).size(12.0).color(theme::muted()));
             ui.add_space(2.0 * theme::STEP);
             let height = (ctx.content_rect().height() - 320.0).max(160.0);
             let style = FormStyle { apply: if starts { "Start" } else { "Apply" }, browse: true, size: 13.5, height };

@@ -118,6 +118,10 @@ impl App {
                     self.canvas.select_only(&id);
                 }
             }
+            InspectorRequest::Go(id) => {
+                self.open_parts_around(&id);
+                self.canvas.show_node(&self.document.view().clone(), &id);
+            }
             InspectorRequest::Open => {
                 let result = ops::set_open(doc, node, true);
                 self.try_edit(result);
@@ -222,6 +226,8 @@ impl App {
                 None => self.notify("select one node to connect", true),
             },
             Action::Find => self.open_palette(Purpose::Find),
+            Action::Theme => self.change_theme = true,
+            Action::Commands => self.open_palette(Purpose::Command),
             Action::Help => self.help = true,
             Action::Compare => self.compare(),
         }
@@ -275,6 +281,12 @@ impl App {
                 self.handle_inspector(&node, InspectorRequest::Input { input, index: usize::MAX, from: Some(from) })
             }
             Picked::Go(id) => self.canvas.show_node(&self.document.view().clone(), &id),
+            Picked::Perform(action) => self.perform(action),
+            Picked::Param(node, param) => {
+                self.open_parts_around(&node);
+                self.canvas.show_node(&self.document.view().clone(), &node);
+                self.go_to_param = Some((node, param));
+            }
         }
     }
 

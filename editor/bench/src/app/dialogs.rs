@@ -31,7 +31,7 @@ impl App {
             }
         }
         if self.help {
-            let modal = egui::Modal::new("help".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+            let modal = egui::Modal::new("help".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
             let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
             let shown = modal.frame(frame).show(ctx, |ui| {
                 ui.label(RichText::new("Keys").size(16.0));
@@ -52,7 +52,7 @@ impl App {
                     for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
                         egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
                             for (key, description) in part {
-                                ui.label(RichText::new(key).color(theme::ACCENT));
+                                ui.label(RichText::new(key).color(theme::accent()));
                                 ui.label(*description);
                                 ui.end_row();
                             }
@@ -73,13 +73,13 @@ impl App {
             return;
         }
         ctx.request_repaint_after(NOTE.saturating_sub(since.elapsed()));
-        let color = if *wrong { theme::FAULT } else { theme::LINE };
+        let color = if *wrong { theme::fault() } else { theme::line() };
         egui::Area::new("note".into())
             .anchor(egui::Align2::LEFT_BOTTOM, egui::vec2(16.0, -16.0))
             .interactable(false)
             .show(ctx, |ui| {
                 Frame::new()
-                    .fill(theme::PANEL)
+                    .fill(theme::panel())
                     .stroke(egui::Stroke::new(1.0, color))
                     .corner_radius(6.0)
                     .inner_margin(Margin::symmetric(12, 8))

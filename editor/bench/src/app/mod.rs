@@ -28,7 +28,7 @@ use crate::panels::inspector::{self, InspectorRequest};
 use crate::panels::plots::{Export, Plots};
 use crate::panels::sweep::SweepPanel;
 use crate::panels::top::{self, Switches};
-use crate::panels::{below, history, overview};
+use crate::panels::{below, history, overview, params};
 use crate::picker::Picker;
 use crate::view3d::View3d;
 use crate::viewer::{Source, Viewer};
@@ -61,6 +61,8 @@ pub struct Options {
     pub frames: Option<u64>,
     /// Scale of everything; 0 for the default.
     pub scale: f32,
+    /// Dark or light.
+    pub theme: theme::Choice,
     /// Screenshot and costs of the window, for `cargo xtask screens` and `panoscope bench editor`.
     pub shot: Shot,
     /// Overlays and values of the graph's arguments.
@@ -100,6 +102,10 @@ pub struct App {
     palette: Option<Palette>,
     types: Types,
     help: bool,
+    /// Whether the theme is to change with the next frame.
+    change_theme: bool,
+    /// A parameter that is to be shown and to get the keys, in the panel of its node.
+    go_to_param: Option<(String, String)>,
     plugins: bool,
     pub(crate) switches: Switches,
     pub(crate) detours: HashMap<String, Vec<Detour>>,
@@ -135,7 +141,7 @@ impl App {
     /// # Errors
     /// A thread cannot be started.
     pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
-        theme::apply(ctx);
+        theme::apply_choice(ctx, options.theme);
         if options.scale > 0.0 {
             ctx.set_zoom_factor(options.scale);
         }
@@ -163,6 +169,8 @@ impl App {
             palette: None,
             types: Types::default(),
             help: false,
+            change_theme: false,
+            go_to_param: None,
             plugins: false,
             switches: Switches::default(),
             detours: HashMap::new(),
@@ -273,6 +281,10 @@ impl App {
     pub fn ui(&mut self, ui: &mut Ui) {
         self.costs.count_frame();
         let ctx = ui.ctx().clone();
+        if std::mem::take(&mut self.change_theme) {
+            theme::apply_choice(&ctx, if theme::is_light() { theme::Choice::Dark } else { theme::Choice::Light });
+            ui.set_style(ctx.global_style());
+        }
         let status = self.session.status();
         self.document.set_loader(self.session.loader());
         if self.document.history().has_pending() && *status.running == **self.document.runnable() {
@@ -326,14 +338,14 @@ impl App {
 
     fn panels(&mut self, ui: &mut Ui, status: &Status) {
         let counters = self.summed_counters();
-        let bar = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 8));
+        let bar = Frame::new().fill(theme::panel()).inner_margin(Margin::symmetric(16, 8));
         let actions = Panel::top("top")
             .frame(bar)
             .exact_size(44.0)
             .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
         actions.inner.into_iter().for_each(|action| self.perform(action));
         self.conflict_bar(ui);
-        self.side(ui, &counters);
+        self.side(ui, status, &counters);
         self.below(ui, status, &counters);
         let view = self.document.view().clone();
         let problem = status.problem.as_ref().and_then(|t| Some((t.node.as_deref()?, t.message.as_str())));
@@ -361,8 +373,8 @@ impl App {
     }
 
     /// The panel of the selected node, or of the whole graph. It is always visible, so that selecting does not move the canvas.
-    fn side(&mut self, ui: &mut Ui, counters: &Counters) {
-        let side = Frame::new().fill(theme::PANEL).inner_margin(Margin::same(16));
+    fn side(&mut self, ui: &mut Ui, status: &Status, counters: &Counters) {
+        let side = Frame::new().fill(theme::panel()).inner_margin(Margin::same(16));
         let panel = Panel::right("side").frame(side).default_size(320.0).size_range(260.0..=520.0);
         let view = self.document.view().clone();
         let Some(node) = self.selected().and_then(|id| view.node(&id)) else {
@@ -379,15 +391,19 @@ impl App {
             }
             return;
         };
-        let requests =
-            panel.show(ui, |ui| inspector::show(ui, &self.document, counters, &self.shown, &self.canvas, node));
+        let id = view.nodes[node].id();
+        if let Some((_, param)) = self.go_to_param.take_if(|(node, _)| node == id) {
+            params::go_to(ui.ctx(), &param);
+        }
+        let requests = panel
+            .show(ui, |ui| inspector::show(ui, &self.document, (counters, status), &self.shown, &self.canvas, node));
         let id = view.nodes[node].id().to_owned();
         requests.inner.into_iter().for_each(|request| self.handle_inspector(&id, request));
     }
 
     /// The panels below and beside the canvas that are switched on: text, problems, history, sweep, plots.
     fn below(&mut self, ui: &mut Ui, status: &Status, counters: &Counters) {
-        let frame = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 12));
+        let frame = Frame::new().fill(theme::panel()).inner_margin(Margin::symmetric(16, 12));
         let selected: Vec<String> = self.canvas.selected.iter().cloned().collect();
         if self.switches.text {
             let panel = Panel::left("text").frame(frame).default_size(430.0).size_range(200.0..=900.0);
@@ -537,7 +553,7 @@ impl eframe::App for App {
     }
 
     fn clear_color(&self, _: &egui::Visuals) -> [f32; 4] {
-        theme::GROUND.to_normalized_gamma_f32()
+        theme::ground().to_normalized_gamma_f32()
     }
 
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {

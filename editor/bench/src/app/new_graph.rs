@@ -56,13 +56,13 @@ impl App {
             return;
         }
         let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
-        let modal = egui::Modal::new("templates".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+        let modal = egui::Modal::new("templates".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
         let mut chosen = None;
         modal.frame(frame).show(ctx, |ui| {
             ui.set_width(420.0);
             ui.label(RichText::new("A new graph").size(18.0));
             let name = self.document.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
-            ui.label(RichText::new(format!("{name} is written when you save")).color(theme::MUTED));
+            ui.label(RichText::new(format!("{name} is written when you save")).color(theme::muted()));
             ui.add_space(2.0 * theme::STEP);
             for (name, description, text) in TEMPLATES {
                 let button = egui::Button::new(RichText::new(name).size(14.0)).min_size(vec2(420.0, 34.0));
@@ -71,7 +71,7 @@ impl App {
                 if response.clicked() {
                     chosen = Some((name, text));
                 }
-                ui.label(RichText::new(description).size(12.0).color(theme::MUTED));
+                ui.label(RichText::new(description).size(12.0).color(theme::muted()));
                 ui.add_space(theme::STEP);
             }
         });

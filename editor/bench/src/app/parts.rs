@@ -11,6 +11,7 @@ use super::App;
 use crate::actions::Action;
 use crate::canvas::CanvasRequest;
 use crate::panels::inspector::InspectorRequest;
+use panoscope_editor_model::graph_view::PartView;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::ops;
 use panoscope_editor_widgets::theme;
@@ -46,6 +47,22 @@ impl App {
         }
     }
 
+    /// Opens the folded parts that a node is inside of, so that it is shown.
+    pub(super) fn open_parts_around(&mut self, node: &str) {
+        loop {
+            let view = self.document.view().clone();
+            let around = |part: &&PartView| {
+                !part.open && node.strip_prefix(part.id.as_str()).is_some_and(|rest| rest.starts_with('/'))
+            };
+            let Some(part) = view.parts.iter().find(around).filter(|_| view.node(node).is_none()) else { break };
+            let result = ops::set_open(&mut self.document, &part.id, true);
+            if self.try_edit(result).is_none() {
+                break;
+            }
+        }
+        self.canvas.keep_in_view(&self.document.view().clone(), self.document.revision(), node);
+    }
+
     /// Asks for the name of a part of the selected nodes.
     pub(super) fn name_part(&mut self) {
         match self.canvas.selected.is_empty() {
@@ -58,7 +75,7 @@ impl App {
     pub(super) fn ask_part_name(&mut self, ctx: &Context) {
         let Some((mut name, shown)) = self.part_name.take() else { return };
         let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
-        let modal = egui::Modal::new("part name".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+        let modal = egui::Modal::new("part name".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
         let (mut done, mut cancel) = (false, false);
         let answer = modal.frame(frame).show(ctx, |ui| {
             ui.set_width(420.0);
@@ -72,7 +89,7 @@ impl App {
             done |= field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter));
             let file = ops::part_file(&self.document, &name);
             let caption = format!("Saving writes {}", file.display());
-            ui.label(RichText::new(caption).size(12.0).color(theme::MUTED));
+            ui.label(RichText::new(caption).size(12.0).color(theme::muted()));
             ui.add_space(theme::STEP);
             ui.horizontal(|ui| {
                 done |= ui.button("Make the part").clicked();
@@ -118,14 +135,14 @@ impl App {
         let name = consent.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (count, users) = (consent.users.len(), consent.users.join(", "));
         let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
-        let modal = egui::Modal::new("shared part".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+        let modal = egui::Modal::new("shared part".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
         let (mut yes, mut no) = (false, false);
         let answer = modal.frame(frame).show(ctx, |ui| {
             ui.set_width(460.0);
             ui.label(RichText::new(format!("{name} is used {count} times in this graph")).size(18.0));
             ui.label(format!("The change applies to each of them: {users}."));
             let others = "Other graphs that use the file change too. Saving writes it.";
-            ui.label(RichText::new(others).size(12.0).color(theme::MUTED));
+            ui.label(RichText::new(others).size(12.0).color(theme::muted()));
             ui.add_space(theme::STEP);
             ui.horizontal(|ui| {
                 yes = ui.button(format!("Change all {count}")).clicked();

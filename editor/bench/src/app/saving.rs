@@ -64,17 +64,22 @@ impl App {
     fn add_conflict(&mut self, path: PathBuf, theirs: String, refused: bool) {
         let refused_save = refused || self.conflicts.iter().any(|c| c.path == path && c.refused_save);
         self.forget_conflict(&path);
-        self.conflicts.push(Conflict { path, theirs, refused_save });
+        self.conflicts.push(Conflict { path, theirs, refused_save, compared: None });
     }
 
     fn forget_conflict(&mut self, path: &Path) {
         self.conflicts.retain(|c| c.path != path);
     }
 
-    /// Shows the bar with the choice during a conflict, and applies the choice. Several conflicts are shown one after the other.
+    /// Shows the bar with the difference and the choice during a conflict, and applies the choice. Several conflicts are shown one after the other.
     pub(super) fn conflict_bar(&mut self, ui: &mut Ui) {
-        let Some(conflict) = self.conflicts.first() else { return };
-        let (refused, is_root) = (conflict.refused_save, conflict.path == self.document.path());
+        let Some(conflict) = self.conflicts.first_mut() else { return };
+        let is_root = conflict.path == self.document.path();
+        let ours = match self.document.file_text(&conflict.path) {
+            _ if is_root => Arc::clone(self.document.text()),
+            Some(text) => Arc::clone(text),
+            None => "".into(),
+        };
         let what = match is_root {
             true => {
                 "The file was changed on disk, and the graph in this window was changed too. Choose which text to keep:"
@@ -85,36 +90,43 @@ impl App {
                 format!("{name} was changed on disk, and in this window too. Choose which text to keep:")
             }
         };
-        let fill = if refused { theme::FAULT } else { theme::WARN };
+        let fill = if conflict.refused_save { theme::fault() } else { theme::warn() };
         let frame = Frame::new().fill(fill.gamma_multiply(0.18)).inner_margin(Margin::symmetric(16, 8));
+        // Whether the file's text is taken.
+        let mut take = None;
         Panel::top("conflict").frame(frame).show(ui, |ui| {
             ui.horizontal(|ui| {
-                if refused {
-                    ui.label(RichText::new("Not saved.").color(theme::FAULT).strong());
+                if conflict.refused_save {
+                    ui.label(RichText::new("Not saved.").color(theme::fault()).strong());
                 }
                 ui.label(what);
                 let theirs = ui.button("Take the file's").on_hover_text("Undo restores the graph of this window");
                 let ours = ui
                     .button("Keep this one")
                     .on_hover_text("The next save replaces the file and keeps its text as a backup");
-                let take = theirs.clicked();
-                if !take && !ours.clicked() {
-                    return;
-                }
-                let conflict = self.conflicts.remove(0);
-                if !is_root {
-                    self.document.file_changed_on_disk(&conflict.path, &conflict.theirs, take);
-                } else {
-                    if take {
-                        self.document.set_text_by(Origin::File, &conflict.theirs, "take the file's text", None);
-                    }
-                    self.document.set_saved(&conflict.theirs);
-                }
-                if !take {
-                    self.notify("kept; the next save replaces the file and keeps its text as a backup", false);
-                }
+                take = if theirs.clicked() { Some(true) } else { ours.clicked().then_some(false) };
             });
+            conflict.show_difference(ui, &ours);
         });
+        if let Some(take) = take {
+            self.resolve_conflict(is_root, take);
+        }
+    }
+
+    /// Ends the first conflict with the file's text, or with the one of this window.
+    fn resolve_conflict(&mut self, is_root: bool, take: bool) {
+        let conflict = self.conflicts.remove(0);
+        if !is_root {
+            self.document.file_changed_on_disk(&conflict.path, &conflict.theirs, take);
+        } else {
+            if take {
+                self.document.set_text_by(Origin::File, &conflict.theirs, "take the file's text", None);
+            }
+            self.document.set_saved(&conflict.theirs);
+        }
+        if !take {
+            self.notify("kept; the next save replaces the file and keeps its text as a backup", false);
+        }
     }
 
     /// Saves a graph of the installation as a copy, which the window edits from then on; `false` if the graph belongs to no installation.

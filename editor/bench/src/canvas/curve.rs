@@ -28,6 +28,13 @@ pub(super) fn flattened(p: &[Pos2; 4]) -> Vec<Pos2> {
     (0..=count).map(|i| on_curve(p, i as f32 / count as f32)).collect()
 }
 
+/// Distance of a point from a line between two others.
+pub(super) fn distance(at: Pos2, from: Pos2, to: Pos2) -> f32 {
+    let delta = to - from;
+    let along = ((at - from).dot(delta) / delta.length_sq().max(1e-6)).clamp(0.0, 1.0);
+    at.distance(from + delta * along)
+}
+
 /// The curve of a wire between two pins.
 pub(super) fn bow(from: Pos2, to: Pos2, scale: f32) -> [Pos2; 4] {
     let reach = ((to.x - from.x).abs() * 0.5).max(40.0 * scale).min(220.0 * scale);
@@ -63,14 +70,7 @@ mod tests {
         let curve = bow(pos2(0.0, 0.0), pos2(120.0, 400.0), 1.0);
         let points = flattened(&curve);
         assert!((8..=64).contains(&points.len()), "{}", points.len());
-        let apart = |at: Pos2| {
-            let near = points.windows(2).map(|pair| {
-                let delta = pair[1] - pair[0];
-                let along = ((at - pair[0]).dot(delta) / delta.length_sq()).clamp(0.0, 1.0);
-                at.distance(pair[0] + delta * along)
-            });
-            near.fold(f32::MAX, f32::min)
-        };
+        let apart = |at: Pos2| points.windows(2).map(|pair| distance(at, pair[0], pair[1])).fold(f32::MAX, f32::min);
         let worst = (0..=500).map(|i| apart(on_curve(&curve, i as f32 / 500.0))).fold(0.0, f32::max);
         assert!(worst < 0.3, "{worst}");
     }

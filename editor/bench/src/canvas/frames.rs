@@ -5,6 +5,7 @@ use eframe::egui::{
 };
 
 use super::interaction::CanvasRequest;
+use super::paint::LEAST_TEXT;
 use super::{Canvas, Scene};
 use panoscope_editor_model::folding::parent;
 use panoscope_editor_widgets::theme;
@@ -60,25 +61,25 @@ impl Canvas {
         let selected = self.selected.contains(&part.id);
         let label = format!("Part {}", part.id);
         body.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, label.clone()));
-        let edge = if selected { theme::ACCENT } else { theme::family("part").gamma_multiply(0.8) };
+        let edge = if selected { theme::accent() } else { theme::family("part").gamma_multiply(0.8) };
         let radius = CornerRadius::same((10.0 * scale).clamp(2.0, 12.0) as u8);
         let painter = ui.painter();
         let fill = theme::family("part").gamma_multiply(0.07);
         painter.rect(rect, radius, fill, Stroke::new(1.5, edge), StrokeKind::Inside);
-        let font = |size: f32| FontId::proportional((size * scale).max(9.0));
+        let font = |size: f32| FontId::proportional((size * scale).max(LEAST_TEXT));
         let middle = title.left_center() + vec2(12.0 * scale, 0.0);
-        let name = painter.text(middle, Align2::LEFT_CENTER, &part.id, font(15.0), theme::TEXT);
+        let name = painter.text(middle, Align2::LEFT_CENTER, &part.id, font(15.0), theme::text());
         let users = if part.users.len() > 1 { format!("  ·  used {} times", part.users.len()) } else { String::new() };
         let room = rect.right() - name.right() - (FOLD + 24.0) * scale;
-        let caption = painter.layout_no_wrap(format!("{}{users}", part.file), font(11.5), theme::MUTED);
+        let caption = painter.layout_no_wrap(format!("{}{users}", part.file), font(11.5), theme::muted());
         if caption.size().x < room {
             let at = pos2(name.right() + 12.0 * scale, title.center().y - caption.size().y / 2.0);
-            painter.galley(at, caption, theme::MUTED);
+            painter.galley(at, caption, theme::muted());
         }
         let button = Rect::from_min_max(pos2(title.right() - FOLD * scale, title.top()), title.max);
         let fold = ui.interact(button, Id::new(("fold part", &part.id)), Sense::click());
         fold.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Fold {}", part.id)));
-        let color = if fold.hovered() { theme::TEXT } else { theme::ACCENT };
+        let color = if fold.hovered() { theme::text() } else { theme::accent() };
         ui.painter().text(button.center(), Align2::CENTER_CENTER, "fold", font(11.5), color);
         if fold.clicked() || body.double_clicked() {
             requests.push(CanvasRequest::Open { part: part.id.clone(), open: false });

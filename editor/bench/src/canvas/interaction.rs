@@ -3,7 +3,7 @@
 use eframe::egui::{Id, Modifiers, Pos2, Rect, Response, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
 
 use super::curve::on_curve;
-use super::shape::DETAIL;
+use super::shape::{DETAIL, PORTS};
 use super::{Canvas, Mark, Scene};
 use panoscope_editor_model::graph_view::{GraphView, WireError};
 use panoscope_editor_model::observe::Output;
@@ -197,8 +197,7 @@ impl Canvas {
             self.drag = Drag::None;
         }
         if transform.scaling >= DETAIL {
-            if let (Some(picture), Some((output, _))) = (shape.picture, &shape.output) {
-                let rect = transform * picture.translate(position.to_vec2());
+            if let (Some(rect), Some((output, _))) = (self.picture_rect(node, rect), &shape.output) {
                 if ui.rect_contains_pointer(rect.intersect(self.rect)) {
                     self.under_pointer = Some(output.clone());
                 }
@@ -219,7 +218,7 @@ impl Canvas {
                     requests.push(CanvasRequest::Open { part: id.to_owned(), open: true });
                 }
             }
-            if let Some(fold) = shape.fold {
+            if let Some(fold) = shape.fold.filter(|_| transform.scaling >= PORTS) {
                 let rect = transform * fold.translate(position.to_vec2());
                 let button = ui.interact(rect, Id::new(("fold", id)), Sense::click());
                 button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("All ports of {id}")));

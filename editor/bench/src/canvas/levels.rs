@@ -7,7 +7,7 @@ use eframe::egui::{Pos2, Rect, Vec2, pos2, vec2};
 use super::Shape;
 use super::frames::{ROOM, TITLE};
 use panoscope_editor_model::folding::parent;
-use panoscope_editor_model::graph_view::GraphView;
+use panoscope_editor_model::graph_view::{GraphView, Wire};
 use panoscope_editor_model::layout;
 
 /// Distance between the corner of a part's frame and the origin of the positions inside.
@@ -26,6 +26,8 @@ pub(super) struct Level {
     pub origins: HashMap<String, Pos2>,
     /// Paths of wires that pass other nodes, by the nodes at their ends.
     pub lanes: HashMap<(usize, usize), Vec<[Pos2; 2]>>,
+    /// Corners of the paths of wires to other rows, by the nodes at their ends.
+    pub routes: HashMap<(usize, usize), Vec<Pos2>>,
 }
 
 impl Level {
@@ -33,6 +35,7 @@ impl Level {
         self.nodes.values_mut().chain(self.origins.values_mut()).for_each(|at| *at += by);
         self.frames.values_mut().for_each(|rect| *rect = rect.translate(by));
         self.lanes.values_mut().flatten().flatten().for_each(|at| *at += by);
+        self.routes.values_mut().flatten().for_each(|at| *at += by);
     }
 
     /// The rectangle of everything in it.
@@ -53,8 +56,8 @@ struct Item {
     position: Option<(f32, f32)>,
 }
 
-/// Lays out the nodes of a part, or of the graph where `part` is empty.
-pub(super) fn lay_out(view: &GraphView, shapes: &[Shape], part: &str) -> Level {
+/// Lays out the nodes of a part, or of the graph where `part` is empty, for a window of this size.
+pub(super) fn lay_out(view: &GraphView, shapes: &[Shape], part: &str, window: Vec2) -> Level {
     let mut inside: HashMap<String, Level> = HashMap::new();
     let mut items: Vec<Item> = (view.nodes.iter().zip(shapes).enumerate())
         .filter(|(_, (node, _))| parent(node.id()) == part)
@@ -66,7 +69,7 @@ pub(super) fn lay_out(view: &GraphView, shapes: &[Shape], part: &str) -> Level {
         })
         .collect();
     for opened in view.parts.iter().filter(|p| p.open && parent(&p.id) == part) {
-        let mut level = lay_out(view, shapes, &opened.id);
+        let mut level = lay_out(view, shapes, &opened.id, window);
         let extent = level.extent(view, shapes).unwrap_or(Rect::from_min_size(Pos2::ZERO, Vec2::ZERO));
         // The frame begins where positions inside do, and grows around nodes that are left of that or above.
         let origin = extent.min.min(Pos2::ZERO);
@@ -84,16 +87,19 @@ pub(super) fn lay_out(view: &GraphView, shapes: &[Shape], part: &str) -> Level {
             None => id.strip_prefix(item.id.as_str()).is_some_and(|rest| rest.starts_with('/')),
         })
     };
-    let wires = view.wires.iter().filter(|w| !w.delayed);
-    let ends: Vec<((usize, usize), (usize, usize))> =
-        wires.filter_map(|w| Some(((at_level(w.from)?, at_level(w.to)?), (w.from, w.to)))).collect();
-    let edges: Vec<(usize, usize)> = ends.iter().map(|(items, _)| *items).filter(|(from, to)| from != to).collect();
+    let ends: Vec<((usize, usize), &Wire)> =
+        view.wires.iter().filter_map(|w| Some(((at_level(w.from)?, at_level(w.to)?), w))).collect();
+    let pairs = |delayed: bool| -> Vec<(usize, usize)> {
+        let between = ends.iter().filter(|((from, to), w)| w.delayed == delayed && from != to);
+        between.map(|(items, _)| *items).collect()
+    };
+    let (edges, delayed) = (pairs(false), pairs(true));
     let sizes: Vec<[f32; 2]> = items.iter().map(|i| [i.size.x, i.size.y]).collect();
     // An unconnected node with a position in the file does not affect the layout.
     let laid: Vec<usize> = (0..items.len())
         .filter(|n| items[*n].position.is_none() || edges.iter().any(|(from, to)| from == n || to == n))
         .collect();
-    let automatic = layout::layered_part(&sizes, &edges, &laid);
+    let automatic = layout::fitted_part(&sizes, &edges, &delayed, window.into(), &laid);
     // Nodes without a position in the file are placed around those with one.
     let mut taken: Vec<layout::Rectangle> =
         items.iter().zip(&sizes).filter_map(|(item, size)| item.position.map(|(x, y)| ([x, y], *size))).collect();
@@ -117,16 +123,24 @@ pub(super) fn lay_out(view: &GraphView, shapes: &[Shape], part: &str) -> Level {
                 level.nodes.extend(part.nodes);
                 level.origins.extend(part.origins);
                 level.lanes.extend(part.lanes);
+                level.routes.extend(part.routes);
                 level.frames.extend(part.frames);
                 level.frames.insert(item.id.clone(), Rect::from_min_size(at, item.size));
             }
         }
     }
-    let untouched = |n: usize| items[n].position.is_none() && items[n].node.is_some();
-    for ((from, to), nodes) in ends {
-        if let Some(lane) = automatic.lanes.get(&(from, to)).filter(|_| untouched(from) && untouched(to)) {
-            let lane = lane.iter().map(|s| s.map(|[x, y]| pos2(x, y))).collect();
-            level.lanes.insert(nodes, lane);
+    let untouched = |n: usize| items[n].position.is_none();
+    for ((from, to), wire) in ends {
+        if !untouched(from) || !untouched(to) {
+            continue;
+        }
+        let nodes = (wire.from, wire.to);
+        if let Some(route) = automatic.routes.get(&(from, to)) {
+            level.routes.insert(nodes, route.iter().map(|[x, y]| pos2(*x, *y)).collect());
+        }
+        let lane = automatic.lanes.get(&(from, to)).filter(|_| items[from].node.is_some() && items[to].node.is_some());
+        if let Some(lane) = lane {
+            level.lanes.insert(nodes, lane.iter().map(|s| s.map(|[x, y]| pos2(x, y))).collect());
         }
     }
     level

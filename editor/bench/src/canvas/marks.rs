@@ -6,6 +6,7 @@ use eframe::egui::{
 };
 
 use super::interaction::CanvasRequest;
+use super::paint::LEAST_TEXT;
 use super::{Canvas, Scene};
 use panoscope_editor_model::Mark;
 use panoscope_editor_widgets::theme;
@@ -116,8 +117,8 @@ impl Canvas {
         let (transform, scale) = (self.transform(), self.scale());
         let framed = this.size.is_some();
         let mut rect = transform * rect_of(&this);
-        let font = FontId::proportional((if framed { 16.0 } else { 13.0 } * scale).max(5.0));
-        let color = theme::TEXT.gamma_multiply(if framed { 0.75 } else { 0.95 });
+        let font = FontId::proportional((if framed { 16.0 } else { 13.0 } * scale).max(LEAST_TEXT));
+        let color = theme::text().gamma_multiply(if framed { 0.75 } else { 0.95 });
         let galley = ui.painter().layout(this.text.clone(), font, color, (rect.width() - 16.0 * scale).max(20.0));
         if !framed {
             rect.max.y = rect.min.y + galley.size().y + 16.0 * scale;
@@ -130,11 +131,11 @@ impl Canvas {
         let label = format!("{} {}", kind_of(&this), this.text);
         let selected = self.selected_mark == Some(mark);
         body.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, label.clone()));
-        let edge = if selected { theme::ACCENT } else { theme::LINE };
+        let edge = if selected { theme::accent() } else { theme::line() };
         let painter = ui.painter();
         let radius = CornerRadius::same((10.0 * scale).clamp(2.0, 12.0) as u8);
         let fill =
-            if framed { theme::PANEL.gamma_multiply(0.6) } else { theme::family("overlay").gamma_multiply(0.10) };
+            if framed { theme::panel().gamma_multiply(0.6) } else { theme::family("overlay").gamma_multiply(0.10) };
         painter.rect(rect, radius, fill, Stroke::new(1.0, edge), StrokeKind::Inside);
         let typing = matches!(self.mark_edit, MarkEdit::Text { mark: m, .. } if m == mark);
         if !typing {
@@ -158,7 +159,7 @@ impl Canvas {
             pull.widget_info(|| WidgetInfo::labeled(WidgetType::Other, true, format!("Size of {label}")));
             if pull.hovered() || pull.dragged() {
                 let at = Align2::RIGHT_BOTTOM;
-                ui.painter().text(rect.max - vec2(4.0, 2.0), at, "◢", FontId::proportional(12.0), theme::MUTED);
+                ui.painter().text(rect.max - vec2(4.0, 2.0), at, "◢", FontId::proportional(12.0), theme::muted());
             }
             if pull.drag_started() {
                 self.mark_edit = MarkEdit::Size { mark };

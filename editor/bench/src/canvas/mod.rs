@@ -6,8 +6,11 @@ mod frames;
 mod interaction;
 mod levels;
 mod marks;
+mod minimap;
+mod node;
 mod paint;
 mod shape;
+mod wires;
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -27,7 +30,11 @@ pub use shape::{Pin, Shape, shown_output};
 const BESIDE: f32 = 64.0;
 
 /// Range of the zoom; each step is a factor of the eighth root of two.
-const ZOOM_STEPS: std::ops::RangeInclusive<i32> = -28..=8;
+const ZOOM_STEPS: std::ops::RangeInclusive<f32> = -28.0..=8.0;
+/// Largest scale at which a whole graph is shown.
+const FIT_SCALE: f32 = 1.5;
+/// Distance between the whole graph and the edges of the canvas, in points of the window.
+const FIT_MARGIN: f32 = 20.0;
 
 /// What the canvas draws.
 pub struct Scene<'a> {
@@ -47,7 +54,7 @@ pub struct Scene<'a> {
 
 /// The state of the canvas.
 pub struct Canvas {
-    zoom: i32,
+    zoom: f32,
     /// Screen distance from the canvas's middle to the graph's origin.
     offset: Vec2,
     positions: HashMap<String, Pos2>,
@@ -59,7 +66,13 @@ pub struct Canvas {
     ids: Vec<String>,
     /// Paths of wires that pass other nodes, while both end nodes are where the layout put them.
     lanes: HashMap<(usize, usize), Vec<[Pos2; 2]>>,
+    /// Corners of the paths of wires to other rows, likewise.
+    routes: HashMap<(usize, usize), Vec<Pos2>>,
+    /// For each node, its outputs that are read: their wires run beside each other.
+    outputs: Vec<Vec<String>>,
     laid_out: Option<u64>,
+    /// Space for the graph, and the window's size, when the layout took its shape.
+    shape: Option<(Vec2, Vec2)>,
     /// Whether the whole graph is kept in view; the user's movement ends it.
     fit: bool,
     fitted: Option<(Rect, u64)>,
@@ -84,7 +97,7 @@ pub struct Canvas {
 impl Default for Canvas {
     fn default() -> Self {
         Self {
-            zoom: 0,
+            zoom: 0.0,
             offset: Vec2::ZERO,
             positions: HashMap::new(),
             frames: HashMap::new(),
@@ -92,7 +105,10 @@ impl Default for Canvas {
             shapes: Vec::new(),
             ids: Vec::new(),
             lanes: HashMap::new(),
+            routes: HashMap::new(),
+            outputs: Vec::new(),
             laid_out: None,
+            shape: None,
             fit: true,
             fitted: None,
             drag: interaction::Drag::None,
@@ -115,10 +131,11 @@ impl Canvas {
         self.frames.get(part).copied()
     }
 
-    /// Shows the whole graph, and keeps it in view until the user moves it.
+    /// Shows the whole graph, and keeps it in view until the user moves it. Nodes without a position in the file are arranged for the space there is.
     pub fn fit(&mut self) {
         self.fit = true;
         self.fitted = None;
+        self.shape = None;
     }
 
     /// Zooms by eighths of an octave around the middle.
@@ -133,13 +150,13 @@ impl Canvas {
     }
 
     fn scale(&self) -> f32 {
-        2f32.powf(self.zoom as f32 / 8.0)
+        2f32.powf(self.zoom / 8.0)
     }
 
     fn zoom_around(&mut self, middle: Vec2, steps: i32) {
         let before = self.scale();
         self.fit = false;
-        self.zoom = (self.zoom + steps).clamp(*ZOOM_STEPS.start(), *ZOOM_STEPS.end());
+        self.zoom = (self.zoom + steps as f32).clamp(*ZOOM_STEPS.start(), *ZOOM_STEPS.end());
         self.offset = middle + (self.offset - middle) * (self.scale() / before);
     }
 
@@ -208,7 +225,7 @@ impl Canvas {
             && let Some(shape) = self.shapes.get(node)
         {
             self.fit = false;
-            self.zoom = self.zoom.max(-8);
+            self.zoom = self.zoom.max(-4.0);
             self.offset = -(position.to_vec2() + shape.size / 2.0) * self.scale();
             self.select_only(id);
         }
@@ -259,9 +276,16 @@ impl Canvas {
         self.shapes = (0..view.nodes.len())
             .map(|n| Shape::of(view, n, &self.unfolded, self.chosen.get(view.nodes[n].id()).map(String::as_str)))
             .collect();
-        let level = levels::lay_out(view, &self.shapes, "");
-        (self.positions, self.frames, self.origins, self.lanes) =
-            (level.nodes, level.frames, level.origins, level.lanes);
+        let window = self.shape.map_or_else(|| self.room(), |(room, _)| room);
+        let level = levels::lay_out(view, &self.shapes, "", window);
+        (self.positions, self.frames, self.origins) = (level.nodes, level.frames, level.origins);
+        (self.lanes, self.routes) = (level.lanes, level.routes);
+        self.outputs = vec![Vec::new(); view.nodes.len()];
+        for wire in &view.wires {
+            if !self.outputs[wire.from].contains(&wire.output) {
+                self.outputs[wire.from].push(wire.output.clone());
+            }
+        }
         // A frame has a position as a node has.
         self.positions.extend(self.frames.iter().map(|(id, rect)| (id.clone(), rect.min)));
         if !matches!(self.mark_edit, marks::MarkEdit::Text { .. }) {
@@ -276,7 +300,24 @@ impl Canvas {
         self.selected_wire = self.selected_wire.take().filter(wire);
     }
 
-    /// The bounding rectangle of nodes and marks.
+    /// The space for a graph that is shown whole.
+    fn room(&self) -> Vec2 {
+        self.rect.shrink(FIT_MARGIN).size()
+    }
+
+    /// The scale of the graph.
+    pub fn zoom_factor(&self) -> f32 {
+        self.scale()
+    }
+
+    /// The rectangles of all nodes in the window, by name.
+    pub fn node_rects(&self) -> Vec<(String, Rect)> {
+        let nodes = self.ids.iter().zip(&self.shapes);
+        let rect = |at: &Pos2, shape: &Shape| self.transform() * Rect::from_min_size(*at, shape.size);
+        nodes.filter_map(|(id, shape)| Some((id.clone(), rect(self.positions.get(id)?, shape)))).collect()
+    }
+
+    /// The bounding rectangle of nodes, marks and paths of wires.
     fn extent(&self, view: &GraphView) -> Option<Rect> {
         let rects = view.nodes.iter().zip(&self.shapes).map(|(node, shape)| {
             Rect::from_min_size(self.positions.get(node.id()).copied().unwrap_or_default(), shape.size)
@@ -285,23 +326,31 @@ impl Canvas {
             let (w, h) = m.size.unwrap_or((220.0, 40.0));
             Rect::from_min_size(pos2(m.at.0, m.at.1), vec2(w, h))
         });
-        rects.chain(marks).chain(self.frames.values().copied()).reduce(|a, b| a.union(b))
+        let corners = self.routes.values().flatten().map(|at| Rect::from_min_max(*at, *at));
+        rects.chain(marks).chain(self.frames.values().copied()).chain(corners).reduce(|a, b| a.union(b))
     }
 
     fn fit_now(&mut self, view: &GraphView) {
         if let Some(extent) = self.extent(view) {
-            let room = self.rect.shrink(32.0).size();
-            let scale = (room.x / extent.width()).min(room.y / extent.height()).clamp(1e-3, 1.0);
-            self.zoom = ((scale.log2() * 8.0).floor() as i32).clamp(*ZOOM_STEPS.start(), 0);
+            let room = self.room();
+            let scale = (room.x / extent.width()).min(room.y / extent.height()).clamp(1e-3, FIT_SCALE);
+            self.zoom = (scale.log2() * 8.0).max(*ZOOM_STEPS.start());
             self.offset = -extent.center().to_vec2() * self.scale();
         }
     }
 
     /// Draws the graph into the remaining space of `ui`; returns the user's requests.
     pub fn show(&mut self, ui: &mut Ui, scene: &Scene<'_>, revision: u64) -> Vec<CanvasRequest> {
-        self.lay_out(scene.view, revision);
         let rect = ui.available_rect_before_wrap();
         self.rect = rect;
+        // The layout keeps its shape while panels open and close; another size of the window gives it another one.
+        let window = ui.ctx().content_rect().size();
+        if self.shape.is_none_or(|(_, before)| self.fit && before != window) {
+            self.shape = Some((self.room(), window));
+            self.laid_out = None;
+            self.fitted = None;
+        }
+        self.lay_out(scene.view, revision);
         if self.fit && self.fitted != Some((rect, revision)) && matches!(self.drag, interaction::Drag::None) {
             self.fitted = Some((rect, revision));
             self.fit_now(scene.view);
@@ -322,6 +371,8 @@ impl Canvas {
             self.show_node_at(ui, scene, node, &mut requests);
         }
         self.paint_drag(ui, scene);
+        self.name_wires(ui, &ground, scene);
+        self.show_minimap(ui, scene);
         requests
     }
 

@@ -8,7 +8,9 @@ use panoscope_editor_model::graph_view::{GraphView, NodeView};
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::is_pictorial;
 
-/// Below this zoom a node shows its name and picture only.
+/// Below this zoom a node shows no names of ports, whose rows would be lower than the text.
+pub const PORTS: f32 = 0.7;
+/// Below this zoom it shows no ports.
 pub const DETAIL: f32 = 0.38;
 /// Below this zoom it shows no picture either.
 pub const PICTURES: f32 = 0.2;

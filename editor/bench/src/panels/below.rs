@@ -29,13 +29,13 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         if let Some(problem) = &status.problem {
             let place = problem.node.clone().unwrap_or_else(|| "change not applied".to_owned());
-            if row(ui, theme::FAULT, &place, &problem.message) {
+            if row(ui, theme::fault(), &place, &problem.message) {
                 go = Some(Spot { node: problem.node.clone(), line: None });
             }
         }
         for d in &view.diagnostics {
             let node = view.node_of(d, document.text());
-            let color = if d.severity == Severity::Error { theme::FAULT } else { theme::WARN };
+            let color = if d.severity == Severity::Error { theme::fault() } else { theme::warn() };
             let place = match d.file == view.file {
                 true => format!("line {}", d.line),
                 false => format!("{}, line {}", d.file, d.line),
@@ -51,7 +51,7 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
             }
         }
         if view.diagnostics.is_empty() && status.problem.is_none() {
-            ui.label(RichText::new("The file has no mistakes.").color(theme::MUTED));
+            ui.label(RichText::new("The file has no mistakes.").color(theme::muted()));
         }
         if !counters.fault_list.is_empty() {
             section(ui, "Faults, newest first");
@@ -59,7 +59,7 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
         for fault in counters.fault_list.iter().rev().take(100) {
             let place = format!("{:.1} s  {}", fault.run_ms / 1e3, fault.node);
             let message = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
-            if row(ui, theme::WARN, &place, &message) {
+            if row(ui, theme::warn(), &place, &message) {
                 go = Some(Spot { node: Some(fault.node.clone()), line: None });
             }
         }
@@ -71,7 +71,7 @@ fn row(ui: &mut Ui, color: Color32, place: &str, message: &str) -> bool {
     let mut job = LayoutJob::default();
     let format = |color, size| TextFormat { font_id: FontId::proportional(size), color, ..TextFormat::default() };
     job.append(&format!("{place}   "), 0.0, format(color, 12.0));
-    job.append(message, 0.0, format(theme::TEXT, 12.0));
+    job.append(message, 0.0, format(theme::text(), 12.0));
     let label = ui.add(Label::new(job).sense(Sense::click()).selectable(false));
     let name = format!("{place}: {message}");
     label.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, name.clone()));
@@ -109,18 +109,18 @@ pub fn text(ui: &mut Ui, document: &Document, marked: &[String], reading: &mut R
                     rest.is_some_and(|r| r.starts_with([']', '.']))
                 });
             }
-            let mark = if wrong.contains(&(number + 1)) { theme::FAULT } else { theme::MUTED.gamma_multiply(0.6) };
+            let mark = if wrong.contains(&(number + 1)) { theme::fault() } else { theme::muted().gamma_multiply(0.6) };
             job.append(&format!("{:>4}  ", number + 1), 0.0, plain(mark));
             for (part, color) in coloured(line) {
                 let mut format = plain(color);
                 if reading.line == Some(number + 1) {
-                    format.background = theme::FAULT.gamma_multiply(0.25);
+                    format.background = theme::fault().gamma_multiply(0.25);
                 } else if inside {
-                    format.background = theme::ACCENT.gamma_multiply(0.12);
+                    format.background = theme::accent().gamma_multiply(0.12);
                 }
                 job.append(part, 0.0, format);
             }
-            job.append("\n", 0.0, plain(theme::TEXT));
+            job.append("\n", 0.0, plain(theme::text()));
         }
         let label = ui.add(Label::new(job).extend());
         label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, "Text of the file"));
@@ -143,11 +143,11 @@ fn coloured(line: &str) -> Vec<(&str, Color32)> {
     });
     let (code, comment) = line.split_at(comment.map_or(line.len(), |(at, _)| at));
     let mut parts = if code.starts_with('[') {
-        vec![(code, theme::ACCENT)]
+        vec![(code, theme::accent())]
     } else if let Some(at) = code.find('=') {
-        vec![(&code[..at], theme::MUTED), (&code[at..], theme::TEXT)]
+        vec![(&code[..at], theme::muted()), (&code[at..], theme::text())]
     } else {
-        vec![(code, theme::TEXT)]
+        vec![(code, theme::text())]
     };
     parts.push((comment, theme::family("source")));
     parts

@@ -134,12 +134,12 @@ impl Files {
         let shown = Modal::new(Id::new("files"))
             .area(area)
             .frame(frame)
-            .backdrop_color(theme::SUNK.gamma_multiply(0.5))
+            .backdrop_color(theme::sunk().gamma_multiply(0.5))
             .show(ctx, |ui| {
                 ui.set_width(560.0);
                 ui.horizontal(|ui| {
                     go_up |= ui.button("Up").on_hover_text("Parent folder (Backspace)").clicked();
-                    let caption = RichText::new(self.folder.display().to_string()).size(12.0).color(theme::MUTED);
+                    let caption = RichText::new(self.folder.display().to_string()).size(12.0).color(theme::muted());
                     ui.add(Label::new(caption).truncate());
                 });
                 let hint = "Type a part of the name, or a new name";
@@ -161,7 +161,7 @@ impl Files {
                         _ => String::new(),
                     };
                     if !caption.is_empty() {
-                        ui.label(RichText::new(caption).color(theme::MUTED));
+                        ui.label(RichText::new(caption).color(theme::muted()));
                     }
                 });
             });
@@ -189,7 +189,7 @@ fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
     row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, caption.clone()));
     search::mark_row(ui, rect, &row, chosen);
     let name = if entry.folder { format!("{}/", entry.name) } else { entry.name.clone() };
-    let color = if entry.folder { theme::ACCENT } else { theme::TEXT };
+    let color = if entry.folder { theme::accent() } else { theme::text() };
     let font = eframe::egui::FontId::proportional(13.0);
     ui.painter().text(rect.left_center() + vec2(8.0, 0.0), Align2::LEFT_CENTER, name, font, color);
     row.clicked()

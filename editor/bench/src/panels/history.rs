@@ -45,7 +45,7 @@ pub fn show(ui: &mut Ui, document: &Document) -> Option<usize> {
             1 => "1 change".to_owned(),
             _ => format!("{count} changes"),
         };
-        ui.label(RichText::new(summary).color(theme::MUTED));
+        ui.label(RichText::new(summary).color(theme::muted()));
     });
     ui.add_space(theme::STEP);
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
@@ -55,10 +55,10 @@ pub fn show(ui: &mut Ui, document: &Document) -> Option<usize> {
                 let [from, to] =
                     [&change.from, &change.to].map(|v| format_value(document, &change.node, &change.param, v.as_ref()));
                 let name = format!("{}.{}", change.node, change.param);
-                let color = if applied { theme::TEXT } else { theme::MUTED };
+                let color = if applied { theme::text() } else { theme::muted() };
                 let tick = change.tick.map_or_else(|| "waits".to_owned(), |tick| format!("tick {tick}"));
-                ui.label(RichText::new(tick).size(12.0).color(theme::MUTED));
-                ui.label(RichText::new(change.by.word()).size(12.0).color(theme::MUTED));
+                ui.label(RichText::new(tick).size(12.0).color(theme::muted()));
+                ui.label(RichText::new(change.by.word()).size(12.0).color(theme::muted()));
                 let last = applied && number + 1 == at;
                 let button = Button::new(RichText::new(&name).size(12.5).color(color)).selected(last);
                 let row =

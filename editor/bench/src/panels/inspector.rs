@@ -10,8 +10,10 @@ use super::params;
 use crate::actions::{self, Action};
 use crate::canvas::Canvas;
 use panoscope_editor_model::document::Document;
-use panoscope_editor_model::graph_view::{NodeView, PartView};
+use panoscope_editor_model::graph_view::{GraphView, NodeView, PartView};
+use panoscope_editor_model::idle;
 use panoscope_editor_model::observe::{Counters, Output};
+use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{OutputCache, format_time};
 
@@ -37,6 +39,8 @@ pub enum InspectorRequest {
     Thumbnail(String),
     /// Rename the node.
     Rename(String),
+    /// Go to another node.
+    Go(String),
     /// Open the part.
     Open,
     /// Put the part's nodes in its place.
@@ -47,7 +51,7 @@ pub enum InspectorRequest {
 pub fn show(
     ui: &mut Ui,
     document: &Document,
-    counters: &Counters,
+    (counters, status): (&Counters, &Status),
     shown: &OutputCache,
     canvas: &Canvas,
     node: usize,
@@ -62,8 +66,9 @@ pub fn show(
             part_buttons(ui, part, &mut requests);
         }
         for mistake in &this.mistakes {
-            ui.label(RichText::new(mistake).color(theme::FAULT));
+            ui.label(RichText::new(mistake).color(theme::fault()));
         }
+        why_idle(ui, (view, counters, status), this, &mut requests);
         numbers(ui, counters, this);
         let node_type = this.node_type.as_ref();
         if node_type.is_some_and(|t| !t.inputs.is_empty()) {
@@ -73,7 +78,7 @@ pub fn show(
         if node_type.is_some_and(|t| !t.params.is_empty()) {
             section(ui, "Parameters");
             if node_type.is_some_and(|t| t.params.iter().any(|p| can_sweep(&p.kind))) {
-                let button = Button::new(RichText::new("sweep one over a range").size(11.0).color(theme::ACCENT));
+                let button = Button::new(RichText::new("sweep one over a range").size(11.0).color(theme::accent()));
                 let sweep = ui.add(button.frame(false)).on_hover_text(actions::hint(Action::Sweep));
                 sweep.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Sweep a parameter"));
                 if sweep.clicked() {
@@ -91,7 +96,7 @@ pub fn show(
 /// Shows the heading of a section.
 pub fn section(ui: &mut Ui, caption: &str) {
     ui.add_space(3.0 * theme::STEP);
-    ui.label(RichText::new(caption.to_uppercase()).size(10.5).color(theme::MUTED).extra_letter_spacing(0.8));
+    ui.label(RichText::new(caption.to_uppercase()).size(11.0).color(theme::muted()).extra_letter_spacing(0.8));
     ui.add_space(theme::STEP / 2.0);
 }
 
@@ -121,7 +126,7 @@ fn title(ui: &mut Ui, this: &NodeView, requests: &mut Vec<InspectorRequest>) {
         Some(t) => format!("{} · {}", t.name, t.plugin),
         None => format!("{} · not known", this.outline.type_name),
     };
-    ui.label(RichText::new(caption).size(11.5).color(theme::MUTED));
+    ui.label(RichText::new(caption).size(11.5).color(theme::muted()));
     if let Some(line) = this.node_type.as_ref().and_then(|t| t.doc.lines().next()) {
         ui.label(RichText::new(line).size(12.0));
     }
@@ -139,7 +144,7 @@ fn part_buttons(ui: &mut Ui, part: &PartView, requests: &mut Vec<InspectorReques
         }
         if part.users.len() > 1 {
             let caption = format!("used {} times", part.users.len());
-            ui.label(RichText::new(caption).size(12.0).color(theme::WARN)).on_hover_text(part.users.join(", "));
+            ui.label(RichText::new(caption).size(12.0).color(theme::warn())).on_hover_text(part.users.join(", "));
         }
     });
 }
@@ -166,7 +171,7 @@ fn picture(
         }
     }
     if let Some(caption) = shown.text(&output) {
-        ui.label(RichText::new(caption).size(12.0).color(theme::MUTED));
+        ui.label(RichText::new(caption).size(12.0).color(theme::muted()));
     }
     let outputs = view.nodes[node].node_type.as_ref().map_or(&[][..], |t| &t.outputs);
     if outputs.len() > 1 {
@@ -181,6 +186,27 @@ fn picture(
         });
         let id = response.response.id;
         ui.ctx().accesskit_node_builder(id, |node| node.set_label("Shown output"));
+    }
+}
+
+/// Says why the node does nothing, where it does not.
+fn why_idle(
+    ui: &mut Ui,
+    (view, counters, status): (&GraphView, &Counters, &Status),
+    this: &NodeView,
+    requests: &mut Vec<InspectorRequest>,
+) {
+    if this.is_part || !matches!(status.phase, Phase::Running) {
+        return;
+    }
+    let Some(reason) = idle::reason(view, counters, status, this.id()) else { return };
+    section(ui, "Why it is idle");
+    let caption = RichText::new(&reason.words).size(12.0).color(theme::warn());
+    ui.add(Label::new(caption).wrap());
+    if let Some(cause) = reason.cause
+        && ui.small_button(format!("Go to {cause}")).clicked()
+    {
+        requests.push(InspectorRequest::Go(cause));
     }
 }
 
@@ -200,7 +226,7 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView) {
     }
     Grid::new("numbers").num_columns(2).spacing([16.0, 4.0]).show(ui, |ui| {
         for (name, value) in rows {
-            ui.label(RichText::new(name).size(12.0).color(theme::MUTED));
+            ui.label(RichText::new(name).size(12.0).color(theme::muted()));
             ui.label(RichText::new(value).size(12.0));
             ui.end_row();
         }
@@ -208,9 +234,9 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView) {
     if let Some(fault) = counters.faults.get(this.id()) {
         section(ui, "Last fault");
         let done = format!("{:?}", fault.done).to_lowercase();
-        ui.label(RichText::new(&fault.words).size(12.0).color(theme::WARN));
+        ui.label(RichText::new(&fault.words).size(12.0).color(theme::warn()));
         let caption = format!("{:?}, {} so far; then: {done}", fault.cause, c.faults.max(fault.count));
-        ui.label(RichText::new(caption).size(11.5).color(theme::MUTED));
+        ui.label(RichText::new(caption).size(11.5).color(theme::muted()));
     }
 }
 
@@ -226,7 +252,7 @@ fn inputs(ui: &mut Ui, document: &Document, node: usize, requests: &mut Vec<Insp
             let from = wires.get(index).map(|w| Output::new(view.nodes[w.from].id(), &w.output));
             let name = if port.list { format!("{} {}", port.name, index + 1) } else { port.name.clone() };
             ui.horizontal(|ui| {
-                let color = if from.is_none() && !port.optional { theme::FAULT } else { theme::MUTED };
+                let color = if from.is_none() && !port.optional { theme::fault() } else { theme::muted() };
                 let label = RichText::new(name.replace('_', " ")).size(12.0).color(color);
                 ui.allocate_ui_with_layout(vec2(88.0, 24.0), Layout::left_to_right(Align::Center), |ui| {
                     ui.set_min_width(88.0);

@@ -35,7 +35,7 @@ pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usi
             }
         } else {
             ui.label(RichText::new(&view.name).size(16.0));
-            ui.label(RichText::new(opening(document.text())).size(12.0).color(theme::MUTED));
+            ui.label(RichText::new(opening(document.text())).size(12.0).color(theme::muted()));
         }
         if document.pins().next().is_some() {
             section(ui, "Preset");
@@ -65,7 +65,7 @@ fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, requests: &mut V
         .collect();
     rows.sort_by(|a, b| b.2.total_cmp(&a.2));
     if rows.is_empty() {
-        ui.label(RichText::new("nothing runs").color(theme::MUTED));
+        ui.label(RichText::new("nothing runs").color(theme::muted()));
         return;
     }
     let most = rows.first().map_or(1.0, |r| r.2.max(1e-6));
@@ -76,7 +76,7 @@ fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, requests: &mut V
             row.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, format!("Go to {}", node.id())));
             let painter = ui.painter();
             if row.hovered() {
-                painter.rect_filled(rect, 4.0, theme::RAISED);
+                painter.rect_filled(rect, 4.0, theme::raised());
             }
             let bar = eframe::egui::Rect::from_min_size(
                 rect.left_bottom() - vec2(0.0, 3.0),
@@ -87,9 +87,9 @@ fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, requests: &mut V
             let middle = rect.center().y - 1.0;
             let at = |x| eframe::egui::pos2(x, middle);
             use eframe::egui::Align2;
-            painter.text(at(rect.left()), Align2::LEFT_CENTER, node.id(), font.clone(), theme::TEXT);
+            painter.text(at(rect.left()), Align2::LEFT_CENTER, node.id(), font.clone(), theme::text());
             let caption = format!("{}   {:.0} %", format_time(p50_ms), share * 100.0);
-            painter.text(at(rect.right()), Align2::RIGHT_CENTER, caption, font, theme::MUTED);
+            painter.text(at(rect.right()), Align2::RIGHT_CENTER, caption, font, theme::muted());
             if row.clicked() {
                 requests.push(OverviewRequest::Go(node.id().to_owned()));
             }

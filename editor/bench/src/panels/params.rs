@@ -1,8 +1,8 @@
 //! Widgets for parameters, made from their declarations: unit, step, range, default.
 
 use eframe::egui::{
-    Align, Button, ComboBox, DragValue, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
-    WidgetInfo, WidgetType, vec2,
+    Align, Button, ComboBox, Context, DragValue, Id, Layout, Response, RichText, Sense, Slider, SliderClamping,
+    TextEdit, Ui, WidgetInfo, WidgetType, vec2,
 };
 use panoscope_graph::{Param, ParamKind, Pick};
 
@@ -54,12 +54,12 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
     ui.spacing_mut().item_spacing.y = 2.0;
     ui.horizontal(|ui| {
         ui.spacing_mut().interact_size.y = 18.0;
-        let color = if differs { theme::ACCENT } else { theme::TEXT };
+        let color = if differs { theme::accent() } else { theme::text() };
         let reopens = if param.reopen { "\nA change reopens the node." } else { "" };
         ui.label(RichText::new(title).color(color).size(12.5)).on_hover_text(format!("{}{reopens}", param.doc));
         if differs {
             let (rect, dot) = ui.allocate_exact_size(vec2(8.0, 8.0), Sense::hover());
-            ui.painter().circle_filled(rect.center(), 3.0, theme::ACCENT);
+            ui.painter().circle_filled(rect.center(), 3.0, theme::accent());
             let caption = format!("{} differs from the file", param.name);
             dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, caption.clone()));
             dot.on_hover_text("Differs from the file");
@@ -73,7 +73,7 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
                 new = response.changed().then(|| on.into());
             }
             if given.is_some() {
-                let reset = Button::new(RichText::new("reset").size(11.0).color(theme::MUTED)).frame(false);
+                let reset = Button::new(RichText::new("reset").size(11.0).color(theme::muted())).frame(false);
                 let reset = ui.add(reset).on_hover_text("Removes it from the file, so that the default applies");
                 let caption = format!("Reset {}", param.name);
                 reset.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
@@ -88,7 +88,7 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
                 Pick::None => ("", "", ""),
             };
             if !text.is_empty() {
-                let button = Button::new(RichText::new(text).size(11.0).color(theme::ACCENT)).frame(false);
+                let button = Button::new(RichText::new(text).size(11.0).color(theme::accent())).frame(false);
                 let button = ui.add(button).on_hover_text(hint);
                 let caption = format!("{pick} {}", param.name);
                 button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
@@ -232,8 +232,23 @@ fn beside(slider: Response, typed: Response, label: &str) -> Response {
     slider.union(typed)
 }
 
+/// Where the name of the parameter is kept whose widget is to get the keys when it is shown.
+fn wanted() -> Id {
+    Id::new("parameter that is searched")
+}
+
+/// Shows a parameter of the panel that is drawn next, and gives its widget the keys.
+pub fn go_to(ctx: &Context, param: &str) {
+    ctx.data_mut(|d| d.insert_temp(wanted(), param.to_owned()));
+}
+
 /// Labels a widget for screen readers and tests.
 fn name(response: &Response, label: &str) {
+    if response.ctx.data(|d| d.get_temp::<String>(wanted())).is_some_and(|param| param == label) {
+        response.ctx.data_mut(|d| d.remove_temp::<String>(wanted()));
+        response.request_focus();
+        response.scroll_to_me(Some(Align::Center));
+    }
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label(label.to_owned()));
 }
 

@@ -182,7 +182,7 @@ impl Plots {
             plot = plot.include_y(0.0);
         }
         // The grid uses the text colour.
-        ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
+        ui.visuals_mut().override_text_color = Some(theme::muted().gamma_multiply(0.8));
         let shown = plot.show(ui, |plot| {
             for (k, (name, points)) in curves.into_iter().enumerate() {
                 let points: PlotPoints<'_> = points.into_iter().collect();
@@ -200,7 +200,7 @@ impl Plots {
                 _ => "nothing runs",
             };
             let font = FontId::proportional(13.0);
-            ui.painter().text(shown.response.rect.center(), Align2::CENTER_CENTER, caption, font, theme::MUTED);
+            ui.painter().text(shown.response.rect.center(), Align2::CENTER_CENTER, caption, font, theme::muted());
         }
         export
     }

@@ -21,7 +21,7 @@ pub enum PluginsRequest {
 
 /// Shows the dialog; `catalog` has the plugins that the graph uses.
 pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<PluginsRequest> {
-    let modal = Modal::new("plugins".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+    let modal = Modal::new("plugins".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
     let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
     let mut request = None;
     let shown = modal.frame(frame).show(ctx, |ui| {
@@ -37,7 +37,7 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Plugins
             for found in loader.found() {
                 let (name, version) = (&found.note.name, &found.note.version);
                 let used = catalog.has_plugin(name);
-                let color = if used { theme::TEXT } else { theme::MUTED };
+                let color = if used { theme::text() } else { theme::muted() };
                 let mut title = LayoutJob::default();
                 title.append(
                     name,
@@ -45,17 +45,17 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Plugins
                     TextFormat { font_id: FontId::proportional(14.0), color, ..Default::default() },
                 );
                 let small = FontId::proportional(12.0);
-                let rest = TextFormat { font_id: small, color: theme::MUTED, ..Default::default() };
+                let rest = TextFormat { font_id: small, color: theme::muted(), ..Default::default() };
                 let nodes = found.note.node_types.join(", ");
                 let shown: String = nodes.chars().take(MAX_LETTERS).collect();
                 let dots = if shown.len() < nodes.len() { "..." } else { "" };
                 title.append(&format!("   {shown}{dots}"), 0.0, rest);
                 CollapsingHeader::new(title).id_salt(("plugin", name)).show(ui, |ui| {
                     let caption = format!("{version}   {}", found.file.display());
-                    ui.label(RichText::new(caption).size(11.0).color(theme::MUTED));
+                    ui.label(RichText::new(caption).size(11.0).color(theme::muted()));
                     let types = catalog.node_types.iter().filter(|t| t.plugin == *name);
                     for node_type in types {
-                        ui.label(RichText::new(&node_type.name).color(theme::ACCENT));
+                        ui.label(RichText::new(&node_type.name).color(theme::accent()));
                         ui.label(RichText::new(&node_type.doc).size(12.0));
                     }
                     if !used {
@@ -64,8 +64,8 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Plugins
                 });
             }
             for problem in loader.problems() {
-                ui.label(RichText::new(format!("{}: {}", problem.file, problem.message)).color(theme::FAULT));
-                ui.label(RichText::new(&problem.help).size(12.0).color(theme::MUTED));
+                ui.label(RichText::new(format!("{}: {}", problem.file, problem.message)).color(theme::fault()));
+                ui.label(RichText::new(&problem.help).size(12.0).color(theme::muted()));
             }
         });
     });

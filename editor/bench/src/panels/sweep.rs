@@ -251,7 +251,7 @@ impl SweepPanel {
         });
         let wrong = self.wrong.as_ref().or(progress.and_then(|p| p.failed.as_ref()));
         if let Some(error) = wrong {
-            ui.add(Label::new(RichText::new(error).size(12.0).color(theme::FAULT)).wrap());
+            ui.add(Label::new(RichText::new(error).size(12.0).color(theme::fault())).wrap());
         }
         request
     }
@@ -282,7 +282,7 @@ impl SweepPanel {
     fn result(&mut self, ui: &mut Ui, progress: Option<&Progress>) -> Option<Export> {
         let Some(progress) = progress else {
             let caption = "Runs the graph once per value on the same frames. The graph in this window keeps running.";
-            ui.label(RichText::new(caption).color(theme::MUTED));
+            ui.label(RichText::new(caption).color(theme::muted()));
             return None;
         };
         let mut export = None;
@@ -299,7 +299,7 @@ impl SweepPanel {
                     format!("{done} of {total}")
                 }
             };
-            ui.label(RichText::new(caption).color(theme::MUTED));
+            ui.label(RichText::new(caption).color(theme::muted()));
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 let some = !progress.points.is_empty();
                 let png = ui.add_enabled(some, Button::new("PNG")).on_hover_text("Writes an image of the plot to out/");
@@ -313,7 +313,7 @@ impl SweepPanel {
         let failed = progress.points.iter().find_map(|p| Some((&p.value, p.result.as_ref().err()?)));
         if let Some((value, why)) = failed {
             let caption = format!("at {value}: {}", why.reason.lines().next().unwrap_or_default());
-            ui.add(Label::new(RichText::new(caption).size(12.0).color(theme::FAULT)).truncate());
+            ui.add(Label::new(RichText::new(caption).size(12.0).color(theme::fault())).truncate());
         }
         let response = plot(ui, progress);
         if requested {
@@ -334,7 +334,7 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         true => progress.param.clone(),
         false => format!("{} [{}]", progress.param, progress.unit),
     };
-    ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
+    ui.visuals_mut().override_text_color = Some(theme::muted().gamma_multiply(0.8));
     let shown = Plot::new("sweep")
         .legend(Legend::default().position(Corner::LeftTop))
         .x_axis_label(axis)
@@ -372,7 +372,7 @@ fn row(ui: &mut Ui, label: &str, add: impl FnOnce(&mut Ui)) {
     ui.horizontal(|ui| {
         ui.allocate_ui_with_layout(vec2(72.0, 24.0), Layout::left_to_right(Align::Center), |ui| {
             ui.set_min_width(72.0);
-            ui.label(RichText::new(label).size(12.0).color(theme::MUTED));
+            ui.label(RichText::new(label).size(12.0).color(theme::muted()));
         });
         add(ui);
     });

@@ -34,7 +34,7 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
         ui.spacing_mut().item_spacing.x = theme::STEP * 1.5;
         ui.label(RichText::new(&document.view().name).size(15.0).strong());
         if document.is_changed() {
-            ui.label(RichText::new("changed").size(11.5).color(theme::ACCENT))
+            ui.label(RichText::new("changed").size(11.5).color(theme::accent()))
                 .on_hover_text("There are unsaved changes");
         }
         ui.add_space(2.0 * theme::STEP);
@@ -86,30 +86,30 @@ fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters)
     });
     let off = off.min();
     let (color, caption) = match &status.phase {
-        Phase::Idle if document.view().valid => (theme::MUTED, "not started".to_owned()),
+        Phase::Idle if document.view().valid => (theme::muted(), "not started".to_owned()),
         Phase::Idle if document.view().nodes.is_empty() && document.view().diagnostics.is_empty() => {
-            (theme::MUTED, "no nodes yet: press A to add one".to_owned())
+            (theme::muted(), "no nodes yet: press A to add one".to_owned())
         }
         Phase::Idle if document.lacks_only_arguments() => {
-            (theme::WARN, format!("needs a value for {}", document.missing_args().join(", ")))
+            (theme::warn(), format!("needs a value for {}", document.missing_args().join(", ")))
         }
-        Phase::Idle => (theme::FAULT, "the file has mistakes".to_owned()),
-        Phase::Starting => (theme::MUTED, "starting".to_owned()),
+        Phase::Idle => (theme::fault(), "the file has mistakes".to_owned()),
+        Phase::Starting => (theme::muted(), "starting".to_owned()),
         Phase::Running if status.problem.is_some() => {
-            (theme::FAULT, "the change failed; the old graph keeps running".to_owned())
+            (theme::fault(), "the change failed; the old graph keeps running".to_owned())
         }
         Phase::Running if behind && !document.view().valid => {
-            (theme::WARN, "the file has mistakes; the last valid graph keeps running".to_owned())
+            (theme::warn(), "the file has mistakes; the last valid graph keeps running".to_owned())
         }
-        Phase::Running | Phase::Ended if off.is_some() => (theme::FAULT, off.unwrap_or_default()),
+        Phase::Running | Phase::Ended if off.is_some() => (theme::fault(), off.unwrap_or_default()),
         Phase::Running => (theme::family("source"), "running".to_owned()),
-        Phase::Ended => (theme::MUTED, "the run has ended and its files are finished".to_owned()),
-        Phase::Failed(why) => (theme::FAULT, why.clone()),
+        Phase::Ended => (theme::muted(), "the run has ended and its files are finished".to_owned()),
+        Phase::Failed(why) => (theme::fault(), why.clone()),
     };
     let (rect, dot) = ui.allocate_exact_size(vec2(10.0, 10.0), Sense::hover());
     ui.painter().circle_filled(rect.center(), 4.0, color);
     dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("State: {caption}")));
-    ui.label(RichText::new(&caption).size(12.0).color(theme::MUTED));
+    ui.label(RichText::new(&caption).size(12.0).color(theme::muted()));
     if status.phase == Phase::Running {
         let fps = counters.nodes.values().map(|n| n.fps).fold(0.0, f64::max);
         let age = counters.nodes.values().filter_map(|n| n.age_p99_ms).fold(0.0, f64::max);

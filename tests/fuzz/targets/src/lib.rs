@@ -8,8 +8,10 @@ mod arm;
 mod audit;
 mod calibration;
 mod descriptor;
+mod dicom;
 mod draw;
 mod graph;
+mod igtl;
 mod isolated;
 mod keys;
 mod labels;
@@ -20,6 +22,7 @@ mod packets;
 mod picture;
 mod plugin;
 mod recording;
+mod ros;
 mod scratch;
 
 use std::path::Path;
@@ -43,11 +46,16 @@ pub const TARGETS: &[Target] = &[
     Target { name: "coco", run: labels::coco, seeds: labels::coco_seeds },
     Target { name: "descriptor", run: descriptor::run, seeds: descriptor::seeds },
     Target { name: "described_plugin", run: isolated::description, seeds: isolated::description_seeds },
+    Target { name: "dicom_entry", run: dicom::entry, seeds: dicom::entry_seeds },
+    Target { name: "dicom_film", run: dicom::film, seeds: dicom::film_seeds },
+    Target { name: "dicom_lengths", run: dicom::lengths, seeds: dicom::lengths_seeds },
     Target { name: "digests", run: recording::digests, seeds: recording::digest_seeds },
     Target { name: "event", run: recording::event, seeds: recording::event_seeds },
     Target { name: "float_image", run: numbers::float_image, seeds: numbers::float_image_seeds },
+    Target { name: "gate", run: ros::gate, seeds: ros::gate_seeds },
     Target { name: "graph", run: graph::run, seeds: graph::seeds },
     Target { name: "guard_message", run: arm::message, seeds: arm::message_seeds },
+    Target { name: "igtl", run: igtl::run, seeds: igtl::seeds },
     Target { name: "isolated_call", run: isolated::calls, seeds: isolated::call_seeds },
     Target { name: "keys", run: keys::run, seeds: keys::seeds },
     Target { name: "labelme", run: labels::labelme, seeds: labels::labelme_seeds },
@@ -59,6 +67,8 @@ pub const TARGETS: &[Target] = &[
     Target { name: "picture", run: picture::run, seeds: picture::seeds },
     Target { name: "plugin_note", run: plugin::note, seeds: plugin::note_seeds },
     Target { name: "recording", run: recording::file, seeds: recording::file_seeds },
+    Target { name: "ros_bag", run: ros::bag, seeds: ros::bag_seeds },
+    Target { name: "ros_message", run: ros::message, seeds: ros::message_seeds },
     Target { name: "rtde", run: arm::rtde, seeds: arm::rtde_seeds },
     Target { name: "truth_file", run: numbers::truth_file, seeds: numbers::truth_file_seeds },
     Target { name: "urdf", run: arm::urdf, seeds: arm::urdf_seeds },

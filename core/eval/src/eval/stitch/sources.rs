@@ -142,7 +142,9 @@ pub fn case(name: &'static str, graph: &Wiring, places: &Places<'_>) -> Result<R
             };
             let right = left.with_file_name("leuvenB.jpg");
             let params = [("left", text(&left)), ("right", text(&right)), ("loop", true.into())];
-            let made = graph.with_source(node("capture", &[], &params), &["left", "right"], &[], &["capture"]);
+            // Without a file that output stays empty.
+            let made =
+                graph.with_source(node("capture", &[], &params), &["left", "right", "calibration"], &[], &["capture"]);
             Ok(wired(made).map(|wiring| Case {
                 name: "leuven",
                 wiring,

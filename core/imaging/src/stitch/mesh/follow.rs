@@ -2,6 +2,7 @@
 
 use super::super::grid::RectifiedView;
 use super::energy::{Energy, Stiffness};
+use super::fitted::Fitted;
 use super::observe::{Observations, Sampling};
 use super::relax::{Border, Continuation, Relax};
 use super::{Lattice, Mesh};
@@ -20,8 +21,9 @@ const MOST_VERTICES: usize = 8192;
 const BLOCK_CELLS: usize = 4;
 /// Observations of a block that tells of motion.
 const LEAST_BLOCK: f64 = 4.0;
-/// The other view reaches beyond a side of the reference view when it does so by more than this many cells.
-const BEYOND_CELLS: f64 = 4.0;
+/// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the sides towards which its camera
+/// stands, and on the others, where the perspective of far corners is no overlap.
+const BEYOND_CELLS: [f64; 2] = [1.0, 4.0];
 /// Multiples of the stiffness and of the outlier limit in the passes of a first fit; the first pass weighs all observations alike. A stiff mesh follows
 /// what most of the picture shows and finds an instrument off; a mesh that is soft from the start would follow it.
 const FIRST_PASSES: [(f64, f64); 9] = [
@@ -74,6 +76,8 @@ pub struct MeshParams {
     pub reach_px: f64,
     /// Observations below which the mesh is held.
     pub least_observations: usize,
+    /// Draws the reference view along in the zone, by [`MeshFollower::reference_mesh`], so that both views fit there too.
+    pub moves_reference: bool,
     /// Where the other camera stands, in units of the baseline of the disparity: `[1, 0]` for the right one of a pair, `[0, 1]` for one as far below
     /// the left one.
     pub along: [f64; 2],
@@ -98,6 +102,7 @@ impl Default for MeshParams {
             jump_px: 12.0,
             reach_px: 96.0,
             least_observations: 24,
+            moves_reference: true,
             along: [1.0, 0.0],
         }
     }
@@ -143,6 +148,10 @@ pub struct MeshFollower {
     shift: Vec<Point>,
     /// Positions of the vertices in the other view, px, continued where only the other view sees.
     drawn: Vec<Point>,
+    /// Positions in the reference view of what the vertices show: their own, but where the mesh changes over to its continuation.
+    shown: Vec<Point>,
+    /// The mesh of the reference view.
+    reference: Mesh,
     /// The same, and the positions, of the frame before on this frame's lattice.
     shift_before: Vec<Point>,
     before: Vec<Point>,
@@ -175,11 +184,18 @@ impl MeshFollower {
         self.lattice = Lattice::default();
         self.mesh.lattice = self.lattice;
         self.mesh.source.clear();
+        self.reference.source.clear();
     }
 
     /// The mesh of the last frame; `None` before the first good one.
     pub fn mesh(&self) -> Option<&Mesh> {
         (!self.mesh.source.is_empty()).then_some(&self.mesh)
+    }
+
+    /// The mesh that draws the reference view so that it fits the other one also where that leaves the reference view's plane; `None` where the
+    /// reference view stays as it is.
+    pub fn reference_mesh(&self) -> Option<&Mesh> {
+        (!self.reference.source.is_empty()).then_some(&self.reference)
     }
 
     /// Brings the mesh up to a frame with a good homography; without one the mesh of the last frame stands.
@@ -394,12 +410,20 @@ impl MeshFollower {
         self.drawn.clear();
         self.drawn
             .extend(self.base.iter().zip(&self.shift).map(|(base, shift)| [base[0] + shift[0], base[1] + shift[1]]));
+        self.shown.clear();
         let Some(back) = left_from_right.inverse_bounded() else { return };
         let scale = right.0 as f64 / REFERENCE_COLUMNS;
         let how = Continuation { zone_px: self.params.zone_px * scale, most_stretch: self.params.most_stretch };
-        for border in borders(self.lattice.cell_px, left_from_right, left, right).iter().flatten() {
+        let cells = self.params.along.map(|steps| if steps == 0.0 { BEYOND_CELLS[1] } else { BEYOND_CELLS[0] });
+        let beyond_px = cells.map(|cells| cells * self.lattice.cell_px as f64);
+        for border in borders(beyond_px, left_from_right, left, right).iter().flatten() {
             self.relax.apply(&mut self.drawn, &self.lattice, border, &how, [left_from_right, &back]);
         }
+        if !self.params.moves_reference {
+            return;
+        }
+        let fitted = Fitted { lattice: &self.lattice, base: &self.base, shift: &self.shift, there: left_from_right };
+        fitted.find(&self.drawn, &mut self.shown);
     }
 
     /// Notes where the mesh and the observations differ. Returns the median distance, px.
@@ -409,8 +433,12 @@ impl MeshFollower {
         doubt.reset(cell_px, columns, rows);
         self.sorted.clear();
         for seen in &self.located {
-            let (drawn, base) = (&self.drawn, &self.base);
-            let of = |vertex: usize| [drawn[vertex][0] - base[vertex][0], drawn[vertex][1] - base[vertex][1]];
+            let (drawn, base, shift) = (&self.drawn, &self.base, &self.shift);
+            // Where the reference view is drawn along, what counts is whether both views still fit.
+            let of = |vertex: usize| match self.params.moves_reference {
+                true => shift[vertex],
+                false => [drawn[vertex][0] - base[vertex][0], drawn[vertex][1] - base[vertex][1]],
+            };
             let at = self.lattice.interpolate(of, seen.cell, seen.t);
             let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
             doubt.mark(seen.index, off);
@@ -435,25 +463,27 @@ impl MeshFollower {
         mesh.lattice = self.lattice;
         mesh.source.clear();
         mesh.source.extend(positions.map(|at| at.map(|v| v as f32)));
+        self.reference.lattice = self.lattice;
+        self.reference.source.clear();
+        self.reference.source.extend(self.shown.iter().map(|at| at.map(|v| v as f32)));
     }
 }
 
 /// The sides of the reference view beyond which the other view reaches, by the homography.
 fn borders(
-    cell_px: usize,
+    beyond_px: [f64; 2],
     left_from_right: &Homography,
     left: (usize, usize),
     right: (usize, usize),
 ) -> [Option<Border>; 4] {
     let Some(corners) = left_from_right.map_corners(right.0, right.1) else { return [None; 4] };
-    let beyond_px = BEYOND_CELLS * cell_px as f64;
     let extent = |axis: usize| {
         let along = corners.map(|corner| corner[axis]);
         (along.iter().copied().fold(f64::MAX, f64::min), along.iter().copied().fold(f64::MIN, f64::max))
     };
     let sizes = [left.0 as f64, left.1 as f64];
     let side = |axis: usize, outwards: f64| {
-        let ((low, high), size) = (extent(axis), sizes[axis]);
+        let ((low, high), size, beyond_px) = (extent(axis), sizes[axis], beyond_px[axis]);
         let is_outwards = outwards > 0.0;
         let is_beyond = if is_outwards { high > size + beyond_px } else { low < -beyond_px };
         let at_px = if is_outwards { size } else { 0.0 };

@@ -9,6 +9,7 @@
 mod band;
 mod doubt;
 mod energy;
+mod fitted;
 mod follow;
 mod locate;
 mod observe;
@@ -21,6 +22,9 @@ pub(super) use locate::{Mapping, MeshGrid};
 
 use crate::geometry::Point;
 use doubt::Doubt;
+
+/// A vertex that differs from its own position by less is not moved, px.
+const LEAST_MOVE_PX: f64 = 1e-3;
 
 /// Vertices at the multiples of `cell_px`, in a rectangle of the reference plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -141,6 +145,21 @@ impl Mesh {
         self.lattice = other.lattice;
         self.source.clone_from(&other.source);
         true
+    }
+
+    /// Bounds on the reference plane of the cells whose vertices do not lie at their own position in the view; `None` where all do.
+    pub(super) fn moved(&self) -> Option<[Point; 2]> {
+        let cell = self.lattice.cell_px as f64;
+        let mut bounds: Option<[Point; 2]> = None;
+        for (index, source) in self.source.iter().enumerate() {
+            let at = self.lattice.position(index % self.lattice.columns, index / self.lattice.columns);
+            if (0..2).all(|k| (f64::from(source[k]) - at[k]).abs() < LEAST_MOVE_PX) {
+                continue;
+            }
+            let [low, high] = bounds.unwrap_or([at; 2]);
+            bounds = Some([[0, 1].map(|k| low[k].min(at[k] - cell)), [0, 1].map(|k| high[k].max(at[k] + cell))]);
+        }
+        bounds
     }
 
     /// Forgets all vertices. Returns whether there were any.

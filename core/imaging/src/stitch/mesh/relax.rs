@@ -9,7 +9,7 @@ use super::Lattice;
 use crate::geometry::{Homography, Point};
 
 /// The changeover takes at most this share of what both views see.
-const MOST_SHARE: f64 = 0.3;
+const MOST_SHARE: f64 = 0.15;
 /// Range of the smoothness that is searched, in units of the weight of one line of vertices, and steps of the search.
 const SMOOTHNESS: [f64; 2] = [1e-3, 1e5];
 const SEARCH_STEPS: usize = 32;

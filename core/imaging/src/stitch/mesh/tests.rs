@@ -130,6 +130,31 @@ fn lengths_are_kept_where_only_the_other_view_sees() {
 }
 
 #[test]
+fn both_views_fit_where_the_mesh_leaves_the_reference_plane() {
+    let folds = |x: f64, y: f64| 220.0 + x / 40.0 + 12.0 * (x / 60.0).sin() * (y / 30.0).cos();
+    let mut follower = MeshFollower::new(MeshParams::default());
+    update(&mut follower, &map(folds, 0.3, 0), &plane());
+    let truth: Vec<f32> =
+        (0..SIZE.0 * SIZE.1).map(|i| folds((i % SIZE.0) as f64, (i / SIZE.0) as f64) as f32).collect();
+    let disparity = View::new(&truth, SIZE.0, SIZE.1, 1);
+    let pairs = crate::stitch::evaluate::TruePairs { disparity, visible: None, along: [1.0, 0.0], step: 4 };
+    let align = |reference: Option<&Mesh>| {
+        let placed = Placement::new(plane(), follower.mesh().cloned()).expect("an inverse");
+        placed.with_reference(reference.cloned()).alignment(&pairs).expect("pairs").0
+    };
+    let reference = follower.reference_mesh().expect("the left view is moved");
+    let (both, right_alone) = (align(Some(reference)), align(None));
+    assert!(both < 0.5 && right_alone > 1.0, "{both} px, {right_alone} px with the left view where it was");
+    // It stays where it is up to the zone.
+    let moved = reference.moved().expect("a zone");
+    assert!(moved[0][0] >= 640.0 - 60.0 - 40.0, "{moved:?}");
+    // Where nothing has to be left, nothing moves.
+    let mut follower = MeshFollower::new(MeshParams { zone_px: 0.0, ..MeshParams::default() });
+    update(&mut follower, &map(folds, 0.3, 0), &plane());
+    assert!(follower.mesh().is_some() && follower.reference_mesh().is_none());
+}
+
+#[test]
 fn a_camera_below_is_followed_along_its_own_direction() {
     // Depth that is known everywhere, as two pairs of cameras know it together.
     let disparity: Vec<f32> =
@@ -341,6 +366,33 @@ fn a_panorama_by_a_mesh_is_whole_where_one_by_a_plane_breaks() {
     for seam in [SeamMethod::None, SeamMethod::DynamicProgramming, SeamMethod::GraphCut] {
         let (whole, broken) = (difference(&compose(mesh, seam)), difference(&compose(None, seam)));
         assert!(whole < 6.0 && broken > 2.0 * whole, "{seam:?}: {whole} levels with the mesh, {broken} without");
+    }
+}
+
+#[test]
+fn the_reference_view_is_drawn_where_its_mesh_moves_it() {
+    let (left, right) = (shoot(|x, y| [x, y]), shoot(seen_by_right));
+    let views = [View::new(&left, SIZE.0, SIZE.1, 3), View::new(&right, SIZE.0, SIZE.1, 3)];
+    let lattice = Lattice { cell_px: 20, first: [20, -2], columns: 30, rows: 29 };
+    // From column 500 on it moves right, by 12 px at the border.
+    let moved = |x: f64| 12.0 * ((x - 500.0) / 140.0).clamp(0.0, 1.0);
+    let mesh = Mesh::new(lattice, |[x, y]| [x - moved(x), y]).expect("a mesh");
+    let mut compositor = Compositor::new(CompositeParams { seam: SeamMethod::None, ..CompositeParams::default() });
+    compositor.set_mesh(0, Some(&mesh));
+    // The right view far off, so that the left one is seen.
+    let maps = [IDENTITY, Homography::translation(700.0, 0.0).0];
+    let canvas = compositor.canvas(&views, &maps, GeometryState::Fresh).expect("views that fit");
+    let mut data = vec![0; canvas.width * canvas.height * 3];
+    let mut out = ViewMut::new(&mut data, canvas.width, canvas.height, 3);
+    compositor.compose(&views, &maps, GeometryState::Fresh, &Serial, &mut out, None).expect("a panorama");
+    for y in (4..SIZE.1 - 4).step_by(9) {
+        for x in 4..SIZE.0 + 8 {
+            let at = ((y as i32 + canvas.top) as usize * canvas.width + (x as i32 + canvas.left) as usize) * 3;
+            let truth = tissue(x as f64 - moved(x as f64), y as f64);
+            for (shown, truth) in data[at..at + 3].iter().zip(truth) {
+                assert!((f64::from(*shown) - truth).abs() < 4.0, "{shown} for {truth} at {x}, {y}");
+            }
+        }
     }
 }
 

@@ -9,27 +9,36 @@ use foxglove::messages::{
 };
 use panoscope_abi as abi;
 use panoscope_base::packet::Detections;
+use panoscope_calibration::ros::CameraInfo;
 use panoscope_formats::array::{self, ArrayFormat};
 use panoscope_formats::{Pixels, ply, still};
 
-use crate::frames::{self, LEFT_RECTIFIED, MM};
+use super::frames::{self, LEFT_RECTIFIED, MM};
 
 const MARK: Color = Color { r: 0.1, g: 0.9, b: 0.3, a: 1.0 };
 const LINE_PX: f64 = 2.0;
 const FONT_PX: f64 = 14.0;
 
-/// The pixels as PNG; 8 bits a sample.
+/// JPEG quality, percent.
+const QUALITY: u8 = 90;
+
+/// The pixels as `png` or `jpg`; 8 bits a sample.
 ///
 /// # Errors
 /// The encoder's.
-pub fn png(pixels: &Pixels<'_>, timestamp: Timestamp, frame: &str) -> std::io::Result<CompressedImage> {
+pub fn compressed(
+    pixels: &Pixels<'_>,
+    ending: &str,
+    timestamp: Timestamp,
+    frame: &str,
+) -> std::io::Result<CompressedImage> {
     let mut data = Vec::new();
-    still::encode(&mut data, "png", pixels, 0, &mut Vec::new()).map_err(std::io::Error::other)?;
+    still::encode(&mut data, ending, pixels, QUALITY, &mut Vec::new()).map_err(std::io::Error::other)?;
     Ok(CompressedImage {
         timestamp: Some(timestamp),
         frame_id: frame.to_owned(),
         data: data.into(),
-        format: "png".to_owned(),
+        format: if ending == "jpg" { "jpeg" } else { ending }.to_owned(),
     })
 }
 
@@ -93,57 +102,31 @@ pub fn cloud(points: &[abi::CloudPoint], timestamp: Timestamp) -> PointCloud {
 
 /// Both cameras, left and right.
 pub fn cameras(calibration: &abi::Calibration, timestamp: Timestamp) -> [CameraCalibration; 2] {
+    let left = (&calibration.rectified_from_left, &calibration.left_projection);
+    let right = (&calibration.rectified_from_right, &calibration.right_projection);
     [
-        camera(
-            &calibration.left,
-            frames::LEFT,
-            calibration,
-            (&calibration.rectified_from_left, &calibration.left_projection),
-            timestamp,
-        ),
-        camera(
-            &calibration.right,
-            frames::RIGHT,
-            calibration,
-            (&calibration.rectified_from_right, &calibration.right_projection),
-            timestamp,
-        ),
+        camera(&calibration.left, frames::LEFT, left, timestamp),
+        camera(&calibration.right, frames::RIGHT, right, timestamp),
     ]
 }
 
 fn camera(
     camera: &abi::Camera,
     frame: &str,
-    calibration: &abi::Calibration,
-    (rotation, projection): (&[f64; 9], &[f64; 12]),
+    rectification: (&[f64; 9], &[f64; 12]),
     timestamp: Timestamp,
 ) -> CameraCalibration {
-    let abi::Camera { width, height, fx, fy, cx, cy, distortion } = *camera;
-    let used = distortion.iter().rposition(|value| *value != 0.0).map_or(0, |last| last + 1);
-    let (distortion_model, count) = match used {
-        0..=5 => ("plumb_bob", 5),
-        6..=8 => ("rational_polynomial", 8),
-        9..=12 => ("rational_polynomial", 12),
-        _ => ("rational_polynomial", 14),
-    };
-    let (r, p) = if frames::is_rectifiable(calibration) {
-        // The last column is that of a length: the offset of the cameras times the focal length.
-        let p = projection.iter().enumerate().map(|(at, value)| if at % 4 == 3 { value * MM } else { *value });
-        (rotation.to_vec(), p.collect())
-    } else {
-        let r = vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        (r, vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
-    };
+    let (model, d, k, r, p) = CameraInfo::to_message(camera, rectification);
     CameraCalibration {
         timestamp: Some(timestamp),
         frame_id: frame.to_owned(),
-        width,
-        height,
-        distortion_model: distortion_model.to_owned(),
-        d: distortion[..count].to_vec(),
-        k: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        r,
-        p,
+        width: camera.width,
+        height: camera.height,
+        distortion_model: model.to_owned(),
+        d,
+        k: k.to_vec(),
+        r: r.to_vec(),
+        p: p.to_vec(),
     }
 }
 

@@ -1,0 +1,190 @@
+//! What an MP4 file with H.264 holds, read from its index (ISO/IEC 14496-12 and 14496-15).
+//!
+//! A clip goes into an object as it is, so the object has to say truthfully what is in it, and only what the standard allows may get in.
+
+use std::io::{Read, Seek, SeekFrom};
+
+/// Most bytes of the index: hours of video.
+const MAX_INDEX_BYTES: u64 = 64 << 20;
+/// Most boxes at one level.
+const MAX_BOXES: usize = 1000;
+
+/// A video.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Film {
+    /// Width and height, px.
+    pub size: (u16, u16),
+    /// Number of pictures.
+    pub frames: u32,
+    /// Length, s.
+    pub seconds: f64,
+    /// `profile_idc`: 66 baseline, 77 main, 100 high.
+    pub profile: u8,
+    /// `level_idc`: 41 is level 4.1.
+    pub level: u8,
+    /// 1: 4:2:0. Profiles up to main have no other.
+    pub chroma_format: u8,
+    /// Bits of luma and chroma.
+    pub bits: (u8, u8),
+}
+
+/// A box: its type, and where its content lies.
+type Box_<'a> = ([u8; 4], &'a [u8]);
+
+/// The boxes in some bytes.
+fn boxes(bytes: &[u8]) -> Result<Vec<Box_<'_>>, String> {
+    let mut found = Vec::new();
+    let mut rest = bytes;
+    while rest.len() >= 8 {
+        let (size, kind) = (be32(rest, 0)? as usize, [rest[4], rest[5], rest[6], rest[7]]);
+        let size = if size == 0 { rest.len() } else { size };
+        if size < 8 || size > rest.len() {
+            return Err(format!("a box `{}` of {size} bytes, {} are there", kind.escape_ascii(), rest.len()));
+        }
+        found.push((kind, &rest[8..size]));
+        if found.len() > MAX_BOXES {
+            return Err(format!("more than {MAX_BOXES} boxes"));
+        }
+        rest = &rest[size..];
+    }
+    Ok(found)
+}
+
+fn inner<'a>(bytes: &'a [u8], kind: &[u8; 4]) -> Result<&'a [u8], String> {
+    let found = boxes(bytes)?.into_iter().find(|(own, _)| own == kind);
+    found.map(|(_, content)| content).ok_or_else(|| format!("there is no box `{}`", kind.escape_ascii()))
+}
+
+fn be32(bytes: &[u8], at: usize) -> Result<u32, String> {
+    let four = bytes.get(at..at + 4).and_then(|four| <[u8; 4]>::try_from(four).ok());
+    four.map(u32::from_be_bytes).ok_or_else(|| "a box is cut off".to_owned())
+}
+
+fn be16(bytes: &[u8], at: usize) -> Result<u16, String> {
+    let two = bytes.get(at..at + 2).and_then(|two| <[u8; 2]>::try_from(two).ok());
+    two.map(u16::from_be_bytes).ok_or_else(|| "a box is cut off".to_owned())
+}
+
+/// Reads what the one video track of a file holds.
+///
+/// # Errors
+/// It is no MP4 file with one track of H.264, or damaged; or it cannot be read.
+pub fn parse(file: &mut (impl Read + Seek)) -> Result<Film, String> {
+    let index = index(file)?;
+    let mut films = Vec::new();
+    for (_, track) in boxes(&index)?.into_iter().filter(|(kind, _)| kind == b"trak") {
+        let media = inner(track, b"mdia")?;
+        if inner(media, b"hdlr")?.get(8..12) == Some(b"vide") {
+            films.push(film(media)?);
+        } else {
+            return Err("it has a track that is no video".to_owned());
+        }
+    }
+    match films[..] {
+        [film] => Ok(film),
+        _ => Err(format!("it has {} video tracks, not one", films.len())),
+    }
+}
+
+/// The content of the box `moov`.
+fn index(file: &mut (impl Read + Seek)) -> Result<Vec<u8>, String> {
+    let words = |error: std::io::Error| error.to_string();
+    let end = file.seek(SeekFrom::End(0)).map_err(words)?;
+    let mut at = 0;
+    for _ in 0..MAX_BOXES {
+        if at + 8 > end {
+            break;
+        }
+        file.seek(SeekFrom::Start(at)).map_err(words)?;
+        let mut head = [0; 16];
+        file.read_exact(&mut head[..8]).map_err(words)?;
+        let (mut size, mut head_bytes) = (u64::from(be32(&head, 0)?), 8);
+        if size == 1 {
+            file.read_exact(&mut head[8..]).map_err(words)?;
+            (size, head_bytes) = (u64::from(be32(&head, 8)?) << 32 | u64::from(be32(&head, 12)?), 16);
+        } else if size == 0 {
+            size = end - at;
+        }
+        let next = at.checked_add(size).filter(|next| *next <= end && size >= head_bytes);
+        let next = next.ok_or_else(|| format!("at byte {at}: a box of {size} bytes, {} are there", end - at))?;
+        if &head[4..8] == b"moov" {
+            if size > MAX_INDEX_BYTES {
+                return Err(format!("its index has {size} bytes; {MAX_INDEX_BYTES} are the most"));
+            }
+            let mut index = vec![0; (size - head_bytes) as usize];
+            file.read_exact(&mut index).map_err(words)?;
+            return Ok(index);
+        }
+        at = next;
+    }
+    Err("it has no index: no MP4 file, or one that was not completed".to_owned())
+}
+
+fn film(media: &[u8]) -> Result<Film, String> {
+    let header = inner(media, b"mdhd")?;
+    let scale = match header.first() {
+        Some(0) => be32(header, 12)?,
+        Some(1) => be32(header, 20)?,
+        _ => return Err("a version of `mdhd` that is not known".to_owned()),
+    };
+    let table = inner(inner(media, b"minf")?, b"stbl")?;
+    let (frames, ticks) = times(inner(table, b"stts")?)?;
+    let descriptions = inner(table, b"stsd")?;
+    if be32(descriptions, 4)? != 1 {
+        return Err("its pictures are coded in more than one way".to_owned());
+    }
+    let entries = boxes(descriptions.get(8..).unwrap_or_default())?;
+    let [(kind, entry)] = entries[..] else { return Err("its pictures are not described".to_owned()) };
+    if &kind != b"avc1" {
+        return Err(format!("its pictures are `{}`, not H.264 (`avc1`)", kind.escape_ascii()));
+    }
+    // A sample entry, then the fields of a visual one, then boxes.
+    let size = (be16(entry, 24)?, be16(entry, 26)?);
+    let coding = inner(entry.get(78..).unwrap_or_default(), b"avcC")?;
+    let &[1, profile, _, level, ..] = coding else { return Err("`avcC` is cut off".to_owned()) };
+    let (chroma_format, bits) = colours(coding, profile)?;
+    if size.0 == 0 || size.1 == 0 || frames == 0 || scale == 0 || ticks == 0 {
+        return Err("it holds no pictures".to_owned());
+    }
+    let seconds = ticks as f64 / f64::from(scale);
+    Ok(Film { size, frames, seconds, profile, level, chroma_format, bits })
+}
+
+/// Number of pictures and their time in ticks.
+fn times(stts: &[u8]) -> Result<(u32, u64), String> {
+    let runs = be32(stts, 4)? as usize;
+    let body = stts.get(8..).unwrap_or_default();
+    if body.len() / 8 < runs {
+        return Err("`stts` is cut off".to_owned());
+    }
+    let (mut frames, mut ticks) = (0u32, 0u64);
+    for run in body.chunks_exact(8).take(runs) {
+        let (count, each) = (be32(run, 0)?, be32(run, 4)?);
+        frames = frames.checked_add(count).filter(|n| *n <= i32::MAX as u32).ok_or("too many pictures")?;
+        ticks = ticks.checked_add(u64::from(count) * u64::from(each)).ok_or("too long")?;
+    }
+    Ok((frames, ticks))
+}
+
+/// Chroma format and bits; for profiles up to main they are 4:2:0 and 8.
+fn colours(coding: &[u8], profile: u8) -> Result<(u8, (u8, u8)), String> {
+    if [66, 77, 88].contains(&profile) {
+        return Ok((1, (8, 8)));
+    }
+    let cut = || "`avcC` is cut off".to_owned();
+    let mut at = 5;
+    // Parameter sets of sequences (the count has 5 bits), then of pictures.
+    for mask in [0x1F, 0xFF] {
+        let count = coding.get(at).ok_or_else(cut)? & mask;
+        at += 1;
+        for _ in 0..count {
+            at += 2 + usize::from(be16(coding, at)?);
+        }
+    }
+    match coding.get(at..at + 3) {
+        Some(&[chroma, luma_bits, chroma_bits]) => Ok((chroma & 3, (8 + (luma_bits & 7), 8 + (chroma_bits & 7)))),
+        // Muxers that leave the extension out write 4:2:0 of 8 bits.
+        _ if at <= coding.len() => Ok((1, (8, 8))),
+        _ => Err(cut()),
+    }
+}

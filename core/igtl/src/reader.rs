@@ -1,0 +1,144 @@
+//! The messages of a stream of bytes.
+
+use std::io::{self, Read};
+
+use crate::crc::crc64;
+use crate::error::{IgtlError, Result};
+use crate::header::{HEADER_BYTES, Header};
+use crate::message::Message;
+
+/// Largest body that is read unless a [`Reader`] is told otherwise: a picture of 8192 x 8192 px with four bytes each.
+pub const DEFAULT_BODY_LIMIT: u64 = 256 << 20;
+
+/// Bytes that are asked for at least.
+const LEAST: usize = 64 << 10;
+/// Bytes that are asked for at most: a peer that announces much and sends little costs little.
+const MOST: usize = 1 << 20;
+/// A buffer that grew beyond this is given back when it is empty.
+const KEPT: usize = 64 << 20;
+
+/// Header and body as they arrived, with a CRC that fits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Raw<'a> {
+    /// The header.
+    pub header: Header<'a>,
+    /// The body.
+    pub body: &'a [u8],
+    /// Header and body.
+    pub bytes: &'a [u8],
+}
+
+impl<'a> Raw<'a> {
+    /// The message.
+    ///
+    /// # Errors
+    /// The body does not fit the type.
+    pub fn message(&self) -> Result<Message<'a>> {
+        Message::from_parts(self.header.clone(), self.body)
+    }
+}
+
+/// Finds the messages in the bytes of a connection. Holds one message at a time, and grows only as bytes arrive.
+#[derive(Debug)]
+pub struct Reader {
+    buffer: Vec<u8>,
+    /// First and last byte that were read and not yet returned.
+    start: usize,
+    end: usize,
+    /// Bytes of the message that was returned last.
+    returned: usize,
+    body_limit: u64,
+    is_broken: bool,
+}
+
+impl Default for Reader {
+    fn default() -> Self {
+        Self::new(DEFAULT_BODY_LIMIT)
+    }
+}
+
+impl Reader {
+    /// A reader that refuses bodies of more than `body_limit` bytes.
+    pub fn new(body_limit: u64) -> Self {
+        Self { buffer: Vec::new(), start: 0, end: 0, returned: 0, body_limit, is_broken: false }
+    }
+
+    /// Reads once from a connection. Returns the number of bytes; 0 at its end.
+    ///
+    /// # Errors
+    /// Those of the connection.
+    pub fn fill(&mut self, from: &mut impl Read) -> io::Result<usize> {
+        let space = self.space();
+        let count = from.read(space)?.min(space.len());
+        self.end += count;
+        Ok(count)
+    }
+
+    /// Room for the next bytes.
+    fn space(&mut self) -> &mut [u8] {
+        self.start += std::mem::take(&mut self.returned);
+        let held = self.end - self.start;
+        if held == 0 && self.buffer.len() > KEPT {
+            self.buffer = Vec::new();
+        } else {
+            self.buffer.copy_within(self.start..self.end, 0);
+        }
+        (self.start, self.end) = (0, held);
+        let missing = match self.announced() {
+            Some(bytes) => bytes.saturating_sub(held as u64).min(MOST as u64) as usize,
+            None => 0,
+        };
+        let room = missing.max(LEAST);
+        if self.buffer.len() < held + room {
+            self.buffer.resize(held + room, 0);
+        }
+        &mut self.buffer[held..held + room]
+    }
+
+    /// Length of the message at the start of the buffer, where its header is complete.
+    fn announced(&self) -> Option<u64> {
+        let header = Header::decode(self.buffer[self.start..self.end].get(..HEADER_BYTES)?).ok()?;
+        header.body_bytes.checked_add(HEADER_BYTES as u64)
+    }
+
+    /// The next whole message; `None` until more bytes were read.
+    ///
+    /// # Errors
+    /// [`IgtlError::Crc`] loses that message only. After any other error the stream cannot be followed: see [`Self::is_broken`].
+    pub fn next_message(&mut self) -> Result<Option<Raw<'_>>> {
+        if self.is_broken {
+            return Ok(None);
+        }
+        self.start += std::mem::take(&mut self.returned);
+        let held = &self.buffer[self.start..self.end];
+        let Some(first) = held.get(..HEADER_BYTES) else { return Ok(None) };
+        let header = match Header::decode(first) {
+            Ok(header) => header,
+            Err(error) => {
+                self.is_broken = true;
+                return Err(error);
+            }
+        };
+        if header.body_bytes > self.body_limit {
+            self.is_broken = true;
+            let (bytes, limit) = (header.body_bytes, self.body_limit);
+            return Err(IgtlError::TooLong { kind: header.kind.into_owned(), bytes, limit });
+        }
+        // Within the limit, which fits the address space of a buffer.
+        let Ok(body_bytes) = usize::try_from(header.body_bytes) else { return Ok(None) };
+        let Some(bytes) = held.get(..HEADER_BYTES + body_bytes) else { return Ok(None) };
+        self.returned = bytes.len();
+        let body = &bytes[HEADER_BYTES..];
+        let found = crc64(body);
+        if found != header.crc {
+            let announced = header.crc;
+            return Err(IgtlError::Crc { kind: header.kind.into_owned(), found, announced });
+        }
+        Ok(Some(Raw { header, body, bytes }))
+    }
+
+    /// Whether the stream cannot be followed any further: its connection has to be closed.
+    pub fn is_broken(&self) -> bool {
+        self.is_broken
+    }
+}

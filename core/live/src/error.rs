@@ -1,0 +1,35 @@
+//! Errors.
+
+use std::io;
+use std::net::SocketAddr;
+
+/// Why a graph is not served.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveServerError {
+    /// The address cannot be listened on.
+    #[error(
+        "cannot listen on {address}: {cause}; another program may use the port: choose another, or 0 for a free one"
+    )]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        cause: io::Error,
+    },
+    /// There is no thread for the server.
+    #[error("cannot start the threads that serve {address}: {cause}")]
+    Thread {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        cause: io::Error,
+    },
+    /// Foxglove's server did not start.
+    #[error("Foxglove's server for {address} did not start: {words}")]
+    Foxglove {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        words: String,
+    },
+}

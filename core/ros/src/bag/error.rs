@@ -1,0 +1,68 @@
+//! Errors of bags.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::cdr::CdrError;
+
+/// Why a bag cannot be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum BagError {
+    /// Something is there already.
+    #[error("{} exists: name another folder", .path.display())]
+    Exists {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file cannot be written.
+    #[error("{} cannot be written: {cause}", .path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The operating system's or the encoder's error.
+        cause: io::Error,
+    },
+    /// A message that cannot be encoded.
+    #[error(transparent)]
+    Message(#[from] CdrError),
+    /// A type without a definition.
+    #[error("there is no definition of `{message}`")]
+    NoDefinition {
+        /// The type.
+        message: &'static str,
+    },
+    /// A file or folder cannot be read.
+    #[error("{} cannot be read: {cause}", .path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// The operating system's error.
+        cause: io::Error,
+    },
+    /// No MCAP file.
+    #[error("{} has no MCAP file: {hint}", .path.display())]
+    NoMcap {
+        /// The folder.
+        path: PathBuf,
+        /// What is there instead, and what to do.
+        hint: &'static str,
+    },
+    /// A file that ends early: its recorder did not finish it.
+    #[error("{} ends in the middle of a record after {messages} messages: its recorder did not finish it", .path.display())]
+    CutOff {
+        /// The file.
+        path: PathBuf,
+        /// Messages before that.
+        messages: u64,
+    },
+    /// A damaged file.
+    #[error("{} is damaged after {messages} messages: {words}", .path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Messages before that.
+        messages: u64,
+        /// What is wrong.
+        words: String,
+    },
+}

@@ -1,0 +1,9 @@
+//! Bags: folders with MCAP files and `metadata.yaml`, as `ros2 bag` writes them.
+
+mod error;
+mod reader;
+mod writer;
+
+pub use error::BagError;
+pub use reader::{BagReader, BagTopic, RawMessage, survey};
+pub use writer::BagWriter;

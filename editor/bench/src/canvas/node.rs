@@ -1,0 +1,361 @@
+//! Draws a node, by distance: from afar its name, light and picture, near its ports and values too.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use eframe::egui::emath::GuiRounding as _;
+use eframe::egui::text::{LayoutJob, TextFormat};
+use eframe::egui::{
+    Align2, Color32, CornerRadius, FontId, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui, pos2,
+    vec2,
+};
+
+use super::paint::LEAST_TEXT;
+use super::shape::{DETAIL, HEADER, PAD, PICTURES, PORTS, Pin};
+use super::{Canvas, Scene};
+use panoscope_editor_model::content::{Content, DetectedBox};
+use panoscope_editor_widgets::format_time;
+use panoscope_editor_widgets::theme::{self, PinShape};
+use panoscope_engine::fault::{Cause, Fault};
+
+/// How long a fault is shown as new.
+const NEW_FAULT_MS: u64 = 3000;
+/// Height of a line of the smallest text.
+const LINE: f32 = 15.0;
+/// Below this zoom times and rates are not shown.
+const FOOTERS: f32 = 0.5;
+
+/// The header of a node that is drawn in `rect`: never lower than a line of text.
+fn header(rect: Rect, scale: f32) -> Rect {
+    let height = (HEADER * scale).max(LINE).min(rect.height());
+    Rect::from_min_size(rect.min, vec2(rect.width(), height))
+}
+
+impl Canvas {
+    pub(super) fn paint_node(&self, ui: &Ui, scene: &Scene<'_>, node: usize, rect: Rect, hovered: bool) {
+        let painter = ui.painter();
+        let this = &scene.view.nodes[node];
+        let (id, scale) = (this.id(), self.scale());
+        // Inside a frame the part's name is on the frame.
+        let title = id.rsplit('/').next().unwrap_or(id);
+        let counters = scene.counters.nodes.get(id);
+        let selected = self.selected.contains(id);
+        let family = theme::family(this.family());
+        let radius = CornerRadius::same((8.0 * scale).clamp(2.0, 12.0) as u8);
+        let share = counters.map_or(0.0, |c| (c.p50_ms * c.fps / 1e3) as f32);
+        let fill = if scene.heat { theme::heat(share) } else { theme::raised() };
+        let wrong = !this.mistakes.is_empty() || scene.problem.is_some_and(|(n, _)| n == id);
+        let stroke = match (wrong, selected, hovered) {
+            (true, ..) => Stroke::new(2.0, theme::fault()),
+            (_, true, _) => Stroke::new(2.0, theme::accent()),
+            (_, _, true) => Stroke::new(1.0, theme::muted()),
+            _ => Stroke::new(1.0, theme::line()),
+        };
+        if scale < PICTURES {
+            painter.add(plain_node(rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family));
+            if rect.height() > LINE && rect.width() > 2.5 * LEAST_TEXT {
+                let font = FontId::proportional(LEAST_TEXT);
+                let name = elided(painter, title, font, theme::text(), rect.width() - 6.0);
+                painter.galley(rect.min + vec2(4.0, (rect.height() - name.size().y) / 2.0), name, theme::text());
+            }
+            return;
+        }
+        if this.is_part {
+            // A second edge behind the first: there is more inside.
+            let behind = rect.translate(vec2(4.0, 4.0) * scale);
+            painter.rect(behind, radius, theme::panel(), Stroke::new(1.0, theme::line()), StrokeKind::Outside);
+        }
+        painter.rect(rect, radius, fill, stroke, StrokeKind::Outside);
+        let bar = Rect::from_min_size(rect.min, vec2(4.0 * scale, HEADER * scale));
+        let left = CornerRadius { nw: radius.nw, ne: 0, sw: 0, se: 0 };
+        painter.rect_filled(bar, left, family);
+        let header = header(rect, scale);
+        let line = header.center().y;
+        let light = pos2(rect.right() - (14.0 * scale).max(8.0), line);
+        self.paint_light(ui, scene, node, light);
+        let near = scale >= PORTS;
+        // Far away the name gets the whole width, near the type or the button of a part is beside it.
+        let inset = (14.0 * scale).max(6.0);
+        let room = light.x - 8.0 - rect.left() - inset;
+        let name = elided(painter, title, self.font(14.0), theme::text(), room);
+        let room = room - name.size().x - 12.0 * scale;
+        painter.galley(pos2(rect.left() + inset, line - name.size().y / 2.0), name, theme::text());
+        if this.is_part && room > 30.0 {
+            painter.text(
+                pos2(light.x - 12.0 * scale, line),
+                Align2::RIGHT_CENTER,
+                "open",
+                self.font(11.0),
+                theme::accent(),
+            );
+        } else if near && !this.is_part && room > 30.0 * scale {
+            let caption = elided(painter, &this.outline.type_name, self.font(11.0), theme::muted(), room);
+            let at = pos2(light.x - 12.0 * scale - caption.size().x, line - caption.size().y / 2.0);
+            painter.galley(at, caption, theme::muted());
+        }
+        if let Some(frame) = self.picture_rect(node, rect) {
+            self.paint_picture(painter, scene, node, frame);
+        }
+        if scale >= DETAIL {
+            self.paint_pins(painter, scene, node, near);
+        }
+        if let Some(footer) = self.footer_rect(node, rect) {
+            self.paint_footer(painter, scene, node, footer);
+        }
+    }
+
+    /// The rectangle of a node's preview, where the node is drawn in `rect`. Far away it takes the space of the names of ports.
+    pub(super) fn picture_rect(&self, node: usize, rect: Rect) -> Option<Rect> {
+        let scale = self.scale();
+        let picture = self.shapes[node].picture.filter(|_| scale >= PICTURES)?;
+        if scale >= PORTS {
+            return Some(Rect::from_min_size(rect.min + picture.min.to_vec2() * scale, picture.size() * scale));
+        }
+        let bottom = self.footer_rect(node, rect).map_or(rect.bottom() - (PAD * scale).min(3.0), |footer| footer.top());
+        let aside = PAD * scale;
+        let top = header(rect, scale).bottom();
+        Some(Rect::from_min_max(pos2(rect.left() + aside, top), pos2(rect.right() - aside, bottom)))
+    }
+
+    /// The rectangle of times and rates, where there is space for them.
+    fn footer_rect(&self, node: usize, rect: Rect) -> Option<Rect> {
+        let scale = self.scale();
+        if scale < FOOTERS {
+            return None;
+        }
+        let footer = self.shapes[node].footer;
+        let height = (footer.height() * scale).max(LINE);
+        let at = pos2(rect.left() + footer.left() * scale, rect.bottom() - height);
+        Some(Rect::from_min_size(at, vec2(footer.width() * scale, height)))
+    }
+
+    /// Draws the ports, and near their names.
+    fn paint_pins(&self, painter: &Painter, scene: &Scene<'_>, node: usize, near: bool) {
+        let (shape, transform, scale) = (&self.shapes[node], self.transform(), self.scale());
+        let position = self.positions.get(scene.view.nodes[node].id()).copied().unwrap_or_default();
+        for pin in &shape.pins {
+            let at = transform * (position + pin.at.to_vec2());
+            self.paint_pin(painter, pin, at);
+            if near {
+                let (align, shift) =
+                    if pin.input { (Align2::LEFT_CENTER, 10.0) } else { (Align2::RIGHT_CENTER, -10.0) };
+                let color = if pin.missing { theme::fault() } else { theme::muted() };
+                painter.text(at + vec2(shift * scale, 0.0), align, &pin.name, self.font(11.5), color);
+            }
+        }
+        if let Some(fold) = shape.fold.filter(|_| near) {
+            let rect = transform * fold.translate(position.to_vec2());
+            let caption = if shape.folded > 0 { format!("{} more", shape.folded) } else { "fewer".to_owned() };
+            let at = rect.right_center() - vec2(2.0 * scale, 0.0);
+            painter.text(at, Align2::RIGHT_CENTER, caption, self.font(11.0), theme::accent());
+        }
+    }
+
+    /// Draws the status light.
+    fn paint_light(&self, ui: &Ui, scene: &Scene<'_>, node: usize, at: Pos2) {
+        let id = scene.view.nodes[node].id();
+        let fault = scene.counters.faults.get(id);
+        let color = match fault {
+            Some(fault) => fault_color(fault),
+            None if scene.running && scene.counters.nodes.get(id).is_some_and(|c| c.fps > 0.0) => {
+                theme::family("source")
+            }
+            None => theme::line(),
+        };
+        let radius = (4.0 * self.scale()).max(2.5);
+        ui.painter().circle_filled(at, radius, color);
+        if fault.is_some() {
+            // A ring marks a fault without relying on colour.
+            ui.painter().circle_stroke(at, radius + 2.5, Stroke::new(1.0, color));
+        }
+    }
+
+    /// Draws a node's preview in `frame`: its image or text; at a small zoom, the node's time instead of a text.
+    fn paint_picture(&self, painter: &Painter, scene: &Scene<'_>, node: usize, frame: Rect) {
+        let shape = &self.shapes[node];
+        let scale = self.scale();
+        let Some((output, packet)) = &shape.output else { return };
+        // Boxes are drawn on the image that was searched.
+        let below = shape.backdrop.as_ref().map_or(output, |(below, _)| below);
+        match scene.shown.texture(below) {
+            Some((texture, size)) => {
+                painter.rect_filled(frame, 4.0 * scale, theme::sunk());
+                let fit = (frame.width() / size.x).min(frame.height() / size.y);
+                let inner = Rect::from_center_size(frame.center(), size * fit);
+                let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+                let stale = scene.shown.stale(output);
+                painter.image(
+                    texture,
+                    inner,
+                    whole,
+                    if stale.is_some() { Color32::from_gray(96) } else { Color32::WHITE },
+                );
+                if let Some(Content::Boxes(found)) = scene.shown.packet(output).map(|l| &l.content) {
+                    paint_boxes(painter, inner, found, (scale >= PORTS).then(|| self.font(11.0)));
+                }
+                if let Some(age) = stale.filter(|_| scene.running && scale >= DETAIL) {
+                    let caption = format!("{} s old", age.as_secs());
+                    painter.text(frame.center(), Align2::CENTER_CENTER, caption, self.font(13.0), theme::warn());
+                }
+            }
+            None if frame.width() < 72.0 || frame.height() < 2.0 * LINE => {
+                let counters = scene.counters.nodes.get(scene.view.nodes[node].id());
+                if let Some(counters) = counters.filter(|c| c.fps > 0.0) {
+                    let caption = format_time(counters.p50_ms);
+                    painter.text(
+                        frame.center(),
+                        Align2::CENTER_CENTER,
+                        caption,
+                        FontId::proportional(LEAST_TEXT),
+                        theme::muted(),
+                    );
+                }
+            }
+            None => {
+                painter.rect_filled(frame, 4.0 * scale, theme::sunk());
+                let caption = scene.shown.text(output).unwrap_or(packet);
+                let galley =
+                    painter.layout(caption.to_owned(), self.font(11.0), theme::text(), frame.width() - 16.0 * scale);
+                let clipped = painter.with_clip_rect(frame.intersect(self.rect));
+                let at = frame.left_center() + vec2(8.0 * scale, -galley.size().y / 2.0);
+                clipped.galley(pos2(at.x, at.y.max(frame.top() + 4.0)), galley, theme::text());
+            }
+        }
+    }
+
+    fn paint_pin(&self, painter: &Painter, pin: &Pin, at: Pos2) {
+        let r = 5.0 * self.scale();
+        let color = theme::packet(&pin.packet);
+        let (fill, stroke) = if pin.missing {
+            (theme::raised(), Stroke::new(1.5, theme::fault()))
+        } else {
+            (color, Stroke::new(1.5, theme::ground()))
+        };
+        match theme::pin_shape(&pin.packet) {
+            PinShape::Circle => {
+                painter.circle(at, r, fill, stroke);
+            }
+            PinShape::Square => {
+                painter.rect(Rect::from_center_size(at, vec2(r, r) * 1.8), 1.0, fill, stroke, StrokeKind::Middle);
+            }
+            PinShape::Diamond => {
+                let r = r * 1.25;
+                let points = vec![at - vec2(0.0, r), at + vec2(r, 0.0), at + vec2(0.0, r), at - vec2(r, 0.0)];
+                painter.add(Drawn::convex_polygon(points, fill, stroke));
+            }
+            PinShape::Triangle => {
+                let points = vec![at + vec2(-r, -r * 1.1), at + vec2(r * 1.2, 0.0), at + vec2(-r, r * 1.1)];
+                painter.add(Drawn::convex_polygon(points, fill, stroke));
+            }
+        }
+        if pin.list {
+            painter.circle_stroke(at, r + 2.5 * self.scale(), Stroke::new(1.0, color));
+        }
+    }
+
+    /// Draws times and rates, or the node's first error.
+    fn paint_footer(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
+        let this = &scene.view.nodes[node];
+        let font = self.font(11.0);
+        let problem = scene.problem.filter(|(n, _)| *n == this.id()).map(|(_, caption)| caption.to_owned());
+        if let Some(caption) = this.mistakes.first().cloned().or(problem) {
+            let galley = elided(painter, &caption, font, theme::fault(), rect.width());
+            painter.galley(pos2(rect.left(), rect.center().y - galley.size().y / 2.0), galley, theme::fault());
+            return;
+        }
+        let Some(c) = scene.counters.nodes.get(this.id()) else { return };
+        let mut right = LayoutJob::default();
+        let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
+        if let Some(fault) = scene.counters.faults.get(this.id()) {
+            let (count, word) = (c.faults.max(1), fault_name(fault));
+            let plural = if count > 1 { "s" } else { "" };
+            right.append(&format!("{count} {word}{plural}  "), 0.0, plain(fault_color(fault)));
+        }
+        if c.dropped > 0 {
+            let plural = if c.dropped > 1 { "s" } else { "" };
+            right.append(&format!("{} drop{plural}  ", c.dropped), 0.0, plain(theme::warn()));
+        }
+        if let Some(age) = c.age_p50_ms.filter(|a| *a > 0.0) {
+            right.append(&format!("age {}  ", format_time(age)), 0.0, plain(theme::muted()));
+        }
+        right.append(&format!("{:.0} fps", c.fps), 0.0, plain(theme::text()));
+        let right = painter.layout_job(right);
+        let middle = rect.center().y;
+        painter.galley(
+            pos2(rect.right() - right.size().x, middle - right.size().y / 2.0),
+            right.clone(),
+            theme::text(),
+        );
+        // The longest text that fits.
+        let p50 = format_time(c.p50_ms);
+        let lefts = match c.fps > 0.0 {
+            true => vec![format!("{p50} · p99 {}", format_time(c.p99_ms)), p50],
+            false => vec!["at rest".to_owned()],
+        };
+        let room = rect.width() - right.size().x - 8.0 * self.scale();
+        let galleys = lefts.into_iter().map(|caption| painter.layout_no_wrap(caption, font.clone(), theme::muted()));
+        if let Some(left) = galleys.into_iter().find(|g| g.size().x <= room) {
+            painter.galley(pos2(rect.left(), middle - left.size().y / 2.0), left, theme::muted());
+        }
+    }
+}
+
+/// A small node as a few rectangles: with hundreds of nodes in view, round and antialiased edges would dominate the drawing time.
+fn plain_node(rect: Rect, fill: Color32, edge: Stroke, bar: Color32) -> Mesh {
+    let (mut mesh, w) = (Mesh::default(), edge.width);
+    let outer = rect.expand(w);
+    mesh.add_colored_rect(Rect::from_min_max(outer.min, pos2(outer.right(), rect.top())), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(pos2(outer.left(), rect.bottom()), outer.max), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(pos2(outer.left(), rect.top()), rect.left_bottom()), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(rect.right_top(), pos2(outer.right(), rect.bottom())), edge.color);
+    mesh.add_colored_rect(rect, fill);
+    mesh.add_colored_rect(Rect::from_min_size(rect.min, vec2(2.0, rect.height())), bar);
+    mesh
+}
+
+/// Colour of a fault, the same for the light and for the words beside it.
+fn fault_color(fault: &Fault) -> Color32 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64);
+    if now.saturating_sub(fault.unix_ms) < NEW_FAULT_MS { theme::fault() } else { theme::warn() }
+}
+
+fn fault_name(fault: &Fault) -> &'static str {
+    match fault.cause {
+        Cause::Panic => "panic",
+        Cause::Hang => "hang",
+        Cause::Slow => "slow call",
+        Cause::Leak => "leak",
+        _ => "fault",
+    }
+}
+
+/// Draws boxes with their labels in the colours of their classes.
+fn paint_boxes(painter: &Painter, picture: Rect, boxes: &[DetectedBox], font: Option<FontId>) {
+    for detected in boxes {
+        let [x, y, w, h] = detected.share;
+        let at = picture.min + vec2(x * picture.width(), y * picture.height());
+        let rect = Rect::from_min_size(at, vec2(w * picture.width(), h * picture.height())).intersect(picture);
+        let color = theme::class(detected.class);
+        painter.rect_stroke(rect, 1.0, Stroke::new(1.5, color), StrokeKind::Inside);
+        if let Some(font) = font.clone() {
+            let galley = painter.layout_no_wrap(detected.label.clone(), font, theme::on(color));
+            let at = pos2(rect.left(), (rect.top() - galley.size().y).max(picture.top()));
+            painter.rect_filled(Rect::from_min_size(at, galley.size() + vec2(6.0, 0.0)), 1.0, color);
+            painter.galley(at + vec2(3.0, 0.0), galley, theme::on(color));
+        }
+    }
+}
+
+/// Lays out one line of text, truncated with an ellipsis to `width`.
+fn elided(
+    painter: &Painter,
+    text: &str,
+    font: FontId,
+    color: Color32,
+    width: f32,
+) -> std::sync::Arc<eframe::egui::Galley> {
+    let mut job = LayoutJob::simple_singleline(text.to_owned(), font, color);
+    job.wrap.max_width = width.max(8.0);
+    job.wrap.max_rows = 1;
+    job.wrap.break_anywhere = true;
+    painter.layout_job(job)
+}

@@ -1,0 +1,247 @@
+//! The checklist before use: cameras, calibration, arm, disk, lock, audit log. Each line is measured while it is shown; nothing is ticked by hand.
+
+use eframe::egui::text::{LayoutJob, TextWrapping};
+use eframe::egui::{Align2, FontId, Rect, Sense, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2, vec2};
+use panoscope_editor_model::observe::Counters;
+use panoscope_editor_widgets::theme;
+
+use super::Theatre;
+use super::notices::{FULL_BYTES, Facts, LOW_BYTES, OLD_MS, format_bytes};
+use super::open::Verified;
+use super::plan::Plan;
+
+/// Width of the checklist; the pictures are beside it.
+pub(super) const WIDTH: f32 = 400.0;
+const ROW: f32 = 58.0;
+
+/// The state of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// As it should be.
+    Ready,
+    /// Usable, but not as it should be.
+    Attention,
+    /// Not usable.
+    Missing,
+}
+
+impl State {
+    fn word(self) -> &'static str {
+        match self {
+            Self::Ready => "ready",
+            Self::Attention => "attention",
+            Self::Missing => "missing",
+        }
+    }
+}
+
+/// A line of the checklist.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Check {
+    /// What is checked.
+    pub name: String,
+    /// Its state.
+    pub state: State,
+    /// What was found.
+    pub words: String,
+}
+
+/// What the checks need to know besides the facts for notices.
+pub(super) struct Known<'a> {
+    pub plan: &'a Plan,
+    pub counters: &'a Counters,
+    pub verified: &'a Verified,
+    /// Age of each camera's last image, ms, in the order of the plan.
+    pub camera_ages_ms: Vec<Option<f64>>,
+    /// Whether the stereo geometry was received.
+    pub has_rig: bool,
+}
+
+/// The lines of the checklist.
+pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
+    let mut all = Vec::new();
+    let mut add = |name: &str, state, words: String| all.push(Check { name: name.to_owned(), state, words });
+    for (camera, age) in known.plan.cameras.iter().zip(&known.camera_ages_ms) {
+        let lost = facts.lost.iter().any(|(label, _)| *label == camera.label);
+        let (state, words) = match age {
+            Some(_) if lost => (State::Missing, "no image any more".to_owned()),
+            Some(age) if *age > OLD_MS => (State::Attention, format!("image {:.1} s old", age / 1e3)),
+            Some(age) => (State::Ready, format!("image {age:.0} ms old")),
+            None => (State::Missing, "no image yet".to_owned()),
+        };
+        add(&format!("Camera {}", camera.label), state, words);
+    }
+    if known.plan.cameras.is_empty() {
+        add("Cameras", State::Missing, "the graph has none".to_owned());
+    }
+    if known.plan.cloud.is_some() {
+        let (state, words) = match known.plan.rig {
+            _ if facts.swapped => (State::Missing, "left and right are swapped"),
+            _ if facts.drifted => (State::Attention, "does not fit any more; calibrate again"),
+            None => (State::Attention, "not in the graph: distances have no error bound"),
+            Some(_) if known.has_rig => (State::Ready, "fits the cameras"),
+            Some(_) => (State::Missing, "not received yet"),
+        };
+        add("Calibration", state, words.to_owned());
+    }
+    for stop in &known.plan.stops {
+        let works = known.counters.nodes.get(&stop.node).is_some_and(|node| node.fps > 0.0);
+        let (state, words) = match works {
+            _ if facts.emergency => (State::Attention, "stopped; hold the stop to release it"),
+            true => (State::Ready, "runs and can be stopped"),
+            false => (State::Missing, "does not run"),
+        };
+        add(&format!("Arm {}", stop.node), state, words.to_owned());
+    }
+    let (state, words) = match facts.free_bytes {
+        Some(free) if free < FULL_BYTES => (State::Missing, format!("full: {} free", format_bytes(free))),
+        Some(free) if free < LOW_BYTES => (State::Attention, format!("nearly full: {} free", format_bytes(free))),
+        Some(free) => (State::Ready, format!("{} free", format_bytes(free))),
+        None => (State::Attention, "its free space is not known".to_owned()),
+    };
+    add("Disk", state, words);
+    let (state, words) = match known.verified {
+        Verified::Signed(by) => (State::Ready, format!("as locked, signed by {by}")),
+        Verified::AsLocked => (State::Ready, "as locked".to_owned()),
+        Verified::Never => (State::Attention, "this graph was never locked".to_owned()),
+        Verified::Differs(how) => (State::Attention, format!("differs: {how}")),
+    };
+    add("Lock", state, words);
+    if let Some(problem) = &facts.audit_problem {
+        add("Audit log", State::Attention, format!("not written: {problem}"));
+    }
+    all
+}
+
+impl Theatre {
+    /// The lines of the checklist, as it is now.
+    pub fn checklist(&self) -> &[Check] {
+        &self.checks
+    }
+
+    /// Whether the checklist is shown.
+    pub fn shows_checklist(&self) -> bool {
+        self.checking
+    }
+
+    /// Measures the lines of the checklist.
+    pub(super) fn update_checklist(&mut self, facts: &Facts, counters: &Counters) {
+        if !self.checking {
+            return;
+        }
+        let known = Known {
+            plan: &self.plan,
+            counters,
+            verified: &self.verified,
+            camera_ages_ms: self.plan.cameras.iter().map(|camera| self.age_ms(&camera.output)).collect(),
+            has_rig: self.rig.is_some(),
+        };
+        self.checks = checks(facts, &known);
+    }
+
+    /// Draws the checklist.
+    pub(super) fn show_checklist(&self, ui: &mut Ui, room: Rect) {
+        let painter = ui.painter_at(room);
+        painter.rect(room, 12.0, theme::panel(), Stroke::new(1.0, theme::line()), StrokeKind::Inside);
+        let inner = room.shrink(20.0);
+        let left = self.checks.iter().filter(|check| check.state != State::Ready).count();
+        let heading = match left {
+            0 => "Ready for use".to_owned(),
+            1 => "1 point is not ready".to_owned(),
+            left => format!("{left} points are not ready"),
+        };
+        let color = if left == 0 { theme::live() } else { theme::warn() };
+        painter.text(inner.left_top(), Align2::LEFT_TOP, &heading, FontId::proportional(24.0), color);
+        let label = |caption: &str| WidgetInfo::labeled(WidgetType::Label, true, caption.to_owned());
+        let title = ui.interact(
+            Rect::from_min_size(inner.min, vec2(inner.width(), 30.0)),
+            ui.id().with("checks"),
+            Sense::hover(),
+        );
+        title.widget_info(|| label(&format!("Checklist: {heading}")));
+        let mut y = inner.top() + 48.0;
+        for (n, check) in self.checks.iter().enumerate() {
+            let row = Rect::from_min_size(pos2(inner.left(), y), vec2(inner.width(), ROW));
+            let response = ui.interact(row, ui.id().with(("check", n)), Sense::hover());
+            response.widget_info(|| label(&format!("Check {}: {}, {}", check.name, check.state.word(), check.words)));
+            // Shapes differ, so that the state does not depend on colour.
+            let (at, color) = (
+                row.left_top() + vec2(10.0, 14.0),
+                match check.state {
+                    State::Ready => theme::live(),
+                    State::Attention => theme::warn(),
+                    State::Missing => theme::fault(),
+                },
+            );
+            let stroke = Stroke::new(3.0, color);
+            match check.state {
+                State::Ready => {
+                    painter.line(vec![at + vec2(-8.0, 0.0), at + vec2(-2.0, 6.0), at + vec2(8.0, -7.0)], stroke);
+                }
+                State::Attention => super::bars::sign(&painter, at, 10.0, color),
+                State::Missing => {
+                    painter.line_segment([at + vec2(-7.0, -7.0), at + vec2(7.0, 7.0)], stroke);
+                    painter.line_segment([at + vec2(-7.0, 7.0), at + vec2(7.0, -7.0)], stroke);
+                }
+            }
+            let text = row.left_top() + vec2(34.0, 0.0);
+            painter.text(text, Align2::LEFT_TOP, &check.name, FontId::proportional(20.0), theme::text());
+            let mut job = LayoutJob::simple_singleline(check.words.clone(), FontId::proportional(16.0), theme::muted());
+            job.wrap = TextWrapping::truncate_at_width(row.right() - text.x);
+            painter.galley(text + vec2(0.0, 26.0), painter.layout_job(job), theme::muted());
+            y += ROW;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use panoscope_editor_model::observe::Output;
+    use panoscope_engine::NodeWindow;
+
+    use super::*;
+    use crate::plan::{Pane, RigSource, Stop};
+    use panoscope_imaging::stereo::length::Noise;
+
+    fn plan() -> Plan {
+        let camera = |label: &str| Pane {
+            output: Output::new("scope", label),
+            packet: "image".to_owned(),
+            label: label.to_owned(),
+        };
+        let mut plan = Plan::default();
+        plan.cameras = vec![camera("Left"), camera("Right")];
+        plan.cloud = Some(Output::new("points", "cloud"));
+        plan.rig = Some(RigSource { calibration: Output::new("scope", "calibration"), noise: Noise::USUAL });
+        plan.stops = vec![Stop { node: "arm".to_owned(), reset: None }];
+        plan
+    }
+
+    fn states(facts: &Facts, ages: [Option<f64>; 2], has_rig: bool, arm_fps: f64, verified: &Verified) -> Vec<State> {
+        let (plan, mut counters) = (plan(), Counters::default());
+        counters.nodes.insert("arm".to_owned(), NodeWindow { fps: arm_fps, ..NodeWindow::default() });
+        let known = Known { plan: &plan, counters: &counters, verified, camera_ages_ms: ages.to_vec(), has_rig };
+        checks(facts, &known).into_iter().map(|check| check.state).collect()
+    }
+
+    #[test]
+    fn each_line_is_ready_only_when_it_was_measured() {
+        use State::{Attention, Missing, Ready};
+        let good = Facts { free_bytes: Some(u64::MAX), ..Facts::default() };
+        let ages = [Some(20.0), Some(30.0)];
+        let locked = Verified::AsLocked;
+        assert_eq!(states(&good, ages, true, 30.0, &locked), [Ready; 6]);
+        let all_wrong = Facts { free_bytes: Some(1), drifted: true, emergency: true, ..Facts::default() };
+        let differs = Verified::Differs("graph".to_owned());
+        assert_eq!(
+            states(&all_wrong, [None, Some(900.0)], true, 30.0, &differs),
+            [Missing, Attention, Attention, Attention, Missing, Attention]
+        );
+        assert_eq!(
+            states(&good, ages, false, 0.0, &Verified::Never),
+            [Ready, Ready, Missing, Missing, Ready, Attention]
+        );
+        let lost = Facts { lost: vec![("Left".to_owned(), None)], swapped: true, ..Facts::default() };
+        assert_eq!(states(&lost, ages, true, 30.0, &locked), [Missing, Ready, Missing, Ready, Attention, Ready]);
+    }
+}

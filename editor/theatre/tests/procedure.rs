@@ -1,0 +1,135 @@
+//! A whole procedure with the keyboard alone: start, checklist, views, a distance, a still, a clip, the arm stopped and released, a fault and the
+//! recovery from it, the end.
+
+mod common;
+
+use common::window::{Window, options};
+use common::{Folder, has_plugin, input};
+use eframe::egui::Key;
+use egui_kittest::kittest::Queryable;
+use panoscope_graph::{GraphText, check};
+use panoscope_loader::lock::{ALWAYS_LOCKED, Lock};
+use panoscope_loader::{self as loader, Loader};
+use panoscope_theatre::{Layout, State, Theatre};
+
+/// Stereo cameras, a surface, an arm, and a stage that fails at the request of a setting.
+const GRAPH: &str = r#"name = "procedure"
+plugins = ["phantom", "stereo", "flow", "fixtures", "sinks"]
+[nodes.scope]
+type = "phantom"
+params = { scene = "box", width = 320, height = 240 }
+[nodes.points]
+type = "reproject"
+inputs = { image = "scope.left", disparity = "scope.disparity", calibration = "scope.calibration" }
+[nodes.polish]
+type = "failing"
+inputs = { image = "scope.left" }
+params = { first = 0, ticks = 0 }
+[nodes.arm]
+type = "device"
+inputs = { image = "polish.image" }
+[preset]
+views = ["scope.left", "points.cloud"]
+pinned = [{ param = "polish.ticks", label = "faults" }]
+"#;
+
+/// Moves the focus with Tab until a widget has it.
+fn tab_to(window: &mut Window, name: &str) {
+    for _ in 0..40 {
+        if input::focused(&window.harness).is_some_and(|focused| focused.contains(name)) {
+            return;
+        }
+        window.key(Key::Tab);
+    }
+    panic!("`{name}` is not reached by Tab; the last is {:?}", input::focused(&window.harness));
+}
+
+#[test]
+fn a_whole_procedure_is_driven_by_keys_alone() {
+    for plugin in ["flow", "phantom", "stereo", "sinks"] {
+        if !has_plugin(plugin) {
+            return;
+        }
+    }
+    let folder = Folder::new("procedure");
+    let path = folder.write("g.toml", GRAPH);
+    let text = GraphText::load(&path).expect("it is there");
+    let loader = Loader::search(&loader::search_path(&[]));
+    let catalog = loader.catalog(&text.plugins());
+    let (graph, _) = check(&text, &catalog).into_result().expect("it is right");
+    Lock::of(&graph, &catalog, &loader, &text, &ALWAYS_LOCKED).write(&path).expect("it is written");
+    let options = options(&folder);
+
+    // Start: the camera's picture, then the checklist until all is ready.
+    let mut window = Window::open_with(folder, &path, options);
+    window.until("a picture", Theatre::has_picture);
+    let wide = window.harness.get_by_label_contains("View Scope").rect();
+    window.key(Key::C);
+    window.until("all lines are ready", |t| {
+        t.checklist().len() >= 5 && t.checklist().iter().all(|check| check.state == State::Ready)
+    });
+    window.until_shown("Checklist: Ready for use");
+    let names: Vec<String> = window.theatre().checklist().iter().map(|check| check.name.clone()).collect();
+    for name in ["Camera", "Calibration", "Arm arm", "Disk", "Lock"] {
+        assert!(names.iter().any(|known| known.starts_with(name)), "{name}: {names:?}");
+    }
+    let list = window.harness.get_by_label_contains("Check Disk: ready").rect();
+    let beside = window.harness.get_by_label_contains("View Scope").rect();
+    assert!(!list.intersects(beside), "the checklist covers no picture: {list:?} {beside:?}");
+    window.key(Key::C);
+    assert!(!window.theatre().shows_checklist());
+    assert_eq!(window.harness.get_by_label_contains("View Scope").rect().width(), wide.width());
+
+    // Views.
+    window.key(Key::Space);
+    assert_eq!(window.theatre().layout(), Layout::One(0));
+    window.key(Key::Num2);
+    assert_eq!(window.theatre().layout(), Layout::One(1));
+    window.key(Key::Num2);
+    assert_eq!(window.theatre().layout(), Layout::All);
+
+    // A distance, with its error.
+    window.key(Key::M);
+    window.until_shown("Measure here");
+    for key in [Key::ArrowLeft, Key::ArrowLeft, Key::ArrowLeft, Key::Enter] {
+        window.key(key);
+    }
+    (0..6).for_each(|_| window.key(Key::ArrowRight));
+    window.key(Key::Enter);
+    window.until("a distance with its error", |t| t.distance().is_some_and(|length| length.error_mm.is_some()));
+    window.key(Key::M);
+    assert!(!window.theatre().is_frozen());
+
+    // A still and a clip.
+    window.key(Key::S);
+    window.until("the still is saved", |t| t.remark().is_some_and(|r| r.contains("still_0001.png is saved")));
+    window.key(Key::R);
+    window.until("the clip runs", |t| {
+        let engine = t.session().expect("it runs here").handle().engine().expect("it runs");
+        engine.report().nodes.get("theatre_clip").is_some_and(|node| node.count > 5)
+    });
+    window.key(Key::R);
+    window.until("the clip is over", |t| t.clip_file().is_none());
+
+    // The arm is stopped, and released by holding.
+    window.key(Key::E);
+    assert!(window.theatre().is_stopped());
+    window.until_notice("Emergency stop: the arm is stopped");
+    window.harness.key_down(Key::E);
+    window.until("it is released", |t| !t.is_stopped());
+    window.harness.key_up(Key::E);
+    window.harness.step();
+
+    // A fault, and the recovery from it.
+    tab_to(&mut window, "aults");
+    window.key(Key::ArrowRight);
+    window.until_notice("Stage `polish`");
+    assert!(window.theatre().has_picture(), "the camera's picture stays");
+    window.key(Key::ArrowLeft);
+    window.until("it works again, and nothing is wrong", |t| t.notices().is_empty());
+
+    // The end.
+    window.harness.key_down(Key::Escape);
+    window.until("it closes", Theatre::is_closing);
+    assert_eq!(window.kept(), ["clip_0002.mkv", "still_0001.png"]);
+}

@@ -1,0 +1,263 @@
+//! One connected program: a queue of what it is to get, a thread that writes, a thread that reads.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::io::Write;
+use std::net::{Shutdown, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError, Weak};
+use std::time::{Duration, Instant};
+
+use panoscope_igtl::{IgtlError, Reader};
+
+use super::{Inbox, Remark, Shared, answer, lock};
+
+/// A program that takes no byte for this long is given up.
+const WRITE_LIMIT: Duration = Duration::from_secs(5);
+/// Large messages of one device that wait: the newest matters, and each takes megabytes.
+const MOST_LARGE: usize = 2;
+/// From this size on a message is large.
+const LARGE_BYTES: usize = 64 << 10;
+
+/// A message to send.
+#[derive(Clone, Debug)]
+pub struct Outgoing {
+    /// Message type.
+    pub kind: &'static str,
+    /// Device name.
+    pub device: String,
+    /// Header and body.
+    pub bytes: Arc<Vec<u8>>,
+    /// Whether programs get the type without asking for it.
+    pub is_pushed: bool,
+    /// Whether it answers a request: then it goes out whatever was started or stopped.
+    pub is_answer: bool,
+    /// Messages of this device that may wait.
+    pub most: usize,
+}
+
+/// What a program wants of one message type.
+#[derive(Clone, Copy, Debug, Default)]
+struct Flow {
+    /// It asked to start (`true`) or to stop.
+    asked: Option<bool>,
+    /// Least time between two messages of one device.
+    interval: Duration,
+}
+
+struct Item {
+    kind: &'static str,
+    device: String,
+    is_answer: bool,
+    bytes: Arc<Vec<u8>>,
+}
+
+#[derive(Default)]
+struct Queue {
+    items: VecDeque<Item>,
+    /// By message type.
+    flows: BTreeMap<&'static str, Flow>,
+    /// When the newest message of a device was queued, where an interval was asked for.
+    last: BTreeMap<(&'static str, String), Instant>,
+    is_closed: bool,
+}
+
+/// One connected program.
+pub struct Peer {
+    /// Its address.
+    pub words: String,
+    stream: TcpStream,
+    queue: Mutex<Queue>,
+    changed: Condvar,
+    is_writing: AtomicBool,
+}
+
+impl Peer {
+    fn new(stream: TcpStream) -> std::io::Result<Self> {
+        // Small messages must not wait for more to come.
+        stream.set_nodelay(true)?;
+        stream.set_write_timeout(Some(WRITE_LIMIT))?;
+        // Notices a machine that was switched off, also where nothing is sent.
+        rustix::net::sockopt::set_socket_keepalive(&stream, true)?;
+        rustix::net::sockopt::set_tcp_keepidle(&stream, Duration::from_secs(5))?;
+        rustix::net::sockopt::set_tcp_keepintvl(&stream, Duration::from_secs(2))?;
+        rustix::net::sockopt::set_tcp_keepcnt(&stream, 3)?;
+        let words = stream.peer_addr()?.to_string();
+        let (queue, changed, is_writing) = (Mutex::default(), Condvar::new(), AtomicBool::new(false));
+        Ok(Self { words, stream, queue, changed, is_writing })
+    }
+
+    /// Ends the connection: wakes both threads.
+    pub fn close(&self) {
+        lock(&self.queue).is_closed = true;
+        self.changed.notify_all();
+        // It may be closed already.
+        let _ = self.stream.shutdown(Shutdown::Both);
+    }
+
+    /// Whether it asked for a message type.
+    pub fn is_asked_for(&self, kind: &str) -> bool {
+        lock(&self.queue).flows.get(kind).is_some_and(|flow| flow.asked == Some(true))
+    }
+
+    /// Messages that are not written yet.
+    pub fn waiting(&self) -> usize {
+        let queue = lock(&self.queue);
+        if queue.is_closed { 0 } else { queue.items.len() + usize::from(self.is_writing.load(Ordering::Acquire)) }
+    }
+
+    /// Starts or stops a message type.
+    pub fn set_flow(&self, kind: &'static str, is_on: bool, interval: Duration) {
+        lock(&self.queue).flows.insert(kind, Flow { asked: Some(is_on), interval });
+    }
+
+    /// Queues a message if the program takes its type. Returns how many were dropped for it.
+    pub fn offer(&self, message: &Outgoing, wait: bool) -> u64 {
+        let mut queue = lock(&self.queue);
+        let flow = queue.flows.get(message.kind).copied().unwrap_or_default();
+        if queue.is_closed || !(message.is_answer || flow.asked.unwrap_or(message.is_pushed)) {
+            return 0;
+        }
+        if !flow.interval.is_zero() && !message.is_answer {
+            let (now, key) = (Instant::now(), (message.kind, message.device.clone()));
+            if queue.last.get(&key).is_some_and(|last| now.duration_since(*last) < flow.interval) {
+                return 0;
+            }
+            queue.last.insert(key, now);
+        }
+        let most = if message.bytes.len() >= LARGE_BYTES { message.most.min(MOST_LARGE) } else { message.most };
+        let is_same = |item: &Item| {
+            (item.kind, item.is_answer) == (message.kind, message.is_answer) && item.device == message.device
+        };
+        let mut dropped = 0;
+        while queue.items.iter().filter(|item| is_same(item)).count() >= most.max(1) {
+            if queue.is_closed {
+                return dropped;
+            }
+            if wait {
+                queue = self.changed.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            } else if let Some(oldest) = queue.items.iter().position(is_same) {
+                queue.items.remove(oldest);
+                dropped += 1;
+            }
+        }
+        let Outgoing { kind, device, bytes, is_answer, .. } = message.clone();
+        queue.items.push_back(Item { kind, device, is_answer, bytes });
+        drop(queue);
+        self.changed.notify_all();
+        dropped
+    }
+
+    /// Writes what is queued until the connection ends.
+    fn write(&self, shared: &Shared) {
+        loop {
+            let mut queue = lock(&self.queue);
+            let item = loop {
+                if queue.is_closed {
+                    return;
+                }
+                match queue.items.pop_front() {
+                    Some(item) => break item,
+                    None => queue = self.changed.wait(queue).unwrap_or_else(PoisonError::into_inner),
+                }
+            };
+            self.is_writing.store(true, Ordering::Release);
+            drop(queue);
+            // A sender in batch mode may wait for room.
+            self.changed.notify_all();
+            let result = (&self.stream).write_all(&item.bytes);
+            self.is_writing.store(false, Ordering::Release);
+            match result {
+                Ok(()) => shared.totals.sent.fetch_add(1, std::sync::atomic::Ordering::Relaxed),
+                Err(error) => {
+                    if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) {
+                        let limit_s = WRITE_LIMIT.as_secs();
+                        shared.remark(true, format!("{} took nothing for {limit_s} s and was given up", self.words));
+                    }
+                    self.close();
+                    return;
+                }
+            };
+        }
+    }
+
+    /// Reads until the connection ends; why it ended.
+    fn read(&self, shared: &Shared) -> Option<String> {
+        let mut reader = Reader::default();
+        let mut has_warned = false;
+        loop {
+            match reader.fill(&mut &self.stream) {
+                Ok(0) => return None,
+                Ok(_) => {}
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
+                Err(error) => return Some(error.to_string()),
+            }
+            loop {
+                let error = match reader.next_message() {
+                    Ok(Some(raw)) => match answer::take(self, shared, &raw) {
+                        Ok(()) => continue,
+                        Err(error) => error,
+                    },
+                    Ok(None) => break,
+                    Err(error) => error,
+                };
+                shared.totals.damaged.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                if reader.is_broken() {
+                    return Some(error.to_string());
+                }
+                self.warn_once(shared, &mut has_warned, &error);
+            }
+        }
+    }
+
+    /// One remark per connection: a peer that sends one wrong message sends many.
+    fn warn_once(&self, shared: &Shared, has_warned: &mut bool, error: &IgtlError) {
+        if !std::mem::replace(has_warned, true) {
+            shared.remark(
+                true,
+                format!("a message of {} was dropped: {error}; further ones are counted only", self.words),
+            );
+        }
+    }
+}
+
+/// Serves a connection until it ends. `is_client`: this side connected.
+pub fn serve(shared: &Arc<Shared>, stream: TcpStream, is_client: bool) {
+    let peer = match Peer::new(stream) {
+        Ok(peer) => Arc::new(peer),
+        Err(error) => return shared.remark(true, format!("a connection could not be set up: {error}")),
+    };
+    {
+        let mut peers = lock(&shared.peers);
+        if shared.is_stopping() {
+            return;
+        }
+        peers.push(Arc::clone(&peer));
+    }
+    shared.connected.fetch_add(1, Ordering::AcqRel);
+    let whom = if is_client { "connected to" } else { "connection from" };
+    shared.remark(false, format!("{whom} {}", peer.words));
+    let (own, own_shared) = (Arc::clone(&peer), Arc::clone(shared));
+    let writer = std::thread::Builder::new().name("igtl-write".to_owned()).spawn(move || own.write(&own_shared));
+    let reason = match &writer {
+        Ok(_) => peer.read(shared),
+        Err(error) => Some(format!("no thread could be started: {error}")),
+    };
+    peer.close();
+    if let Ok(writer) = writer {
+        // A panic was printed when it happened.
+        let _ = writer.join();
+    }
+    lock(&shared.peers).retain(|other| !Arc::ptr_eq(other, &peer));
+    if shared.is_stopping() {
+        return;
+    }
+    let is_end = reason.is_none();
+    let words = match reason {
+        Some(reason) => format!("the connection to {} was lost: {reason}", peer.words),
+        None => format!("{} closed the connection", peer.words),
+    };
+    // A client of ours that leaves is its own choice; a server that leaves is missed.
+    let words = if is_client { format!("{words}; connecting again") } else { words };
+    shared.add_remark(Remark { is_fault: is_client, is_end, words });
+    lock(&shared.inboxes).iter().filter_map(Weak::upgrade).for_each(|inbox: Arc<Inbox>| inbox.wake());
+}

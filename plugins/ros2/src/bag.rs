@@ -1,0 +1,205 @@
+//! `ros2_bag`: a bag of ROS 2 as a source.
+
+use std::path::PathBuf;
+
+use panoscope_node::{Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Result, Validation};
+use panoscope_ros::bag::{BagError, BagReader, BagTopic, survey};
+use panoscope_ros::cdr::{CdrError, Message};
+use panoscope_ros::messages;
+
+pub use crate::incoming::Out;
+use crate::incoming::{Incoming, Role, info_topic};
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// Folder of a bag with MCAP files, or one MCAP file.
+    #[param(default = "", reopen, file)]
+    pub path: String,
+    /// Topic of the left view. Empty takes the first picture topic with `left` in its name, or the only one there is.
+    #[param(default = "", reopen)]
+    pub left: String,
+    /// Topic of the right view. Empty takes the first picture topic with `right` in its name.
+    #[param(default = "", reopen)]
+    pub right: String,
+    /// Topic of depth. Empty takes the first picture topic with `depth` in its name.
+    #[param(default = "", reopen)]
+    pub depth: String,
+    /// Topic of disparity; empty takes the first one. So do the next ones.
+    #[param(default = "", reopen)]
+    pub disparity: String,
+    /// Topic of points.
+    #[param(default = "", reopen)]
+    pub cloud: String,
+    /// Topic of boxes.
+    #[param(default = "", reopen)]
+    pub detections: String,
+    /// Topic of poses.
+    #[param(default = "", reopen)]
+    pub pose: String,
+    /// Topic of joints.
+    #[param(default = "", reopen)]
+    pub joints: String,
+    /// Views whose stamps are further apart are no pair.
+    #[param(default = 5.0, range = 0.0..=1000.0, unit = "ms", reopen)]
+    pub tolerance_ms: f64,
+}
+
+/// The topics that are read, by what is named and what the bag has.
+fn roles(params: &Settings, topics: &[BagTopic]) -> Result<Vec<(String, Role)>> {
+    let is_picture = |message: &str| [messages::Image::TYPE, messages::CompressedImage::TYPE].contains(&message);
+    let pictures: Vec<&BagTopic> = topics.iter().filter(|topic| is_picture(&topic.message)).collect();
+    let with = |word: &str| {
+        let mut named = pictures.iter().filter(|topic| topic.topic.contains(word) && !topic.topic.contains("depth"));
+        named.next().map(|topic| topic.topic.clone())
+    };
+    let of = |message: &str| topics.iter().find(|topic| topic.message == message).map(|topic| topic.topic.clone());
+    let given = |topic: &str| (!topic.trim().is_empty()).then(|| topic.trim().to_owned());
+    let known = |topic: &String| topics.iter().any(|known| known.topic == *topic);
+    let left = given(&params.left).or_else(|| with("left")).or_else(|| match pictures[..] {
+        [only] if !only.topic.contains("right") => Some(only.topic.clone()),
+        _ => None,
+    });
+    let right = given(&params.right).or_else(|| with("right"));
+    let depth = given(&params.depth).or_else(|| {
+        let mut deep = topics.iter().filter(|topic| topic.message == messages::Image::TYPE);
+        deep.find(|topic| topic.topic.contains("depth")).map(|topic| topic.topic.clone())
+    });
+    let chosen = [
+        (left, Role::View(0)),
+        (right, Role::View(1)),
+        (depth, Role::Depth),
+        (given(&params.disparity).or_else(|| of(messages::DisparityImage::TYPE)), Role::Disparity),
+        (given(&params.cloud).or_else(|| of(messages::PointCloud2::TYPE)), Role::Cloud),
+        (given(&params.detections).or_else(|| of(messages::Detection2DArray::TYPE)), Role::Detections),
+        (given(&params.pose).or_else(|| of(messages::PoseStamped::TYPE)), Role::Pose),
+        (given(&params.joints).or_else(|| of(messages::JointState::TYPE)), Role::Joints),
+    ];
+    let mut roles: Vec<(String, Role)> = chosen.into_iter().filter_map(|(topic, role)| Some((topic?, role))).collect();
+    if let Some((missing, _)) = roles.iter().find(|(topic, _)| !known(topic)) {
+        let all = topics.iter().map(|topic| topic.topic.as_str()).take(20).collect::<Vec<_>>().join(", ");
+        return Err(NodeError::new(format!("the bag has no topic `{missing}`; it has {all}")));
+    }
+    if roles.is_empty() {
+        return Err(NodeError::new("the bag has no topic of a type that is read here"));
+    }
+    let views = roles.iter().filter_map(|(topic, role)| match role {
+        Role::View(view) => Some((info_topic(topic)?, Role::Info(*view))),
+        _ => None,
+    });
+    let infos: Vec<(String, Role)> = views.filter(|(topic, _)| known(topic)).collect();
+    roles.extend(infos);
+    Ok(roles)
+}
+
+/// See the module.
+pub struct Bag {
+    path: PathBuf,
+    reader: BagReader,
+    incoming: Incoming,
+    /// Ticks so far, for a successor that goes on.
+    ticks: u64,
+    /// Ticks that a predecessor made.
+    skip: u64,
+}
+
+/// Another attempt would read the same bytes.
+fn wrong(error: BagError) -> NodeError {
+    NodeError::lasting(error.to_string())
+}
+
+impl Node for Bag {
+    const INFO: NodeInfo = NodeInfo::blocking(
+        "ros2_bag",
+        "ros2",
+        "Plays a bag of ROS 2: pictures in pairs with their cameras, depth, disparity, points, boxes, poses, joints.",
+    )
+    .source();
+    type In<'f> = NoPorts;
+    type Out<'f> = Out<'f>;
+    type Params = Settings;
+
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        if params.path.trim().is_empty() {
+            return check.error("path", "no bag is given", "give its folder, as in path = \"/data/run1\"");
+        }
+        let path = check.graph_dir().join(params.path.trim());
+        let topics = match survey(&path) {
+            Ok(topics) => topics,
+            Err(error) => return check.error("path", error.to_string(), ""),
+        };
+        if let Err(error) = roles(params, &topics) {
+            check.error("path", error.to_string(), "name topics, as in left = \"/camera/left/image_raw\"");
+        }
+    }
+
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
+        if params.path.trim().is_empty() {
+            return Err(NodeError::new("`path` is empty: give the folder of a bag"));
+        }
+        let path = open.graph_dir().join(params.path.trim());
+        let topics = survey(&path).map_err(wrong)?;
+        let incoming = Incoming::new(roles(params, &topics)?, params.tolerance_ms);
+        let mut read: Vec<&str> = incoming.roles().map(|(topic, _)| topic).collect();
+        read.sort_unstable();
+        open.info(&format!("reads {}", read.join(", ")));
+        let reader = BagReader::open(&path).map_err(wrong)?;
+        Ok(Self { path, reader, incoming, ticks: 0, skip: 0 })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, _: &Settings) -> Result<()> {
+        loop {
+            let next = self.reader.next(|topic, message| self.incoming.wants(topic, message));
+            let message = match next {
+                Ok(Some(message)) => message,
+                Ok(None) => {
+                    cx.end();
+                    return Ok(());
+                }
+                Err(error @ BagError::CutOff { .. }) => {
+                    cx.warn(&format!("{error}; what came before was played"));
+                    cx.end();
+                    return Ok(());
+                }
+                Err(error) => return Err(wrong(error)),
+            };
+            let named = |words: String| NodeError::lasting(format!("{}: {words}", self.path.display()));
+            let (head, body) = message.data.split_first_chunk::<4>().ok_or_else(|| named(short(&message.topic)))?;
+            let number = u16::from_be_bytes([head[0], head[1]]);
+            if number == ZSTD {
+                let words =
+                    format!("messages of `{}` are compressed one by one, which is not read here", message.topic);
+                return Err(named(format!("{words}; write the bag again with `ros2 bag convert`")));
+            }
+            match self.incoming.take(&message.topic, &message.message, (number, body)) {
+                Ok(None) => {}
+                Ok(Some((stamp_ns, ready))) => {
+                    self.ticks += 1;
+                    if self.ticks <= self.skip {
+                        continue;
+                    }
+                    self.incoming.set_time(cx, stamp_ns);
+                    return self.incoming.write(cx, ready, &mut out);
+                }
+                Err(error) => return Err(named(error.to_string())),
+            }
+        }
+    }
+
+    fn save_state(&self) -> Option<Vec<u8>> {
+        Some(self.ticks.to_le_bytes().to_vec())
+    }
+
+    fn load_state(&mut self, state: &[u8]) -> Result<()> {
+        let ticks = state.try_into().map(u64::from_le_bytes);
+        self.skip = ticks.map_err(|_| NodeError::new("the state is that of another node"))?;
+        Ok(())
+    }
+}
+
+/// First bytes of a message that is compressed on its own.
+const ZSTD: u16 = 0x28b5;
+
+fn short(topic: &str) -> String {
+    format!("`{topic}`: {}", CdrError::Short { len: 0 })
+}
