@@ -18,7 +18,7 @@ const LENGTH_LEVELS: f32 = 1.0;
 /// Levels that a pixel of doubt about where the views match adds to the cost of a cell.
 const DOUBT_LEVELS: f32 = 4.0;
 /// Doubt per pixel by which the reference view is moved.
-const MOVED_DOUBT: f32 = 0.25;
+const MOVED_DOUBT: f32 = 1.0;
 /// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
 const RIM: f32 = 3.0;
 

@@ -156,7 +156,7 @@ mod tests {
     use super::*;
 
     const LATTICE: Lattice = Lattice { cell_px: 20, first: [-2, -3], columns: 40, rows: 30 };
-    const BORDER: Border = Border { axis: 0, outwards: 1.0, at_px: 400.0, overlap_px: 300.0 };
+    const BORDER: Border = Border { axis: 0, outwards: 1.0, at_px: 400.0, overlap_px: 600.0 };
     const HOW: Continuation = Continuation { zone_px: 80.0, most_stretch: 0.04 };
 
     /// Applies the continuation to displacements.
