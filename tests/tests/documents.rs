@@ -159,7 +159,7 @@ impl Help {
     fn mistake(&mut self, command: &str) -> Option<String> {
         let words: Vec<&str> = command.split_whitespace().skip(1).collect();
         let first = words.first().filter(|w| !w.starts_with('-'))?;
-        let nested = ["bench", "eval", "new"].contains(first) && words.get(1).is_some_and(|w| is_word(w));
+        let nested = NESTED.contains(first) && words.get(1).is_some_and(|w| is_word(w));
         let path = &words[..1 + usize::from(nested)];
         let is_window = matches!(path, ["edit"] | ["theatre"]);
         let Some(help) = self.of(path) else {
@@ -179,6 +179,9 @@ impl Help {
         unknown.next().map(|option| format!("`{}` takes no {option}", path.join(" ")))
     }
 }
+
+/// Commands that have commands of their own.
+const NESTED: [&str; 4] = ["bench", "dicom", "eval", "new"];
 
 /// The words of a `--help`, options among them.
 fn options_in(help: &str) -> BTreeSet<String> {
@@ -242,10 +245,15 @@ fn the_table_of_commands_has_each_command_and_its_options() {
         // Options that the description of a single command names.
         let named: Vec<&str> = row.split('`').skip(1).step_by(2).filter(|c| c.starts_with('-')).collect();
         count += 1;
-        let Some(own) = help.of(&[command]).map(str::to_owned) else {
+        let Some(mut own) = help.of(&[command]).map(str::to_owned) else {
             assert!(["edit", "theatre"].contains(&command), "`panoscope {command}` has no --help");
             continue;
         };
+        if NESTED.contains(&command) {
+            for below in row.split('`').skip(1).step_by(2).filter_map(|c| c.split_whitespace().nth(2)) {
+                own.push_str(help.of(&[command, below]).unwrap_or_default());
+            }
+        }
         for option in named.iter().filter_map(|c| c.split_whitespace().next()) {
             assert!(own.contains(option), "core/cli/README.md: `panoscope {command}` takes no {option}");
         }
