@@ -25,6 +25,7 @@ mod flatten;
 #[cfg(feature = "abi")]
 pub mod from_abi;
 pub mod installed;
+mod listening;
 mod nearest;
 mod options;
 mod outline;
@@ -48,6 +49,7 @@ pub use checked::{Align, Deny, Edge, Graph, Machine, Mode, Node, OnFault, Pin, P
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
 pub use dot::to_dot;
 pub use flatten::{HomeEntry, ParamHome};
+pub use listening::{Listening, can_listen, listening};
 pub use options::GraphOptions;
 pub use outline::{InputOutline, NodeHome, NodeOutline, PartOutline, PartPort, Reference};
 pub use packet::{PacketMismatch, PacketType};

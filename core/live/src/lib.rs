@@ -29,18 +29,10 @@ pub struct Listener {
     pub access: &'static str,
 }
 
-/// What this crate and the plugin `ros2`, which the program does not link, can listen on. All of it is off by default.
-pub const LISTENERS: &[Listener] = &[
-    Listener {
-        option: "run --foxglove PORT|IP:PORT",
-        what: "WebSocket, outputs and parameters for Foxglove",
-        default_address: "127.0.0.1",
-        access: "reads outputs and parameters; sets numbers, switches and choices only with --foxglove-set",
-    },
-    Listener {
-        option: "nodes `ros2_publish` and `ros2_subscribe`",
-        what: "DDS over UDP, ports 7400 + 250 * domain and the following 250",
-        default_address: "the loopback device; others with `networks = \"all\"`",
-        access: "reads what is published, sends to topics that are subscribed to; no password",
-    },
-];
+/// What this crate can listen on, off by default. Nodes that listen: [`panoscope_graph::listening`].
+pub const LISTENERS: &[Listener] = &[Listener {
+    option: "run --foxglove PORT|IP:PORT",
+    what: "WebSocket, outputs and parameters for Foxglove",
+    default_address: "127.0.0.1",
+    access: "reads outputs and parameters; sets numbers, switches and choices only with --foxglove-set",
+}];

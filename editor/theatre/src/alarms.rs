@@ -74,6 +74,8 @@ alarms! {
         "the cameras moved against each other", "do not rely on distances; calibrate again";
     UNLOCKED = Note, "Runs although it differs from its lock: DIFFERENCE",
         "files changed since the graph was locked", "use it for trials only, or lock it again after testing";
+    PUBLIC = Note, "Other machines can reach this one: NODES",
+        "the graph serves pictures or takes messages beyond this machine", "be sure that only the intended machines share the network";
 }
 
 #[cfg(test)]

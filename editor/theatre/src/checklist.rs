@@ -1,4 +1,4 @@
-//! The checklist before use: cameras, calibration, arm, disk, lock, audit log. Each line is measured while it is shown; nothing is ticked by hand.
+//! The checklist before use: cameras, calibration, arm, disk, lock, network, audit log. Each line is measured while it is shown; nothing is ticked by hand.
 
 use eframe::egui::text::{LayoutJob, TextWrapping};
 use eframe::egui::{Align2, FontId, Rect, Sense, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2, vec2};
@@ -107,6 +107,12 @@ pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
         Verified::Differs(how) => (State::Attention, format!("differs: {how}")),
     };
     add("Lock", state, words);
+    if !known.plan.listening.is_empty() {
+        let state = if known.plan.is_public() { State::Attention } else { State::Ready };
+        let all: Vec<&str> = known.plan.listening.iter().map(|one| one.what.as_str()).collect();
+        let who = if known.plan.is_public() { "other machines reach it" } else { "this machine only" };
+        add("Network", state, format!("{who}: {}", all.join(", ")));
+    }
     if let Some(problem) = &facts.audit_problem {
         add("Audit log", State::Attention, format!("not written: {problem}"));
     }
@@ -200,7 +206,7 @@ mod tests {
     use panoscope_engine::NodeWindow;
 
     use super::*;
-    use crate::plan::{Pane, RigSource, Stop};
+    use crate::plan::{Listens, Pane, RigSource, Stop};
     use panoscope_imaging::stereo::length::Noise;
 
     fn plan() -> Plan {
@@ -222,6 +228,24 @@ mod tests {
         counters.nodes.insert("arm".to_owned(), NodeWindow { fps: arm_fps, ..NodeWindow::default() });
         let known = Known { plan: &plan, counters: &counters, verified, camera_ages_ms: ages.to_vec(), has_rig };
         checks(facts, &known).into_iter().map(|check| check.state).collect()
+    }
+
+    #[test]
+    fn what_listens_is_a_line_of_its_own() {
+        let check = |listening: Vec<Listens>| {
+            let plan = Plan { listening, ..plan() };
+            let (facts, counters) = (Facts::default(), Counters::default());
+            let verified = &Verified::AsLocked;
+            let known =
+                Known { plan: &plan, counters: &counters, verified, camera_ages_ms: vec![None, None], has_rig: true };
+            checks(&facts, &known).into_iter().find(|check| check.name == "Network")
+        };
+        let one = |what: &str, is_public| Listens { what: what.to_owned(), is_public };
+        assert_eq!(check(Vec::new()), None);
+        let local = check(vec![one("stream at 127.0.0.1:8554", false)]).expect("a line");
+        assert_eq!((local.state, local.words.as_str()), (State::Ready, "this machine only: stream at 127.0.0.1:8554"));
+        let both = check(vec![one("a", false), one("b", true)]).expect("a line");
+        assert_eq!((both.state, both.words.as_str()), (State::Attention, "other machines reach it: a, b"));
     }
 
     #[test]

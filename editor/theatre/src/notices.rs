@@ -72,6 +72,8 @@ pub struct Facts {
     pub swapped: bool,
     /// The first difference from the lock, if the graph runs in spite of it.
     pub unlocked: Option<String>,
+    /// What listens for other machines, in words.
+    pub public: Vec<String>,
 }
 
 /// What is shown in place of a missing image.
@@ -174,6 +176,9 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     if let Some(difference) = &facts.unlocked {
         notify(alarms::UNLOCKED, format!("Runs although it differs from its lock: {difference}"));
     }
+    if !facts.public.is_empty() {
+        notify(alarms::PUBLIC, format!("Other machines can reach this one: {}", facts.public.join(", ")));
+    }
     all.sort_by_key(|n| std::cmp::Reverse(n.urgency));
     all
 }
@@ -267,6 +272,8 @@ mod tests {
             assert!(message.iter().any(|w| w.contains(part)), "{part}: {message:?}");
         }
         assert!(message.last().is_some_and(|w| w.starts_with("Runs although")));
+        let public = Facts { public: vec!["stream at 0.0.0.0:8554".to_owned()], ..Facts::default() };
+        assert_eq!(self::message(&public), ["Other machines can reach this one: stream at 0.0.0.0:8554"]);
         let stopped = Facts { age_ms: Some(5000.0), stopped: vec!["Wide".to_owned()], ..Facts::default() };
         assert_eq!(self::message(&stopped), ["Wide has stopped"], "one notice");
     }

@@ -1,7 +1,7 @@
 //! What the theatre shows of a graph: its views, the raw view for failures, the pinned settings, the nodes that stop an arm.
 
 use panoscope_graph::edit::{EditError, GraphEdit};
-use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView};
+use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView, listening};
 use panoscope_imaging::stereo::length::Noise;
 use serde::{Deserialize, Serialize};
 
@@ -49,6 +49,15 @@ pub struct Stop {
     pub reset: Option<usize>,
 }
 
+/// A node that listens for other programs.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Listens {
+    /// Its type and where, in words: `stream at 127.0.0.1:8554`.
+    pub what: String,
+    /// Whether other machines can reach it.
+    pub is_public: bool,
+}
+
 /// The source of the stereo geometry, for the errors of distances.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RigSource {
@@ -94,6 +103,8 @@ pub struct Plan {
     pub settings: Vec<Setting>,
     /// Nodes that the emergency stop stops.
     pub stops: Vec<Stop>,
+    /// Nodes that listen for other programs.
+    pub listening: Vec<Listens>,
     /// Names of sources.
     sources: Vec<String>,
 }
@@ -204,8 +215,17 @@ impl Plan {
             rig,
             settings: settings.collect(),
             stops: (0..graph.nodes.len()).filter_map(stop).collect(),
+            listening: listening(graph, catalog)
+                .into_iter()
+                .map(|one| Listens { what: format!("{} at {}", one.type_name, one.at), is_public: one.is_public })
+                .collect(),
             sources: sources.into_iter().map(id).collect(),
         }
+    }
+
+    /// Whether other machines can reach a node.
+    pub fn is_public(&self) -> bool {
+        self.listening.iter().any(|one| one.is_public)
     }
 
     /// Whether a node is a source.

@@ -135,6 +135,10 @@ impl Theatre {
             recording: self.clip.is_some(),
             drifted: calibrated("drifted"),
             swapped: calibrated("views_swapped"),
+            public: {
+                let public = self.plan.listening.iter().filter(|one| one.is_public);
+                public.map(|one| one.what.clone()).collect()
+            },
             unlocked: match &self.verified {
                 Verified::Differs(how) => Some(how.clone()),
                 Verified::Signed(_) | Verified::AsLocked | Verified::Never => None,

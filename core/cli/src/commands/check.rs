@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use panoscope_graph::{Arg, GraphOptions, GraphText};
+use panoscope_graph::{Arg, GraphOptions, GraphText, Listening, listening};
 use serde_json::json;
 
 use crate::given::Given;
@@ -33,6 +33,7 @@ struct Facts {
     edges: usize,
     /// Options of arguments without a value; nodes that depend on them were not asked.
     missing: Vec<String>,
+    listening: Vec<Listening>,
 }
 
 impl Facts {
@@ -42,6 +43,7 @@ impl Facts {
             nodes: ready.graph.nodes.len(),
             edges: ready.graph.edges.len(),
             missing: ready.text.args().iter().filter(missing).map(Arg::option).collect(),
+            listening: listening(&ready.graph, &ready.catalog),
         }
     }
 }
@@ -76,12 +78,15 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             continue;
         }
         raw(&diagnostics.render(stdout_color()));
-        if let Some(Facts { nodes, edges, missing }) = facts {
+        if let Some(Facts { nodes, edges, missing, listening }) = facts {
             let missing = match missing.is_empty() {
                 true => String::new(),
                 false => format!("; to run it needs {}", missing.join(", ")),
             };
             out!("{name}: ok ({nodes} nodes, {edges} connections{missing})");
+            for one in listening {
+                out!("  `{}` ({}) listens at {}: {}", one.node, one.type_name, one.at, one.reach());
+            }
         }
     }
     Ok(end)

@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Result, bail};
 
 use super::tree::{copy, copy_tree, md5sums, set_modes, total_bytes, write};
-use super::{Release, binaries};
+use super::{PLACED, Release, binaries};
 use crate::install::{self, Kind, LIBRARY};
 use crate::process::{capture, run};
 
@@ -107,8 +107,10 @@ impl Release<'_> {
             run(&mut convert)?;
         }
         let doc = share.join("doc/panoscope");
-        fs::remove_file(doc.join("70-panoscope.rules"))?;
-        copy(&self.source("70-panoscope.rules"), &root.join("usr/lib/udev/rules.d/70-panoscope.rules"))?;
+        for (name, folder) in PLACED.into_iter().zip(["usr/lib/udev/rules.d", "usr/lib/systemd/system"]) {
+            fs::remove_file(doc.join(name))?;
+            copy(&self.source(name), &root.join(folder).join(name))?;
+        }
         copy(&self.source("lintian-overrides"), &share.join("lintian/overrides/panoscope"))?;
         let date = capture(Command::new("date").args(["--utc", "--rfc-email", &format!("--date=@{}", self.time_s)]))?;
         let entry = format!(

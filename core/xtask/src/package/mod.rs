@@ -25,6 +25,9 @@ use tree::{copy, copy_tree};
 pub use check::check;
 pub use wheel::{check_wheel, wheel};
 
+/// Files that a package manager places where the system looks for them; in the tar file they stand with the documents.
+const PLACED: [&str; 2] = ["70-panoscope.rules", "panoscope@.service"];
+
 /// What a package is made of.
 pub struct Release<'a> {
     workspace: &'a Workspace,
@@ -90,7 +93,9 @@ impl<'a> Release<'a> {
         let (library, doc) = (self.tree.join(LIBRARY), self.tree.join("share/doc/panoscope"));
         copy(&self.source("README.md"), &doc.join("README.md"))?;
         copy(&self.source("copyright"), &doc.join("copyright"))?;
-        copy(&self.source("70-panoscope.rules"), &doc.join("70-panoscope.rules"))?;
+        for name in PLACED {
+            copy(&self.source(name), &doc.join(name))?;
+        }
         for file in fs::read_dir(library.join("onnxruntime")).into_iter().flatten().flatten() {
             let name = file.file_name().to_string_lossy().into_owned();
             if !name.contains(".so") {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_engine::Machine;
-use panoscope_graph::{NodeType, ParamKind, installed};
+use panoscope_graph::{NodeType, ParamKind, can_listen, installed};
 use panoscope_loader as loader;
 use panoscope_loader::keys::Trust;
 
@@ -32,6 +32,8 @@ struct Doctor {
     color: bool,
     bad: usize,
     installation: Installation,
+    /// Types of nodes that can listen for other programs.
+    listeners: Vec<String>,
 }
 
 impl Doctor {
@@ -203,6 +205,8 @@ impl Doctor {
                         format!("{}, loads, {} node types", loaded.plugin.note.version, loaded.node_types.len());
                     self.say(State::Fine, &name, &about);
                     loaded.node_types.iter().for_each(|node_type| self.shipped_files(node_type));
+                    let listeners = loaded.node_types.iter().filter(|node_type| can_listen(node_type));
+                    self.listeners.extend(listeners.map(|node_type| format!("`{}`", node_type.name)));
                 }
                 Err(problem) => {
                     self.say(State::Bad, &name, &format!("{}; {}", problem.message, problem.help));
@@ -235,6 +239,24 @@ impl Doctor {
                     self.say(State::Bad, &what, &how);
                 }
             }
+        }
+    }
+
+    /// What can listen for other programs. All of it is off until somebody asks for it.
+    fn network(&mut self) {
+        out!("network: nothing listens unless you ask for it");
+        let web = "pictures, ages and metrics over HTTP, for reading only; on 127.0.0.1 unless you give IP:PORT";
+        self.say(State::Fine, "run --web PORT", web);
+        for one in panoscope_live::LISTENERS {
+            let about = format!("{}; on {}; {}", one.what, one.default_address, one.access);
+            self.say(State::Fine, one.option, &about);
+        }
+        let serve = "nodes of other machines over TLS; hosts that --allow names, with certificates of your authority";
+        self.say(State::Fine, "serve --listen ADDRESS", serve);
+        let names = std::mem::take(&mut self.listeners);
+        if !names.is_empty() {
+            let about = "where their parameters say, 127.0.0.1 by default; `panoscope check GRAPH` lists where those of a graph do";
+            self.say(State::Fine, &format!("nodes {}", names.join(", ")), about);
         }
     }
 
@@ -352,11 +374,13 @@ impl Doctor {
 
 /// Shows what is installed, what is missing and how to get it.
 pub fn run() -> Result<End> {
-    let mut doctor = Doctor { color: stdout_color(), bad: 0, installation: Installation::current() };
+    let mut doctor =
+        Doctor { color: stdout_color(), bad: 0, installation: Installation::current(), listeners: Vec::new() };
     doctor.installation();
     doctor.trust();
     doctor.machine();
     doctor.plugins();
+    doctor.network();
     doctor.programs();
     doctor.cameras();
     Ok(if doctor.bad == 0 { End::Done } else { End::Failed })
