@@ -20,6 +20,7 @@ mod open;
 mod open_failed;
 mod opening;
 mod outage;
+mod page;
 mod plan;
 mod previews;
 mod recording;

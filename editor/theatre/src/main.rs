@@ -10,6 +10,7 @@ use clap::Parser;
 use panoscope_editor_widgets::window;
 use panoscope_graph::{GraphText, installed};
 use panoscope_loader::keys::{KeyError, PublicKey, Trust};
+use panoscope_monitor::Address;
 use panoscope_theatre::{Guard, OpenError, OpenFailed, Opening, Options, Program, Refusal, worker};
 
 /// The surgeon's window: full-screen images, and only the settings that the preset offers.
@@ -32,6 +33,10 @@ struct Arguments {
     /// Prefix for the names of stills and clips, which otherwise have numbers only.
     #[arg(long, value_name = "TEXT")]
     label: Option<String>,
+    /// Serves a page with pictures, ages and states, and metrics for Prometheus at /metrics, for reading only: a port of this machine such as 9464, or
+    /// IP:PORT. Whoever reaches the address sees the pictures; there is no password.
+    #[arg(long, value_name = "PORT|IP:PORT")]
+    web: Option<Address>,
     /// Opens a window instead of the full screen.
     #[arg(long)]
     windowed: bool,
@@ -76,6 +81,7 @@ fn options(arguments: &Arguments) -> Result<Options, KeyError> {
         trust,
         audit: Some(panoscope_audit::folder().unwrap_or_else(|| PathBuf::from(panoscope_audit::SYSTEM_FOLDER))),
         frames: arguments.window.frames,
+        web: arguments.web,
         scale: arguments.window.scale,
         shot: arguments.window.shot(),
     })

@@ -10,9 +10,11 @@ use panoscope_loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError, lock_pa
 use panoscope_loader::verify::{self, Seal, VerifyError};
 use panoscope_loader::{self as loader, Loader};
 
+use panoscope_monitor::Address;
 use serde::{Deserialize, Serialize};
 
 use super::audit;
+use super::plan::Listens;
 use super::refusal;
 use super::{Plan, Refusal};
 use panoscope_editor_widgets::Shot;
@@ -32,6 +34,8 @@ pub struct Options {
     pub audit: Option<PathBuf>,
     /// Maximum number of ticks of each source.
     pub frames: Option<u64>,
+    /// Where the process that runs the graph serves a page for reading; `None` for none.
+    pub web: Option<Address>,
     /// Scale in addition to the one that follows the screen.
     pub scale: f32,
     /// Screenshots of the window, for `cargo xtask screens`.
@@ -56,6 +60,7 @@ impl Default for Options {
             trust: Trust::default(),
             audit: None,
             frames: None,
+            web: None,
             scale: 1.0,
             shot: Shot::default(),
         }
@@ -209,7 +214,11 @@ impl Ready {
             Err(error) => return Err(error),
         };
         let Checked { graph, catalog, loader, seal, lock } = checked;
-        let plan = Plan::of(&graph, &catalog);
+        let mut plan = Plan::of(&graph, &catalog);
+        if let Some(address) = options.web {
+            let what = format!("web page at {}", address.socket());
+            plan.listening.push(Listens { what, is_public: address.is_public() });
+        }
         if plan.views.is_empty() {
             return Err(OpenError::NoPicture);
         }

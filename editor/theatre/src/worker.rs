@@ -29,6 +29,7 @@ use panoscope_loader::verify::Seal;
 use panoscope_loader::{self as loader, Loader};
 
 use super::link::{self, Block, Command, CounterState, Message, Picture, Region, RunState, SLOTS};
+use super::page::Page;
 use super::runner::{Local, Runner};
 use super::{Opened, Options, Ready, Refusal};
 
@@ -289,8 +290,10 @@ impl Worker {
         let mut values = Vec::new();
         let mut pictures: HashMap<Output, RenderedPacket> = HashMap::new();
         let mut beats = 0;
+        let mut page = self.options.web.map(Page::new);
         loop {
             let mut messages = Vec::new();
+            let mut running = None;
             if let Some(local) = &*lock(&self.local) {
                 beats = local.rounds();
                 let asked = self.asked.load(Ordering::Acquire);
@@ -311,10 +314,17 @@ impl Worker {
                     values = new;
                 }
                 pictures.extend(local.take_previews());
+                if page.is_some() {
+                    running = local.session().and_then(|session| Some((session.handle().engine()?, session.loader())));
+                }
             } else {
                 beats += 1;
             }
             messages.iter().for_each(|message| self.send(message));
+            // After the graph was let go: a command never waits for the page.
+            if let (Some(page), Some((engine, loader))) = (&mut page, running) {
+                page.update(&engine, &loader);
+            }
             pictures.retain(|output, packet| !self.send_picture(output, packet));
             if Instant::now() >= beat_at {
                 beat_at = Instant::now() + BEAT;

@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
 use common::program::{is_alive, signal, until_gone};
@@ -103,6 +105,40 @@ fn without_a_process_that_waits_the_camera_comes_too() {
     let began = Instant::now();
     println!("from two SIGKILLs to the camera's image: {:?}", until_camera(&mut window, began));
     until_whole(&mut window);
+}
+
+/// The body of a page of this machine; `None` while nothing answers.
+fn page(port: u16, path: &str) -> Option<String> {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
+    stream.set_read_timeout(Some(Duration::from_secs(5))).ok()?;
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").ok()?;
+    let mut text = String::new();
+    stream.read_to_string(&mut text).ok()?;
+    let (head, body) = text.split_once("\r\n\r\n")?;
+    head.starts_with("HTTP/1.1 200").then(|| body.to_owned())
+}
+
+#[test]
+fn a_page_for_reading_is_served_and_comes_back_after_a_crash() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let port = TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr()).expect("a free port").port();
+    let folder = Folder::new("guard_page");
+    let options = options(&folder);
+    let mut window = Window::guarded_as(folder, GRAPH, options, &["--web", &port.to_string()]);
+    let shows = |window: &mut Window| {
+        window.until("the page shows the graph", |_| page(port, "/state").is_some_and(|state| state.contains("calm")));
+    };
+    shows(&mut window);
+    assert!(page(port, "/metrics").is_some_and(|metrics| metrics.contains("panoscope_")));
+    let listening = &window.theatre().plan().listening;
+    assert!(listening.iter().any(|one| one.what == format!("web page at 127.0.0.1:{port}") && !one.is_public));
+    window.until_spare();
+    signal(window.worker(), "KILL");
+    until_camera(&mut window, Instant::now());
+    until_whole(&mut window);
+    shows(&mut window);
 }
 
 #[test]

@@ -82,10 +82,18 @@ impl Window {
 
     /// As [`Self::guarded`], with options.
     pub fn guarded_with(folder: Folder, text: &str, options: Options) -> Self {
+        Self::guarded_as(folder, text, options, &[])
+    }
+
+    /// As [`Self::guarded_with`], with more arguments for the process that runs the graph.
+    pub fn guarded_as(folder: Folder, text: &str, options: Options, more: &[&str]) -> Self {
         let path = folder.write("g.toml", text);
         let program = Program {
             file: env!("CARGO_BIN_EXE_panoscope-theatre").into(),
-            arguments: vec![path.clone().into(), "--into".into(), folder.0.join("kept").into()],
+            arguments: [path.clone().into(), "--into".into(), folder.0.join("kept").into()]
+                .into_iter()
+                .chain(more.iter().map(|word| (*word).into()))
+                .collect(),
         };
         let guard = Guard::new(program, path.clone()).expect("a thread");
         let given = GraphOptions::default();
