@@ -58,7 +58,7 @@ pub use notices::Notice;
 pub use open::{OpenError, Opened, Options, Ready, Verified};
 pub use open_failed::OpenFailed;
 pub use opening::Opening;
-pub use plan::{Pane, Plan, Setting};
+pub use plan::{Listens, Pane, Plan, Setting};
 pub use refusal::Refusal;
 pub use runner::{Outage, OutageStage};
 pub use storage::{free_bytes, with_clip, without_clip, write_still};
