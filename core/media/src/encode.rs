@@ -30,6 +30,11 @@ pub enum VideoCodec {
         /// Quality or bit rate.
         rate: RateControl,
     },
+    /// H.264 with x264 in the constrained baseline profile, which every browser decodes.
+    H264Baseline {
+        /// Quality or bit rate.
+        rate: RateControl,
+    },
     /// HEVC with x265.
     Hevc {
         /// Quality or bit rate.
@@ -129,7 +134,7 @@ impl VideoCodec {
     fn elements(self) -> (&'static str, Option<&'static str>) {
         match self {
             Self::Mjpeg { .. } => ("jpegenc", None),
-            Self::H264 { .. } => ("x264enc", None),
+            Self::H264 { .. } | Self::H264Baseline { .. } => ("x264enc", None),
             Self::Hevc { .. } => ("x265enc", Some("h265parse")),
             Self::Mpeg4 { .. } => ("avenc_mpeg4", None),
             Self::Vp8 { .. } => ("vp8enc", None),
@@ -139,7 +144,7 @@ impl VideoCodec {
 
     /// Whether the chroma planes need even sizes.
     fn is_even_sized(self) -> bool {
-        matches!(self, Self::H264 { .. } | Self::Hevc { .. })
+        matches!(self, Self::H264 { .. } | Self::H264Baseline { .. } | Self::Hevc { .. })
     }
 
     /// What the encoder takes.
@@ -169,12 +174,16 @@ impl VideoCodec {
 
     fn output_caps(self, framing: Framing) -> Option<Caps> {
         let (name, lengths) = match self {
-            Self::H264 { .. } => ("video/x-h264", "avc"),
+            Self::H264 { .. } | Self::H264Baseline { .. } => ("video/x-h264", "avc"),
             Self::Hevc { .. } => ("video/x-h265", "hvc1"),
             _ => return None,
         };
         let format = if framing == Framing::Lengths { lengths } else { "byte-stream" };
-        Some(Caps::builder(name).field("stream-format", format).field("alignment", "au").build())
+        let mut caps = Caps::builder(name).field("stream-format", format).field("alignment", "au");
+        if matches!(self, Self::H264Baseline { .. }) {
+            caps = caps.field("profile", "constrained-baseline");
+        }
+        Some(caps.build())
     }
 
     fn configure(self, encoder: &Element, key_interval: u32) {
@@ -183,7 +192,7 @@ impl VideoCodec {
                 encoder.set_property("quality", i32::from(quality_pct));
                 encoder.set_property_from_str("idct-method", "islow");
             }
-            Self::H264 { rate } => {
+            Self::H264 { rate } | Self::H264Baseline { rate } => {
                 encoder.set_property_from_str("tune", "zerolatency");
                 encoder.set_property_from_str("speed-preset", "veryfast");
                 encoder.set_property("key-int-max", key_interval);

@@ -8,8 +8,10 @@
 pub mod formats;
 pub mod picture;
 pub mod preview;
+pub mod serving;
 pub mod stream;
 pub mod target;
+pub mod webrtc;
 pub mod write_cloud;
 pub mod write_images;
 pub mod write_raw;
@@ -26,4 +28,5 @@ export_plugin![
     write_cloud::WriteCloud,
     preview::Preview,
     stream::Stream,
+    webrtc::WebRtc,
 ];

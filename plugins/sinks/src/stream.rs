@@ -1,10 +1,10 @@
 //! `stream`: the picture as a live video on the network.
 
 mod codec;
-mod fanout;
+pub(crate) mod fanout;
 mod push;
 mod server;
-mod worker;
+pub(crate) mod worker;
 
 use std::net::IpAddr;
 
@@ -14,6 +14,7 @@ use panoscope_node::{
 };
 
 use crate::picture::pixels_of;
+use crate::serving::path_problem;
 use codec::StreamCodec;
 use push::{Push, Target};
 use server::Mount;
@@ -79,7 +80,7 @@ impl Settings {
                 let help = "write 127.0.0.1, 0.0.0.0 or the address of a network card";
                 mistakes.push(("address", format!("`{}` is no IP address", self.address), help));
             }
-            if let Some(problem) = server::path_problem(&self.path) {
+            if let Some(problem) = path_problem(&self.path) {
                 let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
                 mistakes.push(("path", format!("`{}` is no path of a stream: {problem}", self.path), help));
             }

@@ -104,6 +104,13 @@ impl Fanout {
         self.count.store(consumers.len(), Ordering::Release);
     }
 
+    /// Makes a receiver start again at a key frame, which it asked for after a loss.
+    pub fn ask_key(&self, id: u64) {
+        for consumer in self.lock().iter_mut().filter(|consumer| consumer.id == id) {
+            consumer.needs_key = true;
+        }
+    }
+
     /// Whether anybody receives.
     pub fn has_consumers(&self) -> bool {
         self.count.load(Ordering::Acquire) > 0

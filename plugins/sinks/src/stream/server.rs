@@ -13,50 +13,13 @@ use gstreamer_rtsp_server::prelude::*;
 use gstreamer_rtsp_server::{RTSPFilterResult, RTSPMediaFactory, RTSPMountPoints, RTSPServer};
 
 use super::fanout::{Fanout, Payload, SOURCE};
+use crate::serving::{ServeError, refused};
 
 /// Clients that a server takes at the same time.
 const MOST_SESSIONS: u32 = 32;
 
 /// How often sessions of clients that left without a word are looked for.
 const CLEAN_UP_EVERY: Duration = Duration::from_secs(2);
-
-/// Why a stream cannot be served.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// The address cannot be listened on.
-    #[error("cannot listen on {at}: {reason}; {help}")]
-    Listen {
-        /// Address and port.
-        at: SocketAddr,
-        /// The system's words.
-        reason: String,
-        /// What to do.
-        help: &'static str,
-    },
-    /// Another node serves this path.
-    #[error("node `{node}` already serves `{path}` on {at}: give this node another `path`")]
-    Taken {
-        /// The other node.
-        node: String,
-        /// Path of both.
-        path: String,
-        /// Address and port.
-        at: SocketAddr,
-    },
-}
-
-/// What is wrong with a path of a stream.
-pub fn path_problem(path: &str) -> Option<String> {
-    if path.trim_matches('/').is_empty() {
-        return Some("it is empty".to_owned());
-    }
-    let is_good = |c: char| c.is_ascii_alphanumeric() || "-_./~".contains(c);
-    match path.chars().find(|&c| !is_good(c)) {
-        Some(' ') => Some("it has a space".to_owned()),
-        Some(other) => Some(format!("it has `{other}`")),
-        None => None,
-    }
-}
 
 struct Server {
     bound: SocketAddr,
@@ -71,16 +34,6 @@ struct Server {
 }
 
 static SERVERS: Mutex<Vec<Weak<Server>>> = Mutex::new(Vec::new());
-
-fn refused(at: SocketAddr, error: &std::io::Error) -> ServeError {
-    let help = match error.kind() {
-        std::io::ErrorKind::AddrInUse => "another program uses this port: give another `port`, or end that program",
-        std::io::ErrorKind::AddrNotAvailable => "this machine has no such address: see `ip address`",
-        std::io::ErrorKind::PermissionDenied => "ports below 1024 need root: give a `port` above",
-        _ => "give another `address` or `port`",
-    };
-    ServeError::Listen { at, reason: error.to_string(), help }
-}
 
 impl Server {
     fn start(asked: SocketAddr) -> Result<Self, ServeError> {
@@ -229,22 +182,5 @@ impl Drop for Mount {
     fn drop(&mut self) {
         self.server.mounts.remove_factory(&self.path);
         self.server.paths.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.path);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn paths_are_plain() {
-        for path in ["/live", "live", "/a/b-c_d.e"] {
-            assert_eq!(path_problem(path), None, "{path}");
-        }
-        for (path, problem) in [("", "empty"), ("/", "empty"), ("/my view", "space"), ("/a?b", "`?`"), ("/ä", "`ä`")]
-        {
-            let found = path_problem(path).unwrap_or_default();
-            assert!(found.contains(problem), "{path}: {found}");
-        }
     }
 }

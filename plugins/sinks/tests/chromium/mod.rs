@@ -1,0 +1,105 @@
+//! Chromium without a screen, driven over its debugging pipe: messages of JSON, each ended by a zero byte.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use crate::common::Folder;
+
+/// Longest wait for a reply.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Whether it is installed.
+pub fn is_there() -> bool {
+    Command::new("chromium").arg("--version").output().is_ok_and(|output| output.status.success())
+}
+
+/// A browser; killed when dropped.
+pub struct Browser {
+    child: Child,
+    requests: ChildStdin,
+    replies: Receiver<Value>,
+    next_id: u64,
+    _profile: Folder,
+}
+
+/// An open page.
+pub struct Page(String);
+
+impl Browser {
+    pub fn start(name: &str) -> Self {
+        let profile = Folder::new(&format!("chromium_{name}"));
+        // The pipe of a browser is its file descriptors 3 and 4.
+        let mut command = Command::new("sh");
+        command.args(["-c", r#"exec chromium "$@" 3<&0 4>&1 1>&2"#, "sh"]);
+        command.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]);
+        command.args(["--disable-background-networking", "--disable-component-update", "--disable-sync"]);
+        command.arg("--remote-debugging-pipe").arg(format!("--user-data-dir={}", profile.0.display()));
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        let requests = child.stdin.take().unwrap();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        let (sender, replies) = channel();
+        std::thread::spawn(move || {
+            for message in output.split(0).map_while(Result::ok) {
+                let message: Value = serde_json::from_slice(&message).expect("JSON from Chromium");
+                if message.get("id").is_some() && sender.send(message).is_err() {
+                    return;
+                }
+            }
+        });
+        Self { child, requests, replies, next_id: 1, _profile: profile }
+    }
+
+    fn call(&mut self, method: &str, params: &Value, session: Option<&str>) -> Value {
+        let id = self.next_id;
+        self.next_id += 1;
+        let mut request = json!({ "id": id, "method": method, "params": params });
+        if let Some(session) = session {
+            request["sessionId"] = session.into();
+        }
+        self.requests.write_all(request.to_string().as_bytes()).unwrap();
+        self.requests.write_all(&[0]).unwrap();
+        let end = Instant::now() + PATIENCE;
+        loop {
+            let left = end.saturating_duration_since(Instant::now());
+            let reply = self.replies.recv_timeout(left).unwrap_or_else(|error| panic!("{method}: {error}"));
+            if reply["id"] == id {
+                assert!(reply.get("error").is_none(), "{method}: {reply}");
+                return reply["result"].clone();
+            }
+        }
+    }
+
+    /// Opens a page in a tab of its own.
+    pub fn open(&mut self, url: &str) -> Page {
+        let target = self.call("Target.createTarget", &json!({ "url": url }), None);
+        let attach = json!({ "targetId": target["targetId"], "flatten": true });
+        Page(self.call("Target.attachToTarget", &attach, None)["sessionId"].as_str().unwrap().to_owned())
+    }
+
+    /// The value of an expression of JavaScript in a page; promises are awaited.
+    pub fn evaluate(&mut self, page: &Page, expression: &str) -> Value {
+        let params = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
+        let result = self.call("Runtime.evaluate", &params, Some(&page.0));
+        assert!(result.get("exceptionDetails").is_none(), "{expression}: {result}");
+        result["result"]["value"].clone()
+    }
+
+    /// Kills it without letting it say goodbye.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // Killed already, or it ends now.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
