@@ -137,7 +137,7 @@ fn packages_of(message: &str) -> Option<&'static str> {
     let packages = if library.starts_with("libopencv") {
         "libopencv-dev libopencv-contrib-dev"
     } else if library.starts_with("libgst") {
-        "libgstreamer1.0-0 libgstreamer-plugins-base1.0-0 libgstrtspserver-1.0-0"
+        "libgstreamer1.0-0 libgstreamer-plugins-base1.0-0 libgstreamer-plugins-bad1.0-0 libgstrtspserver-1.0-0"
     } else {
         return None;
     };

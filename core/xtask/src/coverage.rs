@@ -151,6 +151,7 @@ const PARSERS: &[(&str, &[Source])] = &[
         ],
     ),
     ("gate", &[functions("core/live/src/gate.rs", &["check_head", "is_own_origin"])]),
+    ("webrtc_offer", &[all("plugins/sinks/src/webrtc/offer.rs")]),
     (
         "onnx",
         &[

@@ -113,6 +113,12 @@ pub static PACKAGES: &[Package] = &[
     ),
     package(
         Purpose::Build,
+        "libgstreamer-plugins-bad1.0-dev",
+        [Some("gstreamer1-plugins-bad-free-devel"), Some("gst-plugins-bad-libs"), Some("gstreamer")],
+        Evidence::PkgConfig("gstreamer-webrtc-1.0"),
+    ),
+    package(
+        Purpose::Build,
         "libgstrtspserver-1.0-dev",
         [Some("gstreamer1-rtsp-server-devel"), Some("gst-rtsp-server"), Some("gstreamer")],
         Evidence::PkgConfig("gstreamer-rtsp-server-1.0"),
@@ -146,6 +152,12 @@ pub static PACKAGES: &[Package] = &[
         "gstreamer1.0-rtsp",
         [Some("gstreamer1-rtsp-server"), Some("gst-rtsp-server"), Some("gstreamer")],
         Evidence::GStreamer("rtspclientsink"),
+    ),
+    package(
+        Purpose::Build,
+        "gstreamer1.0-nice",
+        [Some("libnice-gstreamer1"), Some("libnice"), Some("libnice-gstreamer")],
+        Evidence::GStreamer("nicesrc"),
     ),
     package(
         Purpose::Build,

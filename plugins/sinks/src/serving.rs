@@ -45,7 +45,10 @@ pub fn refused(at: SocketAddr, error: &std::io::Error) -> ServeError {
     let help = match error.kind() {
         std::io::ErrorKind::AddrInUse => "another program uses this port: give another `port`, or end that program",
         std::io::ErrorKind::AddrNotAvailable => "this machine has no such address: see `ip address`",
-        std::io::ErrorKind::PermissionDenied => "ports below 1024 need root: give a `port` above",
+        std::io::ErrorKind::PermissionDenied if (1..1024).contains(&at.port()) => {
+            "ports below 1024 need root: give a `port` above"
+        }
+        std::io::ErrorKind::PermissionDenied => "sockets are denied: take `network` out of the graph's `deny`",
         _ => "give another `address` or `port`",
     };
     ServeError::Listen { at, reason: error.to_string(), help }
@@ -54,6 +57,15 @@ pub fn refused(at: SocketAddr, error: &std::io::Error) -> ServeError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_refusal_says_what_to_do() {
+        let denied = std::io::Error::from(std::io::ErrorKind::PermissionDenied);
+        for (port, words) in [(80, "below 1024"), (8889, "`deny`"), (0, "`deny`")] {
+            let message = refused(SocketAddr::from(([127, 0, 0, 1], port)), &denied).to_string();
+            assert!(message.contains(words) && message.contains("127.0.0.1"), "{message}");
+        }
+    }
 
     #[test]
     fn paths_are_plain() {

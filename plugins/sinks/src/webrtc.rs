@@ -82,9 +82,10 @@ pub struct WebRtc {
 }
 
 impl Node for WebRtc {
-    const INFO: NodeInfo = NodeInfo::compute("webrtc", "sink", "Serves the picture as live video to web browsers (WebRTC).")
-        .side_effects()
-        .exclusive();
+    const INFO: NodeInfo =
+        NodeInfo::compute("webrtc", "sink", "Serves the picture as live video to web browsers (WebRTC).")
+            .side_effects()
+            .exclusive();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;

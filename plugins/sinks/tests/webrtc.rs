@@ -169,27 +169,197 @@ fn browsers_show_the_pictures_and_one_that_is_killed_leaves_the_others_alone() {
     let mut first = Player::open("first", &source.page());
     let mut second = Player::open("second", &source.page());
     source.show_until("both play", |_| (first.look().min(second.look()) >= 15).then_some(()));
-    println!("{:?} {:?} {}", first.numbers, second.numbers, first.worst_colour);
     assert_eq!(source.metric("viewers"), 2);
     for player in [&first, &second] {
         assert!(grow(&player.numbers), "{:?}", player.numbers);
+        let newest = *player.numbers.last().unwrap();
+        assert!(newest + 25 > source.number, "{newest} of {}", source.number);
         assert!(player.state.starts_with("connected for "), "{}", player.state);
         assert!(player.worst_colour < 30, "a colour is {} off", player.worst_colour);
     }
     second.browser.kill();
     source.longest_call = Duration::ZERO;
-    let begin = Instant::now();
     source.show_until("the killed one is removed", |source| {
         first.look();
         (source.metric("viewers") == 1).then_some(())
     });
-    println!("removed after {:?}", begin.elapsed());
     let before = first.look();
     source.show_until("the other goes on", |_| (first.look() >= before + 15).then_some(()));
     assert!(grow(&first.numbers), "{:?}", first.numbers);
     assert!(source.longest_call < Duration::from_millis(500), "a call took {:?}", source.longest_call);
+    // Pictures of another size begin with a key frame; H.264 has even sizes.
+    let end = Instant::now() + PATIENCE;
+    while first.browser.evaluate(&first.page, READ)["width"] != 642 {
+        assert!(Instant::now() < end, "pictures of the new size arrive");
+        let picture = numbered((641, 361), 77);
+        source.node.input_image::<Bgr8>("image", 641, 361, &picture).process().unwrap();
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    // A picture that stands still is named.
+    let end = Instant::now() + PATIENCE;
+    let mut state = serde_json::Value::Null;
+    while !state.as_str().is_some_and(|state| state.contains("no new picture for ")) {
+        assert!(Instant::now() < end, "{state}");
+        std::thread::sleep(Duration::from_millis(100));
+        state = first.browser.evaluate(&first.page, "document.getElementById('state').textContent");
+    }
+    assert_eq!(first.browser.evaluate(&first.page, "document.querySelector('video').className"), "old");
     // A page that is closed says so.
     first.browser.evaluate(&first.page, "leave()");
     source.show_until("the page has left", |source| (source.metric("viewers") == 0).then_some(()));
     source.node.finish().unwrap();
+}
+
+/// Status, head and body of the answer to a request.
+fn ask(at: &str, request: &str, fields: &str, body: &[u8]) -> (u16, String, String) {
+    let mut stream = TcpStream::connect(at).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+    let length = body.len();
+    let host = if fields.contains("Host:") { String::new() } else { format!("Host: {at}\r\n") };
+    let head = format!("{request} HTTP/1.1\r\n{host}{fields}Content-Length: {length}\r\n\r\n");
+    stream.write_all(head.as_bytes()).unwrap();
+    // A server that refuses a long body does not read all of it.
+    let _ = stream.write_all(body);
+    let mut answer = Vec::new();
+    let read = stream.read_to_end(&mut answer);
+    let answer = String::from_utf8_lossy(&answer).into_owned();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{request}: {read:?}: {answer}"));
+    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, head.to_lowercase(), body.to_owned())
+}
+
+const IS_SDP: &str = "Content-Type: application/sdp\r\n";
+
+/// An offer of sound and of video in H.264 whose sender never connects.
+fn offer() -> String {
+    let digest = ["0A"; 32].join(":");
+    let ice = format!(
+        "a=ice-ufrag:abcd\r\na=ice-pwd:0123456789012345678901\r\na=fingerprint:sha-256 {digest}\r\na=setup:actpass\r\n"
+    );
+    format!(
+        "v=0\r\no=- 1 2 IN IP4 127.0.0.1\r\ns=-\r\nt=0 0\r\na=group:BUNDLE 0 1\r\n\
+         m=audio 9 UDP/TLS/RTP/SAVPF 111\r\nc=IN IP4 0.0.0.0\r\n{ice}a=mid:0\r\na=recvonly\r\na=rtcp-mux\r\n\
+         a=rtpmap:111 opus/48000/2\r\n\
+         m=video 9 UDP/TLS/RTP/SAVPF 102\r\nc=IN IP4 0.0.0.0\r\n{ice}a=mid:1\r\na=recvonly\r\na=rtcp-mux\r\n\
+         a=rtpmap:102 H264/90000\r\na=fmtp:102 packetization-mode=1;profile-level-id=42e01f\r\n"
+    )
+}
+
+#[test]
+fn offers_are_answered_with_one_address_of_this_machine() {
+    let source = Source::new("port = 0");
+    let at = source.at();
+    let (status, head, answer) = ask(&at, "POST /live", IS_SDP, offer().as_bytes());
+    assert!(status == 201 && head.contains("content-type: application/sdp"), "{head}\n{answer}");
+    let media: Vec<&str> = answer.lines().filter(|line| line.starts_with("m=")).collect();
+    assert!(media[0].starts_with("m=audio 0 ") && media[1].starts_with("m=video ") && media.len() == 2, "{answer}");
+    let candidates: Vec<&str> = answer.lines().filter(|line| line.starts_with("a=candidate:")).collect();
+    assert!(!candidates.is_empty(), "{answer}");
+    for candidate in candidates {
+        assert!(candidate.contains(" UDP ") && candidate.contains(" 127.0.0.1 "), "{candidate}");
+        assert!(candidate.contains(" typ host"), "{candidate}");
+    }
+    let place = head.lines().find_map(|line| line.strip_prefix("location: ")).unwrap().trim().to_owned();
+    assert_eq!(ask(&at, &format!("PATCH {place}"), "", b"").0, 405);
+    assert_eq!(ask(&at, "DELETE /live/viewers/0123", "", b"").0, 404);
+    assert_eq!(ask(&at, &format!("DELETE {place}"), "", b"").0, 200);
+    assert_eq!(ask(&at, &format!("DELETE {place}"), "", b"").0, 404);
+}
+
+#[test]
+fn malformed_and_foreign_requests_are_refused_and_nothing_is_lost() {
+    let mut source = Source::new("port = 0");
+    let at = source.at();
+    let good = offer();
+    let no_codec = good.replace("H264", "AV1");
+    let no_video = good.replace("m=video", "m=text");
+    let control = good.replace("abcd", "ab\u{1}d");
+    let cases: &[(&str, &str, &[u8], u16, &str)] = &[
+        ("POST /live", IS_SDP, b"", 400, "no SDP"),
+        ("POST /live", IS_SDP, b"\xff\0\xfe", 400, "no SDP"),
+        ("POST /live", IS_SDP, b"v=0\r\n", 400, "no video"),
+        ("POST /live", IS_SDP, no_codec.as_bytes(), 400, "H.264"),
+        ("POST /live", IS_SDP, no_video.as_bytes(), 400, "recvonly"),
+        ("POST /live", IS_SDP, control.as_bytes(), 400, "ice-ufrag"),
+        ("POST /live", IS_SDP, &good.as_bytes()[..good.len() / 2], 400, "offer"),
+        ("POST /live", IS_SDP, &[b'v'; (64 << 10) + 1], 413, "65536 bytes"),
+        ("POST /live", "Content-Type: text/plain\r\n", good.as_bytes(), 415, "application/sdp"),
+        ("POST /live", "", good.as_bytes(), 415, "application/sdp"),
+        ("PUT /live", IS_SDP, good.as_bytes(), 405, "POST"),
+        ("POST /other", IS_SDP, good.as_bytes(), 404, "/live"),
+        ("GET /", "", b"", 404, "/live"),
+        ("GET /live", "Host: panoscope.example\r\n", b"", 403, "IP address"),
+        ("POST /live", "Host: 127.0.0.1.example\r\n", good.as_bytes(), 403, "IP address"),
+        (
+            "POST /live",
+            "Origin: http://panoscope.example\r\nContent-Type: application/sdp\r\n",
+            good.as_bytes(),
+            403,
+            "own page",
+        ),
+        ("POST /live", "Origin: null\r\nContent-Type: application/sdp\r\n", good.as_bytes(), 403, "own page"),
+    ];
+    for (request, fields, body, status, words) in cases {
+        let (given, _, text) = ask(&at, request, fields, body);
+        assert_eq!(given, *status, "{request} {fields}: {text}");
+        assert!(text.contains(words), "{request} {fields}: {text}");
+        source.show();
+    }
+    let (status, head, page) = ask(&at, "GET /live", "", b"");
+    assert!(status == 200 && head.contains("content-security-policy: default-src 'none'"), "{head}");
+    assert!(page.contains("<video") && !page.contains("http"), "the page loads nothing from elsewhere");
+    // Bytes that are no HTTP, and a client that sends nothing, take no seat.
+    let _silent = TcpStream::connect(&at).unwrap();
+    TcpStream::connect(&at).unwrap().write_all(&[0xff; 4096]).unwrap();
+    assert_eq!(ask(&at, "POST /live", IS_SDP, good.as_bytes()).0, 201);
+    source.node.finish().unwrap();
+}
+
+#[test]
+fn seats_are_counted_and_streams_share_a_port() {
+    let mut wide = Source::new(r#"port = 0, path = "/wide""#);
+    let at = wide.at();
+    let port = wide.metric("port");
+    let params = format!(r#"port = {port}, path = "depth/left""#);
+    let mut depth = Source::of(open_as("depth", &params).unwrap(), 1);
+    assert_eq!(depth.metric("port"), port);
+    let mut places = Vec::new();
+    for _ in 0..8 {
+        let (status, head, answer) = ask(&at, "POST /wide", IS_SDP, offer().as_bytes());
+        assert_eq!(status, 201, "{answer}");
+        places.push(head.lines().find_map(|line| line.strip_prefix("location: ")).unwrap().trim().to_owned());
+    }
+    let (status, _, words) = ask(&at, "POST /wide", IS_SDP, offer().as_bytes());
+    assert!(status == 503 && words.contains("8 viewers"), "{words}");
+    assert_eq!(ask(&at, "POST /depth/left", IS_SDP, offer().as_bytes()).0, 201, "another node has its own seats");
+    assert_eq!(ask(&at, &format!("DELETE {}", places[3]), "", b"").0, 200);
+    assert_eq!(ask(&at, "POST /wide", IS_SDP, offer().as_bytes()).0, 201, "a seat is free again");
+    let message = open_as("other", &format!(r#"port = {port}, path = "/wide/""#)).err().expect("a path has one stream");
+    assert!(message.contains("`out`") && message.contains("/wide") && message.contains("another `path`"), "{message}");
+    depth.node.finish().unwrap();
+    drop(depth);
+    assert_eq!(ask(&at, "GET /depth/left", "", b"").0, 404, "its stream has ended");
+    wide.node.finish().unwrap();
+}
+
+#[test]
+fn mistakes_are_named_with_their_remedies() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let cases = [
+        (format!("port = {port}"), vec![format!("127.0.0.1:{port}"), "another program uses this port".to_owned()]),
+        (r#"path = "/my view""#.to_owned(), vec!["`/my view`".to_owned(), "has a space".to_owned()]),
+        (r#"path = "/""#.to_owned(), vec!["it is empty".to_owned(), "such as `/wide`".to_owned()]),
+        (
+            r#"address = "localhost""#.to_owned(),
+            vec!["`localhost` is no IP address".to_owned(), "127.0.0.1".to_owned()],
+        ),
+        (r#"port = 0, address = "203.0.113.7""#.to_owned(), vec!["no such address".to_owned()]),
+    ];
+    for (params, words) in cases {
+        let message = open_as("out", &params).err().unwrap_or_else(|| panic!("{params} was accepted"));
+        for word in words {
+            assert!(message.contains(&word), "{params}: {message}");
+        }
+    }
 }

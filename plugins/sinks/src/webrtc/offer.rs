@@ -119,10 +119,7 @@ pub struct Format {
 impl Format {
     /// The constrained baseline profile first, which is what is sent.
     fn rank(&self) -> usize {
-        ["42e0", "42c0", "42"]
-            .iter()
-            .position(|start| self.profile_level_id.starts_with(start))
-            .unwrap_or(usize::MAX)
+        ["42e0", "42c0", "42"].iter().position(|start| self.profile_level_id.starts_with(start)).unwrap_or(usize::MAX)
     }
 
     fn best_of(video: &Media<'_>) -> Option<Self> {
@@ -164,7 +161,8 @@ pub struct Offer {
 
 /// The part of an answer for a medium that is not sent.
 fn refusal(media: &Media<'_>) -> String {
-    let mut text = format!("m={} 0 {} {}\r\nc=IN IP4 0.0.0.0\r\na=inactive\r\n", media.kind, media.protocol, media.formats[0]);
+    let mut text =
+        format!("m={} 0 {} {}\r\nc=IN IP4 0.0.0.0\r\na=inactive\r\n", media.kind, media.protocol, media.formats[0]);
     if let Some(mid) = media.mid() {
         text += &format!("a=mid:{mid}\r\n");
     }
@@ -265,7 +263,8 @@ impl Offer {
 mod tests {
     use super::*;
 
-    const FINGERPRINT: &str = "sha-256 00:11:22:33:44:55:66:77:88:99:AA:BB:CC:DD:EE:FF:00:11:22:33:44:55:66:77:88:99:AA:BB:CC:DD:EE:FF";
+    const FINGERPRINT: &str =
+        "sha-256 00:11:22:33:44:55:66:77:88:99:AA:BB:CC:DD:EE:FF:00:11:22:33:44:55:66:77:88:99:AA:BB:CC:DD:EE:FF";
 
     /// The parts of a browser's offer that are read, after sound that it offers too.
     fn text() -> String {

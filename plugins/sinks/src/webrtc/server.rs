@@ -160,10 +160,8 @@ async fn accept(listener: tokio::net::TcpListener, rooms: Arc<Rooms>) {
                 async move { Ok::<_, std::convert::Infallible>(answer(&rooms, local.ip().to_canonical(), request).await) }
             });
             let mut server = http1::Builder::new();
-            let connection = server
-                .keep_alive(false)
-                .max_buf_size(MAX_HEAD_BYTES)
-                .serve_connection(TokioIo::new(stream), service);
+            let connection =
+                server.keep_alive(false).max_buf_size(MAX_HEAD_BYTES).serve_connection(TokioIo::new(stream), service);
             // A client that breaks off or is too slow is not answered.
             let _ = tokio::time::timeout(MAX_REQUEST, connection).await;
             drop(permit);

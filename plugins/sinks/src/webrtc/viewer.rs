@@ -26,7 +26,7 @@ const ELEMENTS: &[&str] =
 const STEP: Duration = Duration::from_secs(5);
 /// A viewer that has not connected within this time has left.
 const MAX_CONNECTING: Duration = Duration::from_secs(15);
-/// A viewer that has sent nothing for this time has left: browsers report what they received every second or so.
+/// A viewer that has sent nothing for this time has left: browsers report every second or so, from the first picture on.
 const MAX_SILENCE: Duration = Duration::from_secs(10);
 /// Shortest time between key frames that a viewer may ask for, ms.
 const KEY_EVERY_MS: u64 = 300;
@@ -74,6 +74,8 @@ struct Link {
     source: AppSrc,
     /// Since `begin`, of the last packet that came from the viewer.
     heard_ms: AtomicU64,
+    /// Since `begin`, of the first packet that was sent to it; 0 before.
+    sent_ms: AtomicU64,
     /// Since `begin`, of the last key frame that it asked for.
     key_asked_ms: AtomicU64,
 }
@@ -89,6 +91,19 @@ impl Link {
 
     fn hear(&self) {
         self.heard_ms.store(self.now_ms(), Ordering::Relaxed);
+    }
+
+    fn send(&self) {
+        if self.sent_ms.load(Ordering::Relaxed) == 0 {
+            self.sent_ms.store(self.now_ms().max(1), Ordering::Relaxed);
+        }
+    }
+
+    /// How long it has been silent, although it had something to report.
+    fn silence(&self) -> Duration {
+        let (heard, sent) = (self.heard_ms.load(Ordering::Relaxed), self.sent_ms.load(Ordering::Relaxed));
+        let ms = if sent == 0 { 0 } else { self.now_ms().saturating_sub(heard.max(sent)) };
+        Duration::from_millis(ms)
     }
 
     /// Packets flow from the moment when somebody receives them, so that none is old.
@@ -182,11 +197,12 @@ impl Viewer {
             fanout: Arc::clone(fanout),
             source,
             heard_ms: AtomicU64::new(0),
+            sent_ms: AtomicU64::new(0),
             key_asked_ms: AtomicU64::new(0),
         });
         let viewer = Self { pipeline, link };
         viewer.listen(&peer);
-        only_at(&peer, local);
+        only_at(&peer, local)?;
         viewer.pipeline.set_state(State::Playing).map_err(|error| refused(error.to_string()))?;
         let answer = negotiate(&peer, offer)?;
         Ok((viewer, answer))
@@ -211,6 +227,7 @@ impl Viewer {
             }
         });
         if let Some(pad) = self.link.source.static_pad("src") {
+            on_probe(&pad, PadProbeType::BUFFER, Arc::downgrade(&self.link), |link, _| link.send());
             let link = Arc::downgrade(&self.link);
             on_probe(&pad, PadProbeType::EVENT_UPSTREAM, link, |link, info| {
                 if info.event().is_some_and(|event| UpstreamForceKeyUnitEvent::parse(event).is_ok()) {
@@ -234,10 +251,7 @@ impl Viewer {
         match phase {
             Phase::Gone => true,
             Phase::Connecting => self.link.begin.elapsed() > MAX_CONNECTING,
-            Phase::Connected(_) => {
-                let silence = self.link.now_ms().saturating_sub(self.link.heard_ms.load(Ordering::Relaxed));
-                Duration::from_millis(silence) > MAX_SILENCE
-            }
+            Phase::Connected(_) => self.link.silence() > MAX_SILENCE,
         }
     }
 }
@@ -258,10 +272,11 @@ fn on_probe(
 }
 
 /// Connects by UDP at one address of this machine, which the viewer is known to reach, and asks no server for others.
-fn only_at(peer: &Element, local: IpAddr) {
+fn only_at(peer: &Element, local: IpAddr) -> Result<(), ViewerError> {
     let agent = peer.property::<gstreamer::Object>("ice-agent");
-    let is_taken = agent.emit_by_name::<bool>("add-local-ip-address", &[&local.to_string()]);
-    debug_assert!(is_taken, "{local} is an address");
+    if !agent.emit_by_name::<bool>("add-local-ip-address", &[&local.to_string()]) {
+        return Err(ViewerError::Step { step: "take an address", reason: format!("it refuses {local}") });
+    }
     if agent.find_property("ice-tcp").is_some() {
         agent.set_property("ice-tcp", false);
     }
@@ -271,6 +286,7 @@ fn only_at(peer: &Element, local: IpAddr) {
     {
         nice.set_property("upnp", false);
     }
+    Ok(())
 }
 
 fn negotiate(peer: &Element, offer: &Offer) -> Result<String, ViewerError> {

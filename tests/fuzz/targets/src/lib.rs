@@ -24,6 +24,7 @@ mod plugin;
 mod recording;
 mod ros;
 mod scratch;
+mod webrtc;
 
 use std::path::Path;
 
@@ -74,6 +75,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "urdf", run: arm::urdf, seeds: arm::urdf_seeds },
     Target { name: "via", run: labels::via, seeds: labels::via_seeds },
     Target { name: "voc", run: labels::voc, seeds: labels::voc_seeds },
+    Target { name: "webrtc_offer", run: webrtc::offer, seeds: webrtc::offer_seeds },
     Target { name: "yolo_labels", run: labels::yolo, seeds: labels::yolo_seeds },
 ];
 

@@ -18,6 +18,8 @@ pub const ELEMENTS: &[(&str, &str, &[&str])] = &[
     ),
     ("gstreamer1.0-plugins-bad", "H.264 and H.265 in files and streams", &["h264parse", "h265parse"]),
     ("gstreamer1.0-plugins-ugly", "writing H.264", &["x264enc"]),
+    ("gstreamer1.0-plugins-bad", "video in web browsers", &["webrtcbin", "dtlssrtpenc", "srtpenc"]),
+    ("gstreamer1.0-nice", "video in web browsers", &["nicesrc", "nicesink"]),
     ("gstreamer1.0-rtsp", "sending a stream to an RTSP server", &["rtspclientsink"]),
     ("gstreamer1.0-libav", "reading H.264 and H.265", &["avdec_h264", "avdec_h265"]),
 ];
