@@ -1,6 +1,7 @@
 //! Chromium without a screen, driven over its debugging pipe: messages of JSON, each ended by a zero byte.
 
 use std::io::{BufRead, BufReader, Write};
+use std::net::UdpSocket;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
@@ -15,6 +16,12 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Whether it is installed.
 pub fn is_there() -> bool {
     Command::new("chromium").arg("--version").output().is_ok_and(|output| output.status.success())
+}
+
+/// Whether this machine has a route to others. Without one Chromium does not connect by WebRTC, not even to this machine.
+pub fn has_network() -> bool {
+    // Connecting a UDP socket looks up the route and sends nothing; the address is for documentation.
+    UdpSocket::bind("0.0.0.0:0").and_then(|socket| socket.connect("192.0.2.1:9")).is_ok()
 }
 
 /// A browser; killed when dropped.
