@@ -1,15 +1,14 @@
 //! Reads a bag, message by message, in the order of its files.
 //!
 //! Nothing of a bag is trusted: records and unpacked chunks have a largest length, and memory is taken as bytes come. The readers of the crate `mcap`
-//! are not used, because they panic at damaged chunks and give up a chunk that is cut off; its parser of single records is.
+//! are not used, because they panic at damaged chunks, give up a chunk that is cut off, and take memory by lengths that they have not compared.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use mcap::McapError;
-use mcap::records::{Record, op};
+use mcap::records::op;
 
 use super::error::BagError;
 
@@ -70,10 +69,6 @@ impl<R: Read> Open<R> {
     fn new(path: PathBuf, input: R) -> Self {
         let (schemas, channels) = (HashMap::new(), HashMap::new());
         Self { path, input, has_begun: false, chunk: Chunk::default(), schemas, channels, messages: 0 }
-    }
-
-    fn wrong(&self, error: McapError) -> BagError {
-        self.damaged(error.to_string())
     }
 
     fn damaged(&self, words: impl Into<String>) -> BagError {
@@ -218,39 +213,70 @@ impl<R: Read> Open<R> {
         body: &[u8],
         wants: &mut dyn FnMut(&str, &str) -> bool,
     ) -> Result<Option<RawMessage>, BagError> {
-        if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
-            return Ok(None);
-        }
-        match mcap::parse_record(opcode, body).map_err(|error| self.wrong(error))? {
-            Record::Schema { header, .. } => {
+        let mut fields = Fields(body);
+        let misfit = || self.damaged("a record lacks fields of its kind");
+        match opcode {
+            op::SCHEMA => {
                 if self.schemas.len() >= MAX_CHANNELS {
                     return Err(self.damaged("it has more than 10,000 types"));
                 }
-                self.schemas.insert(header.id, header.name);
+                let (id, name) = fields.u16().zip(fields.text()).ok_or_else(misfit)?;
+                self.schemas.insert(id, name.to_owned());
             }
-            Record::Channel(channel) => {
+            op::CHANNEL => {
                 if self.channels.len() >= MAX_CHANNELS {
                     return Err(self.damaged("it has more than 10,000 topics"));
                 }
-                let message = self.schemas.get(&channel.schema_id).cloned();
-                let known = message.filter(|_| channel.message_encoding == "cdr");
-                self.channels.insert(channel.id, known.map(|message| (channel.topic, message)));
+                let (id, schema) = fields.u16().zip(fields.u16()).ok_or_else(misfit)?;
+                let (topic, encoding) = fields.text().zip(fields.text()).ok_or_else(misfit)?;
+                let known = self.schemas.get(&schema).filter(|_| encoding == "cdr");
+                self.channels.insert(id, known.map(|message| (topic.to_owned(), message.clone())));
             }
-            Record::Message { header, data } => {
+            op::MESSAGE => {
+                let head = (fields.u16(), fields.array::<4>(), fields.u64(), fields.u64());
+                let (Some(channel), Some(_sequence), Some(log_ns), Some(_published_ns)) = head else {
+                    return Err(misfit());
+                };
                 self.messages += 1;
-                let Some(channel) = self.channels.get(&header.channel_id) else {
+                let Some(channel) = self.channels.get(&channel) else {
                     return Err(self.damaged("a message belongs to no topic"));
                 };
                 let Some((topic, message)) = channel else { return Ok(None) };
                 if wants(topic, message) {
-                    let log_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
+                    let log_ns = i64::try_from(log_ns).unwrap_or(i64::MAX);
                     let (topic, message) = (topic.clone(), message.clone());
-                    return Ok(Some(RawMessage { topic, message, log_ns, data: data.into_owned() }));
+                    return Ok(Some(RawMessage { topic, message, log_ns, data: fields.0.to_vec() }));
                 }
             }
             _ => {}
         }
         Ok(None)
+    }
+}
+
+/// Fields of a record, in order. Lengths are compared with the bytes that are there before anything is copied.
+struct Fields<'b>(&'b [u8]);
+
+impl<'b> Fields<'b> {
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (head, rest) = self.0.split_first_chunk::<N>()?;
+        self.0 = rest;
+        Some(*head)
+    }
+
+    fn u16(&mut self) -> Option<u16> {
+        self.array().map(u16::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        self.array().map(u64::from_le_bytes)
+    }
+
+    fn text(&mut self) -> Option<&'b str> {
+        let len = usize::try_from(u32::from_le_bytes(self.array()?)).ok()?;
+        let (text, rest) = self.0.split_at_checked(len)?;
+        self.0 = rest;
+        std::str::from_utf8(text).ok()
     }
 }
 
