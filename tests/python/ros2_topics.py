@@ -425,16 +425,19 @@ class TopicTest(unittest.TestCase):
         except (FileNotFoundError, subprocess.CalledProcessError):
             self.skipTest("no ss")
 
-        def mine():
-            return [line for line in sockets.splitlines() if f"pid={self.process.pid}," in line]
+        def here():
+            mine = [line.split()[3] for line in sockets.splitlines() if f"pid={self.process.pid}," in line]
+            return [address for address in mine if int(address.rsplit(":", 1)[1]) in ports]
 
+        def is_confined():
+            return bool(here()) and all("%lo:" in address or address.startswith("127.0.0.1:") for address in here())
+
+        # The sockets exist for a moment before the node binds them to the device.
         end = time.monotonic() + LIMIT
-        while not mine() and time.monotonic() < end:
+        while not is_confined() and time.monotonic() < end:
             time.sleep(0.1)
             sockets = subprocess.run(["ss", "-uanpH"], capture_output=True, text=True).stdout
-        here = [line.split()[3] for line in mine() if int(line.split()[3].rsplit(":", 1)[1]) in ports]
-        self.assertTrue(here)
-        self.assertTrue(all("%lo:" in address or address.startswith("127.0.0.1:") for address in here), here)
+        self.assertTrue(is_confined(), here())
 
 
 if __name__ == "__main__":
