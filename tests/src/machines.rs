@@ -243,7 +243,7 @@ fn carry(mut from: TcpStream, to: TcpStream, seed: u64, weather: &Arc<Weather>, 
             let mut wait =
                 Duration::from_micros(load(&mine.delay_us) + random(&mut state) % (load(&mine.jitter_us) + 1));
             let loses = load(&mine.loses_one_of);
-            if loses > 0 && random(&mut state) % loses == 0 {
+            if loses > 0 && random(&mut state).is_multiple_of(loses) {
                 wait += RESEND;
             }
             // Bytes arrive in order.

@@ -341,7 +341,7 @@ fn no_fault_of_the_network_makes_a_wrong_picture() {
     let (mut made, mut state, mut delivered, mut lost) = (0, seed, 0, 0);
     while made < faults {
         let relay = Relay::start(([127, 0, 0, 1], port).into(), state);
-        let pixels = if random(&mut state) % 2 == 0 { "raw" } else { "lz4" };
+        let pixels = if random(&mut state).is_multiple_of(2) { "raw" } else { "lz4" };
         let more = format!("pixels = \"{pixels}\"\ntimeout_ms = 300");
         let text = FILTERS.to_owned() + &machine(&format!("tcp/{}", relay.address), &more);
         let case = format!("seed {seed}, after {made} faults");

@@ -233,7 +233,8 @@ mod tests {
     #[test]
     fn what_listens_is_a_line_of_its_own() {
         let check = |listening: Vec<Listens>| {
-            let plan = Plan { listening, ..plan() };
+            let mut plan = plan();
+            plan.listening = listening;
             let (facts, counters) = (Facts::default(), Counters::default());
             let verified = &Verified::AsLocked;
             let known =

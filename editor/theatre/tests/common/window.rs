@@ -137,8 +137,8 @@ impl Window {
         let until = Instant::now() + PATIENCE;
         self.harness.step();
         while !holds(self.theatre()) {
-            let notices = self.theatre().notices();
-            assert!(Instant::now() < until, "not in time: {what}; notices: {notices:?}");
+            let (notices, checks) = (self.theatre().notices(), self.theatre().checklist());
+            assert!(Instant::now() < until, "not in time: {what}; notices: {notices:?}; checklist: {checks:?}");
             std::thread::sleep(Duration::from_millis(15));
             self.harness.step();
         }
