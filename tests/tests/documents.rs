@@ -264,7 +264,7 @@ fn the_table_of_commands_has_each_command_and_its_options() {
 /// A folder as the reader has it: a copy of the graphs, beside the plugins and their models.
 fn reader_folder(name: &str) -> PathBuf {
     let folder = scratch(&format!("documents-{}", name.replace('/', "-")));
-    for graphs in ["graphs", "graphs/parts", "graphs/sources"] {
+    for graphs in ["graphs", "graphs/parts", "graphs/sources", "graphs/machines"] {
         std::fs::create_dir_all(folder.join(graphs)).expect("a folder");
         for entry in std::fs::read_dir(root().join(graphs)).expect("graphs").flatten() {
             if entry.path().extension().is_some_and(|e| e == "toml") {

@@ -195,3 +195,35 @@ fn a_source_has_views_and_calibration_and_says_how_it_is_used() {
         assert_eq!(names, [expected], "{}", source.name);
     }
 }
+
+#[test]
+fn machines_change_where_nodes_run_and_nothing_else() {
+    let (_loader, catalog) = catalog();
+    let mut count = 0;
+    for name in files("machines") {
+        let path = graphs().join("machines").join(format!("{name}.toml"));
+        let text = std::fs::read_to_string(&path).expect("an overlay");
+        let command = text.lines().find_map(|line| line.strip_prefix("#   panoscope run graphs/")).expect("a command");
+        let graph = graphs().join(command.split(' ').next().expect("a graph"));
+        let args = vec![("rack".to_owned(), "tls/10.0.0.2:7447".to_owned())];
+        let options = GraphOptions { with: vec![path], args, ..GraphOptions::default() };
+        let (_, home, _) = checked(&graph, &GraphOptions::default(), &catalog).unwrap_or_else(|m| panic!("{m}"));
+        let (_, away, _) = checked(&graph, &options, &catalog).unwrap_or_else(|m| panic!("{m}"));
+        let nodes = |graph: &Graph| -> Vec<_> {
+            let mut nodes: Vec<_> = graph.nodes.iter().map(|n| (n.id.clone(), format!("{:?}", n.params))).collect();
+            nodes.sort();
+            nodes
+        };
+        let edges = |graph: &Graph| -> Vec<_> {
+            let of = |node: usize| graph.nodes[node].id.clone();
+            let mut edges: Vec<_> =
+                graph.edges.iter().map(|e| (of(e.from_node), e.from_port, of(e.to_node), e.to_port)).collect();
+            edges.sort();
+            edges
+        };
+        assert_eq!((nodes(&home), edges(&home)), (nodes(&away), edges(&away)), "{name}");
+        assert!(away.nodes.iter().any(|node| node.machine.is_some()), "{name} moves nothing");
+        count += 1;
+    }
+    assert!(count > 0);
+}

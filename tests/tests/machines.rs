@@ -148,6 +148,23 @@ fn a_machine_that_does_not_answer_is_named() {
 }
 
 #[test]
+fn a_graph_with_a_model_on_a_machine_is_checked_without_that_machine() {
+    let folder = scratch("machines-check");
+    let Some(program) = program() else { return panoscope_testing::skipped!("there is no program `panoscope`") };
+    let text = format!(
+        "mode = \"live\"\nplugins = [\"phantom\", \"tools\", \"flow\"]\n[nodes.scope]\ntype = \"phantom\"\n[nodes.find]\ntype = \"yolo\"\n\
+         on = \"rack\"\ninputs = {{ image = {{ from = \"scope.left\", align = \"latest\" }} }}\n[nodes.end]\ntype = \"drain\"\n\
+         inputs = {{ image = \"scope.left\" }}\n{}",
+        machine(&format!("tcp/127.0.0.1:{}", free_port()), "")
+    );
+    let graph = folder.join("graph.toml");
+    std::fs::write(&graph, text).expect("a file");
+    let done = Command::new(program).arg("check").arg(&graph).output().expect("it runs");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
 fn another_build_of_a_plugin_is_refused_with_both_hashes() {
     let folder = scratch("machines-plugin");
     let Some(program) = program() else { return panoscope_testing::skipped!("there is no program `panoscope`") };

@@ -160,7 +160,8 @@ pub fn try_node(
         .collect();
     let models: Vec<&Path> = models.iter().map(PathBuf::as_path).collect();
     let limits = limits(&models);
-    (alone.isolate, alone.cpu) = (Some(format!("trial of {}", alone.id)), None);
+    // Always on this machine: it says whether the file can be read, not whether another machine answers.
+    (alone.isolate, alone.machine, alone.cpu) = (Some(format!("trial of {}", alone.id)), None, None);
     let graph =
         Graph { nodes: vec![alone], edges: Vec::new(), order: vec![0], preset: Preset::default(), ..graph.clone() };
     let options = Options {

@@ -1,4 +1,4 @@
-//! GStreamer for the plugins that read and write video: initialization, elements and their packages, errors.
+//! GStreamer for the plugins that read and write video: initialization, elements and their packages, errors, offers of WebRTC viewers.
 //!
 //! `capture` and `sinks` are separate libraries that share one GStreamer in a process. What both need stands here.
 
@@ -7,6 +7,7 @@ mod elements;
 mod encode;
 mod error;
 pub mod input;
+pub mod offer;
 mod planes;
 
 pub use container::{Container, ContainerFile};

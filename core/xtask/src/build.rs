@@ -30,6 +30,8 @@ const PYTHON_PACKAGE: &str = "panoscope-python";
 const NATIVE: &str = "_native.abi3.so";
 /// Endings of the files of the Python package: code, the native part, types and the mark that there are types.
 pub const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
+/// A test of the workspace that is built fast.
+const SMALL_TEST: &str = "header";
 /// Folder beside the program for plugins that only tests use.
 const TEST_PLUGIN_DIR: &str = "test_plugins";
 
@@ -106,13 +108,32 @@ pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
     artifacts.lay_out_product(workspace)
 }
 
+/// What [`build_for_tests`] builds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Extent {
+    /// What tests of single packages need.
+    Product,
+    /// All that `cargo test --workspace` will need too, with the same features, so that it compiles nothing a second time.
+    Workspace,
+}
+
 /// The same with the plugins that only tests use, in a folder of their own.
 ///
 /// # Errors
 /// See [`build`].
-pub fn build_for_tests(workspace: &Workspace, profile: Profile) -> Result<BuiltForTests> {
-    let plugins: Vec<&Plugin> = workspace.plugins.iter().chain(&workspace.test_plugins).collect();
-    let artifacts = compile(workspace, profile, &plugins)?;
+pub fn build_for_tests(workspace: &Workspace, profile: Profile, extent: Extent) -> Result<BuiltForTests> {
+    let artifacts = match extent {
+        Extent::Product => {
+            let plugins: Vec<&Plugin> = workspace.plugins.iter().chain(&workspace.test_plugins).collect();
+            compile(workspace, profile, &plugins)?
+        }
+        Extent::Workspace => {
+            let mut cargo = workspace.cargo();
+            cargo.args(["build", "--message-format=json-render-diagnostics", "--workspace", "--lib", "--bins"]);
+            // With a test among its targets, cargo unites the features of dependencies as it does for all tests.
+            finish(cargo.args(["--test", SMALL_TEST]), profile)?
+        }
+    };
     let built = artifacts.lay_out_product(workspace)?;
     let test_plugin_dir = built.program.with_file_name(TEST_PLUGIN_DIR);
     lay_out(&workspace.test_plugins, &artifacts.libraries, &test_plugin_dir)?;
@@ -137,12 +158,17 @@ fn compile(workspace: &Workspace, profile: Profile, plugins: &[&Plugin]) -> Resu
     for plugin in plugins {
         cargo.args(["--package", &plugin.package]);
     }
+    finish(&mut cargo, profile)
+}
+
+/// Runs cargo and takes what it made.
+fn finish(cargo: &mut Command, profile: Profile) -> Result<Artifacts> {
     if profile == Profile::Release {
         cargo.arg("--release");
     }
     let mut artifacts = Artifacts::default();
-    let status = process::filter(&mut cargo, |line| !artifacts.read(line))?;
-    process::check(&cargo, status)?;
+    let status = process::filter(cargo, |line| !artifacts.read(line))?;
+    process::check(cargo, status)?;
     Ok(artifacts)
 }
 

@@ -163,7 +163,7 @@ const PARSERS: &[(&str, &[Source])] = &[
         ],
     ),
     ("gate", &[functions("core/live/src/gate.rs", &["check_head", "is_own_origin"])]),
-    ("webrtc_offer", &[all("plugins/sinks/src/webrtc/offer.rs")]),
+    ("webrtc_offer", &[all("core/media/src/offer.rs")]),
     (
         "onnx",
         &[

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 
-use crate::build::{BuiltForTests, Profile, build_for_tests};
+use crate::build::{BuiltForTests, Extent, Profile, build_for_tests};
 use crate::packages::Purpose;
 use crate::process;
 use crate::setup;
@@ -25,7 +25,7 @@ pub fn header(workspace: &Workspace) -> Result<()> {
 /// Updates all expected outputs. Read the difference before you commit it.
 pub fn bless(workspace: &Workspace) -> Result<()> {
     setup::ensure(&[Purpose::Build, Purpose::Test])?;
-    let built = build_for_tests(workspace, Profile::Dev)?;
+    let built = build_for_tests(workspace, Profile::Dev, Extent::Workspace)?;
     let mut cargo = workspace.cargo();
     test_environment(&mut cargo, workspace, &built)?;
     process::run(cargo.args(["test", "--quiet", "--workspace", "--no-fail-fast"]).env(BLESS, "1"))?;

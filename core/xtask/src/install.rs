@@ -99,7 +99,7 @@ impl Tree<'_> {
                 place(&file, &folder.join(file.file_name().unwrap_or_default()), means)?;
             }
         }
-        for folder in ["graphs", "graphs/parts", "graphs/sources"] {
+        for folder in ["graphs", "graphs/parts", "graphs/sources", "graphs/machines"] {
             place_files(&workspace.root.join(folder), &prefix.join(DATA).join(folder), &["toml"], means)?;
         }
         mark(prefix, Kind::Folder)?;

@@ -115,7 +115,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             let (built, test_plugin_dir) = match profile {
                 Profile::Release => (build::build(&workspace, profile)?, None),
                 Profile::Dev => {
-                    let tests = build::build_for_tests(&workspace, profile)?;
+                    let tests = build::build_for_tests(&workspace, profile, build::Extent::Product)?;
                     (tests.built, Some(tests.test_plugin_dir))
                 }
             };

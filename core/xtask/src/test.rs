@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
-use crate::build::{Profile, build_for_tests};
+use crate::build::{Extent, Profile, build_for_tests};
 use crate::generated::test_environment;
 use crate::lint;
 use crate::onnxruntime;
@@ -177,7 +177,9 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         timed("clippy", || lint::clippy(workspace))?;
     }
     if request.suite.tests {
-        let built = timed("build", || build_for_tests(workspace, Profile::Dev))?;
+        let is_whole = !request.names_packages() && request.suite.only.is_empty();
+        let extent = if is_whole && request.suite.sanitizer.is_none() { Extent::Workspace } else { Extent::Product };
+        let built = timed("build", || build_for_tests(workspace, Profile::Dev, extent))?;
         let mut cargo = match request.suite.sanitizer {
             None => workspace.cargo(),
             Some(sanitizer) => sanitizer.cargo(workspace)?,
@@ -201,7 +203,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
             cargo.args(sanitizer.arguments());
         }
         cargo.args(request.suite.only);
-        if !request.names_packages() && request.suite.only.is_empty() {
+        if is_whole {
             cargo.arg("--workspace");
         }
         // Without it libtest hides the output of passing tests, which has the reasons of skips.

@@ -1,7 +1,6 @@
 //! `webrtc`: the picture as a live video in browsers.
 
 mod host;
-pub mod offer;
 mod room;
 mod server;
 mod viewer;

@@ -54,9 +54,9 @@ impl Region {
     fn code(self) -> (&'static str, &'static str, &'static str) {
         match self {
             Self::Unknown => ("38266002", "SCT", "Entire body"),
-            Self::Abdomen => ("818983003", "SCT", "Abdomen"),
+            Self::Abdomen => ("818981001", "SCT", "Abdomen"),
             Self::Pelvis => ("816092008", "SCT", "Pelvis"),
-            Self::Chest => ("51185008", "SCT", "Chest"),
+            Self::Chest => ("816094009", "SCT", "Chest"),
             Self::Joint => ("39352004", "SCT", "Joint"),
             Self::Head => ("69536005", "SCT", "Head"),
             Self::Neck => ("45048000", "SCT", "Neck"),

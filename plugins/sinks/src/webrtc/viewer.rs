@@ -16,8 +16,8 @@ use gstreamer_webrtc::{
 };
 use panoscope_media::{MediaError, make};
 
-use super::offer::Offer;
 use crate::stream::fanout::{Fanout, SOURCE};
+use panoscope_media::offer::Offer;
 
 /// Elements of GStreamer that a viewer needs.
 const ELEMENTS: &[&str] =

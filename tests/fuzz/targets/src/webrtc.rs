@@ -1,6 +1,6 @@
 //! Offers of web browsers that want to see a stream.
 
-use panoscope_sinks::webrtc::offer::Offer;
+use panoscope_media::offer::Offer;
 
 /// An offer. What is handed on reads as the same offer, and says nothing but lines of plain text.
 pub fn offer(bytes: &[u8]) {
