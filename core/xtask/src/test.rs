@@ -178,7 +178,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
     }
     if request.suite.tests {
         let is_whole = !request.names_packages() && request.suite.only.is_empty();
-        let extent = if is_whole && request.suite.sanitizer.is_none() { Extent::Workspace } else { Extent::Product };
+        let extent = if is_whole { Extent::Workspace } else { Extent::Product };
         let built = timed("build", || build_for_tests(workspace, Profile::Dev, extent))?;
         let mut cargo = match request.suite.sanitizer {
             None => workspace.cargo(),

@@ -5,9 +5,10 @@ use std::hash::{BuildHasher, Hasher};
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use panoscope_media::offer::{Offer, OfferError};
+
 use super::viewer::{Viewer, ViewerError};
 use crate::stream::fanout::Fanout;
-use panoscope_media::offer::{Offer, OfferError};
 
 /// Viewers of a node at the same time.
 pub const MAX_VIEWERS: usize = 8;

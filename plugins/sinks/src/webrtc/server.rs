@@ -15,13 +15,13 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
+use panoscope_media::offer::MAX_OFFER_BYTES;
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 
 use super::host;
 use super::room::{JoinError, Room};
 use crate::serving::{ServeError, refused};
-use panoscope_media::offer::MAX_OFFER_BYTES;
 
 /// A request that takes longer is given up, so that a slow client holds nothing for long.
 const MAX_REQUEST: Duration = Duration::from_secs(10);

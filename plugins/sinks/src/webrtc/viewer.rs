@@ -14,10 +14,10 @@ use gstreamer_webrtc::{
     WebRTCICEGatheringState, WebRTCPeerConnectionState, WebRTCRTPTransceiver, WebRTCRTPTransceiverDirection,
     WebRTCSDPType, WebRTCSessionDescription,
 };
+use panoscope_media::offer::Offer;
 use panoscope_media::{MediaError, make};
 
 use crate::stream::fanout::{Fanout, SOURCE};
-use panoscope_media::offer::Offer;
 
 /// Elements of GStreamer that a viewer needs.
 const ELEMENTS: &[&str] =
