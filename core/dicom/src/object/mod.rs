@@ -169,8 +169,10 @@ impl Study<'_> {
     pub(crate) fn image(&self, identity: &Identity<'_>) -> Set {
         let mut image = self.common(identity);
         image.put(empty(tags::PATIENT_ORIENTATION, VR::CS));
-        // Nobody has said which side of a paired part it is.
-        image.put(empty(tags::LATERALITY, VR::CS));
+        if matches!(self.region, Region::Chest | Region::Joint) {
+            // Nobody has said which side it is; parts without sides must not name one (PS3.3, C.7.3.1).
+            image.put(empty(tags::LATERALITY, VR::CS));
+        }
         image.put(coded(tags::ANATOMIC_REGION_SEQUENCE, self.region.code()));
         if let Some(request) = self.request() {
             image.put(sequence(tags::REQUEST_ATTRIBUTES_SEQUENCE, vec![request]));
