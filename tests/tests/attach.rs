@@ -175,9 +175,13 @@ fn a_window_on_another_machine_survives_a_cut_cable_and_the_graph_loses_nothing(
     let joined = Instant::now();
     space.set_joined(true);
     assert!(until(20, || window.state().contact == Contact::Attached), "{:?}", window.state());
-    let (seq, age) = picture(&window, 20).expect("a picture");
-    println!("back after {} ms with tick {seq}, {} ms old", joined.elapsed().as_millis(), age.as_millis());
-    assert!(age < Duration::from_secs(2), "no old picture is shown as new: {age:?}");
+    let mut seen = Vec::new();
+    // The first may be one that came before the cut: its age says so.
+    while seen.last().is_none_or(|(_, age)| *age > Duration::from_secs(1)) {
+        seen.push(picture(&window, 20).expect("a picture"));
+    }
+    println!("a new picture {} ms after the cable was joined: {seen:?}", joined.elapsed().as_millis());
+    assert!(seen.iter().all(|(seq, age)| *seq >= 150 || *age >= Duration::from_secs(4)), "{seen:?}");
     assert_eq!(window.state().opened.map(|opened| opened.text.clone()), Some(edited), "the graph is as it was left");
     assert!(run.says("a window on `desk` is attached; it reads and edits") && run.says("is gone"), "{:?}", run.log());
     assert!(run.child.wait().expect("it ends").success(), "{:?}", run.log());

@@ -9,6 +9,7 @@ use crate::terminal::log;
 
 /// How windows of other machines may attach.
 #[derive(clap::Args)]
+#[group(id = "windows")]
 pub struct Arguments {
     /// Lets `panoscope edit --attach` and `panoscope theatre --attach` of other machines show the running graph: tls/IP:PORT with keys of `panoscope
     /// keys`, or tcp/127.0.0.1:PORT for windows of this machine. Windows only read, unless --allow-edit names their machine.
