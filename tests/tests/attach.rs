@@ -106,7 +106,10 @@ fn picture(attachment: &Attachment, seconds: u64) -> Option<(u64, Duration)> {
     let end = Instant::now() + Duration::from_secs(seconds);
     while Instant::now() < end {
         if let Some((packet, arrived_ns)) = attachment.take_packet("camera", "image") {
-            assert_eq!((packet.frame.frame().width, packet.frame.frame().height, packet.size_px), (160, 120, (320, 240)));
+            assert_eq!(
+                (packet.frame.frame().width, packet.frame.frame().height, packet.size_px),
+                (160, 120, (320, 240))
+            );
             let now_ns = i64::try_from(panoscope_engine::clock::now_ns()).expect("a time");
             let age_ns = now_ns - arrived_ns.expect("an age");
             return Some((packet.frame.tick().seq, Duration::from_nanos(age_ns.max(0).unsigned_abs())));
@@ -189,7 +192,11 @@ fn a_window_on_another_machine_survives_a_cut_cable_and_the_graph_loses_nothing(
     let report: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(&report).expect("a report")).expect("JSON");
     let number = |node: &str, what: &str| report["nodes"][node][what].as_u64().expect("a number");
-    assert_eq!((number("end", "count"), number("camera", "dropped"), number("level", "count")), (600, 0, 600), "{report}");
+    assert_eq!(
+        (number("end", "count"), number("camera", "dropped"), number("level", "count")),
+        (600, 0, 600),
+        "{report}"
+    );
     let _ = std::fs::remove_dir_all(&folder);
 }
 

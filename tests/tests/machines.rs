@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use panoscope_engine::{Engine, Options, Outcome, StartError};
+use panoscope_engine::memory::FrameRef;
+use panoscope_engine::{Engine, Listener, Options, Outcome, StartError};
 use panoscope_tests::machines::{Machine, Namespace, Relay, free_port, program, random};
 use panoscope_tests::{DisturbedRun, load, run_disturbed, scratch};
 
@@ -322,6 +324,75 @@ fn three_machines_in_namespaces_survive_a_cut_cable() {
     assert!(number("far", "faults") >= 1 && report["groups"]["rack"]["processes"].as_u64() >= Some(2), "{report}");
     assert!(number("end_far", "count") > 60 && number("end_third", "count") > 60, "{report}");
     assert_eq!(done.code(), Some(1), "a fault is a lost tick");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// Pictures of an output by tick.
+type Pictures = Arc<Mutex<BTreeMap<u64, Vec<u8>>>>;
+
+/// Runs a graph of a machine in a namespace; what was sent and made, and the bytes that crossed.
+fn colour_run(folder: &Path, text: &str) -> (BTreeMap<u64, Vec<u8>>, BTreeMap<u64, Vec<u8>>, u64) {
+    let (graph, catalog, loader) =
+        load(&folder.join("graph.toml"), text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let (sent, made) = (Pictures::default(), Pictures::default());
+    let listen = [("scope", "left", &sent), ("far", "image", &made)].map(|(node, output, pictures)| {
+        let pictures = Arc::clone(pictures);
+        let hear = move |frame: &FrameRef| {
+            pictures.lock().expect("no panic").insert(frame.tick().seq, frame.bytes().to_vec());
+        };
+        Listener { node: node.to_owned(), output: output.to_owned(), hear: Arc::new(hear) }
+    });
+    let options = Options { listen: listen.into(), graph_dir: folder.to_owned(), ..options(45) };
+    let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
+    let mut link = None;
+    let _ = engine.watch(Duration::from_millis(20), |engine| {
+        link = engine.report().groups["rack"].link.clone().or(link.take());
+        Ok::<_, ()>(())
+    });
+    assert_eq!(engine.close(Duration::from_secs(30)), Outcome::Done, "{:?}", engine.recent_faults());
+    let link = link.expect("a link");
+    let take = |pictures: &Pictures| std::mem::take(&mut *pictures.lock().expect("no panic"));
+    (take(&sent), take(&made), link.sent_bytes + link.received_bytes)
+}
+
+#[test]
+fn colour_pictures_as_h264_are_close_to_what_was_sent_and_far_fewer_bytes() {
+    let folder = scratch("machines-h264");
+    let Some(space) = Namespace::new(12) else {
+        return panoscope_testing::skipped!("this user makes no network namespaces");
+    };
+    let address = format!("tcp/{}:7447", space.address);
+    let Some(_rack) = Machine::start(&space.words(), "rack", &address, &["--plaintext"], &folder) else {
+        return panoscope_testing::skipped!("there is no program `panoscope`");
+    };
+    // It makes a picture of its own of the one that arrived, which comes back as a second stream.
+    let text = |pixels: &str| {
+        format!(
+            "mode = \"live\"\nplugins = [\"flow\", \"phantom\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = 320, height = 240 }}\n\
+             [nodes.far]\ntype = \"smooth\"\non = \"rack\"\nparams = {{ past_weight = 0 }}\n\
+             inputs = {{ image = \"scope.left\", past = \"scope.left\" }}\n\
+             [nodes.end]\ntype = \"drain\"\ninputs = {{ image = \"far.image\" }}\n{}",
+            machine(&address, &format!("plaintext = true\ntimeout_ms = 5000\npixels = \"{pixels}\""))
+        )
+    };
+    let (sent, made, raw_bytes) = colour_run(&folder, &text("raw"));
+    assert!(
+        made.len() > 20 && made.iter().all(|(seq, picture)| sent[seq] == *picture),
+        "raw pixels arrive as they are"
+    );
+    let raw_bytes = raw_bytes / made.len() as u64;
+    let (sent, made, coded_bytes) = colour_run(&folder, &text("h264"));
+    assert!(made.len() > 20, "{}", made.len());
+    let coded_bytes = coded_bytes / made.len() as u64;
+    let psnr_db = |(seq, picture): (&u64, &Vec<u8>)| {
+        let squares = picture.iter().zip(&sent[seq]).map(|(a, b)| u64::from(a.abs_diff(*b)).pow(2)).sum::<u64>();
+        10.0 * (255.0 * 255.0 * picture.len() as f64 / squares.max(1) as f64).log10()
+    };
+    let worst_db = made.iter().map(psnr_db).fold(f64::INFINITY, f64::min);
+    println!("PSNR {worst_db:.1} dB at least, coded twice; {coded_bytes} bytes per picture, {raw_bytes} as they are");
+    assert!(worst_db > 30.0, "{worst_db} dB");
+    assert!(worst_db < 80.0, "truly coded");
+    assert!(coded_bytes * 4 < raw_bytes, "{coded_bytes} of {raw_bytes}");
     let _ = std::fs::remove_dir_all(&folder);
 }
 

@@ -192,10 +192,13 @@ fn checked(message: Message) -> Result<Message, BadMessage> {
     };
     let edges = graph.edges.iter().all(|edge| {
         let (from, to) = (ports(edge.from_node), ports(edge.to_node));
-        from.is_some_and(|(_, outputs, _)| edge.from_port < outputs) && to.is_some_and(|(inputs, ..)| edge.to_port < inputs)
+        from.is_some_and(|(_, outputs, _)| edge.from_port < outputs)
+            && to.is_some_and(|(inputs, ..)| edge.to_port < inputs)
     });
-    let nodes = (0..graph.nodes.len()).all(|node| ports(node).is_some_and(|(.., params)| graph.nodes[node].params.len() <= params));
-    let views = graph.preset.views.iter().all(|view| ports(view.node).is_some_and(|(_, outputs, _)| view.port < outputs));
+    let nodes = (0..graph.nodes.len())
+        .all(|node| ports(node).is_some_and(|(.., params)| graph.nodes[node].params.len() <= params));
+    let views =
+        graph.preset.views.iter().all(|view| ports(view.node).is_some_and(|(_, outputs, _)| view.port < outputs));
     let pins = graph.preset.pinned.iter().all(|pin| ports(pin.node).is_some_and(|(.., params)| pin.param < params));
     if edges && nodes && views && pins { Ok(message) } else { Err(BadMessage::Malformed) }
 }

@@ -1,8 +1,6 @@
 //! Packets of outputs on their way to a window: thinned to the size at which they are shown, compressed with LZ4.
 
-use panoscope_abi::{
-    FORMAT_BGR8, FORMAT_GRAY8, FORMAT_RGBA8, Frame, Tick,
-};
+use panoscope_abi::{FORMAT_BGR8, FORMAT_GRAY8, FORMAT_RGBA8, Frame, Tick};
 use panoscope_base::format;
 use panoscope_engine::memory::{FrameRef, memory};
 use serde::{Deserialize, Serialize};
@@ -59,7 +57,13 @@ pub struct Outgoing {
 
 impl Outgoing {
     /// The packet `frame` of an output for a window that shows it at most `max_width` px wide. `None` for one that is damaged or too long.
-    pub fn of(output: (&str, &str), frame: &FrameRef, max_width: u32, age_ns: Option<i64>, made_ns: i64) -> Option<Self> {
+    pub fn of(
+        output: (&str, &str),
+        frame: &FrameRef,
+        max_width: u32,
+        age_ns: Option<i64>,
+        made_ns: i64,
+    ) -> Option<Self> {
         let f = frame.frame();
         let (bytes, width, height) = thinned(f, frame.bytes(), max_width as usize)?;
         let len = bytes.len();
@@ -260,7 +264,9 @@ mod tests {
     #[test]
     fn damaged_packets_are_refused() {
         let mut bytes = Vec::new();
-        Outgoing::of(("a", "b"), &frame("gray8", 64, 64, 64, &[7; 4096]), 64, None, 0).expect("it fits").write(&mut bytes);
+        Outgoing::of(("a", "b"), &frame("gray8", 64, 64, 64, &[7; 4096]), 64, None, 0)
+            .expect("it fits")
+            .write(&mut bytes);
         for end in 0..bytes.len() {
             assert!(Packet::read(&bytes[..end]).is_err(), "{end}");
         }

@@ -39,7 +39,8 @@ fn file() -> io::Result<PathBuf> {
     let above = me.as_ref().and_then(|me| Some(me.parent()?.parent()?.join(MACHINE_PROGRAM)));
     let found = [beside, above].into_iter().flatten().find(|file| file.is_file());
     found.ok_or_else(|| {
-        let words = format!("the program `{MACHINE_PROGRAM}`, which links machines, is missing; install Panoscope again");
+        let words =
+            format!("the program `{MACHINE_PROGRAM}`, which links machines, is missing; install Panoscope again");
         io::Error::new(io::ErrorKind::NotFound, words)
     })
 }

@@ -14,7 +14,9 @@ pub enum RuleError {
     #[error("the text is no TOML: {0}")]
     Toml(String),
     /// It sets or releases an emergency stop.
-    #[error("`{node}.{param}` is set only at the machine that runs the graph: a window elsewhere neither stops an arm nor releases it")]
+    #[error(
+        "`{node}.{param}` is set only at the machine that runs the graph: a window elsewhere neither stops an arm nor releases it"
+    )]
     Stop {
         /// The node.
         node: String,
@@ -62,7 +64,8 @@ pub fn check(old: &str, new: &str) -> Result<(), RuleError> {
 mod tests {
     use super::*;
 
-    const RUNS: &str = "plugin_paths = [\"a\"]\n[nodes.arm]\ntype = \"arm_sim\"\nparams = { emergency_stop = true, gain = 1 }\n";
+    const RUNS: &str =
+        "plugin_paths = [\"a\"]\n[nodes.arm]\ntype = \"arm_sim\"\nparams = { emergency_stop = true, gain = 1 }\n";
 
     #[test]
     fn an_edit_neither_stops_nor_releases_an_arm() {

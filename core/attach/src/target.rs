@@ -79,13 +79,21 @@ impl Target {
         }
         let name = name.to_owned();
         if let Some(address) = address {
-            return Ok(Self { name, address: address.to_owned(), timeout_ms: timeout_ms(), plaintext: false, keys: None });
+            return Ok(Self {
+                name,
+                address: address.to_owned(),
+                timeout_ms: timeout_ms(),
+                plaintext: false,
+                keys: None,
+            });
         }
         let file = config.unwrap_or(Path::new("")).join("machines.toml");
         let damaged = |words: String| TargetError::File { file: file.clone(), words };
         let text = match fs::read_to_string(&file) {
             Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Err(TargetError::Unknown { name, file }),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Err(TargetError::Unknown { name, file });
+            }
             Err(error) => return Err(damaged(error.to_string())),
         };
         let mut machines: Machines = toml::from_str(&text).map_err(|error| damaged(error.to_string()))?;

@@ -173,7 +173,9 @@ mod tests {
 
     #[test]
     fn bytes_that_are_no_frame_are_refused() {
-        for bytes in [&[4, 0, 0, 0, 1, 0, 0, 0, 0][..], &[9, 0, 0, 0, 9, 0, 0, 0, 0], &[255; 9], &[9, 0, 0, 0, 3, 0, 0, 0, 0, 1]] {
+        for bytes in
+            [&[4, 0, 0, 0, 1, 0, 0, 0, 0][..], &[9, 0, 0, 0, 9, 0, 0, 0, 0], &[255; 9], &[9, 0, 0, 0, 3, 0, 0, 0, 0, 1]]
+        {
             assert!(receive(&mut &bytes[..]).is_err(), "{bytes:?}");
         }
     }

@@ -270,7 +270,8 @@ fn the_page_of_surgeon_shows_its_surface_too() {
     let watched = Watched::start_file(folder, Path::new("graphs/surgeon.toml"));
     let (_, body) = watched.get_soon("/state");
     let state: Value = serde_json::from_slice(&body).expect("JSON");
-    let shown: Vec<&str> = state["pictures"].as_array().expect("a list").iter().filter_map(|p| p["name"].as_str()).collect();
+    let shown: Vec<&str> =
+        state["pictures"].as_array().expect("a list").iter().filter_map(|p| p["name"].as_str()).collect();
     for name in &shown {
         let (head, jpeg) = watched.get_soon(&format!("/pictures/{name}"));
         let picture = image::load_from_memory(&jpeg).expect("a JPEG").into_rgb8();

@@ -165,8 +165,7 @@ pub enum Pixels {
 
 impl Pixels {
     /// The words of a graph file.
-    pub(crate) const WORDS: [(&str, Self); 3] =
-        [("raw", Self::Raw), ("lz4", Self::Lz4), ("h264", Self::H264)];
+    pub(crate) const WORDS: [(&str, Self); 3] = [("raw", Self::Raw), ("lz4", Self::Lz4), ("h264", Self::H264)];
 
     /// The value that a word names.
     pub fn named(word: &str) -> Option<Self> {

@@ -3,7 +3,9 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use gstreamer::prelude::*;
-use gstreamer::{Buffer, Bus, Caps, ClockTime, EventView, FormattedSegment, MessageView, Pad, PadDirection, Pipeline, State};
+use gstreamer::{
+    Buffer, Bus, Caps, ClockTime, EventView, FormattedSegment, MessageView, Pad, PadDirection, Pipeline, State,
+};
 use gstreamer_video::{VideoFormat, VideoFrameExt, VideoFrameRef, VideoInfo};
 
 use crate::MediaError;

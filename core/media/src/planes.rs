@@ -159,7 +159,12 @@ mod tests {
         for bgr in [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255], [0, 0, 0], [40, 90, 200]] {
             let data = planes(&bgr.repeat(9), (3, 3), (4, 4), false);
             let mut rows = [0; 3 * 11];
-            i420_to_bgr([(&data[0], 4), (&data[1], 2), (&data[2], 2)].map(|(data, stride)| Plane { data, stride }), (3, 3), 11, &mut rows);
+            i420_to_bgr(
+                [(&data[0], 4), (&data[1], 2), (&data[2], 2)].map(|(data, stride)| Plane { data, stride }),
+                (3, 3),
+                11,
+                &mut rows,
+            );
             for row in rows.chunks(11) {
                 let difference = row[..9].iter().zip(bgr.repeat(3)).map(|(a, b): (&u8, u8)| a.abs_diff(b)).max();
                 assert!(difference <= Some(3), "{bgr:?}: {row:?}");

@@ -43,7 +43,11 @@ pub fn painted(frame: &Frame, bytes: &[u8], packet: &str, range: &mut Range) -> 
                 true => [point[bgr], point[bgr + 1], point[bgr + 2]],
                 false => unknown,
             };
-            Some(rows(size_of::<CloudPoint>()).flat_map(|row| row.chunks_exact(size_of::<CloudPoint>()).flat_map(point)).collect())
+            Some(
+                rows(size_of::<CloudPoint>())
+                    .flat_map(|row| row.chunks_exact(size_of::<CloudPoint>()).flat_map(point))
+                    .collect(),
+            )
         }
         FORMAT_GRAY16 => Some(rows(2).flat_map(|row| row.chunks_exact(2).flat_map(|two| [two[1]; 3])).collect()),
         _ => None,
@@ -80,9 +84,8 @@ mod tests {
 
     #[test]
     fn maps_have_the_colours_of_their_range_and_gray_holes() {
-        let values: Vec<u8> = (0..70 * 7)
-            .flat_map(|at| if at % 70 == 3 { f32::NAN } else { (at % 70) as f32 }.to_le_bytes())
-            .collect();
+        let values: Vec<u8> =
+            (0..70 * 7).flat_map(|at| if at % 70 == 3 { f32::NAN } else { (at % 70) as f32 }.to_le_bytes()).collect();
         let mut range = None;
         let picture = painted(&described(FORMAT_F32, 70, 7, 280), &values, "depth", &mut range).expect("a map");
         assert_eq!(picture.len(), 70 * 7 * 3);
@@ -91,7 +94,8 @@ mod tests {
         assert_eq!(picture[9..12], Colormap::Viridian.at(f32::NAN));
         let (low, high) = range.expect("a range");
         assert!(low < 5.0 && high > 60.0, "{low} to {high}");
-        let sure = painted(&described(FORMAT_F32, 1, 1, 4), &1f32.to_le_bytes(), "confidence", &mut None).expect("a map");
+        let sure =
+            painted(&described(FORMAT_F32, 1, 1, 4), &1f32.to_le_bytes(), "confidence", &mut None).expect("a map");
         assert_eq!(sure, Colormap::Viridian.at(1.0));
     }
 

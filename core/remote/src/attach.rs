@@ -126,12 +126,16 @@ impl Connection {
     /// Measures the clock, and ends the process when the machine is silent for too long.
     fn probe(&self, ping: &Publisher<'static>) {
         let begin_ns = system_ns();
-        let beyond = |since_ns: i64| Duration::from_nanos(system_ns().saturating_sub(since_ns).max(0).unsigned_abs()) > self.timeout;
+        let beyond = |since_ns: i64| {
+            Duration::from_nanos(system_ns().saturating_sub(since_ns).max(0).unsigned_abs()) > self.timeout
+        };
         loop {
             let _ = ping.put(system_ns().to_le_bytes()).wait();
             std::thread::sleep(self.timeout / PROBES);
             let (address, name, seconds) = (&self.address, &self.name, self.timeout.as_secs_f64());
-            if beyond(self.heard_ns.load(Ordering::Relaxed)) || beyond(begin_ns) && !self.is_ready.load(Ordering::Relaxed) {
+            if beyond(self.heard_ns.load(Ordering::Relaxed))
+                || beyond(begin_ns) && !self.is_ready.load(Ordering::Relaxed)
+            {
                 lose(&match self.is_ready.load(Ordering::Relaxed) {
                     true => format!("nothing was heard of {address} for {seconds} s"),
                     false => format!(

@@ -80,7 +80,13 @@ struct Shared {
 ///
 /// # Errors
 /// The address cannot be listened at, or names and keys are missing, in words.
-pub fn run(name: &str, address: &str, identity: Option<Identity>, plaintext: bool, hosts: &[&str]) -> Result<(), String> {
+pub fn run(
+    name: &str,
+    address: &str,
+    identity: Option<Identity>,
+    plaintext: bool,
+    hosts: &[&str],
+) -> Result<(), String> {
     let parent = parent()?;
     let words = |error: network::NetworkError| error.to_string();
     let address = Address::parse(address, plaintext).map_err(words)?;
@@ -195,7 +201,8 @@ impl Shared {
         };
         let (own, theirs) = (crate::version(), String::from_utf8_lossy(theirs).into_owned());
         if own != theirs {
-            let words = format!("the versions differ: {theirs} here, {own} on `{}`; install the same on both", self.name);
+            let words =
+                format!("the versions differ: {theirs} here, {own} on `{}`; install the same on both", self.name);
             return refuse(words);
         }
         let session = self.next.fetch_add(1, Ordering::Relaxed);

@@ -134,7 +134,9 @@ mod tests {
             begun += u32::from(picture.begins);
             let mut arrived = vec![0; bytes.len()];
             decoders.decode(7, &picture, coded, &mut arrived).expect("it is decoded");
-            let rows = |bytes: &[u8]| bytes.chunks(stride as usize).flat_map(|row| row[..width as usize * 3].to_vec()).collect::<Vec<_>>();
+            let rows = |bytes: &[u8]| {
+                bytes.chunks(stride as usize).flat_map(|row| row[..width as usize * 3].to_vec()).collect::<Vec<_>>()
+            };
             let worst = rows(&bytes).iter().zip(rows(&arrived)).map(|(a, b)| a.abs_diff(b)).max();
             assert!(worst < Some(24), "{worst:?}");
         }

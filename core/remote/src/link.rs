@@ -165,10 +165,7 @@ pub(crate) fn reach(
     let (done, opened) = channel::<()>();
     let watch = move || {
         if opened.recv_timeout(limit).is_err_and(|error| error == std::sync::mpsc::RecvTimeoutError::Timeout) {
-            lose(&format!(
-                "{text} answers, but no connection was made within {}; is it `{command}`?",
-                seconds(limit)
-            ));
+            lose(&format!("{text} answers, but no connection was made within {}; is it `{command}`?", seconds(limit)));
         }
     };
     std::thread::Builder::new().spawn(watch).map_err(|error| error.to_string())?;
@@ -531,7 +528,10 @@ mod tests {
         let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
         let parsed =
             Arguments::parse(&words(&["tls/10.0.0.2:7447", "lz4", "1500", "false", "rack"])).expect("arguments");
-        assert_eq!((parsed.timeout, parsed.pixels, parsed.plaintext), (Duration::from_millis(1500), Pixels::Lz4, false));
+        assert_eq!(
+            (parsed.timeout, parsed.pixels, parsed.plaintext),
+            (Duration::from_millis(1500), Pixels::Lz4, false)
+        );
         assert_eq!(Arguments::parse(&words(&["tls/10.0.0.2:7447", "jpeg", "1500", "false", "rack"])), None);
         assert_eq!(Arguments::parse(&words(&["tls/10.0.0.2:7447", "raw", "soon", "false", "rack"])), None);
         assert_eq!(Arguments::parse(&words(&["rack"])), None);

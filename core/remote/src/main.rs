@@ -40,11 +40,8 @@ fn main() -> ExitCode {
         (Some("serve"), [name, address, keys, graph_dir, plaintext, hosts @ ..]) => {
             serve(name, address, keys, graph_dir, *plaintext == "true", hosts)
         }
-        (Some(ATTACHABLE), [name, address, keys, plaintext, hosts @ ..]) => {
-            identity(keys, address.starts_with("tls/")).and_then(|identity| {
-                attachable::run(name, address, identity, *plaintext == "true", hosts)
-            })
-        }
+        (Some(ATTACHABLE), [name, address, keys, plaintext, hosts @ ..]) => identity(keys, address.starts_with("tls/"))
+            .and_then(|identity| attachable::run(name, address, identity, *plaintext == "true", hosts)),
         (Some(ATTACH), [address, timeout_ms, plaintext, name]) => {
             attach::run(address, timeout_ms, *plaintext == "true", name)
         }
@@ -71,7 +68,8 @@ fn usage() -> ExitCode {
 /// The keys of this machine, where they are needed.
 fn identity(keys: &str, is_tls: bool) -> Result<Option<Identity>, String> {
     let folder = if keys.is_empty() { Identity::folder() } else { Some(PathBuf::from(keys)) };
-    let read = |folder: PathBuf| Identity::read(&folder).map_err(|error| format!("{error}; `panoscope keys` makes keys"));
+    let read =
+        |folder: PathBuf| Identity::read(&folder).map_err(|error| format!("{error}; `panoscope keys` makes keys"));
     folder.filter(|_| is_tls).map(read).transpose()
 }
 

@@ -63,7 +63,10 @@ const PARSERS: &[(&str, &[Source])] = &[
         "machine_message",
         &[functions(
             "core/isolate/src/relay/messages.rs",
-            &["array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame", "pixels", "fits"],
+            &[
+                "array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame", "pixels",
+                "fits",
+            ],
         )],
     ),
     (

@@ -327,7 +327,8 @@ impl Worker {
         for (output, request) in requests {
             if !self.outputs.contains_key(&output) {
                 let Some(feed) = feed(&output, machine.as_ref(), engine.as_deref()) else { continue };
-                self.outputs.insert(output.clone(), OutputPreview { feed, elsewhere: None, range: None, surface: None });
+                self.outputs
+                    .insert(output.clone(), OutputPreview { feed, elsewhere: None, range: None, surface: None });
             }
             let Some(view) = self.outputs.get_mut(&output) else { continue };
             if let Some(render) = view.render(&request) {

@@ -157,7 +157,12 @@ impl Theatre {
             (Action::Next, "Layout", false, whole && self.plan.views.len() > 1),
             (Action::Freeze, if frozen { "Continue" } else { "Freeze" }, frozen, whole),
             (Action::Still, "Still", false, true),
-            (Action::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), whole && is_here),
+            (
+                Action::Record,
+                if self.clip.is_some() { "End clip" } else { "Record" },
+                self.clip.is_some(),
+                whole && is_here,
+            ),
             (Action::Measure, "Measure", self.measure.is_on(), whole && self.plan.cloud.is_some()),
             (Action::Again, "Start again", true, over && is_here),
         ];

@@ -25,16 +25,8 @@ pub struct Bytes {
 impl Bytes {
     fn of(frame: &abi::Frame) -> Self {
         let BufferId { pool, offset, .. } = frame.buffer;
-        let colour_px =
-            (frame.format == abi::FORMAT_BGR8).then_some((frame.width, frame.height, frame.stride_bytes));
-        Self {
-            pool,
-            offset,
-            len: frame.len as u64,
-            is_pixels: frame.format != abi::FORMAT_BYTES,
-            colour_px,
-            uses: 0,
-        }
+        let colour_px = (frame.format == abi::FORMAT_BGR8).then_some((frame.width, frame.height, frame.stride_bytes));
+        Self { pool, offset, len: frame.len as u64, is_pixels: frame.format != abi::FORMAT_BYTES, colour_px, uses: 0 }
     }
 }
 

@@ -390,7 +390,8 @@ mod tests {
         let picture = Picture { stream: 1, width: 4, height: 4, stride_bytes: 16, begins: true };
         let coded = FrameHead { coding: Coding::H264(picture), ..frame };
         let file = FileHash { path: "models/a.onnx".to_owned(), sha256: "00ff".to_owned() };
-        let turn = Turn { lane: 7, kind: 2, at_ns: -5, message: vec![1, 2, 3], files: vec![file], frames: vec![frame, coded] };
+        let turn =
+            Turn { lane: 7, kind: 2, at_ns: -5, message: vec![1, 2, 3], files: vec![file], frames: vec![frame, coded] };
         vec![
             Message::Hello {
                 version: "Panoscope 1".to_owned(),

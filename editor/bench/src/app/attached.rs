@@ -17,12 +17,7 @@ impl App {
     ///
     /// # Errors
     /// A thread cannot be started.
-    pub fn attached(
-        ctx: &Context,
-        path: &Path,
-        attachment: Attachment,
-        options: Options,
-    ) -> Result<Self, OpenError> {
+    pub fn attached(ctx: &Context, path: &Path, attachment: Attachment, options: Options) -> Result<Self, OpenError> {
         let text = attachment.state().opened.map(|opened| opened.text.clone()).unwrap_or_default();
         let session = Session::attached(path, attachment)?;
         Self::with_session(ctx, path, &text, session, options)
@@ -108,7 +103,10 @@ fn words(name: &str, state: &State) -> (String, bool) {
         Contact::None => (format!("{name} is not reached: {}", state.problem), true),
         Contact::Lost(why) => {
             let seconds = state.since.map_or(0, |since| since.elapsed().as_secs());
-            (format!("{name} is not reached for {seconds} s: {}; pictures are old, it is tried again", problem(why)), true)
+            (
+                format!("{name} is not reached for {seconds} s: {}; pictures are old, it is tried again", problem(why)),
+                true,
+            )
         }
         Contact::Ended(why) => (format!("{name}: {why}"), true),
         Contact::Attached => {

@@ -69,7 +69,8 @@ fn opened() -> Message {
     };
     let node_types = vec![node_type("cam", vec![], vec![port("left")]), node_type("end", vec![port("image")], vec![])];
     let catalog = Catalog { plugins: vec!["p".to_owned()], node_types, ..Catalog::default() };
-    let text = "plugins = [\"p\"]\n[nodes.a]\ntype = \"cam\"\n[nodes.b]\ntype = \"end\"\ninputs = { image = \"a.left\" }\n";
+    let text =
+        "plugins = [\"p\"]\n[nodes.a]\ntype = \"cam\"\n[nodes.b]\ntype = \"end\"\ninputs = { image = \"a.left\" }\n";
     let (graph, _) = check(&GraphText::parse("g.toml".as_ref(), text), &catalog).into_result().expect("a graph");
     let opened = Opened { text: text.to_owned(), graph, catalog, may_edit: true, changed_by: String::new() };
     Message::Opened(Box::new(opened))
@@ -98,7 +99,8 @@ pub fn seeds() -> Vec<Vec<u8>> {
         tunnel::send(&mut frames, &tunnel::Frame::words(kind, 2, "desk")).expect("memory takes it");
     }
     let clock = tunnel::ClockFrame { offset_ns: -5, error_ns: 6, round_trip_ns: 7 }.bytes();
-    tunnel::send(&mut frames, &tunnel::Frame { kind: tunnel::Kind::Clock, session: 0, bytes: clock }).expect("memory takes it");
+    tunnel::send(&mut frames, &tunnel::Frame { kind: tunnel::Kind::Clock, session: 0, bytes: clock })
+        .expect("memory takes it");
     vec![
         frames,
         write_command(&Command::Preview { wanted: vec![wanted], interval_ms: 100 }),
@@ -114,7 +116,14 @@ pub fn seeds() -> Vec<Vec<u8>> {
         write_message(&Message::Ran { id: 3, result: Ok("1 parameter".to_owned()) }),
         write_message(&Message::Ended { words: "the run is over".to_owned() }),
         packet(gray, 4, 2, 8, false, b"12345678"),
-        packet(gray, 64, 64, 4096, true, &[0x1f, 7, 1, 0, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 20, 0]),
+        packet(
+            gray,
+            64,
+            64,
+            4096,
+            true,
+            &[0x1f, 7, 1, 0, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 20, 0],
+        ),
         packet(0, 0, 0, 3, false, b"abc"),
         packet(gray, 4, 2, 9, false, b"123456789"),
         packet(gray, u32::MAX, u32::MAX, 8, false, b"12345678"),
