@@ -48,8 +48,13 @@ pub fn check(old: &str, new: &str) -> Result<(), RuleError> {
     if let Some(key) = CODE.into_iter().find(|key| old.get(*key) != new.get(*key)) {
         return Err(RuleError::Code(key));
     }
-    let before = stops(&old);
-    for (node, now) in stops(&new) {
+    let (before, after) = (stops(&old), stops(&new));
+    // A stopped node stays: another one in its place would not be stopped.
+    let is_stopped = |known: &[Option<toml::Value>; 2]| known[0] == Some(toml::Value::Boolean(true));
+    if let Some((node, _)) = before.iter().find(|(node, known)| is_stopped(known) && !after.contains_key(*node)) {
+        return Err(RuleError::Stop { node: node.clone(), param: STOPS[0].to_owned() });
+    }
+    for (node, now) in after {
         let known = before.get(&node);
         // A new node may begin stopped, as its text says.
         let Some(known) = known else { continue };
@@ -74,6 +79,7 @@ mod tests {
             let refused = check(RUNS, &edit).expect_err("it releases");
             assert!(refused.to_string().contains("`arm.emergency_stop`"), "{refused}");
         }
+        assert!(check(RUNS, &RUNS.replace("nodes.arm", "nodes.second")).is_err(), "another one is not stopped");
         let reset = RUNS.replace("gain = 1", "gain = 1, reset = 3");
         assert_eq!(check(RUNS, &reset), Err(RuleError::Stop { node: "arm".to_owned(), param: "reset".to_owned() }));
         let other = format!("{RUNS}[nodes.second]\ntype = \"arm_sim\"\nparams = {{ emergency_stop = true }}\n");

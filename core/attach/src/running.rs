@@ -80,7 +80,7 @@ struct Feed {
     preview: Preview,
     underway: u32,
     /// When the last packet was sent.
-    at: Instant,
+    at: Option<Instant>,
 }
 
 /// A window.
@@ -307,7 +307,7 @@ impl Attachable {
                 if feeds.iter().all(|feed| feed.wanted != *one)
                     && let Some(preview) = engine.preview(&one.node, &one.port)
                 {
-                    feeds.push(Feed { wanted: one.clone(), preview, underway: 0, at: Instant::now() - IDLE * 100 });
+                    feeds.push(Feed { wanted: one.clone(), preview, underway: 0, at: None });
                 }
             }
         }
@@ -325,9 +325,10 @@ impl Attachable {
             for (id, session) in &mut lock(&self.shared.state).sessions {
                 is_idle = false;
                 let Session { feeds, interval, .. } = session;
-                for feed in feeds.iter_mut().filter(|f| f.underway < MAX_UNDERWAY && f.at.elapsed() >= *interval) {
+                let is_time = |feed: &&mut Feed| feed.at.is_none_or(|at| at.elapsed() >= *interval);
+                for feed in feeds.iter_mut().filter(|feed| feed.underway < MAX_UNDERWAY).filter(is_time) {
                     if let Some(frame) = feed.preview.take() {
-                        (feed.underway, feed.at) = (feed.underway + 1, Instant::now());
+                        (feed.underway, feed.at) = (feed.underway + 1, Some(Instant::now()));
                         taken.push((*id, feed.wanted.clone(), frame));
                     }
                 }

@@ -10,7 +10,7 @@ use eframe::egui::Context;
 use panoscope_attach::message::Opened as Running;
 use panoscope_attach::{Attachment, Clock, Contact, State};
 
-use super::runner::Local;
+use super::runner::{Local, Runner};
 use super::{Layout, OpenError, Opened, Options, Plan, Theatre, Verified};
 use panoscope_editor_model::session::Session;
 
