@@ -74,7 +74,7 @@ fn edits_are_made_there_and_conflicts_are_shown() {
     let _running = Attachable::start(EDITOR, &folder.0.join("g.toml"), &address, &allows).expect("a program");
     window.until_shown("Runs on engine: this window edits it");
     window.until("the graph that runs there now", |app| app.document().text().contains("past_weight = 100"));
-    window.key(Modifiers::CTRL, Key::S);
+    window.key(Modifiers::COMMAND, Key::S);
     window.until("a copy", |app| {
         let copy = std::fs::read_to_string(app.document().path()).unwrap_or_default();
         copy == **app.document().text()
