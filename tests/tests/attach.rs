@@ -21,11 +21,11 @@ type = "frames"
 params = { width_px = 320, height_px = 240 }
 [nodes.level]
 type = "level"
-inputs = { image = "camera.image" }
+inputs = { image = { from = "camera.image", queue = 64 } }
 params = { gain = 1.0 }
 [nodes.end]
 type = "drain"
-inputs = { image = "camera.image" }
+inputs = { image = { from = "camera.image", queue = 64 } }
 "#;
 
 /// A `panoscope run` with its log. It is killed when this is dropped.

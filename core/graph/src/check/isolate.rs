@@ -181,7 +181,7 @@ impl Checker<'_> {
                 continue;
             }
             let names = list(behind.iter().map(|index| self.id(*index)), 8, "and");
-            let message = format!("{names} measure in pixels that H.264 has changed");
+            let message = format!("H.264 may change the pixels that {names} measure in");
             self.warning("coded-pixels", &name.span, message)
                 .label("colour pictures to and from this machine lose detail")
                 .help("write pixels = \"lz4\" where numbers count");
