@@ -17,7 +17,7 @@ const THEATRE: &str = "panoscope-theatre";
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Graph file.
-    #[arg(required_unless_present = "attach")]
+    #[arg(required_unless_present = "attach", allow_hyphen_values = true)]
     graph: Option<PathBuf>,
     /// Shows the graph that runs on another machine with `panoscope run --attachable`: NAME@ADDRESS as in rack@tls/10.0.0.2:7448, or a NAME of
     /// machines.toml in the folder panoscope of the user's configuration.
@@ -31,6 +31,7 @@ pub struct Arguments {
 /// Becomes the editor, or with `theatre` the surgeon's window.
 pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
     // The editor offers templates for a file that is to be; it looks after the rest.
+    // With --attach the first word may be an option of the window.
     if let Some(graph) = arguments.graph.as_ref().filter(|_| arguments.attach.is_none()) {
         let new = !theatre && !graph.exists() && graph.extension().is_some_and(|e| e == "toml");
         if !graph.is_file() && !new {
