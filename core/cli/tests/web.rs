@@ -1,15 +1,20 @@
 //! `panoscope run --web`: the page, its pictures and the metrics of a running graph, over HTTP and in a browser.
 
+#[path = "../../../tests/support/chromium.rs"]
+mod chromium;
 mod common;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use chromium::{Browser, Page};
 use common::plugins;
 use panoscope_testing::{Folder, own_settings, skipped};
+use serde_json::Value;
 
 const GRAPH: &str = r#"name = "watched"
 mode = "live"
@@ -38,9 +43,15 @@ struct Watched {
 impl Watched {
     fn start(name: &str) -> Self {
         let folder = Folder::new(name, &[("graph.toml", GRAPH)]);
+        let file = folder.path().join("graph.toml");
+        Self::start_file(folder, &file)
+    }
+
+    /// Runs a graph file in a folder.
+    fn start_file(folder: Folder, file: &Path) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
         own_settings(&mut command, folder.path());
-        command.current_dir(folder.path()).args(["run", "graph.toml", "--headless", "--web", "0"]);
+        command.current_dir(folder.path()).arg("run").arg(file).args(["--headless", "--web", "0"]);
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts");
         let mut lines = BufReader::new(child.stderr.take().expect("standard error")).lines();
         let address =
@@ -197,6 +208,77 @@ fn a_browser_shows_pictures_with_an_age() {
     assert!(page.contains(shown), "a picture is shown: {page}");
     assert!(page.contains(" ms</span>") || page.contains("no new picture for "), "its age is shown: {page}");
     assert!(page.contains("<span id=\"state\" class=\"\">running</span>"), "{page}");
+}
+
+/// What a page shows of its pictures: words beside it, whether it is dimmed, its opacity, its width in px, its age in words.
+const FIGURES: &str = "[...document.querySelectorAll('figure')].map(f => ({
+    label: f.querySelector('img').alt, old: f.classList.contains('old'), opacity: getComputedStyle(f.querySelector('img')).opacity,
+    width: f.querySelector('img').naturalWidth, age: f.querySelector('.age').textContent }))";
+
+/// Looks at a page until its pictures are as wanted.
+fn figures_until(browser: &mut Browser, page: &Page, is_right: impl Fn(&[Value]) -> bool) -> Vec<Value> {
+    let until = Instant::now() + Duration::from_secs(60);
+    loop {
+        let figures = browser.evaluate(page, FIGURES).as_array().cloned().unwrap_or_default();
+        if !figures.is_empty() && is_right(&figures) {
+            return figures;
+        }
+        assert!(Instant::now() < until, "{figures:?}");
+        thread::sleep(Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn a_browser_dims_an_old_picture_and_no_fresh_one() {
+    if plugins(&["flow"]).is_none() {
+        return;
+    }
+    if !is_there("chromium") {
+        return skipped!("no Chromium: `cargo xtask setup` installs it");
+    }
+    let watched = Watched::start("web-dimmed");
+    watched.get_soon("/state");
+    let mut browser = Browser::start("web-dimmed");
+    let page = browser.open(&format!("http://{}/", watched.address));
+    let is_fresh = |figure: &Value| figure["old"] == false && figure["opacity"] == "1" && figure["width"] == 64;
+    let fresh = figures_until(&mut browser, &page, |figures| figures.iter().all(is_fresh));
+    assert!(fresh[0]["age"].as_str().is_some_and(|age| age.ends_with(" ms")), "{fresh:?}");
+    let signal = |name: &str| {
+        let sent = Command::new("kill").args([name, &watched.child.id().to_string()]).status();
+        assert!(sent.is_ok_and(|status| status.success()));
+    };
+    // The program stands still: its last picture grows old in the browser, which hears nothing any more.
+    signal("-STOP");
+    let old = figures_until(&mut browser, &page, |figures| figures[0]["old"] == true);
+    assert!(old[0]["age"].as_str().is_some_and(|age| age.starts_with("no new picture for ")), "{old:?}");
+    assert_ne!(old[0]["opacity"], "1", "{old:?}");
+    signal("-CONT");
+    figures_until(&mut browser, &page, |figures| figures.iter().all(is_fresh));
+}
+
+#[test]
+fn the_page_of_surgeon_shows_its_surface_too() {
+    let names = ["stereo", "tools", "sinks", "phantom", "arm", "overlay", "flow", "stitch"];
+    if plugins(&names).is_none() {
+        return;
+    }
+    let folder = Folder::new("web-surgeon", &[]);
+    let graphs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../graphs");
+    // Its sinks write beside the folder of the graph.
+    let copied = Command::new("cp").arg("-r").arg(&graphs).arg(folder.path()).status();
+    assert!(copied.is_ok_and(|status| status.success()));
+    let watched = Watched::start_file(folder, Path::new("graphs/surgeon.toml"));
+    let (_, body) = watched.get_soon("/state");
+    let state: Value = serde_json::from_slice(&body).expect("JSON");
+    let shown: Vec<&str> =
+        state["pictures"].as_array().expect("a list").iter().filter_map(|p| p["name"].as_str()).collect();
+    for name in &shown {
+        let (head, jpeg) = watched.get_soon(&format!("/pictures/{name}"));
+        let picture = image::load_from_memory(&jpeg).expect("a JPEG").into_rgb8();
+        let levels: std::collections::BTreeSet<[u8; 3]> = picture.pixels().map(|pixel| pixel.0).collect();
+        assert!(picture.width() > 100 && levels.len() > 50, "{name}: {head}");
+    }
+    assert!(shown.contains(&"points.cloud"), "{shown:?}");
 }
 
 #[test]

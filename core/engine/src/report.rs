@@ -250,7 +250,7 @@ struct Previous {
 }
 
 /// One node in a [`Window`]: times and rate within it, counts since the node started.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct NodeWindow {
     /// Calls per second.
     pub fps: f64,
@@ -277,7 +277,7 @@ pub struct NodeWindow {
 }
 
 /// The queue of one edge. Nodes that run inline after their producer have no queue.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QueueWindow {
     /// Input, a position in the node type's inputs.
     pub port: usize,

@@ -159,17 +159,30 @@ pub enum Pixels {
     Raw,
     /// Compressed without loss: the same bytes arrive.
     Lz4,
+    /// Colour pictures as H.264, with loss; all else as [`Self::Lz4`].
+    H264,
 }
 
 impl Pixels {
     /// The words of a graph file.
-    pub(crate) const WORDS: [(&str, Self); 2] = [("raw", Self::Raw), ("lz4", Self::Lz4)];
+    pub(crate) const WORDS: [(&str, Self); 3] = [("raw", Self::Raw), ("lz4", Self::Lz4), ("h264", Self::H264)];
+
+    /// The value that a word names.
+    pub fn named(word: &str) -> Option<Self> {
+        Self::WORDS.into_iter().find_map(|(known, pixels)| (known == word).then_some(pixels))
+    }
+
+    /// Whether other pixels may arrive than were sent.
+    pub fn is_lossy(self) -> bool {
+        self == Self::H264
+    }
 
     /// The word that a graph file uses.
     pub fn word(self) -> &'static str {
         match self {
             Self::Raw => "raw",
             Self::Lz4 => "lz4",
+            Self::H264 => "h264",
         }
     }
 }

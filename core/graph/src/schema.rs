@@ -105,7 +105,7 @@ pub fn json_schema(catalog: &Catalog) -> Value {
                 "required": ["address"],
                 "properties": {
                     "address": { "type": "string", "description": "Where `panoscope serve` listens there: tls/HOST:PORT, or tcp/HOST:PORT inside one machine." },
-                    "pixels": { "enum": ["raw", "lz4"], "default": "raw", "description": "How pixels travel; lz4 compresses without loss." },
+                    "pixels": { "enum": ["raw", "lz4", "h264"], "default": "raw", "description": "How pixels travel; lz4 compresses without loss, h264 colour pictures with loss." },
                     "timeout_ms": { "type": "integer", "minimum": 100, "maximum": 60000, "default": 1000, "description": "The machine counts as lost when nothing was heard of it for this long." },
                     "plaintext": { "type": "boolean", "default": false, "description": "Allows tcp/ to another machine: without encryption and without a check of who answers." }
                 }

@@ -3,6 +3,7 @@
 //! `capture` and `sinks` are separate libraries that share one GStreamer in a process. What both need stands here.
 
 mod container;
+mod decode;
 mod elements;
 mod encode;
 mod error;
@@ -11,6 +12,7 @@ pub mod offer;
 mod planes;
 
 pub use container::{Container, ContainerFile};
+pub use decode::Decoder;
 pub use elements::{init, is_installed, make};
 pub use encode::{Encoder, EncoderSettings, Framing, Packet, RateControl, VideoCodec};
 pub use error::MediaError;

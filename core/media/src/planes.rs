@@ -1,4 +1,4 @@
-//! Pixels as encoders take them.
+//! Pixels as encoders take them and decoders make them.
 
 /// Columns and rows, px.
 type Size = (usize, usize);
@@ -89,6 +89,31 @@ fn luma_row(matrix: &Matrix, bgr: &[u8], luma: &mut [u8], to_width: usize) {
     }
 }
 
+/// A plane to read.
+pub struct Plane<'a> {
+    /// Rows, `stride` bytes apart.
+    pub data: &'a [u8],
+    /// Bytes from row to row.
+    pub stride: usize,
+}
+
+/// Planes of luma, Cb and Cr by BT.601 (16 to 235) to BGR rows that are `stride` bytes apart; the planes may be larger than `size`.
+pub fn i420_to_bgr([luma, cb, cr]: [Plane<'_>; 3], size: Size, stride: usize, bgr: &mut [u8]) {
+    let (width, height) = size;
+    for y in 0..height {
+        let luma = &luma.data[y * luma.stride..][..width];
+        let (cb, cr) = (&cb.data[y / 2 * cb.stride..], &cr.data[y / 2 * cr.stride..]);
+        let row = &mut bgr[y * stride..][..width * 3];
+        for (x, (luma, to)) in luma.iter().zip(row.as_chunks_mut::<3>().0).enumerate() {
+            // In 1/65536: 255 / 219 for luma; 255 / 112 (1 - K) and its shares for chroma.
+            let luma = (i32::from(*luma) - 16) * 76309;
+            let (cb, cr) = (i32::from(cb[x / 2]) - 128, i32::from(cr[x / 2]) - 128);
+            let byte = |value: i32| ((value + (1 << 15)) >> 16).clamp(0, 255) as u8;
+            *to = [byte(luma + 132201 * cb), byte(luma - 25675 * cb - 53279 * cr), byte(luma + 104597 * cr)];
+        }
+    }
+}
+
 /// BGR rows without padding to rows of BGR and an unused byte.
 pub fn bgr_to_bgrx(bgr: &[u8], size: Size, to: PlaneMut<'_>) {
     for (row, to) in bgr.chunks_exact(size.0 * 3).zip(to.data.chunks_mut(to.stride)) {
@@ -125,6 +150,24 @@ mod tests {
                 let found = planes(&bgr.repeat(4), (2, 2), (2, 2), is_full).map(|plane| plane[0]);
                 let difference = found.iter().zip(&expected).map(|(a, b): (&u8, &u8)| a.abs_diff(*b)).max();
                 assert!(difference <= Some(1), "{bgr:?}: {found:?} for {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn colours_come_back() {
+        for bgr in [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255], [0, 0, 0], [40, 90, 200]] {
+            let data = planes(&bgr.repeat(9), (3, 3), (4, 4), false);
+            let mut rows = [0; 3 * 11];
+            i420_to_bgr(
+                [(&data[0], 4), (&data[1], 2), (&data[2], 2)].map(|(data, stride)| Plane { data, stride }),
+                (3, 3),
+                11,
+                &mut rows,
+            );
+            for row in rows.chunks(11) {
+                let difference = row[..9].iter().zip(bgr.repeat(3)).map(|(a, b): (&u8, u8)| a.abs_diff(b)).max();
+                assert!(difference <= Some(3), "{bgr:?}: {row:?}");
             }
         }
     }

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | `/` | a page with the pictures of the graph, their ages, and the state of its nodes |
 //! | `/state` | the same as JSON |
-//! | `/pictures/NODE.OUTPUT` | the newest picture of an output, JPEG |
+//! | `/pictures/NODE.OUTPUT` | the newest picture of an output, JPEG: maps in colours, clouds as the camera saw them |
 //! | `/metrics` | counters and times in the text format of Prometheus |
 //!
 //! Nothing can be changed through it. It never holds a frame back: pictures come from previews, which exist only while somebody looks. Requests
@@ -17,6 +17,7 @@ mod error;
 mod host;
 mod metrics;
 mod page;
+mod paint;
 mod pictures;
 mod server;
 mod state;

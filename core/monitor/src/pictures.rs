@@ -3,10 +3,10 @@
 use panoscope_base::{View, format};
 use panoscope_engine::memory::FrameRef;
 use panoscope_formats::{Pixels, still};
-use panoscope_graph::{Catalog, Graph};
+use panoscope_graph::{Catalog, Graph, PresetView};
 
-/// Packets that have a picture here.
-const PACKETS: [&str; 2] = ["image", "mask"];
+use crate::paint::{Range, painted};
+
 /// Most outputs that are shown of a graph without `[preset]`.
 const MOST: usize = 6;
 /// JPEG quality, percent.
@@ -19,6 +19,8 @@ pub struct Shown {
     pub node: String,
     /// Its output.
     pub output: String,
+    /// Type of its packets.
+    pub packet: String,
     /// Words beside it.
     pub label: String,
 }
@@ -35,11 +37,12 @@ pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
     let type_of = |node: usize| graph.nodes[node].node_type(catalog);
     let has_picture = |node: usize, port: usize| {
         let packet = type_of(node).outputs.get(port).map(|port| port.packet.name.as_str());
-        packet.is_some_and(|packet| PACKETS.contains(&packet))
+        packet.is_some_and(|packet| PresetView::PACKETS.contains(&packet))
     };
     let shown = |node: usize, port: usize, label: &str| Shown {
         node: graph.nodes[node].id.clone(),
         output: type_of(node).outputs[port].name.clone(),
+        packet: type_of(node).outputs[port].packet.name.clone(),
         label: label.to_owned(),
     };
     let views = graph.preset.views.iter().filter(|view| has_picture(view.node, view.port));
@@ -57,8 +60,8 @@ pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
     all
 }
 
-/// A frame as JPEG; or why there is none.
-pub fn jpeg(frame: &FrameRef) -> Result<Vec<u8>, String> {
+/// A packet of a type as JPEG; or why there is none. `range`: of the colours of a map, from picture to picture.
+pub fn jpeg(frame: &FrameRef, packet: &str, range: &mut Range) -> Result<Vec<u8>, String> {
     let head = frame.frame();
     let name = format::name(head.format);
     let wrong = || format!("a picture of {} x {} {name} does not fit its bytes", head.width, head.height);
@@ -66,11 +69,13 @@ pub fn jpeg(frame: &FrameRef) -> Result<Vec<u8>, String> {
     let need = format::image_bytes(width, height, stride, format::pixel_bytes(head.format)).ok_or_else(wrong)?;
     let bytes = frame.bytes().get(..need).ok_or_else(wrong)?;
     let view = |channels| View::with_stride(bytes, width, height, channels, stride);
+    let paint = painted(head, bytes, packet, range);
     let pixels = match name {
+        _ if paint.is_some() => Pixels::Bgr8(View::new(paint.as_deref().unwrap_or_default(), width, height, 3)),
         "gray8" => Pixels::Gray8(view(1)),
         "bgr8" => Pixels::Bgr8(view(3)),
         "rgba8" => Pixels::Rgba8(view(4)),
-        _ => return Err(format!("{name} has no picture here: put a `colorize` node in front")),
+        _ => return Err(format!("{name} has no picture")),
     };
     let mut out = Vec::new();
     still::encode(&mut out, "jpg", &pixels, QUALITY, &mut Vec::new()).map_err(|error| error.to_string())?;
@@ -98,7 +103,7 @@ mod tests {
     #[test]
     fn a_picture_becomes_a_jpeg_of_its_size() {
         let bytes = [0, 0, 255].repeat(64 * 48);
-        let encoded = jpeg(&frame("bgr8", 64, 48, &bytes)).unwrap();
+        let encoded = jpeg(&frame("bgr8", 64, 48, &bytes), "image", &mut None).unwrap();
         let decoded = image::load_from_memory(&encoded).unwrap().to_rgb8();
         assert_eq!(decoded.dimensions(), (64, 48));
         let [red, green, blue] = decoded.get_pixel(32, 24).0;
@@ -106,8 +111,19 @@ mod tests {
     }
 
     #[test]
+    fn a_map_becomes_a_picture_in_colours() {
+        let bytes: Vec<u8> = (0..64 * 48).flat_map(|at| ((at % 64) as f32).to_le_bytes()).collect();
+        let encoded = jpeg(&frame("f32", 64, 48, &bytes), "depth", &mut None).unwrap();
+        let decoded = image::load_from_memory(&encoded).unwrap().to_rgb8();
+        assert_eq!(decoded.dimensions(), (64, 48));
+        let ([near, ..], [far, ..]) = (decoded.get_pixel(2, 24).0, decoded.get_pixel(61, 24).0);
+        assert!(far > near + 100, "dark violet to yellow: {near} {far}");
+    }
+
+    #[test]
     fn frames_without_a_picture_are_errors() {
-        assert!(jpeg(&frame("f32", 2, 2, &[0; 16])).unwrap_err().contains("colorize"));
-        assert!(jpeg(&frame("bgr8", 64, 48, &[0; 100])).unwrap_err().contains("does not fit"));
+        for name in ["bgr8", "f32"] {
+            assert!(jpeg(&frame(name, 64, 48, &[0; 100]), "image", &mut None).unwrap_err().contains("does not fit"));
+        }
     }
 }

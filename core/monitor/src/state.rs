@@ -9,6 +9,7 @@ use panoscope_engine::{Engine, Preview, Report, clock};
 use panoscope_graph::{Catalog, Graph};
 use serde::Serialize;
 
+use crate::paint::Range;
 use crate::pictures::{self, Shown};
 
 /// A picture that nobody asked for in this time is no longer taken from the graph.
@@ -36,6 +37,8 @@ struct Known {
     faults: Vec<FaultLine>,
     shown: Vec<Shown>,
     pictures: HashMap<String, Picture>,
+    /// Ranges of the colours of maps.
+    ranges: HashMap<String, Range>,
     /// When somebody last asked for a picture.
     asked: HashMap<String, Instant>,
 }
@@ -163,14 +166,14 @@ impl Shared {
     /// there is none.
     pub fn picture(&self, name: &str) -> Option<Result<Encoded, String>> {
         let mut known = lock(&self.known);
-        if !known.shown.iter().any(|shown| shown.name() == name) {
-            return None;
-        }
+        let packet = known.shown.iter().find(|shown| shown.name() == name)?.packet.clone();
         known.asked.insert(name.to_owned(), Instant::now());
         let picture = known.pictures.get(name).cloned();
+        let mut range = known.ranges.get(name).copied().flatten();
         drop(known);
         let encode = |picture: Picture| {
-            let jpeg = pictures::jpeg(&picture.frame)?;
+            let jpeg = pictures::jpeg(&picture.frame, &packet, &mut range)?;
+            lock(&self.known).ranges.insert(name.to_owned(), range);
             Ok(Encoded { jpeg, tick: picture.frame.tick().seq, age_ms: picture.age_ms() })
         };
         Some(picture.map_or_else(|| Err("there is no picture yet".to_owned()), encode))

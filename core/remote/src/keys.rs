@@ -16,8 +16,7 @@ use rcgen::{
 
 use crate::network::is_name;
 
-/// Environment variable that names the folder with the keys of this machine.
-pub const KEYS_VARIABLE: &str = "PANOSCOPE_KEYS";
+pub use panoscope_attach::KEYS_VARIABLE;
 
 const AUTHORITY: &str = "authority.pem";
 const AUTHORITY_KEY: &str = "authority-key.pem";

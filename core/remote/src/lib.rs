@@ -8,9 +8,15 @@
 //! Nothing that runs is sent: the other machine uses its own plugins and models, and refuses where their hashes differ. Times of the host's clock are
 //! translated by the offset of the two monotonic clocks, which is measured all the time ([`clock`]). Machines know each other by certificates
 //! ([`keys`]); each host may use only its own keys of zenoh.
+//!
+//! Windows of other machines on a running graph use the same connections: [`attachable`] listens for them, [`attach`] is their end. Both carry
+//! frames of [`panoscope_attach::tunnel`] and do not look into them.
 
+pub mod attach;
+pub mod attachable;
 pub mod clock;
 mod files;
+mod h264;
 pub mod keys;
 pub mod link;
 mod mirror;

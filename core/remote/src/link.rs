@@ -9,6 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
+use panoscope_engine::isolation::Pixels;
 use panoscope_isolate::relay::{self, Bytes, Given, Link, LinkLane, LinkNumbers, kind};
 use panoscope_isolate::{EXIT_LINK, system_ns};
 use panoscope_loader::sealed::Fingerprint;
@@ -19,6 +20,7 @@ use zenoh::{Session, Wait};
 
 use crate::clock::Offset;
 use crate::files::Hashes;
+use crate::h264::{self, Decoders, Encoders};
 use crate::keys::Identity;
 use crate::mirror::{Pool, Pools};
 use crate::network::{self, Address, UNNAMED};
@@ -33,7 +35,7 @@ const PROBES: u32 = 10;
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Arguments {
     address: String,
-    compresses: bool,
+    pixels: Pixels,
     timeout: Duration,
     plaintext: bool,
     machine: String,
@@ -46,7 +48,7 @@ impl Arguments {
         let [address, pixels, timeout_ms, plaintext, machine] = words[..] else { return None };
         Some(Self {
             address: address.to_owned(),
-            compresses: pixels == "lz4",
+            pixels: Pixels::named(pixels)?,
             timeout: Duration::from_millis(timeout_ms.parse().ok()?),
             plaintext: plaintext == "true",
             machine: machine.to_owned(),
@@ -55,12 +57,12 @@ impl Arguments {
 }
 
 /// Ends the process; the host shows the words.
-fn lose(words: &str) -> ! {
+pub(crate) fn lose(words: &str) -> ! {
     eprintln!("{words}");
     leave(EXIT_LINK)
 }
 
-fn leave(code: i32) -> ! {
+pub(crate) fn leave(code: i32) -> ! {
     // SAFETY: ends the process. Threads of zenoh may still run, so that nothing is destroyed.
     unsafe { libc::_exit(code) }
 }
@@ -96,6 +98,8 @@ struct Connection {
     /// Locked while a message is sent: a frame that another message names went before it.
     there: Mutex<There>,
     pools: Pools,
+    encoders: Mutex<Encoders>,
+    decoders: Mutex<Decoders>,
     hashes: Hashes,
     clock: Mutex<Offset>,
     heard_ns: AtomicI64,
@@ -117,7 +121,11 @@ pub fn run(words: &[OsString]) -> ! {
         Ok(link) => link,
         Err(cause) => lose(&format!("its link cannot start: {cause}")),
     };
-    let (session, host) = match reach(&arguments) {
+    let Arguments { address, timeout, plaintext, .. } = &arguments;
+    if let Err(words) = h264::check(arguments.pixels) {
+        lose(&words);
+    }
+    let (session, host) = match reach(address, *timeout, *plaintext, "panoscope serve") {
         Ok(reached) => reached,
         Err(words) => lose(&words),
     };
@@ -131,10 +139,14 @@ pub fn run(words: &[OsString]) -> ! {
     }
 }
 
-/// Connects to the machine, within the time in which it counts as lost. Returns the name of this host too.
-fn reach(arguments: &Arguments) -> Result<(Session, String), String> {
-    let Arguments { address, timeout, plaintext, .. } = arguments;
-    let address = Address::parse(address, *plaintext).map_err(|error| error.to_string())?;
+/// Connects to a machine where `command` listens, within the time in which it counts as lost. Returns the name of this host too.
+pub(crate) fn reach(
+    address: &str,
+    timeout: Duration,
+    plaintext: bool,
+    command: &'static str,
+) -> Result<(Session, String), String> {
+    let address = Address::parse(address, plaintext).map_err(|error| error.to_string())?;
     let identity = match address.is_tls {
         true => {
             let folder = Identity::folder().ok_or("no folder of keys is known: set PANOSCOPE_KEYS")?;
@@ -146,17 +158,14 @@ fn reach(arguments: &Arguments) -> Result<(Session, String), String> {
         false => None,
     };
     let host = identity.as_ref().map_or_else(|| UNNAMED.to_owned(), |identity| identity.name.clone());
-    let end = Instant::now() + *timeout;
-    wait_for_answer(&address.text, *timeout, end)?;
+    let end = Instant::now() + timeout;
+    wait_for_answer(&address.text, timeout, end, command)?;
     // What zenoh does on the way has limits of its own, which are longer.
-    let (limit, text) = (*timeout, address.text.clone());
+    let (limit, text) = (timeout, address.text.clone());
     let (done, opened) = channel::<()>();
     let watch = move || {
         if opened.recv_timeout(limit).is_err_and(|error| error == std::sync::mpsc::RecvTimeoutError::Timeout) {
-            lose(&format!(
-                "{text} answers, but no connection was made within {}; is it `panoscope serve`?",
-                seconds(limit)
-            ));
+            lose(&format!("{text} answers, but no connection was made within {}; is it `{command}`?", seconds(limit)));
         }
     };
     std::thread::Builder::new().spawn(watch).map_err(|error| error.to_string())?;
@@ -174,7 +183,7 @@ fn reach(arguments: &Arguments) -> Result<(Session, String), String> {
 }
 
 /// Waits until something accepts connections at an address. Short attempts find a network that comes back sooner than one that the system repeats.
-fn wait_for_answer(address: &str, timeout: Duration, end: Instant) -> Result<(), String> {
+fn wait_for_answer(address: &str, timeout: Duration, end: Instant, command: &str) -> Result<(), String> {
     let host = address.split_once('/').map_or(address, |(_, host)| host);
     loop {
         let begin = Instant::now();
@@ -193,7 +202,7 @@ fn wait_for_answer(address: &str, timeout: Duration, end: Instant) -> Result<(),
         };
         if Instant::now() >= end {
             cause.insert_str(0, &format!("nothing answers at {address} within {}: ", seconds(timeout)));
-            return Err(cause + "; is `panoscope serve` running there?");
+            return Err(format!("{cause}; is `{command}` running there?"));
         }
         std::thread::sleep((timeout / ATTEMPTS / 2).saturating_sub(begin.elapsed()));
     }
@@ -208,6 +217,8 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
         down: network::publisher(session, format!("{prefix}/down"), false).map_err(words)?,
         there: Mutex::default(),
         pools: Pools::default(),
+        encoders: Mutex::default(),
+        decoders: Mutex::default(),
         hashes: Hashes::default(),
         clock: Mutex::default(),
         heard_ns: AtomicI64::new(system_ns()),
@@ -240,7 +251,7 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
         threads: settings.threads,
         memory_bytes: settings.memory_bytes,
         deny: (settings.deny.network, settings.deny.new_files),
-        compresses: arguments.compresses,
+        pixels: arguments.pixels,
         timeout_ms: u32::try_from(arguments.timeout.as_millis()).unwrap_or(u32::MAX),
     };
     connection.send(&hello, Vec::new())?;
@@ -398,7 +409,7 @@ impl Connection {
             let Ok(Received { turn, payload, begin }) = received.recv() else { return Ok(()) };
             let mut reader = payload.reader();
             reader.seek(SeekFrom::Start(begin)).map_err(|error| bad(&error))?;
-            self.pools.fill(&turn.frames, true, &mut reader).map_err(|error| bad(&error))?;
+            self.pools.fill(&turn.frames, true, &mut reader, id, &self.decoders).map_err(|error| bad(&error))?;
             let (answer, is_done) = (&turn.message, turn.kind == kind::DONE);
             if is_done && request == kind::PROCESS {
                 for output in relay::outputs(answer).map_err(|error| bad(&error))? {
@@ -454,8 +465,8 @@ impl Connection {
                 message[at..at + 8].copy_from_slice(&system_ns.saturating_add(offset_ns).to_le_bytes());
             }
             // Before the lock: a pool that is still on its way is sent by another thread.
-            for input in request.inputs {
-                inputs.push((input, self.is_own(&input)?));
+            for (slot, input) in (0..).zip(request.inputs) {
+                inputs.push((slot, input, self.is_own(&input)?));
             }
         } else if asked == kind::OPEN {
             let open = relay::open(message)?;
@@ -465,9 +476,10 @@ impl Connection {
         turn.message = std::mem::take(message);
         let mut there = lock(&self.there);
         let mut frames = Vec::new();
-        for (input, is_own) in inputs {
+        for (slot, input, is_own) in inputs {
             if there.takes(&input, is_own) {
-                let (head, bytes) = self.pools.coded(&input, self.arguments.compresses)?;
+                let stream = (lane, slot);
+                let (head, bytes) = self.pools.coded(&input, self.arguments.pixels, stream, &self.encoders)?;
                 turn.frames.push(head);
                 frames.push(bytes);
             }
@@ -501,7 +513,7 @@ mod tests {
     #[test]
     fn each_frame_crosses_once() {
         let mut there = There::default();
-        let frame = |offset, uses| Bytes { pool: 3, offset, len: 8, is_pixels: true, uses };
+        let frame = |offset, uses| Bytes { pool: 3, offset, len: 8, is_pixels: true, colour_px: None, uses };
         assert!(there.takes(&frame(0, 1), false) && !there.takes(&frame(0, 1), false));
         assert!(there.takes(&frame(64, 1), false), "another buffer");
         assert!(there.takes(&frame(0, 2), false), "the buffer was handed out again: other bytes");
@@ -516,7 +528,11 @@ mod tests {
         let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
         let parsed =
             Arguments::parse(&words(&["tls/10.0.0.2:7447", "lz4", "1500", "false", "rack"])).expect("arguments");
-        assert_eq!((parsed.timeout, parsed.compresses, parsed.plaintext), (Duration::from_millis(1500), true, false));
+        assert_eq!(
+            (parsed.timeout, parsed.pixels, parsed.plaintext),
+            (Duration::from_millis(1500), Pixels::Lz4, false)
+        );
+        assert_eq!(Arguments::parse(&words(&["tls/10.0.0.2:7447", "jpeg", "1500", "false", "rack"])), None);
         assert_eq!(Arguments::parse(&words(&["tls/10.0.0.2:7447", "raw", "soon", "false", "rack"])), None);
         assert_eq!(Arguments::parse(&words(&["rack"])), None);
     }

@@ -4,6 +4,8 @@
 //! - `link ADDRESS PIXELS TIMEOUT_MS PLAINTEXT MACHINE`: see [`panoscope_remote::link`]
 //! - `serve NAME ADDRESS KEYS GRAPH_DIR PLAINTEXT HOST...`: KEYS is empty where no folder of keys is given
 //! - `keys FOLDER NAME[=ADDRESS,...]...`
+//! - `attachable NAME ADDRESS KEYS PLAINTEXT HOST...`: see [`panoscope_remote::attachable`]; NAME and KEYS may be empty
+//! - `attach ADDRESS TIMEOUT_MS PLAINTEXT NAME`: see [`panoscope_remote::attach`]
 //! - `bench PORT BYTES COUNT`: zenoh alone; writes the seconds that it took
 
 use std::ffi::OsString;
@@ -12,10 +14,11 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use panoscope_attach::tunnel::{ATTACH, ATTACHABLE};
 use panoscope_isolate::LINK_COMMAND;
 use panoscope_remote::keys::{Identity, KEYS_VARIABLE, Member, make};
 use panoscope_remote::serve::{Options, Server};
-use panoscope_remote::{link, raw};
+use panoscope_remote::{attach, attachable, link, raw};
 
 /// The arguments or the keys are wrong.
 const WRONG: u8 = 2;
@@ -37,6 +40,11 @@ fn main() -> ExitCode {
         (Some("serve"), [name, address, keys, graph_dir, plaintext, hosts @ ..]) => {
             serve(name, address, keys, graph_dir, *plaintext == "true", hosts)
         }
+        (Some(ATTACHABLE), [name, address, keys, plaintext, hosts @ ..]) => identity(keys, address.starts_with("tls/"))
+            .and_then(|identity| attachable::run(name, address, identity, *plaintext == "true", hosts)),
+        (Some(ATTACH), [address, timeout_ms, plaintext, name]) => {
+            attach::run(address, timeout_ms, *plaintext == "true", name)
+        }
         (Some("keys"), [folder, members @ ..]) if !members.is_empty() => make_keys(Path::new(folder), members),
         (Some("bench"), [port, bytes, count]) => bench(port, bytes, count),
         _ => return usage(),
@@ -57,6 +65,14 @@ fn usage() -> ExitCode {
     ExitCode::from(WRONG)
 }
 
+/// The keys of this machine, where they are needed.
+fn identity(keys: &str, is_tls: bool) -> Result<Option<Identity>, String> {
+    let folder = if keys.is_empty() { Identity::folder() } else { Some(PathBuf::from(keys)) };
+    let read =
+        |folder: PathBuf| Identity::read(&folder).map_err(|error| format!("{error}; `panoscope keys` makes keys"));
+    folder.filter(|_| is_tls).map(read).transpose()
+}
+
 /// Serves until a signal ends it.
 fn serve(
     name: &str,
@@ -67,11 +83,7 @@ fn serve(
     hosts: &[&str],
 ) -> Result<(), String> {
     let is_tls = address.starts_with("tls/");
-    let folder = if keys.is_empty() { Identity::folder() } else { Some(PathBuf::from(keys)) };
-    let identity = match folder.filter(|_| is_tls) {
-        Some(folder) => Some(Identity::read(&folder).map_err(|error| format!("{error}; `panoscope keys` makes keys"))?),
-        None => None,
-    };
+    let identity = identity(keys, is_tls)?;
     if is_tls && hosts.is_empty() {
         return Err("no host may run nodes here; name them with --allow, as in --allow theatre".to_owned());
     }

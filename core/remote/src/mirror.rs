@@ -7,9 +7,11 @@ use std::os::fd::{AsRawFd, FromRawFd};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
+use panoscope_engine::isolation::Pixels;
 use panoscope_engine::memory::MOST_POOLS;
 use panoscope_isolate::relay::Bytes;
 
+use crate::h264::{Decoders, Encoders};
 use panoscope_isolate::relay::messages::{BadMessage, Coding, FrameHead};
 
 /// Longest wait for a pool that the host has already sent.
@@ -74,7 +76,7 @@ impl Pool {
     }
 
     /// Fills a frame with bytes that were sent. The sender owns the buffer: nobody reads it before the message that names it is passed on.
-    fn fill(&self, frame: &FrameHead, from: &mut impl Read) -> io::Result<()> {
+    fn fill(&self, frame: &FrameHead, from: &mut impl Read, lane: u32, decoders: &Mutex<Decoders>) -> io::Result<()> {
         let (to, len) = self.at(frame.offset, frame.len)?;
         // SAFETY: `len` bytes inside a mapping that this process may write, and that nobody else uses, see above.
         let to = unsafe { std::slice::from_raw_parts_mut(to, len) };
@@ -87,6 +89,12 @@ impl Pool {
                     Ok(written) if written == len => Ok(()),
                     _ => Err(BadMessage.into()),
                 }
+            }
+            Coding::H264(picture) => {
+                let mut coded = vec![0; frame.coded_len as usize];
+                from.read_exact(&mut coded)?;
+                let mut decoders = decoders.lock().unwrap_or_else(PoisonError::into_inner);
+                decoders.decode(lane, &picture, coded, to).map_err(io::Error::other)
             }
         }
     }
@@ -121,24 +129,43 @@ impl Pools {
         waited.unwrap_or_else(PoisonError::into_inner).0.get(&number).cloned().ok_or(BadMessage)
     }
 
-    /// Fills the frames of a message with the bytes that follow it. `own_only`: pools that the group does not write are not touched.
-    pub fn fill(&self, frames: &[FrameHead], own_only: bool, from: &mut impl Read) -> io::Result<()> {
+    /// Fills the frames of a message of a lane with the bytes that follow it. `own_only`: pools that the group does not write are not touched.
+    pub fn fill(
+        &self,
+        frames: &[FrameHead],
+        own_only: bool,
+        from: &mut impl Read,
+        lane: u32,
+        decoders: &Mutex<Decoders>,
+    ) -> io::Result<()> {
         for frame in frames {
             let pool = self.get(frame.pool)?;
             if own_only && !pool.is_own {
                 return Err(BadMessage.into());
             }
-            pool.fill(frame, from)?;
+            pool.fill(frame, from, lane, decoders)?;
         }
         Ok(())
     }
 
-    /// The bytes of a frame as they are sent.
-    pub fn coded(&self, frame: &Bytes, compresses: bool) -> Result<(FrameHead, Vec<u8>), BadMessage> {
+    /// The bytes of a frame as they are sent, in a stream of a lane.
+    pub fn coded(
+        &self,
+        frame: &Bytes,
+        pixels: Pixels,
+        (lane, stream): (u32, u32),
+        encoders: &Mutex<Encoders>,
+    ) -> Result<(FrameHead, Vec<u8>), BadMessage> {
         let Bytes { pool, offset, len, .. } = *frame;
         let bytes = self.get(pool)?.copy(frame)?;
         let raw = FrameHead { pool, offset, len, coding: Coding::Raw, coded_len: len };
-        if compresses && frame.is_pixels && len >= MIN_COMPRESSED_BYTES {
+        if let Some(size) = frame.colour_px.filter(|_| pixels == Pixels::H264) {
+            let mut encoders = encoders.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some((picture, coded)) = encoders.encode((lane, stream), size, &bytes) {
+                return Ok((FrameHead { coding: Coding::H264(picture), coded_len: coded.len() as u64, ..raw }, coded));
+            }
+        }
+        if pixels != Pixels::Raw && frame.is_pixels && len >= MIN_COMPRESSED_BYTES {
             let coded = lz4_flex::block::compress(&bytes);
             if coded.len() < bytes.len() {
                 return Ok((FrameHead { coding: Coding::Lz4, coded_len: coded.len() as u64, ..raw }, coded));
@@ -181,7 +208,7 @@ mod tests {
     }
 
     fn bytes(offset: u64, len: u64) -> Bytes {
-        Bytes { pool: 1, offset, len, is_pixels: true, uses: 0 }
+        Bytes { pool: 1, offset, len, is_pixels: true, colour_px: None, uses: 0 }
     }
 
     #[test]
@@ -190,11 +217,12 @@ mod tests {
         for len in [0, 1, 4095, 4096, 100_000] {
             let noise: Vec<u8> = (0..len).map(|at| (at * at / 7 % 13) as u8).collect();
             let head = FrameHead { pool: 1, offset: 512, len, coding: Coding::Raw, coded_len: len };
-            here.fill(&[head], true, &mut &noise[..]).expect("it fits");
-            for compresses in [false, true] {
-                let (head, coded) = here.coded(&bytes(512, len), compresses).expect("it is there");
-                assert_eq!(head.coding == Coding::Lz4, compresses && len >= MIN_COMPRESSED_BYTES);
-                there.fill(&[head], true, &mut &coded[..]).expect("it fits");
+            let (encoders, decoders) = (Mutex::default(), Mutex::default());
+            here.fill(&[head], true, &mut &noise[..], 1, &decoders).expect("it fits");
+            for pixels in [Pixels::Raw, Pixels::Lz4] {
+                let (head, coded) = here.coded(&bytes(512, len), pixels, (1, 0), &encoders).expect("it is there");
+                assert_eq!(head.coding == Coding::Lz4, pixels == Pixels::Lz4 && len >= MIN_COMPRESSED_BYTES);
+                there.fill(&[head], true, &mut &coded[..], 1, &decoders).expect("it fits");
                 assert_eq!(there.get(1).expect("a pool").copy(&bytes(512, len)).expect("bytes"), noise);
             }
         }
@@ -203,13 +231,14 @@ mod tests {
     #[test]
     fn nothing_outside_a_pool_is_touched() {
         let pools = pools(4096);
+        let (encoders, decoders) = (Mutex::default(), Mutex::default());
         for (offset, len) in [(4096, 1), (u64::MAX, 2), (0, 4097), (4000, u64::MAX)] {
-            assert!(pools.coded(&bytes(offset, len), false).is_err());
+            assert!(pools.coded(&bytes(offset, len), Pixels::Raw, (1, 0), &encoders).is_err());
             let head = FrameHead { pool: 1, offset, len, coding: Coding::Raw, coded_len: len };
-            assert!(pools.fill(&[head], true, &mut std::io::repeat(0)).is_err());
+            assert!(pools.fill(&[head], true, &mut std::io::repeat(0), 1, &decoders).is_err());
         }
         let short = FrameHead { pool: 1, offset: 0, len: 4096, coding: Coding::Lz4, coded_len: 3 };
-        assert!(pools.fill(&[short], true, &mut &b"\x10a\x00"[..]).is_err(), "too few bytes come out");
+        assert!(pools.fill(&[short], true, &mut &b"\x10a\x00"[..], 1, &decoders).is_err(), "too few bytes come out");
         assert!(new_file(0, 1).is_err() && new_file(1, u64::MAX).is_err() && new_file(1 << 20, 1).is_err());
     }
 }

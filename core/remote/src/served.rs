@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use panoscope_engine::isolation::Deny;
+use panoscope_engine::isolation::{Deny, Pixels};
 use panoscope_isolate::relay::{self, Bytes, RelayError, Served, ServedLane, Settings, kind};
 use panoscope_isolate::system_ns;
 use panoscope_loader::sealed::SealedWriter;
@@ -19,6 +19,7 @@ use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 
 use crate::files::{self, Folders};
+use crate::h264::{self, Decoders, Encoders};
 use crate::mirror::{self, Pool, Pools};
 use crate::network;
 use crate::serve::Shared;
@@ -48,7 +49,9 @@ struct Group {
     /// Frames of the group's own pools that the host has as they are.
     at_host: Mutex<HashSet<(u32, u64)>>,
     folders: Mutex<Folders>,
-    compresses: bool,
+    pixels: Pixels,
+    encoders: Mutex<Encoders>,
+    decoders: Mutex<Decoders>,
 }
 
 /// Serves a group until its host ends it or is gone.
@@ -73,7 +76,7 @@ fn serve(
     heard: &AtomicI64,
 ) -> Result<(), String> {
     let Ok(Delivered {
-        message: Message::Hello { version, group, threads, memory_bytes, deny, compresses, timeout_ms },
+        message: Message::Hello { version, group, threads, memory_bytes, deny, pixels, timeout_ms },
         ..
     }) = delivered.recv()
     else {
@@ -84,6 +87,7 @@ fn serve(
         let name = &shared.options.name;
         return Err(format!("the versions differ: {version} on the host, {own} on `{name}`; install the same on both"));
     }
+    h264::check(pixels).map_err(|words| format!("{words} on `{}`", shared.options.name))?;
     let (network, new_files) = deny;
     let settings = Settings { threads: threads.clamp(1, 1024), memory_bytes, deny: Deny { network, new_files } };
     let process = Served::start(&group, settings)?;
@@ -94,7 +98,9 @@ fn serve(
         pools: Pools::default(),
         at_host: Mutex::default(),
         folders: Mutex::default(),
-        compresses,
+        pixels,
+        encoders: Mutex::default(),
+        decoders: Mutex::default(),
     });
     this.put(&Message::Ready, Vec::new())?;
     shared.log(&format!("{host} begins group `{group}`"));
@@ -158,7 +164,8 @@ impl Group {
                     let mut reader = payload.reader();
                     reader.seek(SeekFrom::Start(begin)).map_err(|error| bad(&error))?;
                     // Here and not in the threads of lanes: a frame that one lane brings is there for the next.
-                    self.pools.fill(&turn.frames, false, &mut reader).map_err(|error| bad(&error))?;
+                    let (frames, lane) = (&turn.frames, turn.lane);
+                    self.pools.fill(frames, false, &mut reader, lane, &self.decoders).map_err(|error| bad(&error))?;
                     let own =
                         turn.frames.iter().filter(|frame| self.pools.get(frame.pool).is_ok_and(|pool| pool.is_own));
                     lock(&self.at_host).extend(own.map(|frame| (frame.pool, frame.offset)));
@@ -252,8 +259,8 @@ impl Group {
             let mut up = Turn { lane: id, kind: asked, at_ns, ..Turn::default() };
             let mut frames = Vec::new();
             if asked == kind::DONE && request == kind::PROCESS {
-                for output in relay::outputs(&answer).map_err(nonsense)? {
-                    if let Some((head, bytes)) = self.new_at_host(&output).map_err(|error| bad(&error))? {
+                for (slot, output) in (0..).zip(relay::outputs(&answer).map_err(nonsense)?) {
+                    if let Some((head, bytes)) = self.new_at_host(&output, (id, slot)).map_err(|error| bad(&error))? {
                         up.frames.push(head);
                         frames.push(bytes);
                     }
@@ -324,12 +331,16 @@ impl Group {
     }
 
     /// An output that the host does not have, as it is sent; it counts as there from here on.
-    fn new_at_host(&self, output: &Bytes) -> Result<Option<(message::FrameHead, Vec<u8>)>, message::BadMessage> {
+    fn new_at_host(
+        &self,
+        output: &Bytes,
+        stream: (u32, u32),
+    ) -> Result<Option<(message::FrameHead, Vec<u8>)>, message::BadMessage> {
         let is_own = self.pools.get(output.pool)?.is_own;
         if !is_own || !lock(&self.at_host).insert((output.pool, output.offset)) {
             return Ok(None);
         }
-        self.pools.coded(output, self.compresses).map(Some)
+        self.pools.coded(output, self.pixels, stream, &self.encoders).map(Some)
     }
 }
 

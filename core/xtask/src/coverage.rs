@@ -63,8 +63,20 @@ const PARSERS: &[(&str, &[Source])] = &[
         "machine_message",
         &[functions(
             "core/isolate/src/relay/messages.rs",
-            &["array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame"],
+            &[
+                "array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame", "pixels",
+                "fits",
+            ],
         )],
+    ),
+    (
+        "attach_message",
+        &[
+            functions("core/attach/src/tunnel.rs", &["of", "receive"]),
+            functions("core/attach/src/message.rs", &["read_command", "read_incoming", "checked"]),
+            functions("core/attach/src/packet.rs", &["read", "frame_of"]),
+            functions("core/attach/src/rules.rs", &["table", "stops", "check"]),
+        ],
     ),
     ("keys", &[functions("core/loader/src/keys.rs", &["digits", "read", "name_of", "verifies", "in_folders", "find"])]),
     (

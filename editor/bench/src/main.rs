@@ -3,9 +3,11 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use clap::Parser;
 use eframe::egui::vec2;
+use panoscope_attach::{Attachment, Target};
 use panoscope_editor::app::{App, Options};
 use panoscope_editor::arrangement::Arrangement;
 use panoscope_editor_widgets::{theme, window};
@@ -16,8 +18,16 @@ use panoscope_loader::Loader;
 #[derive(Parser)]
 #[command(name = "panoscope-editor", version)]
 struct Arguments {
-    /// Graph file.
-    graph: PathBuf,
+    /// Graph file; with --attach, where a copy of the graph is saved.
+    #[arg(required_unless_present = "attach")]
+    graph: Option<PathBuf>,
+    /// Edits the graph that runs on another machine, see `panoscope run --attachable`: NAME@ADDRESS, or a NAME of machines.toml in the folder
+    /// panoscope of the user's configuration.
+    #[arg(long, value_name = "NAME[@ADDRESS]", conflicts_with = "arrangement")]
+    attach: Option<String>,
+    /// Folder with the keys of this machine for --attach, made by `panoscope keys`; PANOSCOPE_KEYS where it is not given.
+    #[arg(long, value_name = "DIR", requires = "attach")]
+    keys: Option<PathBuf>,
     #[command(flatten)]
     given: window::Given,
     #[command(flatten)]
@@ -47,10 +57,11 @@ fn in_a_folder(file: &Path) -> bool {
 
 /// Writes how the graph is arranged; returns the exit code.
 fn write_arrangement(arguments: &Arguments, text: &str, file: &Path) -> i32 {
-    let paths = GraphText::parse_with(&arguments.graph, text, &arguments.given.options()).plugin_paths();
+    let graph = arguments.graph.as_deref().unwrap_or(Path::new(""));
+    let paths = GraphText::parse_with(graph, text, &arguments.given.options()).plugin_paths();
     let loader = Arc::new(Loader::search(&panoscope_loader::search_path(&paths)));
     let (width, height) = arguments.window.size;
-    let seen = Arrangement::of(&arguments.graph, text, loader, vec2(width, height));
+    let seen = Arrangement::of(graph, text, loader, vec2(width, height));
     match std::fs::write(file, format!("{:#}\n", seen.json())) {
         Ok(()) => 0,
         Err(error) => {
@@ -60,29 +71,61 @@ fn write_arrangement(arguments: &Arguments, text: &str, file: &Path) -> i32 {
     }
 }
 
+/// How long a machine may take to be reached at first.
+const REACH: Duration = Duration::from_secs(10);
+
+/// Opens the window on the graph of another machine.
+fn attach(arguments: &Arguments, name: &str) -> i32 {
+    let config = panoscope_editor_model::arguments::config_folder();
+    let target = Target::find(name, config.as_deref()).map_err(|error| error.to_string());
+    let target = target.map(|target| Target { keys: arguments.keys.clone(), ..target });
+    let attachment = match target.and_then(|target| Attachment::open(target).map_err(|error| error.to_string())) {
+        Ok(attachment) => attachment,
+        Err(error) => {
+            eprintln!("error: {error}");
+            return 2;
+        }
+    };
+    // Without a window nobody would see why it takes time.
+    if !attachment.wait_opened(REACH) {
+        eprintln!("error: `{}` is not reached: {}", attachment.target().name, attachment.state().problem);
+        return 1;
+    }
+    let path = arguments.graph.clone().unwrap_or_else(|| format!("{}.toml", attachment.target().name).into());
+    let viewport = window::viewport(&path, "panoscope-editor", arguments.window.size);
+    let options = options(arguments);
+    window::open(viewport, move |cc| Ok(Box::new(App::attached(&cc.egui_ctx, &path, attachment, options)?)))
+}
+
+fn options(arguments: &Arguments) -> Options {
+    Options {
+        frames: arguments.window.frames,
+        scale: arguments.window.scale,
+        theme: arguments.theme,
+        shot: arguments.window.shot(),
+        given: arguments.given.options(),
+        config: panoscope_editor_model::arguments::config_folder(),
+    }
+}
+
 fn run(arguments: &Arguments) -> i32 {
-    let text = match std::fs::read_to_string(&arguments.graph) {
+    if let Some(name) = &arguments.attach {
+        return attach(arguments, name);
+    }
+    let path = arguments.graph.clone().unwrap_or_default();
+    let text = match std::fs::read_to_string(&path) {
         Ok(text) => text,
         // A new file: the window offers templates.
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound && in_a_folder(&arguments.graph) => String::new(),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound && in_a_folder(&path) => String::new(),
         Err(error) => {
-            eprintln!("error: {} cannot be read: {error}", arguments.graph.display());
+            eprintln!("error: {} cannot be read: {error}", path.display());
             return 2;
         }
     };
     if let Some(file) = &arguments.arrangement {
         return write_arrangement(arguments, &text, file);
     }
-    let shot = arguments.window.shot();
-    let viewport = window::viewport(&arguments.graph, "panoscope-editor", arguments.window.size);
-    let path = arguments.graph.clone();
-    let options = Options {
-        frames: arguments.window.frames,
-        scale: arguments.window.scale,
-        theme: arguments.theme,
-        shot,
-        given: arguments.given.options(),
-        config: panoscope_editor_model::arguments::config_folder(),
-    };
+    let viewport = window::viewport(&path, "panoscope-editor", arguments.window.size);
+    let options = options(arguments);
     window::open(viewport, move |cc| Ok(Box::new(App::open(&cc.egui_ctx, &path, &text, options)?)))
 }

@@ -9,9 +9,11 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use panoscope_attach::Attachment;
+use panoscope_attach::message::Wanted;
 use panoscope_engine::fault::{Action, Fault};
 use panoscope_engine::memory::FrameRef;
-use panoscope_engine::{NodeWindow, Preview, Window};
+use panoscope_engine::{Engine, NodeWindow, Preview, Window};
 use serde::{Deserialize, Serialize};
 
 use crate::picture::{self, Range, RenderedPacket};
@@ -185,8 +187,36 @@ impl Drop for Observer {
     }
 }
 
+/// Where the packets of an output come from.
+enum Feed {
+    Engine(Preview),
+    Machine(Arc<Attachment>, Output),
+}
+
+/// A packet with what only its feed knows.
+struct Fed {
+    frame: FrameRef,
+    /// From a machine: when its light arrived, and its size before it was thinned, px.
+    elsewhere: Option<(Option<i64>, (usize, usize))>,
+}
+
+impl Feed {
+    /// The newest packet since the last call.
+    fn take(&self) -> Option<Fed> {
+        match self {
+            Self::Engine(preview) => preview.take().map(|frame| Fed { frame, elsewhere: None }),
+            Self::Machine(machine, Output { node, port }) => {
+                let (packet, arrived_ns) = machine.take_packet(node, port)?;
+                Some(Fed { frame: packet.frame, elsewhere: Some((arrived_ns, packet.size_px)) })
+            }
+        }
+    }
+}
+
 struct OutputPreview {
-    preview: Preview,
+    feed: Feed,
+    /// From a machine: of the last packet.
+    elsewhere: Option<(Option<i64>, (usize, usize))>,
     range: Range,
     /// For a surface: the last frame, rendered again when the viewpoint changes.
     surface: Option<Surface>,
@@ -195,7 +225,10 @@ struct OutputPreview {
 impl OutputPreview {
     /// Renders the newest packet; `None` when there is no new packet and the viewpoint is unchanged.
     fn render(&mut self, request: &PreviewRequest) -> Option<RenderedPacket> {
-        let frame = self.preview.take();
+        let frame = self.feed.take().map(|fed| {
+            self.elsewhere = fed.elsewhere;
+            fed.frame
+        });
         let Some(viewpoint) = &request.viewpoint else {
             self.surface = None;
             let frame = frame?;
@@ -265,39 +298,70 @@ impl Worker {
 
     /// Renders the newest packet of each requested output; returns whether there was one.
     fn pictures(&mut self) -> bool {
-        let Some(engine) = self.handle.engine() else { return false };
+        let machine = self.handle.attachment().cloned();
+        let engine = self.handle.engine();
+        if machine.is_none() && engine.is_none() {
+            return false;
+        }
         let generation = self.handle.status().generation;
-        let requests = lock(&self.mailbox).requests.clone();
+        let (requests, interval) = {
+            let mailbox = lock(&self.mailbox);
+            (mailbox.requests.clone(), mailbox.interval.unwrap_or(THUMBNAIL_INTERVAL))
+        };
         // A node that was removed and added again needs a new subscription.
         if generation != self.generation {
             self.generation = generation;
             self.outputs.clear();
         }
+        if let Some(machine) = &machine {
+            machine.request_packets(requests.iter().map(wanted).collect(), interval);
+        }
         let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
         for output in removed {
             self.outputs.remove(&output);
-            engine.end_previews(&output.node);
+            if let Some(engine) = &engine {
+                engine.end_previews(&output.node);
+            }
         }
         let mut changed = false;
         for (output, request) in requests {
             if !self.outputs.contains_key(&output) {
-                let Some(preview) = engine.preview(&output.node, &output.port) else { continue };
-                self.outputs.insert(output.clone(), OutputPreview { preview, range: None, surface: None });
+                let Some(feed) = feed(&output, machine.as_ref(), engine.as_deref()) else { continue };
+                self.outputs
+                    .insert(output.clone(), OutputPreview { feed, elsewhere: None, range: None, surface: None });
             }
             let Some(view) = self.outputs.get_mut(&output) else { continue };
             if let Some(render) = view.render(&request) {
-                let arrived_ns = engine.arrived_ns(&render.tick);
-                lock(&self.mailbox).previews.insert(output, RenderedPacket { arrived_ns, ..render });
+                let (arrived_ns, size) = match view.elsewhere {
+                    Some((arrived_ns, size)) => (arrived_ns, size),
+                    None => (engine.as_ref().and_then(|engine| engine.arrived_ns(&render.tick)), render.size),
+                };
+                lock(&self.mailbox).previews.insert(output, RenderedPacket { arrived_ns, size, ..render });
                 changed = true;
             }
         }
         changed
     }
 
+    /// Counters of the last window of time; `None` while nothing runs.
+    fn readings(&mut self) -> Option<BTreeMap<String, NodeWindow>> {
+        match self.handle.attachment() {
+            Some(machine) => Some(BTreeMap::clone(&machine.nodes())),
+            None => Some(self.handle.engine()?.window(&mut self.window)),
+        }
+    }
+
+    /// The newest faults, oldest first.
+    fn faults(&self) -> Vec<Fault> {
+        match self.handle.attachment() {
+            Some(machine) => Vec::clone(&machine.faults()),
+            None => self.handle.engine().map(|engine| engine.recent_faults()).unwrap_or_default(),
+        }
+    }
+
     /// Reads the counters; returns whether they changed.
     fn counters(&mut self) -> bool {
-        let Some(engine) = self.handle.engine() else { return false };
-        let nodes = engine.window(&mut self.window);
+        let Some(nodes) = self.readings() else { return false };
         let old = Arc::clone(&lock(&self.mailbox).counters);
         if old.nodes == nodes {
             return false;
@@ -307,7 +371,7 @@ impl Worker {
         // A withheld packet is a fault that no counter shows, so faults are also read every fourth time.
         if faults != self.faults_seen || new.history.values().next().is_none_or(|h| h.len() % 4 == 0) {
             self.faults_seen = faults;
-            new.fault_list = engine.recent_faults();
+            new.fault_list = self.faults();
             new.faults = new.fault_list.iter().map(|f| (f.node.clone(), f.clone())).collect();
         }
         let at_s = self.start.elapsed().as_secs_f64();
@@ -332,5 +396,21 @@ impl Worker {
         }
         lock(&self.mailbox).counters = Arc::new(new);
         true
+    }
+}
+
+/// What a machine is to send for a preview.
+fn wanted((output, request): (&Output, &PreviewRequest)) -> Wanted {
+    let max_width = u32::try_from(request.max_width).unwrap_or(u32::MAX);
+    // A surface and points need all of a cloud.
+    let max_width = if request.viewpoint.is_some() || request.points { u32::MAX } else { max_width };
+    Wanted { node: output.node.clone(), port: output.port.clone(), max_width }
+}
+
+/// The packets of an output.
+fn feed(output: &Output, machine: Option<&Arc<Attachment>>, engine: Option<&Engine>) -> Option<Feed> {
+    match machine {
+        Some(machine) => Some(Feed::Machine(Arc::clone(machine), output.clone())),
+        None => engine?.preview(&output.node, &output.port).map(Feed::Engine),
     }
 }

@@ -2,12 +2,17 @@
 //!
 //! The window requests a text to run; a newer request replaces an older one. Changes are applied one after the other, off the window's
 //! thread, each as one transaction. When a change fails, the old graph keeps running and [`Status`] has the reason.
+//!
+//! With [`Session::attached`] the graph runs on another machine, and that machine applies the changes.
+
+mod attached;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use panoscope_attach::Attachment;
 use panoscope_engine::sync::lock;
 use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
 use panoscope_graph::{GraphText, check};
@@ -67,6 +72,8 @@ pub struct Status {
 #[derive(Default)]
 struct Requests {
     text: Option<String>,
+    /// With a machine: the text that `text` was edited from.
+    base: Option<String>,
     restart: bool,
     reload: bool,
     stop: bool,
@@ -94,6 +101,8 @@ struct Shared {
     /// The files that the graph may read; `None` while it does not run under a lock.
     seal: Mutex<Option<Arc<Seal>>>,
     wake: Mutex<Option<Arc<Wake>>>,
+    /// The machine that runs the graph, if it is another one.
+    attachment: Option<Arc<Attachment>>,
 }
 
 /// The running graph. Dropping it ends the run and finishes all files.
@@ -110,6 +119,11 @@ impl Handle {
     /// The engine; `None` before the first start.
     pub fn engine(&self) -> Option<Arc<Engine>> {
         lock(&self.0.engine).clone()
+    }
+
+    /// The machine that runs the graph, if it is another one.
+    pub fn attachment(&self) -> Option<&Arc<Attachment>> {
+        self.0.attachment.as_ref()
     }
 
     /// The state of the session.
@@ -135,18 +149,7 @@ impl Session {
     /// # Errors
     /// The thread cannot be started.
     pub fn new(path: &Path, plugin_paths: &[PathBuf], frames: Option<u64>) -> std::io::Result<Self> {
-        let shared = Arc::new(Shared {
-            path: path.to_owned(),
-            frames,
-            requests: Mutex::default(),
-            requested: Condvar::new(),
-            status: Mutex::default(),
-            changed: Condvar::new(),
-            engine: Mutex::default(),
-            loader: Mutex::new(Arc::new(Loader::search(&loader::search_path(plugin_paths)))),
-            seal: Mutex::default(),
-            wake: Mutex::default(),
-        });
+        let shared = Arc::new(Shared::new(path, plugin_paths, frames, None));
         let for_worker = Arc::clone(&shared);
         let worker = std::thread::Builder::new()
             .name("changes".to_owned())
@@ -179,6 +182,11 @@ impl Session {
         lock(&self.shared.loader).clone()
     }
 
+    /// The machine that runs the graph, if it is another one.
+    pub fn attachment(&self) -> Option<&Arc<Attachment>> {
+        self.shared.attachment.as_ref()
+    }
+
     /// Path of the graph file.
     pub fn path(&self) -> &Path {
         &self.shared.path
@@ -198,6 +206,15 @@ impl Session {
     /// Requests that `text` runs. Replaces earlier requests that were not applied yet.
     pub fn run(&self, text: &str) {
         self.request(|w| w.text = Some(text.to_owned()));
+    }
+
+    /// As [`Self::run`], for a text that was edited from `base`: a machine that runs another one meanwhile refuses it.
+    pub fn run_from(&self, base: &str, text: &str) {
+        self.request(|w| {
+            // Of requests that were not applied yet, the first one's base counts.
+            w.base.get_or_insert_with(|| base.to_owned());
+            w.text = Some(text.to_owned());
+        });
     }
 
     /// Ends the run, if any, and starts `text`.
@@ -245,6 +262,22 @@ impl Drop for Session {
 }
 
 impl Shared {
+    fn new(path: &Path, plugin_paths: &[PathBuf], frames: Option<u64>, attachment: Option<Arc<Attachment>>) -> Self {
+        Self {
+            path: path.to_owned(),
+            frames,
+            requests: Mutex::default(),
+            requested: Condvar::new(),
+            status: Mutex::default(),
+            changed: Condvar::new(),
+            engine: Mutex::default(),
+            loader: Mutex::new(Arc::new(Loader::search(&loader::search_path(plugin_paths)))),
+            seal: Mutex::default(),
+            wake: Mutex::default(),
+            attachment,
+        }
+    }
+
     fn wake(&self) {
         let wake = lock(&self.wake).clone();
         if let Some(wake) = wake {

@@ -50,6 +50,8 @@ alarms! {
         "the graph cannot run", "go on with the camera's image; correct the reason, press Enter";
     STOPPED = Alarm, "The system stopped: REASON",
         "a stage stopped the run", "press Enter to start again";
+    MACHINE_LOST = Alarm, "MACHINE is not reached: REASON",
+        "its network, or its program", "the images are old: look at that machine's own display; it is tried again by itself";
     CAMERA_LOST = Alarm, "CAMERA lost: no image for N s",
         "cable, power or driver", "check cable and power; it is retried by itself";
     VIEW_STOPPED = Alarm, "VIEW has stopped",
@@ -72,6 +74,8 @@ alarms! {
         "its folder is full or read-only", "free space, or tell who looks after the machine";
     DRIFTED = Warning, "The calibration does not fit any more: distances may be wrong, calibrate again",
         "the cameras moved against each other", "do not rely on distances; calibrate again";
+    ATTACHED = Note, "Attached to MACHINE: no emergency stop from here",
+        "the graph runs on another machine", "stop an arm at that machine only";
     UNLOCKED = Note, "Runs although it differs from its lock: DIFFERENCE",
         "files changed since the graph was locked", "use it for trials only, or lock it again after testing";
     PUBLIC = Note, "Other machines can reach this one: NODES",

@@ -42,6 +42,7 @@ impl Theatre {
         };
         let (message, fill, color) = match (&status.phase, self.frozen) {
             _ if facts.is_dark() => ("RESTARTING".to_owned(), theme::fault(), theme::BLACK),
+            _ if facts.unreached().is_some() => ("NOT REACHED".to_owned(), theme::fault(), theme::BLACK),
             _ if facts.why_dark.is_some() => ("NO PICTURE".to_owned(), theme::fault(), theme::BLACK),
             (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::raised(), theme::muted()),
             (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::fault(), theme::BLACK),
@@ -146,6 +147,7 @@ impl Theatre {
             right = rect.left() - 24.0;
         }
         let is_waiting = matches!(self.runner.outage(), Some(Outage { stage: OutageStage::Cameras(_), .. }));
+        let is_here = self.machine.is_none();
         let over = is_waiting
             || self.raw_only.is_some()
             || matches!(self.runner.status().phase, Phase::Ended | Phase::Failed(_));
@@ -155,9 +157,14 @@ impl Theatre {
             (Action::Next, "Layout", false, whole && self.plan.views.len() > 1),
             (Action::Freeze, if frozen { "Continue" } else { "Freeze" }, frozen, whole),
             (Action::Still, "Still", false, true),
-            (Action::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), whole),
+            (
+                Action::Record,
+                if self.clip.is_some() { "End clip" } else { "Record" },
+                self.clip.is_some(),
+                whole && is_here,
+            ),
             (Action::Measure, "Measure", self.measure.is_on(), whole && self.plan.cloud.is_some()),
-            (Action::Again, "Start again", true, over),
+            (Action::Again, "Start again", true, over && is_here),
         ];
         for (action, caption, on, there) in buttons {
             if !there {

@@ -113,6 +113,13 @@ pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
         let who = if known.plan.is_public() { "other machines reach it" } else { "this machine only" };
         add("Network", state, format!("{who}: {}", all.join(", ")));
     }
+    if let Some(machine) = &facts.machine {
+        let (state, words) = match &machine.lost {
+            Some(why) => (State::Missing, format!("not reached: {why}")),
+            None => (State::Ready, machine.clock_words()),
+        };
+        add(&format!("Machine {}", machine.name), state, words);
+    }
     if let Some(problem) = &facts.audit_problem {
         add("Audit log", State::Attention, format!("not written: {problem}"));
     }

@@ -9,6 +9,7 @@ mod actions;
 mod alarms;
 mod arm;
 mod arrange;
+mod attached;
 mod audit;
 mod bars;
 mod checklist;
@@ -52,6 +53,7 @@ use panoscope_editor_widgets::{Costs, Shot};
 pub use actions::{Action, key_name};
 pub use alarms::{ALL as ALARMS, Alarm, Urgency};
 pub use arrange::Layout;
+pub use attached::MachineFacts;
 pub use guard::{Guard, Program};
 pub use measure::Length;
 pub use notices::Notice;
@@ -89,6 +91,8 @@ pub struct Theatre {
     plan: Plan,
     path: PathBuf,
     runner: Box<dyn Runner>,
+    /// The machine that runs the graph, if it is another one.
+    machine: Option<attached::Machine>,
     /// Text of the whole graph: the file's, with the current settings and clip.
     text: String,
     /// The reason why only the sources run; `None` while the whole graph runs.
@@ -188,6 +192,7 @@ impl Theatre {
             plan: opened.plan,
             path: path.to_owned(),
             runner,
+            machine: None,
             text: String::new(),
             raw_only: None,
             shown: OutputCache::default(),
@@ -347,6 +352,7 @@ impl Theatre {
     pub(crate) fn ui_with_keys(&mut self, ui: &mut Ui, keys: bool) {
         self.costs.count_frame();
         let ctx = ui.ctx().clone();
+        self.follow_machine();
         let counters = self.runner.counters();
         self.take_previews(&ctx);
         self.follow_outage();
@@ -441,9 +447,11 @@ impl Theatre {
                 self.measure = Measure::default();
             }
             Action::Still => self.still(),
+            Action::Record | Action::Again if self.machine.is_some() => self.notify(attached::ELSEWHERE, true),
             Action::Record => self.record(),
             Action::Measure => self.toggle_measuring(),
             // Stopped already: holding releases the arm.
+            Action::Stop if self.machine.is_some() => self.notify(attached::ELSEWHERE, true),
             Action::Stop if self.emergency => self.releasing = Some(Instant::now()),
             Action::Stop => self.emergency_stop(true),
             Action::Again => self.again(),

@@ -1,24 +1,34 @@
-//! `panoscope-theatre GRAPH`, started by `panoscope theatre GRAPH`. Exit codes: 0 success, 1 the window could not be opened, 2 the file cannot
+//! `panoscope-theatre GRAPH`, started by `panoscope theatre GRAPH`; with `--attach` on the graph of another machine. Exit codes: 0 success, 1 the window could not be opened, 2 the file cannot
 //! be read or was refused.
 //!
 //! The program runs twice: this process owns the window, and starts another one, with the first argument [`worker::COMMAND`], for the graph.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::Parser;
+use panoscope_attach::{Attachment, Target};
 use panoscope_editor_widgets::window;
 use panoscope_graph::{GraphText, installed};
 use panoscope_loader::keys::{KeyError, PublicKey, Trust};
 use panoscope_monitor::Address;
-use panoscope_theatre::{Guard, OpenError, OpenFailed, Opening, Options, Program, Refusal, worker};
+use panoscope_theatre::{Guard, OpenError, OpenFailed, Opening, Options, Program, Refusal, Theatre, worker};
 
 /// The surgeon's window: full-screen images, and only the settings that the preset offers.
 #[derive(Parser)]
 #[command(name = "panoscope-theatre", version)]
 struct Arguments {
     /// Graph file.
-    graph: PathBuf,
+    #[arg(required_unless_present = "attach")]
+    graph: Option<PathBuf>,
+    /// Shows the graph that runs on another machine, see `panoscope run --attachable`: NAME@ADDRESS, or a NAME of machines.toml in the folder
+    /// panoscope of the user's configuration. There is no emergency stop from here.
+    #[arg(long, value_name = "NAME[@ADDRESS]", conflicts_with_all = ["graph", "unlocked", "web"])]
+    attach: Option<String>,
+    /// Folder with the keys of this machine for --attach, made by `panoscope keys`; PANOSCOPE_KEYS where it is not given.
+    #[arg(long, value_name = "DIR", requires = "attach")]
+    keys: Option<PathBuf>,
     #[command(flatten)]
     given: window::Given,
     /// Opens the graph even if it, a plugin, a model or the calibration differs from its lock.
@@ -72,7 +82,7 @@ fn trusted(files: &[PathBuf]) -> Result<Trust, KeyError> {
 /// What the arguments ask for.
 fn options(arguments: &Arguments) -> Result<Options, KeyError> {
     let trust = trusted(&arguments.trust)?;
-    let is_installed = installed::notice(&arguments.graph).is_some();
+    let is_installed = arguments.graph.as_deref().is_some_and(|graph| installed::notice(graph).is_some());
     let folder = if is_installed { installed::output_dir().join("out") } else { PathBuf::from("out") };
     Ok(Options {
         folder: arguments.into.clone().unwrap_or(folder),
@@ -97,7 +107,7 @@ fn work(own: &[OsString], arguments: &Arguments) -> i32 {
         }
     };
     let memory = own.get(1).map(OsString::as_os_str).unwrap_or_default();
-    match worker::serve(memory, arguments.graph.clone(), options) {
+    match worker::serve(memory, arguments.graph.clone().unwrap_or_default(), options) {
         Ok(()) => 0,
         Err(error) => {
             eprintln!("error: `{}` is started by the theatre only: {error}", worker::COMMAND);
@@ -106,19 +116,52 @@ fn work(own: &[OsString], arguments: &Arguments) -> i32 {
     }
 }
 
+/// How long a machine may take to be reached at first.
+const REACH: Duration = Duration::from_secs(10);
+
+/// Opens the window on the graph of another machine.
+fn attach(arguments: &Arguments, name: &str) -> i32 {
+    let config = panoscope_editor_model::arguments::config_folder();
+    let target = Target::find(name, config.as_deref()).map_err(|error| error.to_string());
+    let target = target.map(|target| Target { keys: arguments.keys.clone(), ..target });
+    let options = options(arguments).map_err(|error| error.to_string());
+    let opened = target.and_then(|target| Ok((Attachment::open(target).map_err(|error| error.to_string())?, options?)));
+    let (attachment, options) = match opened {
+        Ok(opened) => opened,
+        Err(error) => {
+            eprintln!("error: {error}");
+            return 2;
+        }
+    };
+    // Without a window nobody would see why it takes time.
+    if !attachment.wait_opened(REACH) {
+        eprintln!("error: `{}` is not reached: {}", attachment.target().name, attachment.state().problem);
+        return 1;
+    }
+    let path = PathBuf::from(&attachment.target().name);
+    let viewport = window::viewport(&path, "panoscope-theatre", arguments.window.size)
+        .with_fullscreen(!arguments.windowed)
+        .with_decorations(arguments.windowed);
+    window::open(viewport, move |cc| Ok(Box::new(Theatre::attached(&cc.egui_ctx, attachment, REACH, options)?)))
+}
+
 fn run(arguments: &Arguments) -> i32 {
+    if let Some(name) = &arguments.attach {
+        return attach(arguments, name);
+    }
+    let graph = arguments.graph.clone().unwrap_or_default();
     let given = arguments.given.options();
-    let text = match GraphText::load_with(&arguments.graph, &given) {
+    let text = match GraphText::load_with(&graph, &given) {
         Ok(text) => text,
         Err(diagnostics) => {
             eprintln!("{}", diagnostics.render(false).trim_end());
             return 2;
         }
     };
-    let viewport = window::viewport(&arguments.graph, "panoscope-theatre", arguments.window.size)
+    let viewport = window::viewport(&graph, "panoscope-theatre", arguments.window.size)
         .with_fullscreen(!arguments.windowed)
         .with_decorations(arguments.windowed);
-    let path = arguments.graph.clone();
+    let path = graph.clone();
     let options = match options(arguments) {
         Ok(options) => options,
         Err(error) => {
@@ -126,7 +169,7 @@ fn run(arguments: &Arguments) -> i32 {
             return 2;
         }
     };
-    if let Some(notice) = installed::notice(&arguments.graph) {
+    if let Some(notice) = installed::notice(&graph) {
         eprintln!("note: {notice}");
     }
     // The running version, even if its file was replaced meanwhile.

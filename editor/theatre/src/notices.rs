@@ -10,6 +10,7 @@ use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::Phase;
 
 use super::alarms::{self, Alarm, Urgency};
+use super::attached::MachineFacts;
 use super::outage::OutageFacts;
 use super::runner::OutageStage;
 
@@ -46,6 +47,8 @@ pub struct Facts {
     pub raw_only: Option<String>,
     /// The process that runs the graph has ended, and the views are not shown again yet.
     pub outage: Option<OutageFacts>,
+    /// The machine that runs the graph, if it is another one.
+    pub machine: Option<MachineFacts>,
     /// Why nothing runs, so that there is no image at all.
     pub why_dark: Option<String>,
     /// The last error message of each source, by node.
@@ -96,6 +99,11 @@ impl Facts {
         self.outage.as_ref().is_some_and(|outage| outage.stage == OutageStage::Dark)
     }
 
+    /// Why the machine that runs the graph is not reached.
+    pub fn unreached(&self) -> Option<&str> {
+        self.machine.as_ref()?.lost.as_deref()
+    }
+
     /// What to show in place of the image of `node`, which has not arrived yet.
     pub fn no_picture(&self, node: &str, stopped: bool) -> NoPicture {
         const AGAIN: &str = "Correct this, then press Enter to start again. For a camera: check its cable and power, and close other programs that use it.";
@@ -136,7 +144,15 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     if facts.phase == Phase::Ended {
         notify(alarms::ENDED, alarms::ENDED.text.to_owned());
     }
-    for (camera, since) in &facts.lost {
+    if let Some(machine) = &facts.machine {
+        match &machine.lost {
+            Some(why) => notify(alarms::MACHINE_LOST, format!("{} is not reached: {why}", machine.name)),
+            None => notify(alarms::ATTACHED, format!("Attached to {}: no emergency stop from here", machine.name)),
+        }
+    }
+    // Without the machine nothing is known of its cameras and views.
+    let is_reached = facts.unreached().is_none();
+    for (camera, since) in facts.lost.iter().filter(|_| is_reached) {
         notify(
             alarms::CAMERA_LOST,
             match since {
@@ -145,7 +161,7 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
             },
         );
     }
-    for view in &facts.stopped {
+    for view in facts.stopped.iter().filter(|_| is_reached) {
         notify(alarms::VIEW_STOPPED, format!("{view} has stopped"));
     }
     for message in &facts.stages {

@@ -89,6 +89,14 @@ pub enum OpenError {
     /// A thread cannot be started.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] std::io::Error),
+    /// The machine that runs the graph is not reached.
+    #[error("`{name}` is not reached: {problem}")]
+    Machine {
+        /// The machine.
+        name: String,
+        /// Why.
+        problem: String,
+    },
     /// The process that runs the graph ended before the graph was opened.
     #[error("the process that runs the graph {0}")]
     Worker(String),

@@ -70,7 +70,8 @@ impl Theatre {
             Phase::Running => {}
             _ => self.running_since = None,
         }
-        if self.shows_raw() || status.busy {
+        // The cameras of another machine are not started from here.
+        if self.shows_raw() || status.busy || self.machine.is_some() {
             return;
         }
         let why = match (&status.phase, &status.problem) {
@@ -121,6 +122,7 @@ impl Theatre {
             // Set only when the sources alone do not run either.
             why_dark: nothing_runs.filter(|_| !status.busy && self.shows_raw()),
             outage: self.outage_facts(),
+            machine: self.machine_facts(),
             source_faults: source_faults.map(|(node, fault)| (node.clone(), fault.words.clone())).collect(),
             phase: status.phase.clone(),
             problem,

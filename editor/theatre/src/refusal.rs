@@ -40,6 +40,7 @@ pub(super) fn reason(error: &OpenError) -> String {
         OpenError::Runtime(_) => "ONNX Runtime cannot be loaded".to_owned(),
         OpenError::Thread(_) => "a thread could not be started".to_owned(),
         OpenError::Worker(_) => "the image processing could not be started".to_owned(),
+        OpenError::Machine { .. } => "the machine was not reached".to_owned(),
     }
 }
 
@@ -87,6 +88,11 @@ impl Refusal {
                 format!("{name} could not be started"),
                 vec![error.to_string()],
                 vec![("Find the plugin that crashes:", Some(format!("panoscope check {file}")))],
+            ),
+            OpenError::Machine { name, .. } => (
+                format!("`{name}` is not reached"),
+                vec![error.to_string()],
+                vec![("Start the graph there with --attachable, and name this machine with --allow-read:", None)],
             ),
         };
         let terminal_text = match error {

@@ -44,6 +44,8 @@ pub(crate) trait Runner {
     fn end_outage(&self);
     /// Starts the whole graph at once during an outage.
     fn resume(&self);
+    /// The text that the next changes start from, where the graph runs on another machine.
+    fn set_base(&self, _: &str) {}
     /// Ends the run and waits until all files are finished.
     fn close(&mut self);
     /// The session, where the graph runs in this process.
@@ -78,6 +80,8 @@ pub struct Outage {
 pub(crate) struct Local {
     session: Session,
     observer: Observer,
+    /// See [`Runner::set_base`].
+    base: std::cell::RefCell<String>,
     refusals: std::cell::RefCell<Vec<String>>,
 }
 
@@ -97,8 +101,16 @@ impl Local {
         session.set_loader(loader);
         session.set_seal(seal);
         session.set_wake(wake);
+        Self::of(session)
+    }
+
+    /// Observes a session.
+    ///
+    /// # Errors
+    /// A thread cannot be started.
+    pub fn of(session: Session) -> std::io::Result<Self> {
         let observer = Observer::new(session.handle())?;
-        Ok(Self { session, observer, refusals: std::cell::RefCell::default() })
+        Ok(Self { session, observer, base: std::cell::RefCell::default(), refusals: std::cell::RefCell::default() })
     }
 
     /// See [`Observer::rounds`].
@@ -125,11 +137,21 @@ impl Runner for Local {
     }
 
     fn values(&self, node: &str) -> Option<Vec<ParamValue>> {
+        if let Some(machine) = self.session.attachment() {
+            return machine.values(node);
+        }
         self.session.handle().engine()?.param_values(node)
     }
 
     fn run(&self, text: &str) {
-        self.session.run(text);
+        match self.session.attachment() {
+            Some(_) => self.session.run_from(&self.base.borrow(), text),
+            None => self.session.run(text),
+        }
+    }
+
+    fn set_base(&self, text: &str) {
+        text.clone_into(&mut self.base.borrow_mut());
     }
 
     fn restart(&self, text: &str) {

@@ -128,7 +128,7 @@ impl Theatre {
         if response.has_focus() {
             focus_frame(ui, rect);
         }
-        let stopped = !live && facts.stopped.contains(&pane.label);
+        let stopped = !live && facts.stopped.contains(&pane.label) || facts.unreached().is_some();
         let painter = ui.painter_at(rect);
         painter.text(
             pos2(rect.left(), rect.top() + TITLE / 2.0),

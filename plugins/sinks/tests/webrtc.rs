@@ -1,5 +1,6 @@
 //! A live stream as browsers see it: Chromium opens the page of the node, and the pixels of its video are read back.
 
+#[path = "../../../tests/support/chromium.rs"]
 mod chromium;
 mod common;
 

@@ -17,7 +17,12 @@ const THEATRE: &str = "panoscope-theatre";
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Graph file.
-    graph: PathBuf,
+    #[arg(required_unless_present = "attach", allow_hyphen_values = true)]
+    graph: Option<PathBuf>,
+    /// Shows the graph that runs on another machine with `panoscope run --attachable`: NAME@ADDRESS as in rack@tls/10.0.0.2:7448, or a NAME of
+    /// machines.toml in the folder panoscope of the user's configuration.
+    #[arg(long, value_name = "NAME[@ADDRESS]")]
+    attach: Option<String>,
     /// Further arguments of the editor; `panoscope-editor --help` and `panoscope-theatre --help` show them.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     rest: Vec<String>,
@@ -26,10 +31,13 @@ pub struct Arguments {
 /// Becomes the editor, or with `theatre` the surgeon's window.
 pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
     // The editor offers templates for a file that is to be; it looks after the rest.
-    let new = !theatre && !arguments.graph.exists() && arguments.graph.extension().is_some_and(|e| e == "toml");
-    if !arguments.graph.is_file() && !new {
-        log!("error: there is no graph file {}", arguments.graph.display());
-        return Ok(End::Wrong);
+    // With --attach the first word may be an option of the window.
+    if let Some(graph) = arguments.graph.as_ref().filter(|_| arguments.attach.is_none()) {
+        let new = !theatre && !graph.exists() && graph.extension().is_some_and(|e| e == "toml");
+        if !graph.is_file() && !new {
+            log!("error: there is no graph file {}", graph.display());
+            return Ok(End::Wrong);
+        }
     }
     let this = std::env::current_exe().context("this program's own place is not known")?;
     let beside = this.with_file_name(if theatre { THEATRE } else { EDITOR });
@@ -40,6 +48,10 @@ pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
         );
         return Ok(End::Failed);
     }
-    let error = Command::new(&beside).arg(&arguments.graph).args(&arguments.rest).exec();
+    let mut command = Command::new(&beside);
+    if let Some(name) = &arguments.attach {
+        command.args(["--attach", name]);
+    }
+    let error = command.args(&arguments.graph).args(&arguments.rest).exec();
     Err(error).with_context(|| format!("{} does not start", beside.display()))
 }

@@ -28,3 +28,4 @@ pub mod serve;
 pub mod soak;
 pub mod sweep;
 pub mod tune;
+pub mod windows;

@@ -27,6 +27,8 @@ use crate::progress::Progress;
 use crate::terminal::{log, out, raw, stderr_color};
 use crate::trust::{IsolatedPlugins, Keys};
 use crate::{End, allocations, interrupt, summary};
+
+use super::windows;
 use panoscope_eval::graph_file::Ready;
 
 /// How long nodes may take to finish after the end of a run was asked for.
@@ -89,6 +91,8 @@ pub struct Arguments {
     /// the world.
     #[arg(long, requires = "foxglove")]
     foxglove_set: bool,
+    #[command(flatten)]
+    windows: windows::Arguments,
 }
 
 /// Runs a graph to its end.
@@ -206,6 +210,13 @@ pub fn run_with(
             return Ok(RunEnd::Not(End::Failed));
         }
     };
+    let attachable = match arguments.windows.start() {
+        Ok(attachable) => attachable,
+        Err(error) => {
+            log!("error: {error}");
+            return Ok(RunEnd::Not(End::Failed));
+        }
+    };
     let is_json = arguments.log_format == LogFormat::Json;
     let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless && !is_json);
     let faults = match &arguments.fault_log {
@@ -257,7 +268,8 @@ pub fn run_with(
     let mut live = Live::new(&engine, &arguments.graph, text, settings, ready.loader);
     live.set_seal(seal);
     let mut running = Running { live, catalog: &ready.catalog, expected_faults: BTreeSet::new() };
-    watch(&engine, &mut progress, || {
+    let windows = attachable.as_ref();
+    let during = || {
         look(&mut running);
         if let Some(monitor) = &monitor {
             monitor.update(&engine, |graph| running.live.loader().catalog_of_graph(graph));
@@ -265,11 +277,15 @@ pub fn run_with(
         if let Some(foxglove) = &mut foxglove {
             foxglove.update(&mut running.live).iter().for_each(|line| log!("{line}"));
         }
+        if let Some(windows) = windows {
+            windows.update(&mut running.live).iter().for_each(|line| log!("{line}"));
+        }
         if let Some(files) = &mut files {
             apply_changes(files, &mut running.live, &given);
         }
-    });
-    drop(foxglove);
+    };
+    windows::beside(windows, &engine, || watch(&engine, &mut progress, during));
+    drop((foxglove, attachable));
     let Running { expected_faults, .. } = running;
     let mut verdict = close(&engine, on_duty, arguments.frames, &progress, &expected_faults);
     if let Some(path) = &arguments.report {

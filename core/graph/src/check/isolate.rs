@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::Checker;
 use crate::catalog::{NodeKind, NodeType};
-use crate::checked::{Deny, Machine};
+use crate::checked::{Deny, Machine, Mode};
 use crate::file::NodeText;
 use crate::nearest::{list, nearest};
 use crate::text::GraphText;
@@ -70,6 +70,7 @@ impl Checker<'_> {
         }
         self.interpreters();
         self.machines();
+        self.coded_pixels();
         for (index, node) in text.flat.nodes.iter().enumerate() {
             let Some(node_type) = self.type_of(index) else { continue };
             let Some(group) = text.group_of(node, &node_type.plugin) else { continue };
@@ -140,6 +141,50 @@ impl Checker<'_> {
         for group in clashes {
             let message = format!("`{}` is a machine, so no group of isolated nodes can have this name", group.value);
             self.error("group-named-as-machine", &group.span, message).help("choose another name for the group");
+        }
+    }
+
+    /// What H.264 does to nodes of machines and behind them.
+    fn coded_pixels(&mut self) {
+        let text = self.text;
+        let nodes = &text.flat.nodes;
+        for known in text.machines.iter().filter(|known| known.machine.pixels.is_lossy()) {
+            let name = &known.name;
+            if nodes.iter().all(|node| node.on.as_ref().is_none_or(|on| on.value != name.value)) {
+                continue;
+            }
+            if text.mode == Mode::Batch {
+                let message = format!("pixels of `{}` travel as H.264, and the graph is a batch", name.value);
+                self.error("coded-batch", &name.span, message)
+                    .label("a batch gives the same bytes wherever its nodes run")
+                    .help("write pixels = \"lz4\", which compresses without loss, or mode = \"live\"");
+                continue;
+            }
+            let mut coded: Vec<bool> =
+                nodes.iter().map(|node| node.on.as_ref().is_some_and(|on| on.value == name.value)).collect();
+            // Nodes that read what a coded one made, one step further with each round.
+            for _ in 0..nodes.len() {
+                let before = coded.clone();
+                for link in self.links.iter().filter(|link| before[link.from_node]) {
+                    coded[link.to_node] = true;
+                }
+                if coded == before {
+                    break;
+                }
+            }
+            let measures = |index: &usize| {
+                let outputs = self.type_of(*index).map_or(&[][..], |node_type| &node_type.outputs);
+                outputs.iter().any(|port| port.packet.name != "image")
+            };
+            let behind: Vec<usize> = (0..nodes.len()).filter(|index| coded[*index]).filter(measures).collect();
+            if behind.is_empty() {
+                continue;
+            }
+            let names = list(behind.iter().map(|index| self.id(*index)), 8, "and");
+            let message = format!("H.264 may change the pixels that {names} measure in");
+            self.warning("coded-pixels", &name.span, message)
+                .label("colour pictures to and from this machine lose detail")
+                .help("write pixels = \"lz4\" where numbers count");
         }
     }
 

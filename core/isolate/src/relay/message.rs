@@ -16,6 +16,8 @@ pub struct Bytes {
     pub len: u64,
     /// Whether they are pixels.
     pub is_pixels: bool,
+    /// Columns, rows and bytes from row to row of a picture of 8-bit blue, green and red; `None` for other frames.
+    pub colour_px: Option<(u32, u32, u32)>,
     /// How often the buffer was handed out, where the host says so: while the number stays, so do the bytes. 0 where it does not.
     pub uses: u32,
 }
@@ -23,7 +25,8 @@ pub struct Bytes {
 impl Bytes {
     fn of(frame: &abi::Frame) -> Self {
         let BufferId { pool, offset, .. } = frame.buffer;
-        Self { pool, offset, len: frame.len as u64, is_pixels: frame.format != abi::FORMAT_BYTES, uses: 0 }
+        let colour_px = (frame.format == abi::FORMAT_BGR8).then_some((frame.width, frame.height, frame.stride_bytes));
+        Self { pool, offset, len: frame.len as u64, is_pixels: frame.format != abi::FORMAT_BYTES, colour_px, uses: 0 }
     }
 }
 

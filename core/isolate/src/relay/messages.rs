@@ -2,6 +2,8 @@
 
 use std::io::{self, Read};
 
+use panoscope_engine::isolation::Pixels;
+
 /// Longest head of a message.
 const MAX_HEAD_BYTES: usize = 4 << 20;
 /// Most frames in one message.
@@ -20,6 +22,31 @@ pub enum Coding {
     Raw,
     /// A block of LZ4.
     Lz4,
+    /// The next picture of a stream of H.264.
+    H264(Picture),
+}
+
+/// A picture of a stream of H.264: rows of blue, green and red.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Which of the lane's streams.
+    pub stream: u32,
+    /// Columns, px.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Bytes from row to row.
+    pub stride_bytes: u32,
+    /// Whether the stream begins with it.
+    pub begins: bool,
+}
+
+impl Picture {
+    /// Whether its rows lie inside so many bytes.
+    pub fn fits(&self, len: u64) -> bool {
+        let (width, height, stride) = (u64::from(self.width), u64::from(self.height), u64::from(self.stride_bytes));
+        width > 0 && height > 0 && 3 * width <= stride && stride * (height - 1) + 3 * width <= len
+    }
 }
 
 /// A frame whose bytes follow the head.
@@ -78,8 +105,8 @@ pub enum Message {
         memory_bytes: u64,
         /// Whether sockets are denied, and new files.
         deny: (bool, bool),
-        /// Whether pixels are to be compressed.
-        compresses: bool,
+        /// How pixels travel.
+        pixels: Pixels,
         /// When nothing is heard for this long, the other side counts as lost.
         timeout_ms: u32,
     },
@@ -138,6 +165,28 @@ const TURN: u8 = 5;
 const BYE: u8 = 6;
 const READY: u8 = 7;
 const LOST: u8 = 8;
+
+/// How a frame is written, in its head.
+const RAW: u8 = 0;
+const LZ4: u8 = 1;
+const H264: u8 = 2;
+
+fn code(pixels: Pixels) -> u8 {
+    match pixels {
+        Pixels::Raw => RAW,
+        Pixels::Lz4 => LZ4,
+        Pixels::H264 => H264,
+    }
+}
+
+fn pixels(code: u8) -> Result<Pixels, BadMessage> {
+    match code {
+        RAW => Ok(Pixels::Raw),
+        LZ4 => Ok(Pixels::Lz4),
+        H264 => Ok(Pixels::H264),
+        _ => Err(BadMessage),
+    }
+}
 
 struct Writer(Vec<u8>);
 
@@ -224,9 +273,9 @@ impl<'b> Reader<'b> {
 pub fn write(message: &Message) -> Vec<u8> {
     let mut out = Writer(vec![0; 4]);
     match message {
-        Message::Hello { version, group, threads, memory_bytes, deny, compresses, timeout_ms } => {
+        Message::Hello { version, group, threads, memory_bytes, deny, pixels, timeout_ms } => {
             out.u8(HELLO).text(version).text(group).u32(*threads).u64(*memory_bytes);
-            out.u8(u8::from(deny.0)).u8(u8::from(deny.1)).u8(u8::from(*compresses)).u32(*timeout_ms);
+            out.u8(u8::from(deny.0)).u8(u8::from(deny.1)).u8(code(*pixels)).u32(*timeout_ms);
         }
         Message::Pool { number, len, is_own } => _ = out.u8(POOL).u32(*number).u64(*len).u8(u8::from(*is_own)),
         Message::Plugin { id, path, sha256 } => _ = out.u8(PLUGIN).u32(*id).text(path).text(sha256),
@@ -237,7 +286,15 @@ pub fn write(message: &Message) -> Vec<u8> {
             files.iter().for_each(|file| _ = out.text(&file.path).text(&file.sha256));
             out.u32(frames.len() as u32);
             for FrameHead { pool, offset, len, coding, coded_len } in frames {
-                out.u32(*pool).u64(*offset).u64(*len).u8(u8::from(*coding == Coding::Lz4)).u64(*coded_len);
+                out.u32(*pool).u64(*offset).u64(*len);
+                match coding {
+                    Coding::Raw => _ = out.u8(RAW),
+                    Coding::Lz4 => _ = out.u8(LZ4),
+                    Coding::H264(Picture { stream, width, height, stride_bytes, begins }) => {
+                        out.u8(H264).u32(*stream).u32(*width).u32(*height).u32(*stride_bytes).u8(u8::from(*begins));
+                    }
+                }
+                out.u64(*coded_len);
             }
         }
         Message::Bye => _ = out.u8(BYE),
@@ -276,7 +333,7 @@ fn parse(head: &[u8]) -> Result<Message, BadMessage> {
             threads: reader.u32()?,
             memory_bytes: reader.u64()?,
             deny: (reader.flag()?, reader.flag()?),
-            compresses: reader.flag()?,
+            pixels: pixels(reader.u8()?)?,
             timeout_ms: reader.u32()?,
         },
         POOL => Message::Pool { number: reader.u32()?, len: reader.u64()?, is_own: reader.flag()? },
@@ -301,12 +358,24 @@ fn parse(head: &[u8]) -> Result<Message, BadMessage> {
 
 fn frame(reader: &mut Reader<'_>) -> Result<FrameHead, BadMessage> {
     let (pool, offset, len) = (reader.u32()?, reader.u64()?, reader.u64()?);
-    let coding = if reader.flag()? { Coding::Lz4 } else { Coding::Raw };
+    let coding = match reader.u8()? {
+        RAW => Coding::Raw,
+        LZ4 => Coding::Lz4,
+        H264 => Coding::H264(Picture {
+            stream: reader.u32()?,
+            width: reader.u32()?,
+            height: reader.u32()?,
+            stride_bytes: reader.u32()?,
+            begins: reader.flag()?,
+        }),
+        _ => return Err(BadMessage),
+    };
     let coded_len = reader.u64()?;
     let fits = match coding {
         Coding::Raw => coded_len == len,
         // What does not become shorter is sent as it is.
         Coding::Lz4 => coded_len < len,
+        Coding::H264(picture) => coded_len < len && picture.fits(len),
     };
     let frame = FrameHead { pool, offset, len, coding, coded_len };
     if fits && len <= MAX_FRAME_BYTES { Ok(frame) } else { Err(BadMessage) }
@@ -318,8 +387,11 @@ mod tests {
 
     fn messages() -> Vec<Message> {
         let frame = FrameHead { pool: 3, offset: 1 << 20, len: 640, coding: Coding::Lz4, coded_len: 17 };
+        let picture = Picture { stream: 1, width: 4, height: 4, stride_bytes: 16, begins: true };
+        let coded = FrameHead { coding: Coding::H264(picture), ..frame };
         let file = FileHash { path: "models/a.onnx".to_owned(), sha256: "00ff".to_owned() };
-        let turn = Turn { lane: 7, kind: 2, at_ns: -5, message: vec![1, 2, 3], files: vec![file], frames: vec![frame] };
+        let turn =
+            Turn { lane: 7, kind: 2, at_ns: -5, message: vec![1, 2, 3], files: vec![file], frames: vec![frame, coded] };
         vec![
             Message::Hello {
                 version: "Panoscope 1".to_owned(),
@@ -327,7 +399,7 @@ mod tests {
                 threads: 2,
                 memory_bytes: 1 << 32,
                 deny: (true, false),
-                compresses: true,
+                pixels: Pixels::H264,
                 timeout_ms: 1000,
             },
             Message::Pool { number: 9, len: 1 << 32, is_own: true },
@@ -360,6 +432,9 @@ mod tests {
             }
         }
         assert!(read(&mut &[0xff; 64][..]).is_err());
+        let picture = Picture { stream: 1, width: 4, height: 4, stride_bytes: 16, begins: true };
+        assert!(picture.fits(60) && !picture.fits(59) && !Picture { stride_bytes: 11, ..picture }.fits(640));
+        assert!(!Picture { width: 0, ..picture }.fits(640) && !Picture { width: u32::MAX, ..picture }.fits(u64::MAX));
         let mut more = write(&Message::Bye);
         more[0] += 1;
         more.push(0);

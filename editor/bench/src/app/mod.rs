@@ -1,6 +1,7 @@
 //! The editor's window: draws all panels and handles what the user asks for.
 
 mod arguments;
+mod attached;
 mod commands;
 mod conflict;
 mod dialogs;
@@ -131,6 +132,8 @@ pub struct App {
     notification: Option<(String, bool, Instant)>,
     /// Revision of the document that was last passed to the session.
     requested_revision: u64,
+    /// The graph of the machine that was shown last, where the graph runs on another one.
+    machine_revision: u64,
     shot: Shot,
     costs: Costs,
 }
@@ -141,14 +144,25 @@ impl App {
     /// # Errors
     /// A thread cannot be started.
     pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
+        let paths = GraphText::parse_with(path, text, &options.given).plugin_paths();
+        let session = Session::new(path, &paths, options.frames)?;
+        Self::with_session(ctx, path, text, session, options)
+    }
+
+    /// Opens a window on a session that runs nothing yet, or that runs the text elsewhere.
+    fn with_session(
+        ctx: &Context,
+        path: &Path,
+        text: &str,
+        session: Session,
+        options: Options,
+    ) -> Result<Self, OpenError> {
+        let for_wake = ctx.clone();
+        session.set_wake(Arc::new(move || for_wake.request_repaint()));
         theme::apply_choice(ctx, options.theme);
         if options.scale > 0.0 {
             ctx.set_zoom_factor(options.scale);
         }
-        let paths = GraphText::parse_with(path, text, &options.given).plugin_paths();
-        let session = Session::new(path, &paths, options.frames)?;
-        let for_wake = ctx.clone();
-        session.set_wake(Arc::new(move || for_wake.request_repaint()));
         let observer = Observer::new(session.handle())?;
         let document = Document::with_options(path, text, session.loader(), options.given);
         let arguments = (!document.missing_args().is_empty())
@@ -187,6 +201,7 @@ impl App {
             panning: false,
             notification: installed::notice(path).map(|notice| (notice, false, Instant::now())),
             requested_revision: 1,
+            machine_revision: 0,
             shot: options.shot,
             costs: Costs::default(),
             session,
@@ -271,8 +286,8 @@ impl App {
     fn run_document(&mut self) {
         if self.requested_revision != self.document.revision() {
             self.requested_revision = self.document.revision();
-            if self.document.view().valid {
-                self.session.run(self.document.runnable());
+            if self.document.view().valid && self.may_run() {
+                self.session.run_from(self.document.saved(), self.document.runnable());
             }
         }
     }
@@ -291,10 +306,13 @@ impl App {
             self.document.set_tick(status.tick);
         }
         self.shown.update(&ctx, self.observer.take());
-        if let Some(text) = self.disk.poll() {
-            self.changed_on_disk(text);
+        self.follow_machine();
+        if !self.is_attached() {
+            if let Some(text) = self.disk.poll() {
+                self.changed_on_disk(text);
+            }
+            self.poll_other_files();
         }
-        self.poll_other_files();
         let typing = ctx.text_edit_focused();
         // While a picker or a dialog is open, it gets the keys.
         if self.picker.is_some() && !self.help {
@@ -344,6 +362,7 @@ impl App {
             .exact_size(44.0)
             .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
         actions.inner.into_iter().for_each(|action| self.perform(action));
+        self.machine_bar(ui);
         self.conflict_bar(ui);
         self.side(ui, status, &counters);
         self.below(ui, status, &counters);

@@ -30,6 +30,9 @@ impl App {
         self.forget_conflict(&path);
         self.document.set_text_by(Origin::File, &text, "change on disk", None);
         self.document.set_saved(&text);
+        if self.is_attached() {
+            return self.notify_of_change();
+        }
         self.notify("the file changed on disk and was reloaded; undo restores the old text", false);
     }
 
@@ -67,7 +70,7 @@ impl App {
         self.conflicts.push(Conflict { path, theirs, refused_save, compared: None });
     }
 
-    fn forget_conflict(&mut self, path: &Path) {
+    pub(super) fn forget_conflict(&mut self, path: &Path) {
         self.conflicts.retain(|c| c.path != path);
     }
 
@@ -81,6 +84,9 @@ impl App {
             None => "".into(),
         };
         let what = match is_root {
+            true if self.session.attachment().is_some() => {
+                "The graph was changed on its machine, and in this window too. Choose which text to keep:".to_owned()
+            }
             true => {
                 "The file was changed on disk, and the graph in this window was changed too. Choose which text to keep:"
                     .to_owned()
@@ -124,6 +130,9 @@ impl App {
             }
             self.document.set_saved(&conflict.theirs);
         }
+        if self.is_attached() {
+            return self.after_conflict(take);
+        }
         if !take {
             self.notify("kept; the next save replaces the file and keeps its text as a backup", false);
         }
@@ -145,6 +154,9 @@ impl App {
 
     /// Saves all changed files, parts and overlays before the graph, unless that would lose another program's text.
     pub(super) fn save(&mut self) {
+        if self.is_attached() {
+            return self.save_machine_copy();
+        }
         if self.save_copy() {
             return;
         }

@@ -5,6 +5,7 @@
 //! lie inside the file, and the work must be in proportion to the bytes. The callers add limits of memory and time.
 
 mod arm;
+mod attach;
 mod audit;
 mod calibration;
 mod descriptor;
@@ -41,6 +42,7 @@ pub struct Target {
 /// All targets, by name.
 pub const TARGETS: &[Target] = &[
     Target { name: "arm_line", run: arm::line, seeds: arm::line_seeds },
+    Target { name: "attach_message", run: attach::run, seeds: attach::seeds },
     Target { name: "audit", run: audit::run, seeds: audit::seeds },
     Target { name: "board", run: calibration::board, seeds: calibration::board_seeds },
     Target { name: "calibration", run: calibration::file, seeds: calibration::file_seeds },

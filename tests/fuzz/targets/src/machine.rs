@@ -1,6 +1,9 @@
 //! Messages between a host and another machine.
 
-use panoscope_isolate::relay::messages::{Coding, FileHash, FrameHead, MAX_FRAME_BYTES, Message, Turn, read, write};
+use panoscope_engine::isolation::Pixels;
+use panoscope_isolate::relay::messages::{
+    Coding, FileHash, FrameHead, MAX_FRAME_BYTES, Message, Picture, Turn, read, write,
+};
 
 pub fn run(bytes: &[u8]) {
     let mut rest = bytes;
@@ -11,13 +14,14 @@ pub fn run(bytes: &[u8]) {
     if let Message::Turn(Turn { message, files, frames, .. }) = message {
         assert!(message.len() + 8 * files.len() + 29 * frames.len() <= head, "in proportion to the bytes");
         for FrameHead { len, coding, coded_len, .. } in frames {
-            assert!(len <= MAX_FRAME_BYTES && coded_len <= len && (coding == Coding::Lz4 || coded_len == len));
+            assert!(len <= MAX_FRAME_BYTES && coded_len <= len && (coding != Coding::Raw || coded_len == len));
         }
     }
 }
 
 pub fn seeds() -> Vec<Vec<u8>> {
     let frame = |coding, coded_len| FrameHead { pool: 30, offset: 1 << 20, len: 64, coding, coded_len };
+    let picture = |width| Coding::H264(Picture { stream: 1, width, height: 2, stride_bytes: 3 * width, begins: true });
     let file = FileHash { path: "/models/a.onnx".to_owned(), sha256: "ab".repeat(32) };
     let turn = |files, frames| Turn { lane: 1, kind: 2, at_ns: 7, message: b"message".to_vec(), files, frames };
     let hello = Message::Hello {
@@ -26,7 +30,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
         threads: 2,
         memory_bytes: 1 << 32,
         deny: (false, true),
-        compresses: true,
+        pixels: Pixels::H264,
         timeout_ms: 1000,
     };
     let messages = [
@@ -38,6 +42,8 @@ pub fn seeds() -> Vec<Vec<u8>> {
         // A frame that grows, and one that is longer than it says.
         Message::Turn(turn(Vec::new(), vec![frame(Coding::Lz4, 64)])),
         Message::Turn(turn(Vec::new(), vec![frame(Coding::Raw, 65)])),
+        Message::Turn(turn(Vec::new(), vec![frame(picture(4), 9)])),
+        Message::Turn(turn(Vec::new(), vec![frame(picture(9), 9)])),
         Message::Bye,
         Message::Ready,
         Message::Lost { words: "it crashed".to_owned() },

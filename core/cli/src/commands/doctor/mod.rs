@@ -251,6 +251,9 @@ impl Doctor {
             let about = format!("{}; on {}; {}", one.what, one.default_address, one.access);
             self.say(State::Fine, one.option, &about);
         }
+        for one in panoscope_attach::LISTENERS {
+            self.say(State::Fine, one.option, &format!("{}; on {}; {}", one.what, one.default_address, one.access));
+        }
         let serve = "nodes of other machines over TLS; hosts that --allow names, with certificates of your authority";
         self.say(State::Fine, "serve --listen ADDRESS", serve);
         let names = std::mem::take(&mut self.listeners);

@@ -1,14 +1,15 @@
-//! Chromium without a screen, driven over its debugging pipe: messages of JSON, each ended by a zero byte.
+//! Chromium without a screen, driven over its debugging pipe: messages of JSON, each ended by a zero byte. Tests include this file as a module.
+
+#![allow(dead_code, reason = "each test uses a part of it")]
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::UdpSocket;
+use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-
-use crate::common::Folder;
 
 /// Longest wait for a reply.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -30,7 +31,7 @@ pub struct Browser {
     requests: ChildStdin,
     replies: Receiver<Value>,
     next_id: u64,
-    _profile: Folder,
+    profile: PathBuf,
 }
 
 /// An open page.
@@ -38,13 +39,13 @@ pub struct Page(String);
 
 impl Browser {
     pub fn start(name: &str) -> Self {
-        let profile = Folder::new(&format!("chromium_{name}"));
+        let profile = std::env::temp_dir().join(format!("panoscope-chromium-{name}-{}", std::process::id()));
         // The pipe of a browser is its file descriptors 3 and 4.
         let mut command = Command::new("sh");
         command.args(["-c", r#"exec chromium "$@" 3<&0 4>&1 1>&2"#, "sh"]);
         command.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]);
         command.args(["--disable-background-networking", "--disable-component-update", "--disable-sync"]);
-        command.arg("--remote-debugging-pipe").arg(format!("--user-data-dir={}", profile.0.display()));
+        command.arg("--remote-debugging-pipe").arg(format!("--user-data-dir={}", profile.display()));
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
         let mut child = command.spawn().unwrap();
         let requests = child.stdin.take().unwrap();
@@ -58,7 +59,7 @@ impl Browser {
                 }
             }
         });
-        Self { child, requests, replies, next_id: 1, _profile: profile }
+        Self { child, requests, replies, next_id: 1, profile }
     }
 
     fn call(&mut self, method: &str, params: &Value, session: Option<&str>) -> Value {
@@ -108,5 +109,6 @@ impl Drop for Browser {
         // Killed already, or it ends now.
         let _ = self.child.kill();
         let _ = self.child.wait();
+        let _ = std::fs::remove_dir_all(&self.profile);
     }
 }

@@ -1,0 +1,26 @@
+//! Windows of other machines on a running graph: what they exchange, and both ends of it.
+//!
+//! `panoscope run GRAPH --attachable ADDRESS` makes a graph [`Attachable`]. `panoscope edit --attach NAME` and `panoscope theatre --attach NAME` open
+//! an [`Attachment`]. Neither has a network in it: each starts `panoscope-machine`, which knows zenoh and certificates, and exchanges [`tunnel`]
+//! frames with it over a socket. What the frames carry are the messages of [`message`].
+//!
+//! Packets cross as the engine has them, thinned to the size at which they are shown, and the window renders them as it renders those of its own
+//! engine. An output whose last packets the window has not taken yet sends none, so a slow network shows fewer pictures and no old ones.
+//!
+//! A window reads. It edits where the running side allows its machine to (`--allow-edit`), within [`rules`]: it never sets or releases an
+//! emergency stop, and names no new folder of plugins.
+
+pub mod message;
+mod packet;
+mod program;
+pub mod rules;
+mod running;
+mod target;
+pub mod tunnel;
+mod window;
+
+pub use packet::{Packet, PacketError};
+pub use program::{KEYS_VARIABLE, LISTENERS, Listener};
+pub use running::{AttachError, Attachable, Options};
+pub use target::{Target, TargetError};
+pub use window::{Attachment, Clock, Contact, Edit, State};

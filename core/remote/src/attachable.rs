@@ -1,0 +1,261 @@
+//! Listens for windows of other machines on a running graph. Its parent runs the graph and gives it a socket as standard input.
+
+use std::collections::HashMap;
+use std::io::{self, BufReader};
+use std::os::fd::AsFd;
+use std::os::unix::net::UnixStream;
+use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use panoscope_attach::tunnel::{self, Frame, Kind};
+use panoscope_isolate::system_ns;
+use zenoh::bytes::ZBytes;
+use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
+
+use crate::keys::Identity;
+use crate::network::{self, Address, UNNAMED};
+
+/// Most windows at a time.
+const MAX_WINDOWS: usize = 16;
+/// A window that was silent for so many times its own limit is gone.
+const PATIENCE: u32 = 2;
+/// Between two looks for windows that are gone.
+const LOOK: Duration = Duration::from_millis(100);
+/// Name of a machine without certificates for its windows.
+const NO_NAME: &str = "engine";
+
+/// First byte of a message: the sides get to know each other.
+pub(crate) const HELLO: u8 = 1;
+/// A frame's content.
+pub(crate) const DATA: u8 = 2;
+/// The end, with the reason.
+pub(crate) const BYE: u8 = 3;
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The socket that the parent left as standard input.
+pub(crate) fn parent() -> Result<UnixStream, String> {
+    let socket = io::stdin().as_fd().try_clone_to_owned().map(UnixStream::from).map_err(|error| error.to_string())?;
+    socket.peer_addr().map_err(|_| "other programs of Panoscope start this one".to_owned())?;
+    Ok(socket)
+}
+
+/// A message of one first byte and content.
+pub(crate) fn message(kind: u8, content: Vec<u8>) -> ZBytes {
+    let mut bytes = ZBytes::writer();
+    bytes.append(ZBytes::from(vec![kind]));
+    bytes.append(ZBytes::from(content));
+    bytes.finish()
+}
+
+/// Takes a message apart.
+pub(crate) fn split(sample: &Sample) -> Option<(u8, Vec<u8>)> {
+    let bytes = sample.payload().to_bytes();
+    let (kind, content) = bytes.split_first()?;
+    (content.len() <= tunnel::MAX_BYTES).then(|| (*kind, content.to_vec()))
+}
+
+struct Window {
+    host: String,
+    id: String,
+    out: Sender<(u8, Vec<u8>)>,
+    heard_ns: AtomicI64,
+    patience: Duration,
+}
+
+struct Shared {
+    name: String,
+    session: Session,
+    parent: Mutex<UnixStream>,
+    windows: Mutex<HashMap<u32, Arc<Window>>>,
+    next: AtomicU32,
+}
+
+/// Listens until the parent ends. `name` is the one of the keys where it is empty.
+///
+/// # Errors
+/// The address cannot be listened at, or names and keys are missing, in words.
+pub fn run(
+    name: &str,
+    address: &str,
+    identity: Option<Identity>,
+    plaintext: bool,
+    hosts: &[&str],
+) -> Result<(), String> {
+    let parent = parent()?;
+    let words = |error: network::NetworkError| error.to_string();
+    let address = Address::parse(address, plaintext).map_err(words)?;
+    let own = identity.as_ref().map(|identity| identity.name.clone());
+    let name = if name.is_empty() { own.unwrap_or_else(|| NO_NAME.to_owned()) } else { name.to_owned() };
+    if let Some(bad) = [name.as_str()].iter().chain(hosts).find(|name| !network::is_name(name)) {
+        return Err(format!("`{bad}` cannot name a machine: a name has letters, digits, _ and -"));
+    }
+    if address.is_tls && hosts.is_empty() {
+        return Err("no machine may attach; name those that may with --allow-read or --allow-edit".to_owned());
+    }
+    let hosts: Vec<String> = match address.is_tls {
+        true => hosts.iter().map(|host| (*host).to_owned()).collect(),
+        false => vec![UNNAMED.to_owned()],
+    };
+    let session = network::listen(&name, &address, identity.as_ref(), &hosts).map_err(words)?;
+    let from = parent.try_clone().map_err(|error| error.to_string())?;
+    let shared = Arc::new(Shared {
+        name: name.clone(),
+        session,
+        parent: Mutex::new(parent),
+        windows: Mutex::default(),
+        next: AtomicU32::new(1),
+    });
+    let mut subscribers = Vec::new();
+    for host in hosts {
+        for key in ["down", "ping"] {
+            let (mine, host) = (Arc::clone(&shared), host.clone());
+            let pattern = format!("panoscope/{name}/{host}/*/{key}");
+            let callback = move |sample: Sample| {
+                let Some(id) = sample.key_expr().as_str().split('/').nth(3).map(str::to_owned) else { return };
+                match key {
+                    "down" => mine.receive(&host, &id, &sample),
+                    _ => mine.answer_probe(&host, &id, &sample),
+                }
+            };
+            let declared = shared.session.declare_subscriber(pattern).callback(callback).wait();
+            subscribers.push(declared.map_err(|error| error.to_string())?);
+        }
+    }
+    shared.tell(&Frame::words(Kind::Ready, 0, &name));
+    let watching = Arc::clone(&shared);
+    std::thread::Builder::new().spawn(move || watching.watch()).map_err(|error| error.to_string())?;
+    let mut from = BufReader::new(from);
+    while let Ok(Some(frame)) = tunnel::receive(&mut from) {
+        let window = lock(&shared.windows).get(&frame.session).cloned();
+        let Some(window) = window else { continue };
+        match frame.kind {
+            Kind::Data => _ = window.out.send((DATA, frame.bytes)),
+            Kind::Close => {
+                let _ = window.out.send((BYE, frame.bytes));
+                lock(&shared.windows).remove(&frame.session);
+            }
+            Kind::Ready | Kind::Open | Kind::Clock => {}
+        }
+    }
+    // What was sent last may still be on its way.
+    std::thread::sleep(LOOK);
+    crate::link::leave(0)
+}
+
+impl Shared {
+    fn tell(&self, frame: &Frame) {
+        // A parent that is gone ends what is read from it too.
+        let _ = tunnel::send(&mut *lock(&self.parent), frame);
+    }
+
+    fn key(&self, host: &str, id: &str, what: &str) -> String {
+        format!("{}/{what}", network::prefix(&self.name, host, id))
+    }
+
+    fn window(&self, host: &str, id: &str) -> Option<(u32, Arc<Window>)> {
+        let windows = lock(&self.windows);
+        let found = windows.iter().find(|(_, window)| window.host == host && window.id == id);
+        found.map(|(number, window)| (*number, Arc::clone(window)))
+    }
+
+    fn answer_probe(&self, host: &str, id: &str, sample: &Sample) {
+        let now_ns = system_ns();
+        let bytes = sample.payload().to_bytes();
+        let Some(sent) = bytes.first_chunk::<8>() else { return };
+        if let Some((_, window)) = self.window(host, id) {
+            window.heard_ns.store(now_ns, Ordering::Relaxed);
+        }
+        let answer = [*sent, now_ns.to_le_bytes()].concat();
+        let put = self.session.put(self.key(host, id, "pong"), answer);
+        let _ = put.priority(zenoh::qos::Priority::RealTime).express(true).wait();
+    }
+
+    fn receive(self: &Arc<Self>, host: &str, id: &str, sample: &Sample) {
+        let Some((kind, content)) = split(sample) else { return };
+        match (kind, self.window(host, id)) {
+            (HELLO, None) => self.begin(host, id, &content),
+            (DATA, Some((session, window))) => {
+                window.heard_ns.store(system_ns(), Ordering::Relaxed);
+                self.tell(&Frame { kind: Kind::Data, session, bytes: content });
+            }
+            (BYE, Some((session, _))) => self.end(session, "it was closed"),
+            _ => {}
+        }
+    }
+
+    /// A window has come: it says what it is, and how long it may be silent.
+    fn begin(self: &Arc<Self>, host: &str, id: &str, hello: &[u8]) {
+        let up = match network::publisher(&self.session, self.key(host, id, "up"), false) {
+            Ok(up) => up,
+            Err(error) => return eprintln!("{host}: {error}"),
+        };
+        let refuse = |words: String| _ = up.put(message(BYE, words.into_bytes())).wait();
+        let Some((timeout_ms, theirs)) = hello.split_first_chunk::<4>() else {
+            return refuse("the versions differ; install the same on both".to_owned());
+        };
+        let (own, theirs) = (crate::version(), String::from_utf8_lossy(theirs).into_owned());
+        if own != theirs {
+            let words =
+                format!("the versions differ: {theirs} here, {own} on `{}`; install the same on both", self.name);
+            return refuse(words);
+        }
+        let session = self.next.fetch_add(1, Ordering::Relaxed);
+        let mut windows = lock(&self.windows);
+        if windows.len() >= MAX_WINDOWS {
+            return refuse(format!("{MAX_WINDOWS} windows are attached already"));
+        }
+        let (out, messages) = channel();
+        let patience = Duration::from_millis(u32::from_le_bytes(*timeout_ms).clamp(100, 60_000).into()) * PATIENCE;
+        let heard_ns = AtomicI64::new(system_ns());
+        let window = Window { host: host.to_owned(), id: id.to_owned(), out, heard_ns, patience };
+        let _ = window.out.send((HELLO, self.name.clone().into_bytes()));
+        windows.insert(session, Arc::new(window));
+        drop(windows);
+        // Before the first message of the window.
+        self.tell(&Frame::words(Kind::Open, session, host));
+        // One thread for each: a slow window makes no other one wait.
+        if std::thread::Builder::new().spawn(move || write(&up, &messages)).is_err() {
+            self.end(session, "a thread could not be started");
+        }
+    }
+
+    fn end(&self, session: u32, why: &str) {
+        if lock(&self.windows).remove(&session).is_some() {
+            self.tell(&Frame::words(Kind::Close, session, why));
+        }
+    }
+
+    /// Lets windows go of which nothing is heard.
+    fn watch(&self) {
+        loop {
+            std::thread::sleep(LOOK);
+            let now_ns = system_ns();
+            let is_gone = |window: &Window| {
+                let silent_ns = now_ns.saturating_sub(window.heard_ns.load(Ordering::Relaxed)).max(0);
+                Duration::from_nanos(silent_ns.unsigned_abs()) > window.patience
+            };
+            let windows = lock(&self.windows);
+            let gone: Vec<(u32, Duration)> =
+                windows.iter().filter(|(_, w)| is_gone(w)).map(|(session, w)| (*session, w.patience)).collect();
+            drop(windows);
+            for (session, patience) in gone {
+                self.end(session, &format!("nothing was heard of it for {} s", patience.as_secs_f64()));
+            }
+        }
+    }
+}
+
+/// Sends messages to a window until it is let go.
+fn write(up: &zenoh::pubsub::Publisher<'static>, messages: &Receiver<(u8, Vec<u8>)>) {
+    while let Ok((kind, content)) = messages.recv() {
+        if up.put(message(kind, content)).wait().is_err() {
+            return;
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! Colour pictures as H.264: a stream for each input and output of an instance.
+//!
+//! Frames of a lane are sent and unpacked in their order, and a connection that is lost takes its streams with it: the next one begins with a key
+//! frame. A picture of another size, or one that does not become shorter, begins a stream anew.
+
+use std::collections::HashMap;
+
+use gstreamer::Fraction;
+use panoscope_engine::isolation::Pixels;
+use panoscope_isolate::relay::messages::Picture;
+use panoscope_media::{Decoder, Encoder, EncoderSettings, Framing, MediaError, RateControl, VideoCodec};
+
+/// The constant rate factor of x264: 18 looks like the original.
+const CODEC: VideoCodec = VideoCodec::H264 { rate: RateControl::Crf(18) };
+/// Pictures from one key frame to the next. Nothing is lost within a connection.
+const KEY_INTERVAL: u32 = 250;
+/// Smaller pictures are not worth a stream, px.
+const MIN_SIDE: u32 = 32;
+/// Most streams of a connection.
+const MAX_STREAMS: usize = 1024;
+
+/// Lane and stream.
+type Key = (u32, u32);
+
+/// Whether this machine can code pixels so.
+///
+/// # Errors
+/// What is missing, with its package.
+pub fn check(pixels: Pixels) -> Result<(), String> {
+    if pixels != Pixels::H264 {
+        return Ok(());
+    }
+    let checked = CODEC.check().and_then(|()| Decoder::check());
+    checked.map_err(|error| format!("pixels = \"h264\" cannot be used: {error}"))
+}
+
+/// Streams to the other machine.
+#[derive(Default)]
+pub struct Encoders(HashMap<Key, (Encoder, (u32, u32))>);
+
+impl Encoders {
+    /// The next picture of a stream; `size`: columns, rows, bytes from row to row. `None` for one that is better sent without loss.
+    pub fn encode(&mut self, key: Key, size: (u32, u32, u32), bytes: &[u8]) -> Option<(Picture, Vec<u8>)> {
+        let (width, height, stride_bytes) = size;
+        let picture = Picture { stream: key.1, width, height, stride_bytes, begins: false };
+        if width.min(height) < MIN_SIDE || !picture.fits(bytes.len() as u64) {
+            return None;
+        }
+        let coded = self.encoded(key, &picture, bytes).ok().flatten();
+        if coded.is_none() {
+            // Its decoder does not see this picture.
+            self.0.remove(&key);
+        }
+        coded
+    }
+
+    fn encoded(&mut self, key: Key, picture: &Picture, bytes: &[u8]) -> Result<Option<(Picture, Vec<u8>)>, MediaError> {
+        let Picture { width, height, stride_bytes, .. } = *picture;
+        let begins = self.0.get(&key).is_none_or(|(_, size)| *size != (width, height));
+        let size_px = (width as usize, height as usize);
+        if begins {
+            if self.0.len() >= MAX_STREAMS && !self.0.contains_key(&key) {
+                return Ok(None);
+            }
+            let settings = EncoderSettings {
+                codec: CODEC,
+                framing: Framing::StartCodes,
+                size_px,
+                rate_hz: Fraction::new(30, 1),
+                key_interval: KEY_INTERVAL,
+            };
+            self.0.insert(key, (Encoder::new(settings)?, (width, height)));
+        }
+        let Some((encoder, _)) = self.0.get_mut(&key) else { return Ok(None) };
+        let row = size_px.0 * 3;
+        let packed: Vec<u8>;
+        let rows = match stride_bytes as usize == row {
+            true => bytes.get(..row * size_px.1),
+            false => {
+                packed = bytes.chunks(stride_bytes as usize).take(size_px.1).flat_map(|r| &r[..row]).copied().collect();
+                Some(&packed[..])
+            }
+        };
+        let Some(rows) = rows else { return Ok(None) };
+        let packets = encoder.encode(rows, size_px, 0)?;
+        // One picture in, one packet out; otherwise it waits for a later one, which the other machine cannot.
+        let [packet] = &packets[..] else { return Ok(None) };
+        let Ok(map) = packet.buffer.map_readable() else { return Ok(None) };
+        let is_shorter = map.len() < bytes.len();
+        Ok(is_shorter.then(|| (Picture { begins, ..*picture }, map.to_vec())))
+    }
+}
+
+/// Streams from the other machine.
+#[derive(Default)]
+pub struct Decoders(HashMap<Key, Decoder>);
+
+impl Decoders {
+    /// Decodes the next picture of a stream into a frame.
+    ///
+    /// # Errors
+    /// It is no picture of this stream, in words.
+    pub fn decode(&mut self, lane: u32, picture: &Picture, coded: Vec<u8>, to: &mut [u8]) -> Result<(), String> {
+        let words = |error: MediaError| format!("a picture of the other machine cannot be decoded: {error}");
+        let key = (lane, picture.stream);
+        if !picture.fits(to.len() as u64) {
+            return Err("a picture of the other machine does not fit its frame".to_owned());
+        }
+        if picture.begins {
+            if self.0.len() >= MAX_STREAMS && !self.0.contains_key(&key) {
+                return Err("the other machine begins too many streams".to_owned());
+            }
+            self.0.insert(key, Decoder::new().map_err(words)?);
+        }
+        let decoder = self.0.get_mut(&key).ok_or("a picture of the other machine belongs to no stream")?;
+        let size_px = (picture.width as usize, picture.height as usize);
+        decoder.decode(coded, size_px, picture.stride_bytes as usize, to).map_err(words)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn streams_begin_with_each_size_and_come_back() {
+        let (mut encoders, mut decoders) = (Encoders::default(), Decoders::default());
+        let mut begun = 0;
+        for (number, width) in [64, 64, 64, 80, 80, 64].into_iter().enumerate() {
+            let (stride, height) = (width * 3 + 4, 48);
+            let bytes: Vec<u8> = (0..stride * height).map(|at| (at / stride * 4 + number as u32) as u8).collect();
+            let (picture, coded) = encoders.encode((7, 1), (width, height, stride), &bytes).expect("it is coded");
+            assert!(coded.len() < bytes.len() / 4, "{} bytes", coded.len());
+            begun += u32::from(picture.begins);
+            let mut arrived = vec![0; bytes.len()];
+            decoders.decode(7, &picture, coded, &mut arrived).expect("it is decoded");
+            let rows = |bytes: &[u8]| {
+                bytes.chunks(stride as usize).flat_map(|row| row[..width as usize * 3].to_vec()).collect::<Vec<_>>()
+            };
+            let worst = rows(&bytes).iter().zip(rows(&arrived)).map(|(a, b)| a.abs_diff(b)).max();
+            assert!(worst < Some(24), "{worst:?}");
+        }
+        assert_eq!(begun, 3);
+        assert!(encoders.encode((7, 1), (16, 16, 48), &[0; 768]).is_none(), "too small");
+        let lost = Picture { stream: 2, width: 64, height: 48, stride_bytes: 192, begins: false };
+        assert!(decoders.decode(7, &lost, vec![0; 9], &mut [0; 9216]).is_err(), "a stream that never began");
+    }
+}
