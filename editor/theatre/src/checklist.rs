@@ -69,7 +69,7 @@ pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
             Some(age) => (State::Ready, format!("image {age:.0} ms old")),
             None => (State::Missing, "no image yet".to_owned()),
         };
-        add(&format!("Camera {}", camera.label), state, words);
+        add(&camera.label, state, words);
     }
     if known.plan.cameras.is_empty() {
         add("Cameras", State::Missing, "the graph has none".to_owned());

@@ -70,8 +70,8 @@ fn a_whole_procedure_is_driven_by_keys_alone() {
     });
     window.until_shown("Checklist: Ready for use");
     let names: Vec<String> = window.theatre().checklist().iter().map(|check| check.name.clone()).collect();
-    for name in ["Camera", "Calibration", "Arm arm", "Disk", "Lock"] {
-        assert!(names.iter().any(|known| known.starts_with(name)), "{name}: {names:?}");
+    for name in ["camera", "Calibration", "Arm arm", "Disk", "Lock"] {
+        assert!(names.iter().any(|known| known.contains(name)), "{name}: {names:?}");
     }
     let list = window.harness.get_by_label_contains("Check Disk: ready").rect();
     let beside = window.harness.get_by_label_contains("View Scope").rect();
