@@ -79,6 +79,7 @@ fn run(arguments: &Arguments) -> i32 {
     let options = Options {
         frames: arguments.window.frames,
         scale: arguments.window.scale,
+        opener: None,
         theme: arguments.theme,
         shot,
         given: arguments.given.options(),

@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_engine::sync::lock;
+use panoscope_engine::trace::Tracer;
 use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
 use panoscope_graph::{GraphText, check};
 use panoscope_loader::live::LiveError;
@@ -16,6 +17,8 @@ use panoscope_loader::sealed::readable;
 use panoscope_loader::verify::Seal;
 use panoscope_loader::{self as loader, Live, Loader};
 use serde::{Deserialize, Serialize};
+
+use crate::trace::Trace;
 
 /// Maximum time for nodes to finish their files.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(30);
@@ -91,6 +94,8 @@ struct Shared {
     changed: Condvar,
     engine: Mutex<Option<Arc<Engine>>>,
     loader: Mutex<Arc<Loader>>,
+    /// Remembers the paths of ticks, if somebody asks for them.
+    trace: Mutex<Option<Arc<Trace>>>,
     /// The files that the graph may read; `None` while it does not run under a lock.
     seal: Mutex<Option<Arc<Seal>>>,
     wake: Mutex<Option<Arc<Wake>>>,
@@ -145,6 +150,7 @@ impl Session {
             engine: Mutex::default(),
             loader: Mutex::new(Arc::new(Loader::search(&loader::search_path(plugin_paths)))),
             seal: Mutex::default(),
+            trace: Mutex::default(),
             wake: Mutex::default(),
         });
         let for_worker = Arc::clone(&shared);
@@ -152,6 +158,11 @@ impl Session {
             .name("changes".to_owned())
             .spawn(move || Worker { shared: for_worker, live: None, done: true }.run())?;
         Ok(Self { shared, worker: Some(worker) })
+    }
+
+    /// Remembers the paths of ticks in runs that start from here on.
+    pub fn follow_ticks(&self) -> Arc<Trace> {
+        Arc::clone(lock(&self.shared.trace).get_or_insert_default())
     }
 
     /// Sets the function that is called when the window should draw again.
@@ -375,6 +386,7 @@ impl Worker {
         }
         let options = Options {
             frames: self.shared.frames,
+            tracer: lock(&self.shared.trace).clone().map(|trace| trace as Arc<dyn Tracer>),
             graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
             ..Options::default()
         };
