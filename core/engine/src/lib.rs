@@ -45,6 +45,7 @@ pub mod sync;
 mod thread_id;
 mod threads;
 mod times;
+pub mod trace;
 pub mod vet;
 mod watch;
 

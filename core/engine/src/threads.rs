@@ -249,6 +249,9 @@ impl Shared {
             bump(&runtime.stats.dropped);
             if let Some(seq) = old.first().map(|f| f.tick().seq) {
                 runtime.record_event(&self.context, |node| Event::Dropped { node, seq });
+                if let Some(tracer) = &self.context.tracer {
+                    tracer.dropped(&runtime.id, seq, clock::now_ns());
+                }
             }
             region.recycle(old);
         }

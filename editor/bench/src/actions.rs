@@ -67,8 +67,26 @@ pub enum Action {
     Forward,
     /// Sweep a parameter.
     Sweep,
+    /// Show presets and snapshots.
+    States,
+    /// Take a snapshot of the graph.
+    Snapshot,
     /// Show mistakes and faults.
     Problems,
+    /// Show the timeline of a recording.
+    Timeline,
+    /// Play the recording, or pause it.
+    Play,
+    /// One tick back in the recording.
+    TickBack,
+    /// One tick forward in the recording.
+    TickForward,
+    /// Show the paths of dropped and late ticks.
+    Trace,
+    /// Show the next problem with its cause and remedy.
+    NextProblem,
+    /// Show the previous problem.
+    PreviousProblem,
     /// Restart the graph.
     Restart,
     /// Show the plugins.
@@ -79,6 +97,12 @@ pub enum Action {
     Theme,
     /// Open the palette of commands.
     Commands,
+    /// Start the guided tour.
+    Guide,
+    /// Show the help of the selected node.
+    NodeHelp,
+    /// Open the source of the selected node, if it is written in Python.
+    Source,
     /// Show the keys.
     Help,
     /// Close what is open, or clear the selection.
@@ -123,12 +147,24 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Back, NONE, Key::OpenBracket, "One step back in the history"),
         (Forward, NONE, Key::CloseBracket, "One step forward in the history"),
         (Sweep, NONE, Key::S, "Sweep a parameter"),
+        (States, NONE, Key::R, "Presets and snapshots"),
+        (Snapshot, Modifiers::SHIFT, Key::R, "Take a snapshot of the graph"),
         (Problems, NONE, Key::M, "Mistakes and faults"),
+        (Timeline, NONE, Key::J, "Timeline of a recording"),
+        (Play, NONE, Key::Q, "Play the recording, or pause it"),
+        (TickBack, NONE, Key::Comma, "One tick back in the recording"),
+        (TickForward, NONE, Key::Period, "One tick forward in the recording"),
+        (Trace, NONE, Key::D, "Paths of dropped and late ticks"),
+        (NextProblem, NONE, Key::F8, "The next problem: its cause and what to do"),
+        (PreviousProblem, Modifiers::SHIFT, Key::F8, "The previous problem"),
         (Plugins, NONE, Key::U, "Plugins and what they offer"),
         (Reload, CTRL, Key::R, "Swap rebuilt plugins in"),
         (Restart, SHIFT, Key::R, "Restart the graph"),
         (Theme, Modifiers::SHIFT, Key::T, "Dark or light"),
         (Commands, CTRL, Key::K, "Find a command, node or parameter"),
+        (NodeHelp, Modifiers::SHIFT, Key::F1, "Help of the selected node"),
+        (Source, NONE, Key::X, "Source of the selected node, if it is written in Python"),
+        (Guide, CTRL, Key::F1, "Guided tour of one minute"),
         (Help, NONE, Key::F1, "These keys"),
         (Escape, NONE, Key::Escape, "Close what is open"),
     ]
@@ -175,6 +211,8 @@ pub fn key_name(action: Action) -> String {
         let sign = match key {
             Key::Plus => "+",
             Key::Minus => "-",
+            Key::Comma => ",",
+            Key::Period => ".",
             Key::OpenBracket => "[",
             Key::CloseBracket => "]",
             _ => return name,

@@ -11,6 +11,7 @@ pub mod canvas;
 pub mod palette;
 pub mod panels;
 pub mod picker;
+mod probing;
 mod search;
 pub mod view3d;
 pub mod viewer;

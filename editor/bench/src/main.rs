@@ -101,6 +101,7 @@ fn options(arguments: &Arguments) -> Options {
     Options {
         frames: arguments.window.frames,
         scale: arguments.window.scale,
+        opener: None,
         theme: arguments.theme,
         shot: arguments.window.shot(),
         given: arguments.given.options(),

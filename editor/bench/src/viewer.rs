@@ -6,9 +6,11 @@ use eframe::egui::{
     WidgetType, pos2, vec2,
 };
 
+use crate::probing::{self, PROFILE_HEIGHT, Probing};
 use crate::view3d::View3d;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
+use panoscope_editor_model::probe::{Probe, ProbeRequest};
 use panoscope_editor_model::surface::Viewpoint;
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{OutputCache, image_of};
@@ -56,6 +58,7 @@ pub struct Viewer {
     /// Whether a value is picked on the image; it is then shown flat and without comparison.
     picking: bool,
     difference: Option<((u64, u64), TextureHandle, f32)>,
+    probing: Probing,
 }
 
 impl Viewer {
@@ -67,7 +70,19 @@ impl Viewer {
             }
             self.recent.push(source.clone());
         }
+        self.probing = Probing::default();
         self.a = Some(source);
+    }
+
+    /// What is asked about the values of the picture, with its output; `None` while none is shown alone.
+    pub fn probe_request(&self) -> Option<(&Output, ProbeRequest)> {
+        let alone = self.b.is_none() && !self.picking && self.viewpoint().is_none();
+        self.a.as_ref().filter(|_| alone).map(|a| (&a.output, self.probing.request()))
+    }
+
+    /// Takes the probed line away; returns whether there was one.
+    pub fn clear_line(&mut self) -> bool {
+        self.a.is_some() && self.probing.clear()
     }
 
     /// Sets the output to compare with; `None` ends the comparison.
@@ -137,6 +152,7 @@ impl Viewer {
         shown: &OutputCache,
         others: &[Source],
         trajectories: &[Output],
+        probe: Option<&Probe>,
     ) -> Option<(Rect, Rect)> {
         let a = self.a.clone()?;
         if self.viewpoint().is_some() {
@@ -151,7 +167,14 @@ impl Viewer {
         ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Viewer of {}", a.output)));
         let painter = ui.painter_at(rect);
         painter.rect_filled(rect, 0.0, theme::sunk());
-        let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
+        let mut room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
+        if self.probing.has_line() && self.probe_request().is_some() {
+            let top = room.bottom() - PROFILE_HEIGHT;
+            if let Some(probe) = probe {
+                probing::profile(ui, room.with_min_y(top), probe);
+            }
+            room.max.y = top - 8.0;
+        }
         let b = self.b.clone().filter(|b| shown.texture(&b.output).is_some());
         let image_rect = shown.texture(&a.output).map(|(_, size)| fit(room, size));
         match (shown.texture(&a.output), b) {
@@ -159,7 +182,14 @@ impl Viewer {
                 let caption = shown.text(&a.output).unwrap_or("nothing yet").to_owned();
                 painter.text(room.center(), Align2::CENTER_CENTER, caption, FontId::monospace(16.0), theme::text());
             }
-            (Some((texture, size)), None) => picture(&painter, texture, fit(room, size), Color32::WHITE),
+            (Some((texture, size)), None) => {
+                let inner = fit(room, size);
+                picture(&painter, texture, inner, Color32::WHITE);
+                if !self.picking {
+                    self.probing.follow(ui, &ground, inner);
+                    self.probing.paint(ui, &painter, inner, probe);
+                }
+            }
             (Some((texture, size)), Some(b)) => {
                 let inner = fit(room, size);
                 // While the pointer does not move, the keys move the line.

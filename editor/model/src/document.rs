@@ -148,6 +148,11 @@ impl Document {
         self.others.get(path)
     }
 
+    /// Part and overlay files with their current texts.
+    pub(crate) fn texts_of_others(&self) -> &BTreeMap<PathBuf, Arc<str>> {
+        &self.others
+    }
+
     /// The disk holds the text of a part or overlay now.
     pub fn file_now_saved(&mut self, path: &Path) {
         if let Some(text) = self.others.get(path) {

@@ -17,6 +17,7 @@ use panoscope_engine::{Engine, NodeWindow, Preview, Window};
 use serde::{Deserialize, Serialize};
 
 use crate::picture::{self, Range, RenderedPacket};
+use crate::probe::{self, Probe, ProbeRequest};
 use crate::session::Handle;
 use crate::surface::{self, Painter, Viewpoint};
 use panoscope_engine::sync::lock;
@@ -117,6 +118,9 @@ struct Mailbox {
     interval: Option<Duration>,
     /// The newest previews that the window has not taken yet.
     previews: HashMap<Output, RenderedPacket>,
+    /// What is asked about the values of pictures, and the newest answers.
+    probe_requests: HashMap<Output, ProbeRequest>,
+    probes: HashMap<Output, Probe>,
     counters: Arc<Counters>,
 }
 
@@ -164,6 +168,20 @@ impl Observer {
     /// Takes the previews rendered since the last call.
     pub fn take(&self) -> HashMap<Output, RenderedPacket> {
         std::mem::take(&mut lock(&self.mailbox).previews)
+    }
+
+    /// Sets what is asked about the values of previewed pictures.
+    pub fn set_probes(&self, requests: HashMap<Output, ProbeRequest>) {
+        let mut mailbox = lock(&self.mailbox);
+        if mailbox.probe_requests != requests {
+            mailbox.probes.retain(|output, _| requests.contains_key(output));
+            mailbox.probe_requests = requests;
+        }
+    }
+
+    /// The newest values of pictures.
+    pub fn probes(&self) -> HashMap<Output, Probe> {
+        lock(&self.mailbox).probes.clone()
     }
 
     /// The newest counters.
@@ -220,21 +238,33 @@ struct OutputPreview {
     range: Range,
     /// For a surface: the last frame, rendered again when the viewpoint changes.
     surface: Option<Surface>,
+    /// The last frame while its values are asked for, with the question that was answered.
+    probed: Option<(FrameRef, Option<ProbeRequest>)>,
 }
 
 impl OutputPreview {
+    fn new(feed: Feed) -> Self {
+        Self { feed, elsewhere: None, range: None, surface: None, probed: None }
+    }
+
     /// Renders the newest packet; `None` when there is no new packet and the viewpoint is unchanged.
-    fn render(&mut self, request: &PreviewRequest) -> Option<RenderedPacket> {
+    fn render(&mut self, request: &PreviewRequest, is_probed: bool) -> Option<RenderedPacket> {
         let frame = self.feed.take().map(|fed| {
             self.elsewhere = fed.elsewhere;
             fed.frame
         });
+        if !is_probed || request.viewpoint.is_some() {
+            self.probed = None;
+        }
         let Some(viewpoint) = &request.viewpoint else {
             self.surface = None;
             let frame = frame?;
             let mut render = picture::render(&frame, &request.packet, request.max_width, &mut self.range);
             if request.points {
                 render.cloud = surface::cloud_of(frame.frame(), frame.bytes()).map(Arc::new);
+            }
+            if is_probed {
+                self.probed = Some((frame, None));
             }
             return Some(render);
         };
@@ -256,6 +286,17 @@ impl OutputPreview {
             (render.pixels, render.depth_buffer) = (Some(pixels), depth_buffer);
         }
         Some(render)
+    }
+}
+
+impl OutputPreview {
+    /// The values of the last picture, where it or the question is a new one.
+    fn probe(&mut self, packet: &str, request: &ProbeRequest) -> Option<Probe> {
+        let (frame, answered) = self.probed.as_mut()?;
+        if answered.replace(*request) == Some(*request) {
+            return None;
+        }
+        probe::read(frame.frame(), frame.bytes(), packet, request)
     }
 }
 
@@ -304,9 +345,10 @@ impl Worker {
             return false;
         }
         let generation = self.handle.status().generation;
-        let (requests, interval) = {
+        let (requests, probes, interval) = {
             let mailbox = lock(&self.mailbox);
-            (mailbox.requests.clone(), mailbox.interval.unwrap_or(THUMBNAIL_INTERVAL))
+            let interval = mailbox.interval.unwrap_or(THUMBNAIL_INTERVAL);
+            (mailbox.requests.clone(), mailbox.probe_requests.clone(), interval)
         };
         // A node that was removed and added again needs a new subscription.
         if generation != self.generation {
@@ -327,11 +369,16 @@ impl Worker {
         for (output, request) in requests {
             if !self.outputs.contains_key(&output) {
                 let Some(feed) = feed(&output, machine.as_ref(), engine.as_deref()) else { continue };
-                self.outputs
-                    .insert(output.clone(), OutputPreview { feed, elsewhere: None, range: None, surface: None });
+                self.outputs.insert(output.clone(), OutputPreview::new(feed));
             }
             let Some(view) = self.outputs.get_mut(&output) else { continue };
-            if let Some(render) = view.render(&request) {
+            let asked = probes.get(&output);
+            let render = view.render(&request, asked.is_some());
+            if let Some(probe) = asked.and_then(|asked| view.probe(&request.packet, asked)) {
+                lock(&self.mailbox).probes.insert(output.clone(), probe);
+                changed = true;
+            }
+            if let Some(render) = render {
                 let (arrived_ns, size) = match view.elsewhere {
                     Some((arrived_ns, size)) => (arrived_ns, size),
                     None => (engine.as_ref().and_then(|engine| engine.arrived_ns(&render.tick)), render.size),

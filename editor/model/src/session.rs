@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_attach::Attachment;
 use panoscope_engine::sync::lock;
+use panoscope_engine::trace::Tracer;
 use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
 use panoscope_graph::{GraphText, check};
 use panoscope_loader::live::LiveError;
@@ -21,6 +22,8 @@ use panoscope_loader::sealed::readable;
 use panoscope_loader::verify::Seal;
 use panoscope_loader::{self as loader, Live, Loader};
 use serde::{Deserialize, Serialize};
+
+use crate::trace::Trace;
 
 /// Maximum time for nodes to finish their files.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(30);
@@ -98,6 +101,8 @@ struct Shared {
     changed: Condvar,
     engine: Mutex<Option<Arc<Engine>>>,
     loader: Mutex<Arc<Loader>>,
+    /// Remembers the paths of ticks, if somebody asks for them.
+    trace: Mutex<Option<Arc<Trace>>>,
     /// The files that the graph may read; `None` while it does not run under a lock.
     seal: Mutex<Option<Arc<Seal>>>,
     wake: Mutex<Option<Arc<Wake>>>,
@@ -155,6 +160,11 @@ impl Session {
             .name("changes".to_owned())
             .spawn(move || Worker { shared: for_worker, live: None, done: true }.run())?;
         Ok(Self { shared, worker: Some(worker) })
+    }
+
+    /// Remembers the paths of ticks in runs that start from here on.
+    pub fn follow_ticks(&self) -> Arc<Trace> {
+        Arc::clone(lock(&self.shared.trace).get_or_insert_default())
     }
 
     /// Sets the function that is called when the window should draw again.
@@ -273,6 +283,7 @@ impl Shared {
             engine: Mutex::default(),
             loader: Mutex::new(Arc::new(Loader::search(&loader::search_path(plugin_paths)))),
             seal: Mutex::default(),
+            trace: Mutex::default(),
             wake: Mutex::default(),
             attachment,
         }
@@ -408,6 +419,7 @@ impl Worker {
         }
         let options = Options {
             frames: self.shared.frames,
+            tracer: lock(&self.shared.trace).clone().map(|trace| trace as Arc<dyn Tracer>),
             graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
             ..Options::default()
         };

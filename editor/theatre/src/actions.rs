@@ -1,6 +1,8 @@
-//! The actions of the theatre and their keys. The keys F13 to F17 and F20 are for a foot pedal.
+//! The actions of the theatre and their keys. Those of a foot pedal are in [`crate::pedal`].
 
-use eframe::egui::{InputState, Key, Modifiers};
+use eframe::egui::{Event, InputState, Key, Modifiers};
+
+use super::pedal::PedalKey;
 
 /// An action of the theatre.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,20 +29,32 @@ pub enum Action {
     More,
     /// Show or hide the checklist.
     Checklist,
+    /// Zoom into the main view.
+    ZoomIn,
+    /// Zoom out.
+    ZoomOut,
+    /// Show another view in a corner of the one that is shown alone, or end that.
+    Inset,
+    /// Show the stereo pair for a 3-D display: the next way.
+    ThreeD,
 }
 
 /// Actions with their keys; the first key is shown.
 pub const KEYS: &[(Action, &[Key])] = &[
-    (Action::Next, &[Key::Space, Key::PageDown, Key::F13]),
+    (Action::Next, &[Key::Space, Key::PageDown]),
     (Action::Previous, &[Key::PageUp]),
-    (Action::Freeze, &[Key::F, Key::F14]),
-    (Action::Still, &[Key::S, Key::F15]),
-    (Action::Record, &[Key::R, Key::F16]),
-    (Action::Measure, &[Key::M, Key::F17]),
-    (Action::Stop, &[Key::E, Key::F20]),
+    (Action::Freeze, &[Key::F]),
+    (Action::Still, &[Key::S]),
+    (Action::Record, &[Key::R]),
+    (Action::Measure, &[Key::M]),
+    (Action::Stop, &[Key::E]),
     (Action::Again, &[Key::Enter]),
     (Action::More, &[Key::T]),
     (Action::Checklist, &[Key::C]),
+    (Action::ZoomIn, &[Key::Plus, Key::Equals]),
+    (Action::ZoomOut, &[Key::Minus]),
+    (Action::Inset, &[Key::I]),
+    (Action::ThreeD, &[Key::D]),
     (Action::One(0), &[Key::Num1]),
     (Action::One(1), &[Key::Num2]),
     (Action::One(2), &[Key::Num3]),
@@ -49,17 +63,19 @@ pub const KEYS: &[(Action, &[Key])] = &[
     (Action::One(5), &[Key::Num6]),
 ];
 
-/// Consumes the keys of actions and returns the actions; a key that is held counts once. Keys in `reserved` are not consumed.
-pub fn pressed(input: &mut InputState, reserved: &[Key]) -> Vec<Action> {
-    let mut found = Vec::new();
+/// Consumes a key; returns whether it was pressed anew. A key that is held counts once.
+fn take(input: &mut InputState, modifiers: Modifiers, key: Key) -> bool {
+    let fresh = |e: &Event| matches!(e, Event::Key { key: k, pressed: true, repeat: false, .. } if *k == key);
+    let is_new = input.events.iter().any(fresh);
+    input.consume_key(modifiers, key) && is_new
+}
+
+/// Consumes the keys of a pedal, then those of the keyboard, and returns the actions. Keys in `reserved` are not consumed, except by a pedal.
+pub fn pressed(input: &mut InputState, reserved: &[Key], pedal: &[PedalKey]) -> Vec<Action> {
+    let mut found = pressed_by_pedal(input, pedal);
     for (action, keys) in KEYS {
-        for key in *keys {
-            if reserved.contains(key) {
-                continue;
-            }
-            let fresh = |e: &eframe::egui::Event| matches!(e, eframe::egui::Event::Key { key: k, pressed: true, repeat: false, .. } if k == key);
-            let new = input.events.iter().any(fresh);
-            if input.consume_key(Modifiers::NONE, *key) && new {
+        for key in keys.iter().filter(|key| !reserved.contains(key)) {
+            if take(input, Modifiers::NONE, *key) {
                 found.push(*action);
             }
         }
@@ -68,11 +84,23 @@ pub fn pressed(input: &mut InputState, reserved: &[Key]) -> Vec<Action> {
 }
 
 /// As [`pressed`], for the keys of a foot pedal only.
-pub fn pressed_by_pedal(input: &mut InputState) -> Vec<Action> {
-    let pedal = [Key::F13, Key::F14, Key::F15, Key::F16, Key::F17, Key::F20];
-    let others: Vec<Key> =
-        KEYS.iter().flat_map(|(_, keys)| keys.iter().copied()).filter(|key| !pedal.contains(key)).collect();
-    pressed(input, &others)
+pub fn pressed_by_pedal(input: &mut InputState, pedal: &[PedalKey]) -> Vec<Action> {
+    // Keys with more modifiers first, so that Ctrl+B does not count as B.
+    let mut keys: Vec<&PedalKey> = pedal.iter().collect();
+    keys.sort_by_key(|(m, ..)| std::cmp::Reverse(u8::from(m.command) + u8::from(m.shift) + u8::from(m.alt)));
+    keys.into_iter().filter(|(modifiers, key, _)| take(input, *modifiers, *key)).map(|(.., action)| *action).collect()
+}
+
+/// Whether a key of a pedal enters a text, so that it does nothing else while one is typed.
+pub fn enters_text((modifiers, key, _): &PedalKey) -> bool {
+    !modifiers.command && !modifiers.alt && (key.name().chars().count() == 1 || matches!(key, Key::Space | Key::Enter))
+}
+
+/// Whether a key of an action is held.
+pub fn is_held(input: &InputState, action: Action, pedal: &[PedalKey]) -> bool {
+    let keys = KEYS.iter().find(|(known, _)| *known == action).map_or(&[][..], |(_, keys)| keys);
+    let by_pedal = pedal.iter().filter(|(.., known)| *known == action).map(|(_, key, _)| key);
+    keys.iter().chain(by_pedal).any(|key| input.key_down(*key))
 }
 
 /// The name of an action's key.

@@ -72,6 +72,8 @@ alarms! {
         "less than 2 GiB are free while a clip is recorded", "end the clip, or free space";
     AUDIT = Warning, "The audit log is not written: REASON",
         "its folder is full or read-only", "free space, or tell who looks after the machine";
+    PEDAL = Warning, "The pedal's settings are not used: REASON",
+        "a mistake in `pedal.toml`", "use F13 to F17 and F20, or the keyboard; correct the file, then open the theatre again";
     DRIFTED = Warning, "The calibration does not fit any more: distances may be wrong, calibrate again",
         "the cameras moved against each other", "do not rely on distances; calibrate again";
     ATTACHED = Note, "Attached to MACHINE: no emergency stop from here",

@@ -50,8 +50,7 @@ impl Theatre {
 
     /// Releases the arm once the button or the key was held long enough.
     fn release(&mut self, ctx: &Context, held: bool) {
-        let keys = actions::KEYS.iter().find(|(action, _)| *action == Action::Stop).map_or(&[][..], |(_, keys)| keys);
-        let held = held || ctx.input(|i| keys.iter().any(|key| i.key_down(*key)));
+        let held = held || ctx.input(|i| actions::is_held(i, Action::Stop, &self.pedal.keys));
         match self.releasing {
             Some(_) if !held => self.releasing = None,
             Some(since) if since.elapsed() >= HOLD => {

@@ -8,6 +8,7 @@ use panoscope_editor_widgets::theme;
 use super::Theatre;
 use super::notices::{FULL_BYTES, Facts, LOW_BYTES, OLD_MS, format_bytes};
 use super::open::Verified;
+use super::pedal::Pedal;
 use super::plan::Plan;
 
 /// Width of the checklist; the pictures are beside it.
@@ -55,6 +56,8 @@ pub(super) struct Known<'a> {
     pub camera_ages_ms: Vec<Option<f64>>,
     /// Whether the stereo geometry was received.
     pub has_rig: bool,
+    /// The keys of the foot pedal.
+    pub pedal: &'a Pedal,
 }
 
 /// The lines of the checklist.
@@ -69,7 +72,7 @@ pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
             Some(age) => (State::Ready, format!("image {age:.0} ms old")),
             None => (State::Missing, "no image yet".to_owned()),
         };
-        add(&format!("Camera {}", camera.label), state, words);
+        add(&camera.label, state, words);
     }
     if known.plan.cameras.is_empty() {
         add("Cameras", State::Missing, "the graph has none".to_owned());
@@ -120,6 +123,13 @@ pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
         };
         add(&format!("Machine {}", machine.name), state, words);
     }
+    if known.pedal.file.is_some() {
+        let (state, words) = match &known.pedal.problem {
+            Some(problem) => (State::Attention, problem.clone()),
+            None => (State::Ready, format!("{} keys", known.pedal.keys.len())),
+        };
+        add("Pedal", state, words);
+    }
     if let Some(problem) = &facts.audit_problem {
         add("Audit log", State::Attention, format!("not written: {problem}"));
     }
@@ -148,6 +158,7 @@ impl Theatre {
             verified: &self.verified,
             camera_ages_ms: self.plan.cameras.iter().map(|camera| self.age_ms(&camera.output)).collect(),
             has_rig: self.rig.is_some(),
+            pedal: &self.pedal,
         };
         self.checks = checks(facts, &known);
     }
@@ -233,7 +244,8 @@ mod tests {
     fn states(facts: &Facts, ages: [Option<f64>; 2], has_rig: bool, arm_fps: f64, verified: &Verified) -> Vec<State> {
         let (plan, mut counters) = (plan(), Counters::default());
         counters.nodes.insert("arm".to_owned(), NodeWindow { fps: arm_fps, ..NodeWindow::default() });
-        let known = Known { plan: &plan, counters: &counters, verified, camera_ages_ms: ages.to_vec(), has_rig };
+        let pedal = &Pedal::default();
+        let known = Known { plan: &plan, counters: &counters, verified, camera_ages_ms: ages.to_vec(), has_rig, pedal };
         checks(facts, &known).into_iter().map(|check| check.state).collect()
     }
 
@@ -243,9 +255,15 @@ mod tests {
             let mut plan = plan();
             plan.listening = listening;
             let (facts, counters) = (Facts::default(), Counters::default());
-            let verified = &Verified::AsLocked;
-            let known =
-                Known { plan: &plan, counters: &counters, verified, camera_ages_ms: vec![None, None], has_rig: true };
+            let (verified, pedal) = (&Verified::AsLocked, &Pedal::default());
+            let known = Known {
+                plan: &plan,
+                counters: &counters,
+                verified,
+                camera_ages_ms: vec![None, None],
+                has_rig: true,
+                pedal,
+            };
             checks(&facts, &known).into_iter().find(|check| check.name == "Network")
         };
         let one = |what: &str, is_public| Listens { what: what.to_owned(), is_public };

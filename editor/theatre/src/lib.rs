@@ -22,15 +22,19 @@ mod open_failed;
 mod opening;
 mod outage;
 mod page;
+mod pedal;
 mod plan;
 mod previews;
 mod recording;
 mod refusal;
 mod runner;
+mod script;
 mod settings;
 mod stage;
 mod storage;
+mod three_d;
 pub mod worker;
+mod zoom;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -64,15 +68,20 @@ pub use plan::{Listens, Pane, Plan, Setting};
 pub use refusal::Refusal;
 pub use runner::{Outage, OutageStage};
 pub use storage::{free_bytes, with_clip, without_clip, write_still};
+pub use three_d::ThreeD;
 
 use audit::Audit;
 pub use checklist::{Check, State};
 use measure::Measure;
 use notices::{Facts, Stages};
 use outage::Resuming;
+use pedal::Pedal;
 use previews::LastPacket;
 use runner::{Local, Runner};
+use settings::toml_of;
 use storage::{Clip, Storage};
+use three_d::Pair;
+use zoom::Zoom;
 
 /// How long Esc must be held to close the window, and the stop to release the arm.
 const HOLD: Duration = Duration::from_secs(2);
@@ -131,6 +140,12 @@ pub struct Theatre {
     sealed: bool,
     resuming: Resuming,
     scale: f32,
+    /// The visible part of the main view, and whether another view is in its corner.
+    zoom: Zoom,
+    inset: bool,
+    three_d: ThreeD,
+    pair: Pair,
+    pedal: Pedal,
     closing: bool,
     shot: Shot,
     costs: Costs,
@@ -221,6 +236,11 @@ impl Theatre {
             sealed: opened.sealed,
             resuming: Resuming::default(),
             scale: options.scale,
+            zoom: Zoom::default(),
+            inset: false,
+            three_d: ThreeD::Off,
+            pair: Pair::default(),
+            pedal: Pedal::load(options.pedal.as_deref()),
             closing: false,
             shot: options.shot,
             costs: Costs::default(),
@@ -338,6 +358,7 @@ impl Theatre {
         }
         (self.plan, self.verified) = (opened.plan, opened.verified);
         (self.layout, self.frozen, self.measure, self.rig) = (Layout::All, None, Measure::default(), None);
+        (self.zoom, self.three_d, self.pair) = (Zoom::default(), ThreeD::Off, Pair::default());
         self.last_packets.clear();
         self.run(text);
         Ok(())
@@ -371,8 +392,12 @@ impl Theatre {
         };
         // While a text is typed only the pedal's keys count.
         let pressed = match keys {
-            true => ctx.input_mut(|input| actions::pressed(input, reserved)),
-            false => ctx.input_mut(actions::pressed_by_pedal),
+            true => ctx.input_mut(|input| actions::pressed(input, reserved, &self.pedal.keys)),
+            false => {
+                let keys = self.pedal.keys.iter().filter(|key| !actions::enters_text(key)).copied();
+                let keys: Vec<_> = keys.collect();
+                ctx.input_mut(|input| actions::pressed_by_pedal(input, &keys))
+            }
         };
         for action in pressed {
             self.perform(action);
@@ -381,6 +406,10 @@ impl Theatre {
         self.follow_screen(&ctx);
         let whole = ui.available_rect_before_wrap();
         ui.allocate_rect(whole, egui::Sense::hover());
+        if self.shows_pair() {
+            self.show_pair(ui, whole, &facts);
+            return self.end_frame(&ctx);
+        }
         let top = Rect::from_min_size(whole.min, vec2(whole.width(), TOP));
         let bottom = Rect::from_min_max(pos2(whole.left(), whole.bottom() - BOTTOM), whole.max);
         let stage =
@@ -395,12 +424,17 @@ impl Theatre {
         }
         self.stage(ui, pictures, &facts);
         self.bottom_bar(ui, bottom);
+        self.end_frame(&ctx);
+    }
+
+    /// Requests what the next frame needs.
+    fn end_frame(&mut self, ctx: &Context) {
         self.request_previews();
         // Ages must be redrawn even when nothing new arrives.
         ctx.request_repaint_after(Duration::from_millis(100));
-        self.play_script(&ctx);
-        self.shot.take(&ctx);
-        self.shot.measure_with(&ctx, &self.costs, || self.runner.report());
+        self.play_script(ctx);
+        self.shot.take(ctx);
+        self.shot.measure_with(ctx, &self.costs, || self.runner.report());
     }
 
     /// Scales the window with the screen's height, limited by the width that the buttons need.
@@ -419,7 +453,11 @@ impl Theatre {
     fn displayed(&self) -> Vec<&Pane> {
         match self.layout {
             Layout::All => self.plan.views.iter().collect(),
-            Layout::One(n) => self.plan.views.get(n).into_iter().collect(),
+            Layout::One(n) => {
+                let count = self.plan.views.len();
+                let other = Some((n + 1) % count.max(1)).filter(|other| self.inset && *other != n);
+                [Some(n), other].into_iter().flatten().filter_map(|n| self.plan.views.get(n)).collect()
+            }
         }
     }
 
@@ -457,10 +495,16 @@ impl Theatre {
             Action::Again => self.again(),
             Action::More => self.page += 1,
             Action::Checklist => self.checking ^= true,
+            Action::ZoomIn | Action::ZoomOut => self.zoom_by(action == Action::ZoomIn),
+            Action::Inset => self.inset ^= true,
+            Action::ThreeD => self.next_three_d(),
         }
-        if matches!(action, Action::Next | Action::Previous | Action::One(_)) && self.measure.is_on() {
-            self.measure = Measure::default();
-            self.frozen = None;
+        if matches!(action, Action::Next | Action::Previous | Action::One(_)) {
+            self.zoom = Zoom::default();
+            if self.measure.is_on() {
+                self.measure = Measure::default();
+                self.frozen = None;
+            }
         }
     }
 
@@ -519,31 +563,6 @@ impl Theatre {
         self.runner.keep(whole, &cameras);
     }
 
-    /// Current value of a setting: the one chosen in this window, else the running node's.
-    fn value(&self, setting: &Setting) -> Option<ParamValue> {
-        if let Some(chosen) = self.chosen.get(&(setting.node.clone(), setting.param.name.clone())) {
-            return Some(chosen.clone());
-        }
-        self.runner.values(&setting.node)?.into_iter().nth(setting.index)
-    }
-
-    /// Sets the value of a setting in the running graph; the file is not changed.
-    pub fn choose(&mut self, node: &str, param: &str, value: ParamValue) {
-        let Some(toml) = toml_of(&value) else { return };
-        let text = GraphEdit::parse(&self.text).and_then(|mut edit| {
-            edit.set_param(node, param, &toml)?;
-            Ok(edit.text())
-        });
-        match text {
-            Ok(text) => {
-                self.audit.setting(node, param, &value);
-                self.chosen.insert((node.to_owned(), param.to_owned()), value);
-                self.run(text);
-            }
-            Err(error) => self.notify(error.to_string(), true),
-        }
-    }
-
     /// Handles Esc: a short press ends measuring, holding it for two seconds closes the window.
     fn leave(&mut self, ctx: &Context) {
         let down = ctx.input(|i| i.key_down(Key::Escape));
@@ -560,36 +579,6 @@ impl Theatre {
             ctx.send_viewport_cmd(egui::ViewportCommand::Close);
         }
     }
-
-    fn play_script(&mut self, ctx: &Context) {
-        while let Some(step) = self.shot.step() {
-            let (word, rest) = step.split_once(':').unwrap_or((&step, ""));
-            let named = actions::KEYS.iter().find(|(action, _)| format!("{action:?}").eq_ignore_ascii_case(word));
-            match (word, named) {
-                (_, Some((action, _))) => self.perform(*action),
-                ("view", _) => self.perform(Action::One(rest.parse::<usize>().unwrap_or(1).saturating_sub(1))),
-                ("tap", _) => {
-                    let at = rest.split_once(',').and_then(|(x, y)| Some((x.parse().ok()?, y.parse().ok()?)));
-                    if let Some((x, y)) = at {
-                        self.measure.tap(x, y);
-                    }
-                }
-                _ => self.notify(format!("there is no action `{step}`"), true),
-            }
-            ctx.request_repaint();
-        }
-    }
-}
-
-/// A value of a setting as a file writes it.
-fn toml_of(value: &ParamValue) -> Option<toml::Value> {
-    Some(match value {
-        ParamValue::Bool(on) => (*on).into(),
-        ParamValue::Int(number) => (*number).into(),
-        ParamValue::Float(number) => (*number).into(),
-        ParamValue::Choice { name, .. } => name.as_str().into(),
-        _ => return None,
-    })
 }
 
 impl eframe::App for Theatre {

@@ -93,6 +93,7 @@ fn options(arguments: &Arguments) -> Result<Options, KeyError> {
         frames: arguments.window.frames,
         web: arguments.web,
         scale: arguments.window.scale,
+        pedal: panoscope_editor_model::arguments::config_folder().map(|folder| folder.join("pedal.toml")),
         shot: arguments.window.shot(),
     })
 }

@@ -31,16 +31,13 @@ pub struct Tapped {
 pub struct Length {
     /// The length, mm.
     pub mm: f64,
-    /// Its 95 % error bound, mm; `None` without a calibration.
-    pub error_mm: Option<f64>,
+    /// Its 95 % error bound, mm.
+    pub error_mm: f64,
 }
 
 impl std::fmt::Display for Length {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.error_mm {
-            Some(error) => write!(f, "{:.1} ± {:.1} mm", self.mm, error.max(0.1)),
-            None => write!(f, "{:.1} mm, error unknown", self.mm),
-        }
+        write!(f, "{:.1} ± {:.1} mm", self.mm, self.error_mm.max(0.1))
     }
 }
 
@@ -139,26 +136,27 @@ impl Measure {
         self.on.as_ref().map_or((1, 1), |on| (on.cloud.width.max(1), on.cloud.height.max(1)))
     }
 
-    /// A length computed from points by `measure`, with its error bound.
-    fn length(&self, points: &[SurfacePoint], measure: fn(&[[f64; 3]]) -> f64) -> Length {
-        let errors = self.rig.map(|(rig, noise)| Errors::of(rig.focal_px, rig.baseline_mm, rig.rms_px, &noise));
-        let (mm, error) = length::with_error(points, errors.as_ref(), measure);
-        Length { mm, error_mm: Some(error).filter(|e| e.is_finite()) }
+    /// A length computed from points by `measure`, with its error bound. `None` where the error is not known: no length is shown without it.
+    fn length(&self, points: &[SurfacePoint], measure: fn(&[[f64; 3]]) -> f64) -> Option<Length> {
+        let (rig, noise) = self.rig?;
+        let errors = Errors::of(rig.focal_px, rig.baseline_mm, rig.rms_px, &noise);
+        let (mm, error_mm) = length::with_error(points, Some(&errors), measure);
+        error_mm.is_finite().then_some(Length { mm, error_mm })
     }
 
-    /// The distance between the two points.
+    /// The distance between the two points, with its error.
     pub fn distance(&self) -> Option<Length> {
         match self.points() {
             [Tapped { position: Some(a), .. }, Tapped { position: Some(b), .. }] => {
-                Some(self.length(&[*a, *b], length::distance))
+                self.length(&[*a, *b], length::distance)
             }
             _ => None,
         }
     }
 
-    /// The depth of the last point.
+    /// The depth of the last point, with its error.
     pub fn depth(&self) -> Option<Length> {
-        self.points().last()?.position.map(|position| self.length(&[position], length::depth))
+        self.length(&[self.points().last()?.position?], length::depth)
     }
 
     /// What the user should do next.
@@ -166,6 +164,7 @@ impl Measure {
         match self.points() {
             _ if self.is_waiting => "Waiting for an image with depth",
             [.., Tapped { position: None, .. }] => "No depth at this point: tap beside it",
+            [_, ..] if self.rig.is_none() => "No distance: without a calibration its error is not known",
             [] => "Tap the first point",
             [_] => "Tap the second point",
             _ => "Tap to measure again",
@@ -186,7 +185,7 @@ impl Measure {
         }
     }
 
-    /// The image with the measurement drawn on it, for a still.
+    /// The image with the measurement drawn on it, for a still. Its words stand below the image, never on tissue.
     pub fn pixels(&self) -> Option<Pixels> {
         let on = self.on.as_ref()?;
         let mut pixels = on.frozen.pixels(&on.output)?.clone();
@@ -197,22 +196,36 @@ impl Measure {
         let color = [0x56, 0xB4, 0xE9];
         if let [a, b] = on.points[..] {
             draw::line(&mut out, a.at_px, b.at_px, 2.0, color);
-            if let Some(length) = self.distance() {
-                let (x, y) = ((a.at_px.0 + b.at_px.0) / 2.0 + 8.0, (a.at_px.1 + b.at_px.1) / 2.0 + 8.0);
-                draw::text(&mut out, x, y, &length.to_string(), height as f32 / 240.0, color);
-            }
         }
         for point in &on.points {
             draw::circle(&mut out, point.at_px.0, point.at_px.1, 6.0, 2.0, color);
         }
         pixels.rgba = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+        if let Some(length) = self.distance() {
+            add_line_below(&mut pixels, &length.to_string(), color);
+        }
         Some(pixels)
     }
+}
+
+/// Height of a line of words below an image, as a fraction of the image's height.
+const LINE_SHARE: f32 = 0.08;
+
+/// Makes an image higher by a black line with words.
+fn add_line_below(pixels: &mut Pixels, words: &str, color: [u8; 3]) {
+    let height = ((pixels.height as f32 * LINE_SHARE) as usize).max(20);
+    let mut rgb = vec![0; pixels.width * height * 3];
+    let scale = height as f32 / 20.0;
+    draw::text(&mut ViewMut::new(&mut rgb, pixels.width, height, 3), 6.0 * scale, 3.0 * scale, words, scale, color);
+    pixels.rgba.extend(rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]));
+    pixels.height += height;
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const RIG: Rig = Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: f64::NAN };
 
     fn on() -> Measure {
         // 1 mm per pixel at 50 mm; the right third is unknown.
@@ -233,15 +246,20 @@ mod tests {
         let mut measure = on();
         assert_eq!(measure.hint(), "Tap the first point");
         measure.tap(5.5 / 30.0, 5.5 / 20.0);
+        assert_eq!((measure.distance(), measure.depth()), (None, None));
+        measure.set_rig(RIG, Noise::USUAL);
         assert_eq!((measure.distance(), measure.hint()), (None, "Tap the second point"));
         assert!(measure.depth().is_some_and(|depth| (depth.mm - 50.0).abs() < 1e-6));
+        measure.rig = None;
         measure.tap(15.5 / 30.0, 5.5 / 20.0);
-        let length = measure.distance().expect("both points are known");
-        assert!((length.mm - 10.0).abs() < 1e-6 && length.error_mm.is_none(), "{length:?}");
-        assert_eq!(length.to_string(), "10.0 mm, error unknown");
-        measure.set_rig(Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: f64::NAN }, Noise::USUAL);
-        let error = measure.distance().and_then(|l| l.error_mm).expect("the rig is known");
+        assert_eq!((measure.distance(), measure.row()), (None, None), "no length without its error");
+        assert!(measure.hint().contains("its error is not known"), "{}", measure.hint());
+        measure.set_rig(RIG, Noise::USUAL);
+        let length = measure.distance().expect("both points and the rig are known");
+        assert!((length.mm - 10.0).abs() < 1e-6, "{length:?}");
+        let error = length.error_mm;
         assert!((0.01..1.0).contains(&error), "{error} mm");
+        assert!(length.to_string().starts_with("10.0 ± 0."), "{length}");
         let row = measure.row().expect("a measurement");
         assert!(
             row["u0_px"].as_f64().zip(row["u1_px"].as_f64()).is_some_and(|(a, b)| (b - a - 10.0).abs() < 1e-3),
@@ -249,7 +267,11 @@ mod tests {
         );
         assert!(row["distance_mm"].as_f64().is_some_and(|mm| (mm - 10.0).abs() < 1e-6), "{row}");
         assert_eq!(row["error_mm"].as_f64(), Some(error));
-        assert!(measure.pixels().is_some_and(|p| p.rgba.contains(&0xE9)), "the line is drawn");
+        let still = measure.pixels().expect("a still");
+        assert_eq!((still.height, still.rgba.len()), (40, 30 * 40 * 4), "the words stand below the image");
+        let is_line = |p: &[u8]| p[..3] == [0x56, 0xB4, 0xE9];
+        assert!(still.rgba[..30 * 20 * 4].chunks_exact(4).any(is_line), "the line is drawn");
+        assert!(still.rgba[30 * 20 * 4..].chunks_exact(4).any(is_line), "the words are drawn");
         measure.tap(0.1, 0.1);
         assert_eq!(measure.points().len(), 1);
         assert!(measure.row().is_some_and(|row| row["depth_mm"].as_f64().is_some_and(|mm| (mm - 50.0).abs() < 1e-6)));
@@ -258,6 +280,7 @@ mod tests {
     #[test]
     fn a_point_without_depth_is_reported_and_replaced() {
         let mut measure = on();
+        measure.set_rig(RIG, Noise::USUAL);
         measure.tap(0.95, 0.5);
         assert_eq!(measure.hint(), "No depth at this point: tap beside it");
         measure.tap(0.1, 0.5);

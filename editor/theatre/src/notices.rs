@@ -18,6 +18,8 @@ use super::runner::OutageStage;
 pub const OLD_MS: f64 = 200.0;
 /// Time without a new image after which a camera or view counts as stopped.
 pub const STOPPED: Duration = Duration::from_millis(1000);
+/// As [`STOPPED`], ms.
+pub const STOPPED_MS: f64 = 1000.0;
 /// How long a node's fault is shown.
 const FAULT_SHOWN: Duration = Duration::from_secs(4);
 /// Free space below which a recording gets a warning.
@@ -67,6 +69,8 @@ pub struct Facts {
     pub free_bytes: Option<u64>,
     /// Why the audit log cannot be written.
     pub audit_problem: Option<String>,
+    /// Why the pedal's settings are not used.
+    pub pedal_problem: Option<String>,
     /// Whether a clip is being recorded.
     pub recording: bool,
     /// Whether the calibration does not fit the views any more.
@@ -182,6 +186,9 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     }
     if let Some(problem) = &facts.audit_problem {
         notify(alarms::AUDIT, format!("The audit log is not written: {problem}"));
+    }
+    if let Some(problem) = &facts.pedal_problem {
+        notify(alarms::PEDAL, format!("The pedal's settings are not used: {problem}"));
     }
     if facts.drifted {
         notify(alarms::DRIFTED, alarms::DRIFTED.text.to_owned());

@@ -38,6 +38,8 @@ pub struct Options {
     pub web: Option<Address>,
     /// Scale in addition to the one that follows the screen.
     pub scale: f32,
+    /// Settings file of the foot pedal; without one it has the usual keys.
+    pub pedal: Option<PathBuf>,
     /// Screenshots of the window, for `cargo xtask screens`.
     pub shot: Shot,
 }
@@ -62,6 +64,7 @@ impl Default for Options {
             frames: None,
             web: None,
             scale: 1.0,
+            pedal: None,
             shot: Shot::default(),
         }
     }

@@ -95,6 +95,8 @@ pub struct Plan {
     pub raw: Option<Pane>,
     /// The images of all cameras that the graph reads, to detect lost cameras.
     pub cameras: Vec<Pane>,
+    /// The images of the left and the right eye: of a rectified pair if there is one, else of the cameras.
+    pub pair: Option<[Output; 2]>,
     /// The point cloud to measure in.
     pub cloud: Option<Output>,
     /// The stereo geometry of the cloud.
@@ -179,6 +181,13 @@ impl Plan {
             }
             views.extend(raw.clone().filter(|raw| !views.iter().any(|v| v.output == raw.output)));
         }
+        let eye = |n: usize, name: &str| {
+            let port = node_type(n).outputs.iter().position(|port| port.name == name && port.packet.name == "image")?;
+            Some(Output::new(&graph.nodes[n].id, &node_type(n).outputs[port].name))
+        };
+        let pair_of = |n: usize| Some([eye(n, "left")?, eye(n, "right")?]);
+        let rectified = (0..graph.nodes.len()).filter(|n| !sources.contains(n)).find_map(pair_of);
+        let pair = rectified.or_else(|| sources.iter().copied().find_map(pair_of));
         let shown_cloud = views.iter().find(|v| v.packet == "cloud").map(|v| v.output.clone());
         let read_cloud = graph.edges.iter().find(|e| packet(e.from_node, e.from_port) == "cloud");
         let cloud = shown_cloud.or_else(|| read_cloud.map(|e| pane(e.from_node, e.from_port, String::new()).output));
@@ -211,6 +220,7 @@ impl Plan {
             views,
             raw,
             cameras,
+            pair,
             cloud,
             rig,
             settings: settings.collect(),
@@ -349,6 +359,8 @@ inputs = { pose = "scope.pose" }
         assert_eq!(found, sorted);
         assert_eq!(plan.raw.as_ref().unwrap().output.to_string(), "scope.left");
         assert_eq!(names(&plan.cameras).len(), 2);
+        let eyes = plan.pair.map(|pair| pair.map(|eye| eye.to_string()));
+        assert_eq!(eyes, Some(["scope.left".to_owned(), "scope.right".to_owned()]));
         assert_eq!(plan.cloud.as_ref().unwrap().to_string(), "points.cloud");
         assert_eq!(plan.stops, [Stop { node: "arm".to_owned(), reset: Some(1) }]);
     }

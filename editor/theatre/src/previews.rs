@@ -8,7 +8,7 @@ use panoscope_engine::clock;
 
 use super::measure::Measure;
 use super::notices::{Facts, STOPPED, metric_is_on};
-use super::{Pane, Theatre, Verified};
+use super::{Pane, Theatre, ThreeD, Verified};
 use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::content::Content;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
@@ -59,6 +59,9 @@ impl Theatre {
             self.live.update(ctx, HashMap::from([(raw.clone(), packet.clone())]));
         }
         if self.frozen.is_none() {
+            if let Some(pair) = self.plan.pair.as_ref().filter(|_| self.three_d != ThreeD::Off) {
+                self.pair.take(pair, &previews);
+            }
             self.shown.update(ctx, previews);
         }
     }
@@ -109,6 +112,8 @@ impl Theatre {
         let main = self.plan.views.get(self.layout.main());
         let main = if self.shows_raw() { self.plan.raw.as_ref() } else { main };
         let main = main.map(|v| v.output.clone());
+        let left_eye = self.plan.pair.as_ref().map(|[left, _]| left.clone()).filter(|_| self.shows_pair());
+        let main = left_eye.or(main);
         let age_ms = main.filter(|_| is_live).and_then(|main| self.age_ms(&main));
         let calibrated = |metric| metric_is_on(counters, metric);
         let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.message.clone());
@@ -134,6 +139,7 @@ impl Theatre {
             stages: self.stages.update(counters, Instant::now()),
             free_bytes: self.storage.free_bytes(),
             audit_problem: self.audit.problem(),
+            pedal_problem: self.pedal.problem.clone(),
             recording: self.clip.is_some(),
             drifted: calibrated("drifted"),
             swapped: calibrated("views_swapped"),
@@ -185,6 +191,13 @@ impl Theatre {
                 let packet = "cloud".to_owned();
                 let points = PreviewRequest { packet, max_width: MAX_WIDTH, points: true, ..PreviewRequest::default() };
                 requests.insert(cloud.clone(), points);
+            }
+        }
+        if let Some(pair) = self.plan.pair.as_ref().filter(|_| self.frozen.is_none() && self.shows_pair()) {
+            for eye in pair {
+                let packet = "image".to_owned();
+                requests
+                    .insert(eye.clone(), PreviewRequest { packet, max_width: MAX_WIDTH, ..PreviewRequest::default() });
             }
         }
         self.runner.request_previews(requests, INTERVAL);

@@ -4,10 +4,11 @@ use eframe::egui::{
     Align2, Color32, CornerRadius, FontId, Key, Modifiers, Rect, Response, Sense, Stroke, StrokeKind, Ui, WidgetInfo,
     WidgetType, pos2, vec2,
 };
+use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{ParamKind, ParamValue};
 
-use super::Setting;
 use super::stage::capture_arrows;
+use super::{Setting, Theatre};
 use panoscope_editor_model::picture::short;
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{format_time, unit_suffix};
@@ -162,6 +163,44 @@ fn switch(ui: &Ui, rect: Rect, on: bool) {
     painter.rect(track, 14.0, fill, Stroke::new(1.0, theme::line()), StrokeKind::Inside);
     let x = if on { track.right() - 14.0 } else { track.left() + 14.0 };
     painter.circle_filled(pos2(x, track.center().y), 10.0, Color32::from_rgb(0xE8, 0xED, 0xF2));
+}
+
+impl Theatre {
+    /// Current value of a setting: the one chosen in this window, else the running node's.
+    pub(super) fn value(&self, setting: &Setting) -> Option<ParamValue> {
+        if let Some(chosen) = self.chosen.get(&(setting.node.clone(), setting.param.name.clone())) {
+            return Some(chosen.clone());
+        }
+        self.runner.values(&setting.node)?.into_iter().nth(setting.index)
+    }
+
+    /// Sets the value of a setting in the running graph; the file is not changed.
+    pub fn choose(&mut self, node: &str, param: &str, value: ParamValue) {
+        let Some(toml) = toml_of(&value) else { return };
+        let text = GraphEdit::parse(&self.text).and_then(|mut edit| {
+            edit.set_param(node, param, &toml)?;
+            Ok(edit.text())
+        });
+        match text {
+            Ok(text) => {
+                self.audit.setting(node, param, &value);
+                self.chosen.insert((node.to_owned(), param.to_owned()), value);
+                self.run(text);
+            }
+            Err(error) => self.notify(error.to_string(), true),
+        }
+    }
+}
+
+/// A value of a setting as a file writes it.
+pub(super) fn toml_of(value: &ParamValue) -> Option<toml::Value> {
+    Some(match value {
+        ParamValue::Bool(on) => (*on).into(),
+        ParamValue::Int(number) => (*number).into(),
+        ParamValue::Float(number) => (*number).into(),
+        ParamValue::Choice { name, .. } => name.as_str().into(),
+        _ => return None,
+    })
 }
 
 #[cfg(test)]

@@ -84,6 +84,8 @@ impl Theatre {
         }
         if let Some(side) = live {
             self.live_beside(ui, side, facts);
+        } else {
+            self.corner(ui, room, facts);
         }
     }
 
@@ -103,6 +105,62 @@ impl Theatre {
         }
     }
 
+    /// Whether a view is the one that zooming applies to: the main one, not a live image in a corner, and no surface, which is turned instead.
+    fn is_zoomed(&self, pane: &Pane, live: bool) -> bool {
+        let is_inset = live && self.frozen.is_some();
+        let main = if self.shows_raw() { self.plan.raw.as_ref() } else { self.plan.views.get(self.layout.main()) };
+        !is_inset && pane.packet != "cloud" && main.is_some_and(|main| main.output == pane.output)
+    }
+
+    /// Zooms the main view by a step.
+    pub(super) fn zoom_by(&mut self, closer: bool) {
+        let main = if self.shows_raw() { self.plan.raw.as_ref() } else { self.plan.views.get(self.layout.main()) };
+        match main.is_some_and(|main| main.packet == "cloud") || self.measure.is_on() {
+            true => self.notify("this view is not zoomed", false),
+            false => self.zoom.step(closer),
+        }
+    }
+
+    /// Magnification of the main view.
+    pub fn zoom(&self) -> f32 {
+        self.zoom.scale()
+    }
+
+    /// Draws a picture in a corner of the view that is shown alone: another view if that is wanted, else the whole picture while it is zoomed.
+    fn corner(&mut self, ui: &mut Ui, room: Rect, facts: &Facts) {
+        let Layout::One(n) = self.layout else { return };
+        let Some(main) = self.plan.views.get(n).cloned() else { return };
+        let below_title = Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max);
+        let size_of = |this: &Self, pane: &Pane| this.shown.texture(&pane.output).map(|(_, size)| size);
+        let Some(size) = size_of(self, &main) else { return };
+        let count = self.plan.views.len();
+        let other = self.plan.views.get((n + 1) % count.max(1)).filter(|_| self.inset && count > 1).cloned();
+        if let Some(other) = other {
+            let shape = size_of(self, &other).unwrap_or(vec2(4.0, 3.0));
+            let side = inset(room, shape, &[with_title(fit(below_title, size))]);
+            ui.painter().rect_filled(side.expand(4.0), 6.0, theme::BLACK);
+            ui.painter().rect_stroke(side.expand(4.0), 6.0, Stroke::new(1.5, theme::line()), StrokeKind::Inside);
+            if self.picture(ui, side, &other, None, false, facts) {
+                self.perform(super::Action::Next);
+            }
+        } else if let Some((texture, _)) =
+            self.shown.texture(&main.output).filter(|_| self.zoom.is_on() && main.packet != "cloud")
+        {
+            let side = inset(room, size, &[with_title(fit(below_title, size))]);
+            let inner = fit(Rect::from_min_max(side.min + vec2(0.0, TITLE), side.max), size);
+            ui.painter().rect_filled(inner.expand(4.0), 6.0, theme::BLACK);
+            image(ui, texture, inner, Color32::WHITE);
+            ui.painter().rect_stroke(
+                self.zoom.frame_in(inner),
+                0.0,
+                Stroke::new(2.0, theme::accent()),
+                StrokeKind::Inside,
+            );
+            let response = ui.interact(inner, ui.id().with("whole"), Sense::hover());
+            response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Whole picture"));
+        }
+    }
+
     /// Draws a view with its title; returns whether it was tapped.
     fn picture(
         &mut self,
@@ -113,10 +171,15 @@ impl Theatre {
         live: bool,
         facts: &Facts,
     ) -> bool {
-        let title = title.unwrap_or(&pane.label);
+        let is_zoomed = self.is_zoomed(pane, live);
+        let title = match title.unwrap_or(&pane.label) {
+            title if is_zoomed && self.zoom.is_on() => format!("{title}  ·  {:.1} x", self.zoom.scale()),
+            title => title.to_owned(),
+        };
         // A tap changes the layout, except on a live inset or when there is only one view.
         let idle = pane.packet == "cloud" || self.plan.views.len() < 2 || live && self.frozen.is_some();
         let tap = if idle { Sense::hover() } else { Sense::click() };
+        let tap = if is_zoomed && self.zoom.is_on() { tap.union(Sense::drag()) } else { tap };
         let shown = if live { &self.live } else { &self.shown };
         let texture = shown.texture(&pane.output);
         let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
@@ -133,7 +196,7 @@ impl Theatre {
         painter.text(
             pos2(rect.left(), rect.top() + TITLE / 2.0),
             Align2::LEFT_CENTER,
-            title,
+            &title,
             FontId::proportional(16.0),
             theme::text().gamma_multiply(0.85),
         );
@@ -159,7 +222,14 @@ impl Theatre {
                 let is_old = live && age.is_some_and(|age| age > STOPPED.as_secs_f64() * 1e3);
                 let stopped = stopped || is_old;
                 let tint = if stopped { Color32::from_gray(90) } else { Color32::WHITE };
-                image(ui, texture, inner, tint);
+                if is_zoomed {
+                    self.zoom.steer(ui, &response, inner);
+                    if response.has_focus() || ui.memory(|m| m.focused().is_none()) {
+                        ui.input_mut(|i| self.zoom.steer_by_key(i));
+                    }
+                }
+                let part = if is_zoomed { self.zoom.visible() } else { WHOLE };
+                ui.painter().image(texture, inner, part, tint);
                 if stopped {
                     painter.rect_stroke(inner, 0.0, Stroke::new(3.0, theme::fault()), StrokeKind::Inside);
                 }
@@ -301,6 +371,9 @@ pub(super) fn focus_frame(ui: &Ui, rect: Rect) {
     ui.painter().rect_stroke(rect.expand(4.0), 6.0, Stroke::new(2.0, theme::accent()), StrokeKind::Inside);
 }
 
+/// All of a picture, for its texture.
+const WHOLE: Rect = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+
 fn image(ui: &Ui, texture: TextureId, rect: Rect, tint: Color32) {
-    ui.painter().image(texture, rect, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), tint);
+    ui.painter().image(texture, rect, WHOLE, tint);
 }

@@ -36,6 +36,11 @@ impl Crosshair {
         self.at.filter(|_| input.consume_key(Modifiers::NONE, Key::Enter))
     }
 
+    /// Its position, as fractions of the image's width and height; `None` while it is hidden.
+    pub fn position(&self) -> Option<[f32; 2]> {
+        self.at
+    }
+
     /// Draws it on an image that is drawn at `rect`.
     pub fn draw(&self, painter: &Painter, rect: Rect) {
         let Some([x, y]) = self.at else { return };

@@ -43,6 +43,11 @@ impl Shot {
         Self { screenshot, measure, script: steps, start: Instant::now() }
     }
 
+    /// Whether a screenshot or costs are written at the end, so that nobody is at the window.
+    pub fn is_scripted(&self) -> bool {
+        self.screenshot.is_some() || self.measure.is_some()
+    }
+
     /// The next step of the script, if one is due.
     pub fn step(&mut self) -> Option<String> {
         let due = self.script.front()?.0;

@@ -111,6 +111,7 @@ impl Engine {
             graph_dir: absolute(&options.graph_dir),
             batch,
             observer: options.observer,
+            tracer: options.tracer,
             decider: options.decider,
             thread_allocations: options.thread_allocations,
             open_limit: options.open_limit,

@@ -8,6 +8,7 @@ use crate::fault::FaultFn;
 use crate::log::LogFn;
 use crate::observe::Observer;
 use crate::preview::{Listener, NumberListener};
+use crate::trace::Tracer;
 
 /// Options of a run.
 pub struct Options {
@@ -28,6 +29,8 @@ pub struct Options {
     pub faults: Option<Box<FaultFn>>,
     /// Receives everything that happens, for example to record it.
     pub observer: Option<Arc<dyn Observer>>,
+    /// Receives the times of every call, for example to show the path of a tick.
+    pub tracer: Option<Arc<dyn Tracer>>,
     /// Makes the decisions that otherwise depend on time, for example to replay a run.
     pub decider: Option<Arc<dyn Decider>>,
     /// Ports whose packets a listener receives, all of them.
@@ -61,6 +64,7 @@ impl Default for Options {
             log: None,
             faults: None,
             observer: None,
+            tracer: None,
             decider: None,
             listen: Vec::new(),
             numbers: Vec::new(),

@@ -64,6 +64,7 @@ impl NodeRuntime {
         ports.made.set_len(exec.outputs_len as usize);
         if !complete {
             bump(&self.stats.skipped);
+            self.trace(context, tick, (start_ns, start_ns), false);
             return (CallOutcome::Skipped, start_ns);
         }
         let may = match led {
@@ -75,6 +76,7 @@ impl NodeRuntime {
             Due::Run { start_ns } => start_ns,
             Due::Skip => {
                 self.skipped_tick(context, tick, false);
+                self.trace(context, tick, (start_ns, start_ns), false);
                 return (CallOutcome::Skipped, start_ns);
             }
             Due::Abandoned => return (CallOutcome::Abandoned, start_ns),
@@ -111,10 +113,19 @@ impl NodeRuntime {
                 self.failed(exec, context, status, refused, tick, end_ns)
             }
         };
+        self.trace(context, tick, (start_ns, end_ns), outcome == CallOutcome::Ok);
         if !matches!(outcome, CallOutcome::Ok | CallOutcome::End | CallOutcome::Abandoned) {
             self.skipped_tick(context, tick, !exec.instance.is_open());
         }
         (outcome, end_ns)
+    }
+
+    /// Passes the times of a call to the tracer, if there is one.
+    #[inline]
+    fn trace(&self, context: &RunContext, tick: &Tick, (start_ns, end_ns): (u64, u64), made: bool) {
+        if let Some(tracer) = &context.tracer {
+            tracer.call(&self.id, tick, start_ns, end_ns, made);
+        }
     }
 
     /// Passes an event of this node to the observer, if there is one.

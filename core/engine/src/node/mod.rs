@@ -47,6 +47,7 @@ use crate::preview::{HearNumberFn, Subscribers};
 use crate::scratch::CallOutputs;
 use crate::stats::NodeStats;
 use crate::sync::lock;
+use crate::trace::Tracer;
 use crate::vet::Vet;
 
 /// Frames that a node may retain between calls.
@@ -66,6 +67,8 @@ pub(crate) struct RunContext {
     pub batch: bool,
     /// Receives everything that happens.
     pub observer: Option<Arc<dyn Observer>>,
+    /// Receives the times of every call.
+    pub tracer: Option<Arc<dyn Tracer>>,
     /// Makes the decisions that otherwise depend on time.
     pub decider: Option<Arc<dyn Decider>>,
     /// Heap allocations of the calling thread so far.

@@ -10,6 +10,7 @@ use crate::canvas::CanvasRequest;
 use crate::palette::{Palette, Picked, Purpose};
 use crate::panels::inspector::InspectorRequest;
 use crate::panels::params::ParamRequest;
+use crate::panels::states::StateRequest;
 use crate::viewer::Source;
 use panoscope_editor_model::folding::parent;
 use panoscope_editor_model::observe::Output;
@@ -111,6 +112,13 @@ impl App {
                 self.try_edit(result);
             }
             InspectorRequest::ViewLarge(output) => self.view_large(output),
+            InspectorRequest::Help => self.show_node_help(Some(node)),
+            InspectorRequest::Source => self.open_source(Some(node)),
+            InspectorRequest::Trace => {
+                self.switches.trace = true;
+                self.trace_panel.choose_drop_of(node);
+            }
+            InspectorRequest::Probe(at) => self.panel_point = Some(at),
             InspectorRequest::Thumbnail(port) => self.canvas.choose_output(node, &port),
             InspectorRequest::Rename(name) => {
                 let result = ops::rename(doc, node, &name);
@@ -206,13 +214,27 @@ impl App {
             Action::Back => self.step_to(self.document.history().at().saturating_sub(1)),
             Action::Forward => self.step_to(self.document.history().at() + 1),
             Action::Sweep => self.switches.sweep ^= true,
+            Action::States => self.toggle_states(),
+            Action::Snapshot => {
+                self.states.load(self.document.path());
+                self.handle_state(StateRequest::Take);
+            }
             Action::Problems => self.switches.problems ^= true,
+            Action::Timeline => self.switches.timeline ^= true,
+            Action::Play | Action::TickBack | Action::TickForward => match &self.timeline {
+                Some(timeline) if action == Action::Play => timeline.play(!timeline.position().plays),
+                Some(timeline) => timeline.step(if action == Action::TickBack { -1 } else { 1 }),
+                None => self.notify("open a recording first: J shows the timeline", true),
+            },
+            Action::Trace => self.switches.trace ^= true,
+            Action::NextProblem => self.step_problem(false),
+            Action::PreviousProblem => self.step_problem(true),
             Action::Restart => self.session.restart(self.document.runnable()),
             Action::Plugins => self.plugins = true,
             Action::Reload => self.session.reload_plugins(),
             Action::Escape if self.picker.is_some() => self.end_picking(),
             Action::Escape => {
-                if !self.viewer.close() {
+                if !self.end_guide() && !self.close_tour() && !self.viewer.clear_line() && !self.viewer.close() {
                     self.canvas.selected.clear();
                     self.canvas.selected_wire = None;
                 }
@@ -229,6 +251,9 @@ impl App {
             Action::Theme => self.change_theme = true,
             Action::Commands => self.open_palette(Purpose::Command),
             Action::Help => self.help = true,
+            Action::Guide => self.start_guide(),
+            Action::NodeHelp => self.show_node_help(self.selected().as_deref()),
+            Action::Source => self.open_source(self.selected().as_deref()),
             Action::Compare => self.compare(),
         }
     }
@@ -243,7 +268,9 @@ impl App {
     /// Compares the output in the viewer with the next one, and after the last one with none.
     fn compare(&mut self) {
         let Some(shown) = self.viewer.source().cloned() else { return };
-        let others: Vec<Source> = self.sources().into_iter().filter(|s| *s != shown).collect();
+        let second = self.of_second_run(&shown);
+        let others = second.into_iter().chain(self.sources().into_iter().filter(|s| *s != shown));
+        let others: Vec<Source> = others.collect();
         let now = self.viewer.sources().nth(1).and_then(|b| others.iter().position(|o| o == b));
         let next = others.get(now.map_or(0, |n| n + 1)).cloned();
         self.viewer.compare(next);

@@ -5,11 +5,17 @@ mod attached;
 mod commands;
 mod conflict;
 mod dialogs;
+mod guide;
+mod learning;
+mod moments;
 mod new_graph;
 mod parts;
 mod picking;
+mod previews;
 mod saving;
 mod script;
+mod states;
+mod tour;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -17,7 +23,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, Ui};
-use panoscope_abi::LINKS;
 use panoscope_graph::edit::EditError;
 use panoscope_graph::{GraphOptions, GraphText, installed};
 
@@ -27,20 +32,26 @@ use crate::palette::{Palette, Types};
 use crate::panels::files::Files;
 use crate::panels::inspector::{self, InspectorRequest};
 use crate::panels::plots::{Export, Plots};
+use crate::panels::source::SourceFile;
+use crate::panels::states::States;
 use crate::panels::sweep::SweepPanel;
+use crate::panels::timeline::TimelinePanel;
 use crate::panels::top::{self, Switches};
+use crate::panels::trace::TracePanel;
 use crate::panels::{below, history, overview, params};
 use crate::picker::Picker;
 use crate::view3d::View3d;
-use crate::viewer::{Source, Viewer};
+use crate::viewer::Viewer;
 use panoscope_editor_model::arguments::Form;
 use panoscope_editor_model::disk::{self, DiskWatch};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::numbered::{FolderError, next_file};
-use panoscope_editor_model::observe::{Counters, LARGE_INTERVAL, Observer, Output, PreviewRequest, THUMBNAIL_INTERVAL};
+use panoscope_editor_model::observe::{Counters, Observer, Output};
 use panoscope_editor_model::ops::{BypassError, Detour, InsertError};
-use panoscope_editor_model::picture::is_pictorial;
+use panoscope_editor_model::probe::Probe;
 use panoscope_editor_model::session::{Phase, Session, Status};
+use panoscope_editor_model::timeline::Timeline;
+use panoscope_editor_model::trace::Trace;
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 
@@ -66,6 +77,8 @@ pub struct Options {
     pub theme: theme::Choice,
     /// Screenshot and costs of the window, for `cargo xtask screens` and `panoscope bench editor`.
     pub shot: Shot,
+    /// Program that opens another graph in a window of its own; this program without one.
+    pub opener: Option<PathBuf>,
     /// Overlays and values of the graph's arguments.
     pub given: GraphOptions,
     /// Folder for values of arguments that are remembered; `None` to remember none.
@@ -96,8 +109,16 @@ pub struct App {
     pub(crate) canvas: Canvas,
     pub(crate) shown: OutputCache,
     pub(crate) viewer: Viewer,
+    /// Values of the pictures in the viewer and in the panel, and the point under the pointer in the panel.
+    probes: HashMap<Output, Probe>,
+    panel_point: Option<[f32; 2]>,
     plots: Plots,
     sweep: SweepPanel,
+    states: States,
+    trace: Arc<Trace>,
+    trace_panel: TracePanel,
+    timeline: Option<Timeline>,
+    timeline_panel: TimelinePanel,
     picker: Option<Picker>,
     files: Option<Files>,
     palette: Option<Palette>,
@@ -108,6 +129,14 @@ pub struct App {
     /// A parameter that is to be shown and to get the keys, in the panel of its node.
     go_to_param: Option<(String, String)>,
     plugins: bool,
+    tour: tour::ProblemTour,
+    guide: Option<guide::Guide>,
+    node_help: Option<learning::NodeHelp>,
+    /// The opened source of a Python plugin, and whether the next closing discards its changes.
+    source: Option<SourceFile>,
+    discards_source: bool,
+    /// Program that opens another graph; this one by default.
+    opener: Option<PathBuf>,
     pub(crate) switches: Switches,
     pub(crate) detours: HashMap<String, Vec<Detour>>,
     /// The highlighted line of the file's text.
@@ -163,6 +192,7 @@ impl App {
         if options.scale > 0.0 {
             ctx.set_zoom_factor(options.scale);
         }
+        let trace = session.follow_ticks();
         let observer = Observer::new(session.handle())?;
         let document = Document::with_options(path, text, session.loader(), options.given);
         let arguments = (!document.missing_args().is_empty())
@@ -170,14 +200,22 @@ impl App {
         if document.view().valid {
             session.run(document.runnable());
         }
-        Ok(Self {
+        let is_new = guide::is_first_start(options.config.as_deref()) && !options.shot.is_scripted();
+        let mut app = Self {
             observer,
             document,
             canvas: Canvas::default(),
             shown: OutputCache::default(),
             viewer: Viewer::default(),
+            probes: HashMap::new(),
+            panel_point: None,
             plots: Plots::default(),
             sweep: SweepPanel::default(),
+            states: States::default(),
+            trace,
+            trace_panel: TracePanel::default(),
+            timeline: None,
+            timeline_panel: TimelinePanel::default(),
             picker: None,
             files: None,
             palette: None,
@@ -186,6 +224,12 @@ impl App {
             change_theme: false,
             go_to_param: None,
             plugins: false,
+            tour: tour::ProblemTour::default(),
+            guide: None,
+            node_help: None,
+            source: None,
+            discards_source: false,
+            opener: options.opener,
             switches: Switches::default(),
             detours: HashMap::new(),
             reading: below::Reading::default(),
@@ -205,7 +249,12 @@ impl App {
             shot: options.shot,
             costs: Costs::default(),
             session,
-        })
+        };
+        // A form or templates come first; the next start with a graph that runs shows the tour.
+        if is_new && app.arguments.is_none() && app.document.view().valid {
+            app.start_guide();
+        }
+        Ok(app)
     }
 
     /// The graph file being edited.
@@ -226,6 +275,21 @@ impl App {
     /// The output that is shown large.
     pub fn viewed(&self) -> Option<&Output> {
         self.viewer.source().map(|v| &v.output)
+    }
+
+    /// The values that are read from an output's picture, while it is shown alone in the viewer or in the panel of its node.
+    pub fn probe(&self, output: &Output) -> Option<&Probe> {
+        self.probes.get(output)
+    }
+
+    /// Whether a picture has arrived that a snapshot can keep.
+    pub fn has_picture(&self) -> bool {
+        self.picture_of_now().is_some()
+    }
+
+    /// The panel of tick paths.
+    pub fn trace_panel(&self) -> &TracePanel {
+        &self.trace_panel
     }
 
     /// The 3-D view.
@@ -305,7 +369,8 @@ impl App {
         if self.document.history().has_pending() && *status.running == **self.document.runnable() {
             self.document.set_tick(status.tick);
         }
-        self.shown.update(&ctx, self.observer.take());
+        self.take_pictures(&ctx);
+        self.probes = self.observer.probes();
         self.follow_machine();
         if !self.is_attached() {
             if let Some(text) = self.disk.poll() {
@@ -339,6 +404,7 @@ impl App {
         self.ask_part_name(&ctx);
         self.ask_consent(&ctx);
         self.take_dropped(&ctx);
+        self.show_guide(&ctx);
         self.show_notification(&ctx);
         self.run_document();
         self.request_previews();
@@ -350,7 +416,7 @@ impl App {
 
     /// Whether a dialog is open that gets the keys.
     fn is_asking(&self) -> bool {
-        let parts = self.part_name.is_some() || self.consent.is_some();
+        let parts = self.part_name.is_some() || self.consent.is_some() || self.node_help.is_some();
         parts || self.palette.is_some() || self.files.is_some() || self.arguments.is_some() || self.help || self.plugins
     }
 
@@ -365,6 +431,7 @@ impl App {
         self.machine_bar(ui);
         self.conflict_bar(ui);
         self.side(ui, status, &counters);
+        self.source_panel(ui);
         self.below(ui, status, &counters);
         let view = self.document.view().clone();
         let problem = status.problem.as_ref().and_then(|t| Some((t.node.as_deref()?, t.message.as_str())));
@@ -372,9 +439,11 @@ impl App {
             let rect = ui.available_rect_before_wrap();
             if self.viewer.source().is_some() {
                 ui.allocate_rect(rect, egui::Sense::hover());
-                let (others, trajectories) = (self.sources(), self.trajectories());
+                let (mut others, trajectories) = (self.sources(), self.trajectories());
+                others.extend(self.viewer.source().and_then(|source| self.of_second_run(source)));
                 let trajectories: Vec<Output> = trajectories.into_iter().map(|(output, _)| output).collect();
-                let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories);
+                let probe = self.viewer.probe_request().and_then(|(output, _)| self.probes.get(output)).cloned();
+                let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories, probe.as_ref());
                 self.pick_on(ui, image_rects);
                 return;
             }
@@ -389,6 +458,7 @@ impl App {
             let requests = self.canvas.show(ui, &scene, self.document.revision());
             requests.into_iter().for_each(|request| self.handle_canvas(request));
         });
+        self.show_tour(ui.ctx());
     }
 
     /// The panel of the selected node, or of the whole graph. It is always visible, so that selecting does not move the canvas.
@@ -414,8 +484,11 @@ impl App {
         if let Some((_, param)) = self.go_to_param.take_if(|(node, _)| node == id) {
             params::go_to(ui.ctx(), &param);
         }
-        let requests = panel
-            .show(ui, |ui| inspector::show(ui, &self.document, (counters, status), &self.shown, &self.canvas, node));
+        let requests = panel.show(ui, |ui| {
+            let (document, shown) = (&self.document, (&self.shown, &self.probes));
+            let python = self.python_file(id).is_some();
+            inspector::show(ui, document, (counters, status), shown, &self.canvas, (node, python))
+        });
         let id = view.nodes[node].id().to_owned();
         requests.inner.into_iter().for_each(|request| self.handle_inspector(&id, request));
     }
@@ -448,6 +521,22 @@ impl App {
             if let Some(at) = go {
                 self.step_to(at);
             }
+        }
+        if self.switches.timeline {
+            self.timeline_panel(ui, frame);
+        }
+        if self.switches.trace {
+            let panel = Panel::bottom("trace").frame(frame).default_size(240.0).size_range(140.0..=560.0);
+            let view = self.document.view().clone();
+            let go = panel.show(ui, |ui| self.trace_panel.show(ui, &view, &self.trace)).inner;
+            if let Some(id) = go {
+                self.canvas.show_node(&view, &id);
+            }
+        }
+        if self.switches.states {
+            let panel = Panel::bottom("states").frame(frame).default_size(230.0).size_range(140.0..=480.0);
+            let requests = panel.show(ui, |ui| self.states.show(ui)).inner;
+            requests.into_iter().for_each(|request| self.handle_state(request));
         }
         if self.switches.sweep {
             let panel = Panel::bottom("sweep").frame(frame).default_size(270.0).size_range(160.0..=560.0);
@@ -482,87 +571,10 @@ impl App {
         }
     }
 
-    /// Outputs that can be compared in the viewer: those that are read, and those with a thumbnail.
-    fn sources(&self) -> Vec<Source> {
-        let view = self.document.view();
-        let mut found: Vec<Source> = Vec::new();
-        let read = view.wires.iter().map(|w| (w.from, w.output.clone()));
-        let shown = (0..view.nodes.len()).filter_map(|n| Some(self.canvas.shown_output(view, n)?.0));
-        let read = read.map(|(node, port)| view.running_output(view.nodes[node].id(), &port));
-        for output in read.chain(shown) {
-            let Some(packet) = view.packet_of(&output).map(|p| p.name.clone()) else { continue };
-            let source = Source { output, packet };
-            if is_pictorial(&source.packet) && !found.contains(&source) {
-                found.push(source);
-            }
-        }
-        found
-    }
-
-    /// Outputs that the 3D view shows as lines: tips, poses, arm links.
-    fn trajectories(&self) -> Vec<(Output, String)> {
-        let mut found = self.outputs_of(&["tip", "pose", "table"]);
-        found.retain(|(output, packet)| packet != "table" || output.port == LINKS);
-        found
-    }
-
-    /// Outputs whose packets are of one of the given types, with the type.
-    fn outputs_of(&self, packets: &[&str]) -> Vec<(Output, String)> {
-        let nodes = self.document.view().flat().nodes.iter();
-        let outputs = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.outputs).map(move |port| (n.id(), port)));
-        outputs
-            .filter(|(_, port)| packets.contains(&port.packet.name.as_str()))
-            .map(|(id, port)| (Output::new(id, &port.name), port.packet.name.clone()))
-            .collect()
-    }
-
     /// The selected node, if exactly one is selected.
     pub fn selected(&self) -> Option<String> {
         let mut selected = self.canvas.selected.iter();
         selected.next().filter(|_| selected.next().is_none()).cloned()
-    }
-
-    /// Requests previews of the visible outputs from the observer.
-    fn request_previews(&mut self) {
-        let mut requests: HashMap<Output, PreviewRequest> = HashMap::new();
-        let mut request = |output: &Output, packet: &str, max_width: usize| {
-            let entry = requests
-                .entry(output.clone())
-                .or_insert_with(|| PreviewRequest { packet: packet.to_owned(), ..PreviewRequest::default() });
-            entry.max_width = entry.max_width.max(max_width);
-        };
-        if self.viewer.source().is_some() {
-            self.viewer.sources().for_each(|s| request(&s.output, &s.packet, LARGE));
-            if self.viewer.viewpoint().is_some() {
-                self.trajectories().iter().for_each(|(output, packet)| request(output, packet, 1));
-            }
-        } else {
-            let width = self.canvas.thumbnail_width(THUMBNAIL);
-            self.canvas.visible().for_each(|(output, packet)| request(output, packet, width));
-        }
-        if let Some(node) = self.selected().and_then(|id| self.document.view().node(&id))
-            && let Some((output, packet)) = self.canvas.shown_output(self.document.view(), node)
-        {
-            request(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
-        }
-        let values = self.switches.plots && self.plots.wants_values();
-        if values || self.switches.sweep {
-            self.outputs_of(&["scalar", "table"]).iter().for_each(|(output, packet)| request(output, packet, 1));
-        }
-        if values {
-            let outputs = self.outputs_of(&["scalar", "table"]);
-            let outputs: Vec<Output> = outputs.into_iter().map(|(output, _)| output).collect();
-            self.plots.follow(&self.shown, &outputs);
-        }
-        if let (Some(viewpoint), Some(source)) = (self.viewer.viewpoint(), self.viewer.source())
-            && let Some(requests) = requests.get_mut(&source.output)
-        {
-            requests.viewpoint = Some(viewpoint);
-        }
-        let view = self.document.view();
-        self.shown.retain(|output| requests.contains_key(output) || view.flat().node(&output.node).is_some());
-        let large = self.viewer.source().is_some();
-        self.observer.set_requests(requests, if large { LARGE_INTERVAL } else { THUMBNAIL_INTERVAL });
     }
 }
 

@@ -96,11 +96,7 @@ impl App {
             files.into_iter().partition(|f| f.extension() == Some(OsStr::new("toml")));
         let (mut pictures, unknown): (Vec<_>, Vec<_>) = others.into_iter().partition(|f| is_picture(f));
         for graph in graphs {
-            let opened = std::env::current_exe().and_then(|this| std::process::Command::new(this).arg(&graph).spawn());
-            match opened {
-                Ok(_) => self.notify(format!("{} opens in its own window", graph.display()), false),
-                Err(error) => self.notify(format!("{} could not be opened: {error}", graph.display()), true),
-            }
+            self.open_graph(&graph);
         }
         pictures.sort();
         if !pictures.is_empty() && pictures.len() <= 2 {

@@ -11,6 +11,7 @@ use super::App;
 use crate::actions::Action;
 use crate::canvas::CanvasRequest;
 use crate::panels::inspector::InspectorRequest;
+use crate::panels::states::StateRequest;
 use panoscope_editor_model::graph_view::PartView;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::ops;
@@ -22,6 +23,7 @@ pub(super) enum Asked {
     Canvas(CanvasRequest),
     Inspector(String, InspectorRequest),
     Action(Action),
+    State(StateRequest),
 }
 
 /// A change of a part that is used several times.
@@ -154,6 +156,7 @@ impl App {
             self.document.allow_shared(&consent.file);
             match consent.asked {
                 Asked::Canvas(request) => self.handle_canvas(request),
+                Asked::State(request) => self.handle_state(request),
                 Asked::Inspector(node, request) => self.handle_inspector(&node, request),
                 Asked::Action(action) => self.perform(action),
             }

@@ -15,16 +15,20 @@ pub(super) fn on_curve(p: &[Pos2; 4], t: f32) -> Pos2 {
 
 /// Approximates a curve by as few segments as are not visible; most wires of a large graph are one segment.
 pub(super) fn flattened(p: &[Pos2; 4]) -> Vec<Pos2> {
-    const TOLERANCE: f32 = 0.25;
+    flattened_to(p, 0.25)
+}
+
+/// As [`flattened`], with this greatest distance from the curve.
+pub(super) fn flattened_to(p: &[Pos2; 4], tolerance: f32) -> Vec<Pos2> {
     let chord = (p[3] - p[0]).normalized();
     let aside = |q: Pos2| ((q - p[0]).x * chord.y - (q - p[0]).y * chord.x).abs();
-    if aside(p[1]).max(aside(p[2])) < TOLERANCE {
+    if aside(p[1]).max(aside(p[2])) < tolerance {
         return vec![p[0], p[3]];
     }
     // The error of n equal steps is at most max|second derivative| / (8 n^2).
     let bend = |a: Pos2, b: Pos2, c: Pos2| (a.to_vec2() - 2.0 * b.to_vec2() + c.to_vec2()).length();
     let most = 6.0 * bend(p[0], p[1], p[2]).max(bend(p[1], p[2], p[3]));
-    let count = (most / (8.0 * TOLERANCE)).sqrt().ceil().clamp(2.0, 64.0) as usize;
+    let count = (most / (8.0 * tolerance)).sqrt().ceil().clamp(2.0, 64.0) as usize;
     (0..=count).map(|i| on_curve(p, i as f32 / count as f32)).collect()
 }
 

@@ -354,7 +354,8 @@ fn elided(
     width: f32,
 ) -> std::sync::Arc<eframe::egui::Galley> {
     let mut job = LayoutJob::simple_singleline(text.to_owned(), font, color);
-    job.wrap.max_width = width.max(8.0);
+    // In whole points, so that a text that moves with the graph is not laid out again.
+    job.wrap.max_width = (width + 0.01).floor().max(8.0);
     job.wrap.max_rows = 1;
     job.wrap.break_anywhere = true;
     painter.layout_job(job)

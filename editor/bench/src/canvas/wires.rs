@@ -2,9 +2,9 @@
 
 use eframe::egui::{Painter, Pos2, Rect, Response, Shape as Drawn, Stroke, Ui, Vec2, pos2, vec2};
 
-use super::curve::{bow, distance, flattened, on_curve, rounded};
+use super::curve::{bow, distance, flattened, flattened_to, on_curve, rounded};
 use super::interaction::Drag;
-use super::shape::HEADER;
+use super::shape::{HEADER, PICTURES};
 use super::{Canvas, Scene};
 use panoscope_editor_model::graph_view::{GraphView, Wire};
 use panoscope_editor_widgets::theme;
@@ -114,6 +114,8 @@ impl Canvas {
             Drag::Wire { moved: Some((input, index)), .. } => Some((input, *index)),
             _ => None,
         };
+        // Of hundreds of nodes wires are thin and short.
+        let tolerance = if self.scale() < PICTURES { 1.0 } else { 0.25 };
         for wire in &view.wires {
             let to = view.nodes[wire.to].id();
             let is_pulled = pulled
@@ -138,7 +140,7 @@ impl Canvas {
                     let points: Vec<Pos2> = (0..=32).map(|i| on_curve(&curve, i as f32 / 32.0)).collect();
                     painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * self.scale(), 5.0 * self.scale()));
                 } else {
-                    match &flattened(&curve)[..] {
+                    match &flattened_to(&curve, tolerance)[..] {
                         [from, to] => painter.line_segment([*from, *to], stroke),
                         points => painter.line(points.to_vec(), stroke),
                     };

@@ -1,5 +1,7 @@
 //! The panel of the selected node: preview, times, inputs, parameters.
 
+use std::collections::HashMap;
+
 use eframe::egui::{
     Align, Button, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
 };
@@ -9,10 +11,12 @@ use panoscope_eval::sweep::can_sweep;
 use super::params;
 use crate::actions::{self, Action};
 use crate::canvas::Canvas;
+use crate::probing;
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::graph_view::{GraphView, NodeView, PartView};
 use panoscope_editor_model::idle;
 use panoscope_editor_model::observe::{Counters, Output};
+use panoscope_editor_model::probe::Probe;
 use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{OutputCache, format_time};
@@ -35,12 +39,20 @@ pub enum InspectorRequest {
     },
     /// Show an output in the viewer.
     ViewLarge(Output),
+    /// Read the value at this point of the picture, as fractions of its width and height.
+    Probe([f32; 2]),
     /// Show this output on the node.
     Thumbnail(String),
     /// Rename the node.
     Rename(String),
     /// Go to another node.
     Go(String),
+    /// Show why its newest dropped tick was dropped.
+    Trace,
+    /// Show the help of its type.
+    Help,
+    /// Open its source.
+    Source,
     /// Open the part.
     Open,
     /// Put the part's nodes in its place.
@@ -52,15 +64,15 @@ pub fn show(
     ui: &mut Ui,
     document: &Document,
     (counters, status): (&Counters, &Status),
-    shown: &OutputCache,
+    shown: (&OutputCache, &HashMap<Output, Probe>),
     canvas: &Canvas,
-    node: usize,
+    (node, is_python): (usize, bool),
 ) -> Vec<InspectorRequest> {
     let view = document.view();
     let this = &view.nodes[node];
     let mut requests = Vec::new();
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
-        title(ui, this, &mut requests);
+        title(ui, this, is_python, &mut requests);
         picture(ui, document, shown, canvas, node, &mut requests);
         if let Some(part) = view.part(this.id()).filter(|_| this.is_part) {
             part_buttons(ui, part, &mut requests);
@@ -69,7 +81,7 @@ pub fn show(
             ui.label(RichText::new(mistake).color(theme::fault()));
         }
         why_idle(ui, (view, counters, status), this, &mut requests);
-        numbers(ui, counters, this);
+        numbers(ui, counters, this, &mut requests);
         let node_type = this.node_type.as_ref();
         if node_type.is_some_and(|t| !t.inputs.is_empty()) {
             section(ui, "Inputs");
@@ -100,7 +112,7 @@ pub fn section(ui: &mut Ui, caption: &str) {
     ui.add_space(theme::STEP / 2.0);
 }
 
-fn title(ui: &mut Ui, this: &NodeView, requests: &mut Vec<InspectorRequest>) {
+fn title(ui: &mut Ui, this: &NodeView, is_python: bool, requests: &mut Vec<InspectorRequest>) {
     ui.horizontal(|ui| {
         let (rect, _) = ui.allocate_exact_size(vec2(4.0, 20.0), Sense::hover());
         ui.painter().rect_filled(rect, 2.0, theme::family(this.family()));
@@ -126,7 +138,23 @@ fn title(ui: &mut Ui, this: &NodeView, requests: &mut Vec<InspectorRequest>) {
         Some(t) => format!("{} · {}", t.name, t.plugin),
         None => format!("{} · not known", this.outline.type_name),
     };
-    ui.label(RichText::new(caption).size(11.5).color(theme::muted()));
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(caption).size(11.5).color(theme::muted()));
+        let mut link = |caption: &str, name: &str, action, request| {
+            let button = Button::new(RichText::new(caption).size(11.0).color(theme::accent())).frame(false);
+            let button = ui.add(button).on_hover_text(actions::hint(action));
+            button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, name.to_owned()));
+            if button.clicked() {
+                requests.push(request);
+            }
+        };
+        if this.node_type.is_some() && !this.is_part {
+            link("help", "Help of the node", Action::NodeHelp, InspectorRequest::Help);
+        }
+        if is_python {
+            link("source", "Source of the node", Action::Source, InspectorRequest::Source);
+        }
+    });
     if let Some(line) = this.node_type.as_ref().and_then(|t| t.doc.lines().next()) {
         ui.label(RichText::new(line).size(12.0));
     }
@@ -152,7 +180,7 @@ fn part_buttons(ui: &mut Ui, part: &PartView, requests: &mut Vec<InspectorReques
 fn picture(
     ui: &mut Ui,
     document: &Document,
-    shown: &OutputCache,
+    (shown, probes): (&OutputCache, &HashMap<Output, Probe>),
     canvas: &Canvas,
     node: usize,
     requests: &mut Vec<InspectorRequest>,
@@ -166,8 +194,19 @@ fn picture(
         let response = ui.add(image).on_hover_text("Click to open it in the viewer (V)");
         let caption = format!("Show {output} large");
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
+        if let Some(at) = response.hover_pos() {
+            let share = (at - response.rect.min) / response.rect.size();
+            requests.push(InspectorRequest::Probe([share.x, share.y]));
+        }
         if response.clicked() {
             requests.push(InspectorRequest::ViewLarge(output.clone()));
+        }
+        if let Some(probe) = probes.get(&output) {
+            // The line is always there, so that nothing moves under the pointer.
+            let words = probe.words().unwrap_or_else(|| "point at the picture for a value".to_owned());
+            let color = if probe.at.is_some() { theme::text() } else { theme::muted() };
+            ui.label(RichText::new(words).size(12.0).color(color));
+            probing::histogram(ui, probe);
         }
     }
     if let Some(caption) = shown.text(&output) {
@@ -210,7 +249,7 @@ fn why_idle(
     }
 }
 
-fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView) {
+fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView, requests: &mut Vec<InspectorRequest>) {
     let Some(c) = counters.nodes.get(this.id()) else { return };
     ui.add_space(theme::STEP);
     let mut rows: Vec<(&str, String)> = vec![
@@ -231,6 +270,14 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView) {
             ui.end_row();
         }
     });
+    if c.dropped > 0 && !this.is_part {
+        let button = Button::new(RichText::new("why ticks are dropped").size(11.0).color(theme::accent())).frame(false);
+        let button = ui.add(button).on_hover_text(actions::hint(Action::Trace));
+        button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Why ticks are dropped"));
+        if button.clicked() {
+            requests.push(InspectorRequest::Trace);
+        }
+    }
     if let Some(fault) = counters.faults.get(this.id()) {
         section(ui, "Last fault");
         let done = format!("{:?}", fault.done).to_lowercase();

@@ -25,6 +25,12 @@ pub struct Switches {
     pub history: bool,
     /// The panel of a sweep.
     pub sweep: bool,
+    /// The panel of a recording.
+    pub timeline: bool,
+    /// The panel of tick paths.
+    pub trace: bool,
+    /// The panel of presets and snapshots.
+    pub states: bool,
 }
 
 /// Shows the bar; returns the actions that the user requests.
@@ -48,6 +54,7 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
             };
             button(ui, Action::Help, "Keys", false, true);
             button(ui, Action::Sweep, "Sweep", on.sweep, true);
+            button(ui, Action::States, "Presets", on.states, true);
             button(ui, Action::History, "History", on.history, true);
             button(ui, Action::Plots, "Plots", on.plots, true);
             button(ui, Action::Text, "Text", on.text, true);

@@ -24,6 +24,15 @@ impl Document {
         self.set_texts_by(by, text, others, label, merge);
     }
 
+    /// Replaces the texts of the graph file and of those parts and overlays that `others` has, as one undo step. Returns whether anything differed.
+    pub(crate) fn replace_texts(&mut self, text: &str, others: Texts, label: &str) -> bool {
+        let mut all = self.others.clone();
+        all.extend(others);
+        let differs = *text != *self.text || all != self.others;
+        self.set_texts_by(Origin::Hand, text, all, label, None);
+        differs
+    }
+
     pub(super) fn set_texts_by(&mut self, by: Origin, text: &str, others: Texts, label: &str, merge: Option<&str>) {
         if *text == *self.text && others == self.others {
             return;

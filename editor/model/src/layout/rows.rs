@@ -19,6 +19,8 @@ const TRUNK: f32 = 56.0;
 const LARGE: f32 = 1.5;
 /// What a row more must gain in scale.
 const ROW_COST: f32 = 0.96;
+/// What the graph must gain if layers are limited in height, which bends the wires of chains.
+const CAP_COST: f32 = 0.88;
 /// What the graph would have to gain if all its wires went between rows.
 const ROUTE_COST: f32 = 0.2;
 /// Number of plans that are laid out before one is chosen.
@@ -41,6 +43,8 @@ struct Input<'a> {
 struct Plan {
     layer: Vec<usize>,
     rows: Vec<usize>,
+    /// Whether the height of layers is limited.
+    capped: bool,
 }
 
 /// A finished layout with the size of everything in it.
@@ -75,7 +79,7 @@ pub fn fitted(sizes: &[[f32; 2]], edges: &[(usize, usize)], delayed: &[(usize, u
     let laid = plans(&input).into_iter().take(trials).map(|plan| {
         let laid = lay(&input, &plan, GAP);
         let routes = laid.layout.routes.len() as f32 / (input.edges.len() + input.others.len()).max(1) as f32;
-        let score = laid.scale(window).min(LARGE) * rows_factor(plan.rows.len()) * (1.0 - ROUTE_COST * routes);
+        let score = laid.scale(window).min(LARGE) * plan.factor() * (1.0 - ROUTE_COST * routes);
         (score, plan, laid)
     });
     let Some((_, plan, laid)) = laid.max_by(|a, b| a.0.total_cmp(&b.0)) else { return Layout::default() };
@@ -90,11 +94,12 @@ pub fn fitted(sizes: &[[f32; 2]], edges: &[(usize, usize)], delayed: &[(usize, u
     lay(&input, &plan, gap).layout
 }
 
-fn rows_factor(rows: usize) -> f32 {
-    ROW_COST.powi(rows as i32 - 1)
-}
-
 impl Plan {
+    /// What its rows and bent chains cost.
+    fn factor(&self) -> f32 {
+        ROW_COST.powi(self.rows.len() as i32 - 1) * if self.capped { CAP_COST } else { 1.0 }
+    }
+
     fn columns(&self, nodes: usize) -> Vec<Vec<usize>> {
         let count = self.layer.iter().max().map_or(0, |m| m + 1);
         let mut columns = vec![Vec::new(); count];
@@ -124,6 +129,7 @@ fn plans(input: &Input<'_>) -> Vec<Plan> {
     for cap in [f32::INFINITY].into_iter().chain((1..=10).map(|k| k as f32 * tallest)) {
         let mut layer = layers::capped(&near, &base, &heights, cap);
         close_ranks(&mut layer);
+        let capped = found.first().is_some_and(|(_, plan)| plan.layer != layer);
         let count = layer.iter().max().map_or(0, |m| m + 1);
         let (mut widths, mut filled) = (vec![0.0f32; count], vec![0.0f32; count]);
         for (node, size) in input.sizes.iter().enumerate() {
@@ -138,14 +144,14 @@ fn plans(input: &Input<'_>) -> Vec<Plan> {
                 continue;
             }
             last.clone_from(&rows);
-            let plan = Plan { layer: layer.clone(), rows };
+            let plan = Plan { layer: layer.clone(), rows, capped };
             let (mut width, mut height) = (0.0f32, 0.0f32);
             for row in plan.row_ranges(count) {
                 width = width.max(widths[row.clone()].iter().map(|w| w + GAP[0]).sum::<f32>() - GAP[0]);
                 height += filled[row].iter().copied().fold(0.0, f32::max) - GAP[1] + CHANNEL;
             }
             let scale = (input.window[0] / width.max(1.0)).min(input.window[1] / (height - CHANNEL).max(1.0));
-            found.push((scale.min(LARGE) * rows_factor(plan.rows.len()), plan));
+            found.push((scale.min(LARGE) * plan.factor(), plan));
         }
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));

@@ -1,0 +1,230 @@
+//! The guided tour of the first start: six stops of ten seconds, each on the running graph. It can be skipped, and started again.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use eframe::egui::{
+    self, Align2, Color32, Context, Frame, Margin, Order, ProgressBar, Rect, RichText, Stroke, StrokeKind, WidgetInfo,
+    WidgetType, pos2, vec2,
+};
+
+use super::App;
+use crate::actions::key_name;
+use panoscope_editor_model::disk;
+use panoscope_editor_model::numbered::create_folder;
+use panoscope_editor_widgets::theme;
+
+/// How long a stop lasts if nothing is done.
+const STOP: Duration = Duration::from_secs(10);
+/// Width of the words, points.
+const WIDTH: f32 = 340.0;
+/// File in the folder of settings that says that the tour was seen.
+const SEEN: &str = "guide_seen";
+
+/// What a stop points at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Target {
+    Node,
+    Canvas,
+    Side,
+    Top,
+}
+
+/// What ends a stop before its time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Until {
+    Selected,
+    Changed,
+    Nothing,
+}
+
+/// Heading, words, target and end of each stop; `{ACTION}` stands for the key of an action.
+const STOPS: &[(&str, &str, Target, Until)] = &[
+    (
+        "It runs already",
+        "Each box is a node of the graph, with a live picture of what it makes, its time and its rate.",
+        Target::Canvas,
+        Until::Nothing,
+    ),
+    (
+        "Look at a node",
+        "Click a node. The panel at the right shows what it reads, its values and its times. {NodeHelp} shows its help.",
+        Target::Node,
+        Until::Selected,
+    ),
+    (
+        "Change a value",
+        "Move a slider: the value takes effect between two frames, and no frame is lost. {Undo} takes it back.",
+        Target::Side,
+        Until::Changed,
+    ),
+    (
+        "Look closely",
+        "{View} opens the picture large: point at it for values, drag a line for a profile, {Compare} compares it with another one.",
+        Target::Canvas,
+        Until::Nothing,
+    ),
+    (
+        "Wire while it runs",
+        "{Add} adds a node, dragging from port to port wires it. What does not fit is refused, with the reason.",
+        Target::Canvas,
+        Until::Nothing,
+    ),
+    (
+        "Find everything",
+        "{Commands} finds every command, node and value. {NextProblem} leads through problems, {Help} lists the keys. {Save} saves.",
+        Target::Top,
+        Until::Nothing,
+    ),
+];
+
+/// The tour while it is shown.
+#[derive(Clone, Debug)]
+pub(super) struct Guide {
+    at: usize,
+    since: Instant,
+    /// Undo steps when the stop began.
+    steps: usize,
+}
+
+fn seen_file(config: &Path) -> PathBuf {
+    config.join(SEEN)
+}
+
+/// Whether the tour is to be shown at the start: it was not seen yet, by this user.
+pub(super) fn is_first_start(config: Option<&Path>) -> bool {
+    config.is_some_and(|config| !seen_file(config).exists())
+}
+
+/// The words of a stop with the keys of the actions that they name.
+fn with_keys(words: &str) -> String {
+    let mut out = words.to_owned();
+    for (action, ..) in crate::actions::ALL {
+        out = out.replace(&format!("{{{action:?}}}"), &key_name(*action));
+    }
+    out
+}
+
+impl App {
+    /// Starts the tour.
+    pub(super) fn start_guide(&mut self) {
+        self.guide = Some(Guide { at: 0, since: Instant::now(), steps: self.document.steps() });
+    }
+
+    /// Ends the tour, and remembers that it was seen; returns whether it was shown.
+    pub(super) fn end_guide(&mut self) -> bool {
+        if self.guide.take().is_none() {
+            return false;
+        }
+        if let Some(config) = self.config.clone() {
+            let written = create_folder(&config).is_ok() && disk::replace(&seen_file(&config), b"", None).is_ok();
+            if !written {
+                self.notify(format!("{} cannot be written: the tour comes again", config.display()), true);
+            }
+        }
+        true
+    }
+
+    /// Number of the shown stop of the tour, from 0.
+    pub fn guide_stop(&self) -> Option<usize> {
+        self.guide.as_ref().map(|guide| guide.at)
+    }
+
+    fn next_stop(&mut self) {
+        let steps = self.document.steps();
+        match &mut self.guide {
+            Some(guide) if guide.at + 1 < STOPS.len() => {
+                *guide = Guide { at: guide.at + 1, since: Instant::now(), steps };
+            }
+            _ => {
+                self.end_guide();
+            }
+        }
+    }
+
+    /// The part of the window that a stop points at.
+    fn target(&self, target: Target, whole: Rect) -> Rect {
+        let canvas = self.canvas.rect;
+        match target {
+            Target::Canvas => canvas,
+            Target::Node => {
+                self.canvas.node_rects().first().map_or(canvas, |(_, rect)| rect.expand(6.0).intersect(canvas))
+            }
+            Target::Side => Rect::from_min_max(pos2(canvas.right(), canvas.top()), whole.max),
+            Target::Top => Rect::from_min_max(whole.min, pos2(whole.right(), whole.top() + 44.0)),
+        }
+    }
+
+    /// Draws the tour, if it is shown.
+    pub(super) fn show_guide(&mut self, ctx: &Context) {
+        let Some(guide) = self.guide.clone() else { return };
+        let (heading, words, target, until) = STOPS[guide.at];
+        let done = match until {
+            Until::Selected => !self.canvas.selected.is_empty(),
+            Until::Changed => self.document.steps() > guide.steps,
+            Until::Nothing => false,
+        };
+        if done && guide.since.elapsed() > Duration::from_millis(600) || guide.since.elapsed() > STOP {
+            return self.next_stop();
+        }
+        ctx.request_repaint_after(Duration::from_millis(100));
+        let whole = ctx.content_rect();
+        let spot = self.target(target, whole);
+        let painter = ctx.layer_painter(egui::LayerId::new(Order::Middle, "guide".into()));
+        // The rest is darker; nothing takes the pointer.
+        let dark = Color32::from_black_alpha(96);
+        for rect in [
+            Rect::from_min_max(whole.min, pos2(whole.right(), spot.top())),
+            Rect::from_min_max(pos2(whole.left(), spot.bottom()), whole.max),
+            Rect::from_min_max(pos2(whole.left(), spot.top()), spot.left_bottom()),
+            Rect::from_min_max(spot.right_top(), pos2(whole.right(), spot.bottom())),
+        ] {
+            painter.rect_filled(rect, 0.0, dark);
+        }
+        painter.rect_stroke(spot, 6.0, Stroke::new(2.0, theme::accent()), StrokeKind::Inside);
+        let (mut next, mut skip) = (false, false);
+        let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(18));
+        let middle = vec2(self.canvas.rect.center().x - whole.center().x, -40.0);
+        egui::Area::new("guide words".into()).order(Order::Foreground).anchor(Align2::CENTER_BOTTOM, middle).show(
+            ctx,
+            |ui| {
+                frame.show(ui, |ui| {
+                    ui.set_width(WIDTH);
+                    let title = ui.label(RichText::new(heading).size(17.0));
+                    let name = format!("Tour {} of {}: {heading}", guide.at + 1, STOPS.len());
+                    title.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, name.clone()));
+                    ui.label(RichText::new(with_keys(words)).size(13.5));
+                    ui.add_space(theme::STEP);
+                    let share = (guide.at as f32 + guide.since.elapsed().as_secs_f32() / STOP.as_secs_f32())
+                        / STOPS.len() as f32;
+                    ui.add(ProgressBar::new(share).desired_height(4.0));
+                    ui.add_space(theme::STEP);
+                    ui.horizontal(|ui| {
+                        next = ui.button("Next stop").clicked();
+                        skip = ui.button("Skip the tour").on_hover_text("Escape").clicked();
+                    });
+                });
+            },
+        );
+        if skip {
+            self.end_guide();
+        } else if next {
+            self.next_stop();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tour_takes_a_minute_and_names_keys_that_exist() {
+        assert_eq!(STOP * STOPS.len() as u32, Duration::from_secs(60));
+        for (_, words, ..) in STOPS {
+            let words = with_keys(words);
+            assert!(!words.contains(['{', '}']), "{words}");
+        }
+        assert!(!is_first_start(None));
+    }
+}

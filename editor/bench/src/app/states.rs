@@ -1,0 +1,103 @@
+//! Presets and snapshots: stores, applies, morphs, goes back.
+
+use super::App;
+use super::parts::Asked;
+use crate::panels::states::StateRequest;
+use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::pixels::Pixels;
+use panoscope_editor_model::presets::{self, Changes};
+use panoscope_editor_model::snapshots;
+
+impl App {
+    /// Shows or hides the panel of presets and snapshots; reads their files when it opens.
+    pub(super) fn toggle_states(&mut self) {
+        self.switches.states ^= true;
+        if self.switches.states {
+            self.states.load(self.document.path());
+        }
+    }
+
+    /// Performs a request of the panel.
+    pub(super) fn handle_state(&mut self, request: StateRequest) {
+        self.asked = Some(Asked::State(request.clone()));
+        match request {
+            StateRequest::Store(name) => {
+                let result = self.states.presets.store(&name, self.document.view());
+                match result {
+                    Ok(()) => self.notify(format!("stored: preset {}", name.trim()), false),
+                    Err(error) => self.notify(error.to_string(), true),
+                }
+            }
+            StateRequest::Apply(name) => {
+                let preset = self.states.presets.get(&name).map(|preset| preset.values.clone());
+                match preset {
+                    Ok(values) => {
+                        let changes = presets::changes_to(self.document.view(), &values);
+                        self.apply_values(&format!("preset {name}"), None, &changes);
+                    }
+                    Err(error) => self.notify(error.to_string(), true),
+                }
+            }
+            StateRequest::Remove(name) => {
+                let result = self.states.presets.remove(&name);
+                self.report_result(result);
+            }
+            StateRequest::Morph(from, to, share) => {
+                let ends = (self.states.presets.get(&from), self.states.presets.get(&to));
+                let (Ok(a), Ok(b)) = ends else { return };
+                let values = presets::between(self.document.view(), a, b, share);
+                let changes = presets::changes_to(self.document.view(), &values);
+                let label = format!("morph {from} to {to}");
+                self.apply_values(&label, Some(&label), &changes);
+            }
+            StateRequest::Take => match self.states.snapshots.take(&self.document) {
+                Ok(number) => {
+                    let picture = self.picture_of_now().and_then(|output| self.shown.pixels(&output)).cloned();
+                    self.states.store_picture(number, picture.as_ref());
+                    self.notify(format!("snapshot {number} is taken"), false);
+                }
+                Err(error) => self.notify(error.to_string(), true),
+            },
+            StateRequest::Restore(number) => {
+                let Some(snapshot) = self.states.snapshots.get(number).cloned() else { return };
+                match snapshots::restore(&mut self.document, &snapshot) {
+                    true => self.notify(format!("the graph is as in snapshot {number}; Ctrl+Z goes back"), false),
+                    false => self.notify(format!("the graph is as in snapshot {number} already"), false),
+                }
+            }
+            StateRequest::Drop(number) => {
+                let result = self.states.snapshots.remove(number);
+                self.report_result(result);
+            }
+        }
+    }
+
+    fn report_result<E: std::fmt::Display>(&mut self, result: Result<(), E>) {
+        if let Err(error) = result {
+            self.notify(error.to_string(), true);
+        }
+    }
+
+    fn apply_values(&mut self, label: &str, merge: Option<&str>, changes: &Changes) {
+        let result = presets::apply(&mut self.document, label, merge, changes);
+        if self.try_edit(result).is_some() && !changes.skipped.is_empty() {
+            let (count, first) = (changes.skipped.len(), &changes.skipped[0]);
+            let more = if count > 1 { format!(" and {} more", count - 1) } else { String::new() };
+            self.notify(format!("{label}: left out {first}{more}"), true);
+        }
+    }
+
+    /// The output whose picture stands for the graph: the one in the viewer, of the selected node, or the last one along the flow.
+    pub(super) fn picture_of_now(&self) -> Option<Output> {
+        let has_pixels = |output: &Output| self.shown.pixels(output).is_some_and(|p: &Pixels| p.width > 0);
+        let view = self.document.view();
+        let of_node = |n: usize| self.canvas.shown_output(view, n).map(|(output, _)| output);
+        let selected = self.selected().and_then(|id| view.node(&id)).and_then(of_node);
+        let viewed = self.viewer.source().map(|source| source.output.clone());
+        // The rightmost and lowest node is the last one along the flow.
+        let mut nodes: Vec<usize> = (0..view.nodes.len()).collect();
+        let at = |n: &usize| self.canvas.position(view.nodes[*n].id()).unwrap_or_default();
+        nodes.sort_by(|a, b| (at(b).y, at(b).x).partial_cmp(&(at(a).y, at(a).x)).unwrap_or(std::cmp::Ordering::Equal));
+        viewed.into_iter().chain(selected).chain(nodes.into_iter().filter_map(of_node)).find(has_pixels)
+    }
+}

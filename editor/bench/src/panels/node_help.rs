@@ -1,0 +1,158 @@
+//! The help of a node type: what it does, its ports and parameters with units and ranges, and graphs that use it. All from the one declaration.
+
+use std::path::PathBuf;
+
+use eframe::egui::{Context, Frame, Grid, Label, Margin, Modal, RichText, ScrollArea, Ui, WidgetInfo, WidgetType};
+use panoscope_graph::{NodeType, Param, ParamKind, Port};
+
+use super::inspector::section;
+use panoscope_editor_model::picture::short;
+use panoscope_editor_widgets::{theme, unit_suffix};
+
+/// Maximum number of examples.
+const MAX_EXAMPLES: usize = 6;
+
+/// A request of this dialog.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NodeHelpRequest {
+    /// Open a graph in a window of its own.
+    Open(PathBuf),
+    /// Close the dialog.
+    Close,
+}
+
+/// Shows the help of a type.
+pub fn show(ctx: &Context, node_type: &NodeType, examples: &[PathBuf]) -> Option<NodeHelpRequest> {
+    let modal = Modal::new("node help".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
+    let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
+    let mut request = None;
+    let shown = modal.frame(frame).show(ctx, |ui| {
+        ui.set_width(640.0);
+        let title = ui.label(RichText::new(&node_type.name).size(18.0));
+        title.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("Help of {}", node_type.name)));
+        let source = if node_type.source { ", makes ticks of its own" } else { "" };
+        let device = if node_type.exclusive { ", owns a device" } else { "" };
+        let acts = if node_type.side_effects { ", acts beyond the graph" } else { "" };
+        let about = format!("{} · plugin {}{source}{device}{acts}", node_type.family, node_type.plugin);
+        ui.label(RichText::new(about).size(12.0).color(theme::muted()));
+        let height = ctx.content_rect().height();
+        ScrollArea::vertical().max_height(height * 0.65).show(ui, |ui| {
+            ui.add_space(theme::STEP);
+            ui.add(Label::new(RichText::new(&node_type.doc).size(13.0)).wrap());
+            ports(ui, "Inputs", &node_type.inputs);
+            ports(ui, "Outputs", &node_type.outputs);
+            if !node_type.params.is_empty() {
+                section(ui, "Parameters");
+                Grid::new("params").num_columns(2).spacing([20.0, 8.0]).show(ui, |ui| {
+                    for param in &node_type.params {
+                        ui.label(RichText::new(&param.name).color(theme::accent()));
+                        ui.vertical(|ui| {
+                            ui.set_width(440.0);
+                            ui.add(Label::new(RichText::new(&param.doc).size(12.5)).wrap());
+                            let limits = ui.label(RichText::new(limits_of(param)).size(12.0).color(theme::muted()));
+                            let name = format!("Limits of {}: {}", param.name, limits_of(param));
+                            limits.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, name.clone()));
+                        });
+                        ui.end_row();
+                    }
+                });
+            }
+            section(ui, "Example graphs");
+            if examples.is_empty() {
+                ui.label(
+                    RichText::new("No graph beside this one or in the installation uses it.").color(theme::muted()),
+                );
+            }
+            for example in examples.iter().take(MAX_EXAMPLES) {
+                let name = example.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                let button = ui.button(&name).on_hover_text(example.display().to_string());
+                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Open example {name}")));
+                if button.clicked() {
+                    request = Some(NodeHelpRequest::Open(example.clone()));
+                }
+            }
+        });
+    });
+    request.or(shown.should_close().then_some(NodeHelpRequest::Close))
+}
+
+fn ports(ui: &mut Ui, caption: &str, ports: &[Port]) {
+    if ports.is_empty() {
+        return;
+    }
+    section(ui, caption);
+    Grid::new(caption).num_columns(3).spacing([20.0, 6.0]).show(ui, |ui| {
+        for port in ports {
+            ui.label(RichText::new(&port.name).color(theme::packet(&port.packet.name)));
+            let list = if port.list { " list" } else { "" };
+            let optional = if port.optional { ", optional" } else { "" };
+            let packet = format!("{}{list}{optional}", port.packet.name);
+            ui.label(RichText::new(packet).size(12.0).color(theme::muted()));
+            ui.add(Label::new(RichText::new(&port.doc).size(12.5)).wrap());
+            ui.end_row();
+        }
+    });
+}
+
+/// Range, step and default of a parameter with its unit, such as `16 to 256 px in steps of 16; default 64 px`.
+pub fn limits_of(param: &Param) -> String {
+    let unit = unit_suffix(&param.unit);
+    let with_unit = |text: String| if unit.is_empty() { text } else { format!("{text} {unit}") };
+    let range = |low: Option<String>, high: Option<String>, kind: &str| match (low, high) {
+        (Some(low), Some(high)) => with_unit(format!("{low} to {high}")),
+        (Some(low), None) => with_unit(format!("from {low}")),
+        (None, Some(high)) => with_unit(format!("up to {high}")),
+        (None, None) => with_unit(kind.to_owned()),
+    };
+    let (limits, default) = match &param.kind {
+        ParamKind::Bool { default } => ("on or off".to_owned(), if *default { "on" } else { "off" }.to_owned()),
+        ParamKind::Int { default, min, max, step } => {
+            let mut limits = range(min.map(|m| m.to_string()), max.map(|m| m.to_string()), "a whole number");
+            if let Some(step) = step.filter(|step| *step > 1) {
+                limits += &format!(" in steps of {step}");
+            }
+            (limits, with_unit(default.to_string()))
+        }
+        ParamKind::Float { default, min, max, .. } => {
+            (range(min.map(short), max.map(short), "a number"), with_unit(short(*default)))
+        }
+        ParamKind::Choice { default, choices } => (choices.join(", "), default.clone()),
+        ParamKind::Text { default } => ("a text".to_owned(), quoted(default)),
+        ParamKind::Path { default, must_exist } => {
+            (if *must_exist { "a file that exists" } else { "a path" }.to_owned(), quoted(default))
+        }
+        ParamKind::Floats { default, min_len, max_len } => {
+            let count = match max_len {
+                Some(max) if max == min_len => format!("{max} numbers"),
+                Some(max) => format!("{min_len} to {max} numbers"),
+                None => "numbers".to_owned(),
+            };
+            (with_unit(count), format!("{default:?}"))
+        }
+    };
+    let reopen = if param.reopen { "; a change reopens the node" } else { "" };
+    format!("{limits}; default {default}{reopen}")
+}
+
+fn quoted(text: &str) -> String {
+    if text.is_empty() { "empty".to_owned() } else { format!("`{text}`") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_have_units_steps_and_defaults() {
+        let param = |unit: &str, kind: ParamKind, reopen: bool| {
+            let (name, doc, unit) = ("p".to_owned(), String::new(), unit.to_owned());
+            limits_of(&Param { name, doc, unit, kind, reopen, pick: Default::default(), writes: false, shipped: false })
+        };
+        let int = ParamKind::Int { default: 64, min: Some(16), max: Some(256), step: Some(16) };
+        assert_eq!(param("px", int, true), "16 to 256 px in steps of 16; default 64 px; a change reopens the node");
+        let float = ParamKind::Float { default: 0.5, min: Some(0.0), max: None, step: None };
+        assert_eq!(param("ratio", float, false), "from 0; default 0.50");
+        let choice = ParamKind::Choice { default: "a".to_owned(), choices: vec!["a".to_owned(), "b".to_owned()] };
+        assert_eq!(param("", choice, false), "a, b; default a");
+    }
+}

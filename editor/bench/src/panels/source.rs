@@ -1,0 +1,99 @@
+//! The source of a node type written in Python: edited beside the graph, and swapped into the running graph when it is saved.
+
+use std::path::{Path, PathBuf};
+
+use eframe::egui::{Button, FontId, RichText, ScrollArea, TextEdit, TextStyle, Ui};
+
+use panoscope_editor_model::disk;
+use panoscope_editor_widgets::theme;
+
+/// Maximum size of a source file, bytes.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// A request of this panel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SourceRequest {
+    /// Save the file and swap the plugin.
+    Save,
+    /// Close the panel.
+    Close,
+}
+
+/// An opened source file.
+#[derive(Clone, Debug)]
+pub struct SourceFile {
+    /// The file.
+    pub path: PathBuf,
+    /// The text as it is edited.
+    pub text: String,
+    /// The text on disk when it was last read or saved.
+    saved: String,
+}
+
+impl SourceFile {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// Why it cannot be read, in words.
+    pub fn open(path: &Path) -> Result<Self, String> {
+        let fail = |error: std::io::Error| format!("{} cannot be read: {error}", path.display());
+        let meta = std::fs::metadata(path).map_err(fail)?;
+        if meta.len() > MAX_BYTES {
+            return Err(format!("{} has more than 1 MiB", path.display()));
+        }
+        let text = std::fs::read_to_string(path).map_err(fail)?;
+        Ok(Self { path: path.to_owned(), saved: text.clone(), text })
+    }
+
+    /// Whether the text is not on disk.
+    pub fn is_changed(&self) -> bool {
+        self.text != self.saved
+    }
+
+    /// Writes the file; the old text is kept in `FILE.bak`.
+    ///
+    /// # Errors
+    /// It was changed by another program meanwhile, or cannot be written; the file is unchanged.
+    pub fn save(&mut self) -> Result<(), String> {
+        if std::fs::read_to_string(&self.path).is_ok_and(|now| now != self.saved) {
+            let path = self.path.display();
+            return Err(format!("{path} was changed by another program: close the source and open it again"));
+        }
+        disk::save(&self.path, &self.text).map_err(|error| error.to_string())?;
+        self.saved.clone_from(&self.text);
+        Ok(())
+    }
+}
+
+/// Shows the panel; `problem` is why the last version does not run.
+pub fn show(ui: &mut Ui, source: &mut SourceFile, problem: Option<&str>) -> Option<SourceRequest> {
+    let mut request = None;
+    ui.horizontal(|ui| {
+        let name = source.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        ui.label(RichText::new(name).size(15.0)).on_hover_text(source.path.display().to_string());
+        if ui.add_enabled(source.is_changed(), Button::new("Save and swap")).on_hover_text("Ctrl+Enter").clicked() {
+            request = Some(SourceRequest::Save);
+        }
+        if ui.button("Close source").clicked() {
+            request = Some(SourceRequest::Close);
+        }
+        if source.is_changed() {
+            ui.label(RichText::new("changed").size(11.5).color(theme::accent()));
+        }
+    });
+    if let Some(problem) = problem {
+        ui.label(RichText::new(problem).size(12.0).color(theme::fault()));
+    }
+    let by_key = ui.input_mut(|i| i.consume_key(eframe::egui::Modifiers::COMMAND, eframe::egui::Key::Enter));
+    if by_key && source.is_changed() {
+        request = Some(SourceRequest::Save);
+    }
+    ScrollArea::both().auto_shrink([false, false]).show(ui, |ui| {
+        ui.style_mut().text_styles.insert(TextStyle::Monospace, FontId::monospace(12.5));
+        let rows = (ui.available_height() / 16.0) as usize;
+        let field = TextEdit::multiline(&mut source.text).code_editor().desired_rows(rows.max(8));
+        let field = ui.add(field.desired_width(f32::INFINITY));
+        ui.ctx().accesskit_node_builder(field.id, |node| node.set_label("Source"));
+    });
+    request
+}

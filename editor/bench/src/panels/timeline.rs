@@ -1,0 +1,134 @@
+//! The panel of a recording: scrubbing, stepping, playing a part again and again, and a second recording beside it.
+
+use std::path::PathBuf;
+
+use eframe::egui::{Button, DragValue, RichText, Slider, TextEdit, Ui, WidgetInfo, WidgetType};
+
+use crate::actions::{self, Action};
+use panoscope_editor_model::timeline::Timeline;
+use panoscope_editor_widgets::theme;
+
+/// A request of this panel.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TimelineRequest {
+    /// Open a recording.
+    Open(PathBuf),
+    /// Put a second recording beside it.
+    Compare(PathBuf),
+    /// Take the second recording away.
+    EndCompare,
+    /// Close the recording.
+    Close,
+}
+
+/// The state of the panel.
+#[derive(Default)]
+pub struct TimelinePanel {
+    file: String,
+    second: String,
+    /// The beginning of a range whose end is not chosen yet, s.
+    from_s: Option<f64>,
+}
+
+impl TimelinePanel {
+    /// Shows the panel; returns the user's requests.
+    pub fn show(&mut self, ui: &mut Ui, timeline: Option<&Timeline>) -> Option<TimelineRequest> {
+        let Some(timeline) = timeline else {
+            ui.label(
+                RichText::new(
+                    "A recording (`panoscope record`) shows its pictures on the nodes; the graph keeps running.",
+                )
+                .color(theme::muted()),
+            );
+            return file_row(ui, &mut self.file, "Recording", "Open recording").map(TimelineRequest::Open);
+        };
+        let mut request = None;
+        let position = timeline.position();
+        let (tick, count) = timeline.tick();
+        ui.horizontal(|ui| {
+            let name = timeline.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let title =
+                ui.label(RichText::new(format!("Pictures of the recording {name}")).size(14.0).color(theme::warn()));
+            title.on_hover_text("The graph keeps running; its own pictures come back when the recording is closed");
+            if ui.button("Close recording").clicked() {
+                request = Some(TimelineRequest::Close);
+            }
+        });
+        ui.horizontal(|ui| {
+            if ui.button("Step back").on_hover_text(actions::hint(Action::TickBack)).clicked() {
+                timeline.step(-1);
+            }
+            let caption = if position.plays { "Pause" } else { "Play" };
+            if ui.button(caption).on_hover_text(actions::hint(Action::Play)).clicked() {
+                timeline.play(!position.plays);
+            }
+            if ui.button("Step forward").on_hover_text(actions::hint(Action::TickForward)).clicked() {
+                timeline.step(1);
+            }
+            let mut speed = position.speed;
+            let drag = ui.add(DragValue::new(&mut speed).range(0.05..=20.0).speed(0.02).suffix(" x"));
+            ui.ctx().accesskit_node_builder(drag.id, |node| node.set_label("Speed"));
+            if drag.changed() {
+                timeline.set_speed(speed);
+            }
+            if ui.button("Loop from here").clicked() {
+                self.from_s = Some(position.at_s);
+                timeline.set_range(None);
+            }
+            let from_s = self.from_s.filter(|from| *from < position.at_s);
+            if ui.add_enabled(from_s.is_some(), Button::new("Loop to here")).clicked() {
+                timeline.set_range(from_s.map(|from| (from, position.at_s)));
+                self.from_s = None;
+                timeline.play(true);
+            }
+            if let Some((from, to)) = position.range_s {
+                if ui.button("End loop").clicked() {
+                    timeline.set_range(None);
+                }
+                ui.label(RichText::new(format!("{from:.2} to {to:.2} s")).size(12.0).color(theme::muted()));
+            }
+        });
+        let mut at_s = position.at_s;
+        ui.spacing_mut().slider_width = (ui.available_width() - 24.0).max(120.0);
+        let slider = ui.add(Slider::new(&mut at_s, 0.0..=timeline.length_s().max(1e-3)).show_value(false));
+        ui.ctx().accesskit_node_builder(slider.id, |node| node.set_label("Moment of the recording"));
+        if slider.changed() {
+            timeline.play(false);
+            timeline.seek(at_s);
+        }
+        let words = format!("{:.3} of {:.3} s  ·  tick {tick} of {count}", position.at_s, timeline.length_s());
+        let label = ui.label(RichText::new(&words).size(12.0).color(theme::muted()));
+        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("Recording at {words}")));
+        if let Some(problem) = timeline.problem() {
+            ui.label(RichText::new(problem).color(theme::fault()));
+        }
+        ui.horizontal(|ui| match timeline.second_path() {
+            Some(path) => {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let caption =
+                    format!("Beside it: {name}; V shows an output large, C compares it with that of the second run.");
+                ui.label(RichText::new(caption).size(12.0).color(theme::muted()));
+                if ui.button("End the comparison").clicked() {
+                    request = Some(TimelineRequest::EndCompare);
+                }
+            }
+            None => {
+                let path = file_row(ui, &mut self.second, "Second recording", "Compare with it");
+                request = request.take().or(path.map(TimelineRequest::Compare));
+            }
+        });
+        request
+    }
+}
+
+/// Shows a field for a file and a button; returns the file when the button is pressed.
+fn file_row(ui: &mut Ui, file: &mut String, name: &str, caption: &str) -> Option<PathBuf> {
+    ui.horizontal(|ui| {
+        let field = ui.add(TextEdit::singleline(file).hint_text("file.mcap").desired_width(360.0));
+        ui.ctx().accesskit_node_builder(field.id, |node| node.set_label(name));
+        let entered = field.lost_focus() && ui.input(|i| i.key_pressed(eframe::egui::Key::Enter));
+        let pressed = ui.add_enabled(!file.trim().is_empty(), Button::new(caption)).clicked();
+        ((pressed || entered) && !file.trim().is_empty()).then(|| PathBuf::from(file.trim()))
+    })
+    .inner
+}

@@ -1,0 +1,117 @@
+//! A recording on the nodes of the graph: scrubbed, stepped, looped, and compared with a second run, while the graph keeps running.
+
+mod common;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use common::{Folder, GRAPH, PATIENCE, Window, has_plugin, input, nothing_lost};
+use eframe::egui::accesskit::Role;
+use eframe::egui::{Key, Modifiers};
+use egui_kittest::kittest::Queryable;
+use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::timeline::second;
+use panoscope_engine::{Engine, Options};
+use panoscope_graph::{GraphText, check};
+use panoscope_loader::{self as loader, Loader};
+use panoscope_record::{RecordOptions, Recorder, head};
+
+const NONE: Modifiers = Modifiers::NONE;
+
+/// Records a number of ticks of every source.
+fn record(path: &Path, text: &str, file: &Path, ticks: u64) {
+    let parsed = GraphText::parse(path, text);
+    let loader = Loader::search(&loader::search_path(&[]));
+    let catalog = loader.catalog(&parsed.plugins());
+    let (graph, _) = check(&parsed, &catalog).into_result().expect("it is right");
+    let head = head(&graph, &catalog, &loader, path, text, &[]);
+    let recorder = RecordOptions { file: Some(file.to_owned()), all_ports: true, ..RecordOptions::default() };
+    let recorder = Recorder::start(recorder, head).expect("the file can be written");
+    let graph_dir = file.parent().expect("a folder").to_owned();
+    let options = Options {
+        observer: Some(Arc::clone(&recorder) as _),
+        frames: Some(ticks),
+        paced: false,
+        graph_dir,
+        ..Options::default()
+    };
+    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
+    assert!(engine.wait(Some(PATIENCE)), "it does not end");
+    engine.close(PATIENCE);
+    assert!(recorder.finish().failed.is_none());
+}
+
+#[test]
+fn a_recording_is_moved_through_and_compared_while_the_graph_runs() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("timeline");
+    let text = GRAPH.replace("mode = \"live\"", "mode = \"batch\"");
+    let files = ["first.mcap", "second.mcap"].map(|name| folder.0.join(name));
+    let other = text.replace("past_weight = 100", "past_weight = 200");
+    for (file, text) in files.iter().zip([&text, &other]) {
+        record(&folder.0.join("recorded.toml"), text, file, 50);
+    }
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    let output = Output::new("b", "image");
+    window.key(NONE, Key::J);
+    window.until_shown("Open recording");
+    input::fill(&mut window.harness, "Recording", files[0].to_str().expect("a path"));
+    window.until_shown("Pictures of the recording first.mcap");
+    input::all_named(&window.harness, "timeline", 8);
+    window.until("the first tick", |app| app.shown_tick(&output) == Some(0));
+    assert_eq!(window.app().timeline().expect("open").tick(), (0, 50));
+    // By step, by key, by the slider.
+    window.harness.get_by_label("Step forward").click_accesskit();
+    window.until("one tick on", |app| app.shown_tick(&output) == Some(1));
+    window.key(NONE, Key::Period);
+    window.until("two ticks on", |app| app.shown_tick(&output) == Some(2));
+    window.key(NONE, Key::Comma);
+    window.until("one tick back", |app| app.shown_tick(&output) == Some(1));
+    window.harness.get_by_role_and_label(Role::Slider, "Moment of the recording").focus();
+    window.steps(2);
+    (0..10).for_each(|_| window.key(NONE, Key::ArrowRight));
+    window.until("the slider moves it", |app| app.shown_tick(&output).is_some_and(|tick| tick > 1));
+    // A part of it, again and again: the ticks come at 50 per second.
+    let seek = |window: &Window, at_s: f64| window.app().timeline().expect("open").seek(at_s);
+    seek(&window, 0.2);
+    window.until("it is there", |app| app.shown_tick(&output) == Some(10));
+    window.harness.get_by_label("Loop from here").click_accesskit();
+    window.steps(2);
+    seek(&window, 0.4);
+    window.steps(2);
+    window.harness.get_by_label("Loop to here").click_accesskit();
+    window.steps(2);
+    assert_eq!(window.app().timeline().expect("open").position().range_s, Some((0.2, 0.4)));
+    let (until, mut wraps, mut last) = (Instant::now() + PATIENCE, 0, 0.0);
+    while wraps < 2 {
+        assert!(Instant::now() < until, "it does not go round");
+        window.steps(1);
+        let position = window.app().timeline().expect("open").position();
+        assert!((0.19..0.41).contains(&position.at_s) && position.plays, "{position:?}");
+        wraps += usize::from(position.at_s < last);
+        last = position.at_s;
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    window.key(NONE, Key::Q);
+    assert!(!window.app().timeline().expect("open").position().plays);
+    // The second run beside it, of the same moment.
+    input::fill(&mut window.harness, "Second recording", files[1].to_str().expect("a path"));
+    window.until_shown("Beside it: second.mcap");
+    seek(&window, 0.6);
+    let mean = Output::new("mean", "image");
+    window.select("mean");
+    window.key(NONE, Key::V);
+    window.key(NONE, Key::C);
+    window.until("both runs at one tick", |app| {
+        app.shown_tick(&mean) == Some(30) && app.shown_tick(&second(&mean)) == Some(30)
+    });
+    assert!(window.app().wipe().is_some());
+    window.key(NONE, Key::Escape);
+    window.harness.get_by_label("Close recording").click_accesskit();
+    window.until("the running graph again", |app| app.timeline().is_none() && app.shown_tick(&output).is_some());
+    let report = window.close();
+    nothing_lost(&folder, &report);
+}

@@ -1,0 +1,376 @@
+//! A recording to move through: pictures of its ports at any moment, step by step, or a part of it again and again; a second one beside it.
+//!
+//! A thread of its own reads and renders, so that the window's thread never waits for a disk. The graph in the window keeps running.
+
+use std::collections::{BTreeSet, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use panoscope_engine::sync::lock;
+use panoscope_record::{Recording, RecordingError};
+
+use crate::observe::{Output, PreviewRequest};
+use crate::picture::{self, Range, RenderedPacket};
+use crate::session::Wake;
+
+/// Time between two pictures while it plays.
+const INTERVAL: Duration = Duration::from_millis(33);
+/// What the names of nodes of the second recording begin with.
+const SECOND: &str = "second run: ";
+
+/// An output of the second recording, beside that of the first.
+pub fn second(output: &Output) -> Output {
+    Output { node: format!("{SECOND}{}", output.node), port: output.port.clone() }
+}
+
+/// Where the recording stands and how it moves. Times count from its first tick, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Position {
+    /// The moment that is shown.
+    pub at_s: f64,
+    /// Whether it moves by itself.
+    pub plays: bool,
+    /// The part that is played again and again.
+    pub range_s: Option<(f64, f64)>,
+    /// How fast it moves; 1 as it was recorded.
+    pub speed: f64,
+}
+
+#[derive(Default)]
+struct State {
+    position: Option<Position>,
+    requests: HashMap<Output, PreviewRequest>,
+    previews: HashMap<Output, RenderedPacket>,
+    problem: Option<String>,
+    second: Option<Arc<Recording>>,
+    /// Incremented when everything is to be rendered again.
+    generation: u64,
+    quit: bool,
+}
+
+/// An opened recording.
+pub struct Timeline {
+    path: PathBuf,
+    second_path: Option<PathBuf>,
+    /// Capture times of all ticks, s from the first one, without repetitions.
+    ticks_s: Vec<f64>,
+    ports: Vec<String>,
+    state: Arc<Mutex<State>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Why a recording was not opened.
+#[derive(Debug, thiserror::Error)]
+pub enum TimelineError {
+    /// The file is not a recording.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// It has no ticks.
+    #[error("{} has no ticks", .path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The thread cannot be started.
+    #[error("no thread could be started: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+fn seconds(ns: i64) -> f64 {
+    ns as f64 / 1e9
+}
+
+/// The first capture time of a recording, ns.
+fn start_of(recording: &Recording) -> Option<i64> {
+    recording.sources.values().filter_map(|ticks| ticks.first().map(|tick| tick.capture_ns)).min()
+}
+
+impl Timeline {
+    /// Opens a recording at its beginning. `wake` is called when there is something new to draw.
+    ///
+    /// # Errors
+    /// The file is no recording, or has no ticks.
+    pub fn open(path: &Path, wake: Arc<Wake>) -> Result<Self, TimelineError> {
+        let recording = Arc::new(Recording::open(path)?);
+        let start_ns = start_of(&recording).ok_or_else(|| TimelineError::Empty { path: path.to_owned() })?;
+        let times: BTreeSet<i64> = recording.sources.values().flatten().map(|tick| tick.capture_ns).collect();
+        let ticks_s = times.into_iter().map(|ns| seconds(ns.saturating_sub(start_ns))).collect();
+        let position = Position { at_s: 0.0, plays: false, range_s: None, speed: 1.0 };
+        let state = Arc::new(Mutex::new(State { position: Some(position), ..State::default() }));
+        let ports = recording.ports.keys().cloned().collect();
+        let player = Player { recording, start_ns, state: Arc::clone(&state), rendered: HashMap::new(), wake };
+        let thread = std::thread::Builder::new().name("timeline".to_owned()).spawn(move || player.run())?;
+        Ok(Self { path: path.to_owned(), second_path: None, ticks_s, ports, state, thread: Some(thread) })
+    }
+
+    /// Puts a second recording beside it, whose first tick is at the first tick of this one; `None` takes it away.
+    ///
+    /// # Errors
+    /// The file is no recording; the one beside it stays.
+    pub fn compare_with(&mut self, path: Option<&Path>) -> Result<(), TimelineError> {
+        let second = path.map(Recording::open).transpose()?.map(Arc::new);
+        let mut state = lock(&self.state);
+        (state.second, self.second_path) = (second, path.map(Path::to_owned));
+        state.generation += 1;
+        drop(state);
+        self.wake_player();
+        Ok(())
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file of the second recording.
+    pub fn second_path(&self) -> Option<&Path> {
+        self.second_path.as_deref()
+    }
+
+    /// The recorded ports, as `node.port`.
+    pub fn ports(&self) -> &[String] {
+        &self.ports
+    }
+
+    /// Time from the first to the last tick, s.
+    pub fn length_s(&self) -> f64 {
+        self.ticks_s.last().copied().unwrap_or(0.0)
+    }
+
+    /// Number of the tick that is shown, from 0, and how many there are.
+    pub fn tick(&self) -> (usize, usize) {
+        let at_s = self.position().at_s;
+        let passed = self.ticks_s.partition_point(|tick| *tick <= at_s + 1e-9);
+        (passed.saturating_sub(1), self.ticks_s.len())
+    }
+
+    /// Where it stands.
+    pub fn position(&self) -> Position {
+        lock(&self.state).position.unwrap_or(Position { at_s: 0.0, plays: false, range_s: None, speed: 1.0 })
+    }
+
+    /// Why the newest pictures could not be read.
+    pub fn problem(&self) -> Option<String> {
+        lock(&self.state).problem.clone()
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Position)) {
+        let length_s = self.length_s();
+        if let Some(position) = &mut lock(&self.state).position {
+            change(position);
+            position.at_s = position.at_s.clamp(0.0, length_s);
+        }
+        self.wake_player();
+    }
+
+    fn wake_player(&self) {
+        if let Some(thread) = &self.thread {
+            thread.thread().unpark();
+        }
+    }
+
+    /// Goes to a moment, s from the first tick.
+    pub fn seek(&self, at_s: f64) {
+        self.change(|position| position.at_s = at_s);
+    }
+
+    /// Plays or stops.
+    pub fn play(&self, plays: bool) {
+        let length_s = self.length_s();
+        self.change(|position| {
+            // From the beginning again at the end.
+            if plays && position.range_s.is_none() && position.at_s >= length_s - 1e-9 {
+                position.at_s = 0.0;
+            }
+            position.plays = plays;
+        });
+    }
+
+    /// Goes to another tick, counted from the shown one, and stops.
+    pub fn step(&self, by: isize) {
+        let (at, count) = self.tick();
+        let wanted = at.saturating_add_signed(by).min(count.saturating_sub(1));
+        let at_s = self.ticks_s.get(wanted).copied().unwrap_or(0.0);
+        self.change(|position| (position.at_s, position.plays) = (at_s, false));
+    }
+
+    /// Plays a part again and again; `None` ends that.
+    pub fn set_range(&self, range_s: Option<(f64, f64)>) {
+        self.change(|position| position.range_s = range_s.filter(|(from, to)| from < to));
+    }
+
+    /// Sets how fast it moves.
+    pub fn set_speed(&self, speed: f64) {
+        self.change(|position| position.speed = speed.clamp(0.05, 20.0));
+    }
+
+    /// Sets which outputs are rendered.
+    pub fn set_requests(&self, requests: HashMap<Output, PreviewRequest>) {
+        let mut state = lock(&self.state);
+        if state.requests != requests {
+            state.requests = requests;
+            drop(state);
+            self.wake_player();
+        }
+    }
+
+    /// Takes the pictures rendered since the last call.
+    pub fn take(&self) -> HashMap<Output, RenderedPacket> {
+        std::mem::take(&mut lock(&self.state).previews)
+    }
+}
+
+impl Drop for Timeline {
+    fn drop(&mut self) {
+        lock(&self.state).quit = true;
+        self.wake_player();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What was rendered of an output: generation, position in the port, request.
+type Rendered = (u64, Option<usize>, PreviewRequest, Range);
+
+struct Player {
+    recording: Arc<Recording>,
+    start_ns: i64,
+    state: Arc<Mutex<State>>,
+    rendered: HashMap<Output, Rendered>,
+    wake: Arc<Wake>,
+}
+
+impl Player {
+    fn run(mut self) {
+        let mut last = Instant::now();
+        loop {
+            let elapsed_s = last.elapsed().as_secs_f64();
+            last = Instant::now();
+            let (at_s, plays, requests, second, generation) = {
+                let mut state = lock(&self.state);
+                if state.quit {
+                    return;
+                }
+                let length_s = self.length_s();
+                let Some(position) = &mut state.position else { return };
+                advance(position, elapsed_s, length_s);
+                let (at_s, plays) = (position.at_s, position.plays);
+                (at_s, plays, state.requests.clone(), state.second.clone(), state.generation)
+            };
+            self.rendered.retain(|output, _| requests.contains_key(output));
+            let mut changed = plays;
+            for (output, request) in requests {
+                changed |= self.render(&output, request, at_s, second.as_deref(), generation);
+            }
+            if changed {
+                (self.wake)();
+            }
+            match plays {
+                true => std::thread::park_timeout(INTERVAL.saturating_sub(last.elapsed())),
+                false => std::thread::park(),
+            }
+            if !plays {
+                last = Instant::now();
+            }
+        }
+    }
+
+    fn length_s(&self) -> f64 {
+        let last = self.recording.sources.values().filter_map(|ticks| ticks.last().map(|tick| tick.capture_ns)).max();
+        seconds(last.unwrap_or(self.start_ns).saturating_sub(self.start_ns))
+    }
+
+    /// Renders an output as it was at a moment, if it is not rendered already; returns whether there is something new.
+    fn render(
+        &mut self,
+        output: &Output,
+        request: PreviewRequest,
+        at_s: f64,
+        second: Option<&Recording>,
+        generation: u64,
+    ) -> bool {
+        let (recording, start_ns, node) = match output.node.strip_prefix(SECOND) {
+            None => (&*self.recording, self.start_ns, output.node.as_str()),
+            Some(node) => {
+                let Some(second) = second else { return false };
+                (second, start_of(second).unwrap_or(0), node)
+            }
+        };
+        let port = format!("{node}.{}", output.port);
+        let Some(packets) = recording.ports.get(&port) else { return false };
+        let until_ns = start_ns.saturating_add((at_s * 1e9).round() as i64);
+        // Ticks of a port are in order.
+        let passed = packets.partition_point(|packet| packet.head.tick.capture_ns <= until_ns);
+        let at = passed.checked_sub(1);
+        let known = self.rendered.get(output);
+        if known.is_some_and(|(g, n, r, _)| (*g, *n, r) == (generation, at, &request)) {
+            return false;
+        }
+        let mut range = known.and_then(|(.., range)| *range);
+        let mut shown = false;
+        if let Some(packet) = at.and_then(|at| packets.get(at)) {
+            let result = recording.frame(&port, packet);
+            let mut state = lock(&self.state);
+            match result {
+                Ok(frame) => {
+                    let rendered = picture::render(&frame, &request.packet, request.max_width, &mut range);
+                    state.previews.insert(output.clone(), rendered);
+                    state.problem = None;
+                    shown = true;
+                }
+                Err(error) => state.problem = Some(error.to_string()),
+            }
+        }
+        self.rendered.insert(output.clone(), (generation, at, request, range));
+        shown
+    }
+}
+
+/// Moves a position on while it plays: to the end, or round its range.
+fn advance(position: &mut Position, elapsed_s: f64, length_s: f64) {
+    if !position.plays {
+        return;
+    }
+    position.at_s += elapsed_s * position.speed;
+    match position.range_s {
+        Some((from, to)) if position.at_s > to || position.at_s < from => {
+            let length = (to - from).max(1e-3);
+            position.at_s = from + (position.at_s - from).rem_euclid(length);
+        }
+        Some(_) => {}
+        None if position.at_s >= length_s => (position.at_s, position.plays) = (length_s, false),
+        None => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_plays_to_the_end_or_round_its_range() {
+        let mut position = Position { at_s: 0.0, plays: true, range_s: None, speed: 2.0 };
+        advance(&mut position, 0.5, 3.0);
+        assert_eq!(position.at_s, 1.0);
+        advance(&mut position, 5.0, 3.0);
+        assert_eq!((position.at_s, position.plays), (3.0, false));
+        let mut position = Position { at_s: 1.4, plays: true, range_s: Some((1.0, 1.5)), speed: 1.0 };
+        advance(&mut position, 0.2, 3.0);
+        assert!((position.at_s - 1.1).abs() < 1e-9, "{position:?}");
+        position.at_s = 2.9;
+        advance(&mut position, 0.01, 3.0);
+        assert!((1.0..1.5).contains(&position.at_s), "from outside into the range: {position:?}");
+    }
+
+    #[test]
+    fn what_is_no_recording_is_refused() {
+        let file = std::env::temp_dir().join(format!("panoscope_timeline_{}.mcap", std::process::id()));
+        std::fs::write(&file, b"no recording").expect("written");
+        let error = Timeline::open(&file, Arc::new(|| ())).err().expect("it is none").to_string();
+        assert!(error.contains("panoscope_timeline_"), "{error}");
+        std::fs::remove_file(&file).expect("removed");
+    }
+}

@@ -1,0 +1,322 @@
+//! The stereo pair for 3-D displays: side by side, top and bottom, or in alternate rows. Both images are always of one instant.
+//!
+//! The words and the stop of an arm are drawn for both eyes at the same place, above and below the images.
+
+use std::collections::HashMap;
+
+use eframe::egui::{
+    Align2, Color32, ColorImage, Context, FontId, Rect, Sense, TextureHandle, TextureOptions, Ui, Vec2, WidgetInfo,
+    WidgetType, pos2, vec2,
+};
+use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::picture::RenderedPacket;
+use panoscope_editor_model::pixels::Pixels;
+use panoscope_editor_widgets::{image_of, theme};
+
+use super::Theatre;
+use super::alarms::Urgency;
+use super::arrange::fit;
+use super::notices::{Facts, OLD_MS};
+
+/// Height of the line of words above each image, points.
+const WORDS: f32 = 44.0;
+/// Height of the stop of an arm below each image, points.
+const STOP: f32 = 72.0;
+
+/// How a pair is shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ThreeD {
+    /// Not at all: the usual views.
+    #[default]
+    Off,
+    /// The left eye in the left half of the screen, each image half as wide.
+    SideBySide,
+    /// The left eye in the upper half of the screen, each image half as high.
+    TopBottom,
+    /// The left eye in the even rows of the screen, counted from 0 at the top.
+    Rows,
+}
+
+impl ThreeD {
+    /// The next one.
+    pub fn next(self) -> Self {
+        match self {
+            Self::Off => Self::SideBySide,
+            Self::SideBySide => Self::TopBottom,
+            Self::TopBottom => Self::Rows,
+            Self::Rows => Self::Off,
+        }
+    }
+
+    /// Its name.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Off => "3-D is off",
+            Self::SideBySide => "3-D: side by side",
+            Self::TopBottom => "3-D: top and bottom",
+            Self::Rows => "3-D: alternate rows",
+        }
+    }
+
+    /// The parts of the screen for the left and the right eye.
+    fn halves(self, whole: Rect) -> [Rect; 2] {
+        let middle = whole.center();
+        match self {
+            Self::SideBySide => [whole.with_max_x(middle.x), whole.with_min_x(middle.x)],
+            Self::TopBottom => [whole.with_max_y(middle.y), whole.with_min_y(middle.y)],
+            Self::Off | Self::Rows => [whole, whole],
+        }
+    }
+
+    /// How much the display stretches each part.
+    fn stretch(self) -> Vec2 {
+        match self {
+            Self::SideBySide => vec2(2.0, 1.0),
+            Self::TopBottom => vec2(1.0, 2.0),
+            Self::Off | Self::Rows => vec2(1.0, 1.0),
+        }
+    }
+}
+
+/// One eye's image, until that of the other eye has come.
+type Waiting = (u32, u64, Pixels);
+
+/// The newest pair of one instant.
+#[derive(Default)]
+pub(super) struct Pair {
+    waiting: [Option<Waiting>; 2],
+    /// The images of both eyes, and the number of their tick.
+    shown: Option<([Pixels; 2], u64)>,
+    /// Incremented with every new pair.
+    count: u64,
+    textures: Option<([TextureHandle; 2], u64)>,
+    rows: Option<(TextureHandle, (u64, Rect))>,
+}
+
+impl Pair {
+    /// Takes the images of both eyes; they are shown once both are of one tick.
+    pub fn take(&mut self, outputs: &[Output; 2], previews: &HashMap<Output, RenderedPacket>) {
+        for (waiting, output) in self.waiting.iter_mut().zip(outputs) {
+            if let Some(packet) = previews.get(output)
+                && let Some(pixels) = &packet.pixels
+            {
+                *waiting = Some((packet.tick.source, packet.tick.seq, pixels.clone()));
+            }
+        }
+        if let [Some((source, seq, _)), Some((other_source, other_seq, _))] = &self.waiting
+            && (source, seq) == (other_source, other_seq)
+            && let [Some((_, seq, left)), Some((.., right))] = std::mem::take(&mut self.waiting)
+        {
+            self.shown = Some(([left, right], seq));
+            self.count += 1;
+        }
+    }
+
+    /// Number of the tick of the shown pair.
+    pub fn tick(&self) -> Option<u64> {
+        self.shown.as_ref().map(|(_, seq)| *seq)
+    }
+
+    /// Size of an image, px.
+    fn size(&self) -> Option<Vec2> {
+        self.shown.as_ref().map(|([left, _], _)| vec2(left.width as f32, left.height as f32))
+    }
+
+    fn textures(&mut self, ctx: &Context) -> Option<&[TextureHandle; 2]> {
+        let (pixels, _) = self.shown.as_ref()?;
+        if self.textures.as_ref().is_none_or(|(_, count)| *count != self.count) {
+            let load = |k: usize| ctx.load_texture("eye", image_of(&pixels[k]), TextureOptions::LINEAR);
+            self.textures = Some(([load(0), load(1)], self.count));
+        }
+        self.textures.as_ref().map(|(textures, _)| textures)
+    }
+
+    /// The picture of alternate rows for a part of the screen, in px of the screen.
+    fn rows(&mut self, ctx: &Context, place_px: Rect) -> Option<&TextureHandle> {
+        let ([left, right], _) = self.shown.as_ref()?;
+        let key = (self.count, place_px);
+        if self.rows.as_ref().is_none_or(|(_, known)| *known != key) {
+            let size = [place_px.width() as usize, place_px.height() as usize];
+            let image = interleaved(left, right, size, place_px.top() as usize);
+            self.rows = Some((ctx.load_texture("rows", image, TextureOptions::NEAREST), key));
+        }
+        self.rows.as_ref().map(|(texture, _)| texture)
+    }
+}
+
+/// A picture whose rows are of the left and the right image in turn. `top` is the row of the screen where it begins: even rows of the screen are
+/// the left eye's.
+fn interleaved(left: &Pixels, right: &Pixels, [width, height]: [usize; 2], top: usize) -> ColorImage {
+    let mut colors = Vec::with_capacity(width * height);
+    for y in 0..height {
+        let eye = if (top + y).is_multiple_of(2) { left } else { right };
+        let row = y * eye.height / height.max(1) * eye.width;
+        colors.extend((0..width).map(|x| {
+            let at = (row + x * eye.width / width.max(1)) * 4;
+            eye.rgba.get(at..at + 3).map_or(Color32::BLACK, |p| Color32::from_rgb(p[0], p[1], p[2]))
+        }));
+    }
+    ColorImage::new([width, height], colors)
+}
+
+impl Theatre {
+    /// How the stereo pair is shown.
+    pub fn three_d(&self) -> ThreeD {
+        self.three_d
+    }
+
+    /// Number of the tick of the shown stereo pair.
+    pub fn pair_tick(&self) -> Option<u64> {
+        self.pair.tick()
+    }
+
+    /// Whether the pair can be shown now: the graph has one, and it runs.
+    pub(super) fn has_pair(&self) -> bool {
+        self.plan.pair.as_ref().is_some_and(|[left, _]| !self.shows_raw() || self.plan.is_source(&left.node))
+    }
+
+    /// Whether the pair is shown instead of the views.
+    pub(super) fn shows_pair(&self) -> bool {
+        self.three_d != ThreeD::Off && self.has_pair() && !self.measure.is_on() && !self.checking
+    }
+
+    /// Switches to the next way of showing the pair.
+    pub(super) fn next_three_d(&mut self) {
+        if !self.has_pair() {
+            return self.notify("this graph has no stereo pair to show in 3-D", true);
+        }
+        self.three_d = self.three_d.next();
+        self.pair = Pair::default();
+        self.notify(self.three_d.words(), false);
+    }
+
+    /// Draws the pair on the whole screen.
+    pub(super) fn show_pair(&mut self, ui: &mut Ui, whole: Rect, facts: &Facts) {
+        let three_d = self.three_d;
+        ui.painter().rect_filled(whole, 0.0, theme::BLACK);
+        let stretch = three_d.stretch();
+        let has_arm = !self.plan.stops.is_empty();
+        let place = |half: Rect| {
+            let below = if has_arm { STOP / stretch.y } else { 0.0 };
+            Rect::from_min_max(half.min + vec2(0.0, WORDS), half.max - vec2(0.0, below))
+        };
+        let size = self.pair.size().unwrap_or(vec2(4.0, 3.0));
+        // As it will be seen, then pressed together.
+        let pressed = |room: Rect| {
+            let seen = fit(Rect::from_min_size(room.min, room.size() * stretch), size);
+            Rect::from_center_size(room.center(), seen.size() / stretch)
+        };
+        let halves = three_d.halves(whole);
+        let images = halves.map(|half| pressed(place(half)));
+        let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+        let is_old = !facts.stopped.is_empty() || facts.age_ms.is_none_or(|age| age > super::notices::STOPPED_MS);
+        let tint = if is_old && self.frozen.is_none() { Color32::from_gray(90) } else { Color32::WHITE };
+        if three_d == ThreeD::Rows {
+            // On whole rows of the screen.
+            let points = ui.ctx().pixels_per_point();
+            let px = |at: f32| (at * points).round();
+            let image = images[0];
+            let place_px = Rect::from_min_max(
+                pos2(px(image.left()), px(image.top())),
+                pos2(px(image.right()), px(image.bottom())),
+            );
+            if let Some(texture) = self.pair.rows(&ui.ctx().clone(), place_px) {
+                let id = texture.id();
+                ui.painter().image(id, place_px / points, uv, tint);
+            }
+        } else if let Some(textures) = self.pair.textures(&ui.ctx().clone()) {
+            let ids = textures.each_ref().map(TextureHandle::id);
+            for (id, image) in ids.into_iter().zip(images) {
+                ui.painter().image(id, image, uv, tint);
+            }
+        }
+        let eyes = if three_d == ThreeD::Rows { &["Both eyes"][..] } else { &["Left eye", "Right eye"][..] };
+        for (eye, (half, image)) in eyes.iter().zip(halves.into_iter().zip(images)) {
+            ui.push_id(eye, |ui| {
+                let response = ui.interact(image, ui.id().with("eye"), Sense::hover());
+                let name = format!("{eye}: {}", three_d.words());
+                response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, name.clone()));
+                self.words_of_pair(ui, half.with_max_y(half.top() + WORDS), facts);
+                if has_arm {
+                    let height = STOP / stretch.y - 12.0;
+                    let size = vec2(230.0f32.min(half.width() - 24.0), height.max(24.0));
+                    let at = half.right_bottom() - size - vec2(12.0, 6.0);
+                    self.stop_button(ui, Rect::from_min_size(at, size));
+                }
+            });
+        }
+    }
+
+    /// Draws the most urgent notice, or the age of the pair.
+    fn words_of_pair(&self, ui: &Ui, line: Rect, facts: &Facts) {
+        let age = facts
+            .age_ms
+            .map_or_else(|| "no image yet".to_owned(), |age| format!("{:.0} ms", (age / 10.0).ceil() * 10.0));
+        let (words, color) = match self.notices.first() {
+            Some(notice) if notice.urgency == Urgency::Alarm => (notice.message.clone(), theme::fault()),
+            Some(notice) if notice.urgency == Urgency::Warning => (notice.message.clone(), theme::warn()),
+            _ if self.frozen.is_some() => ("FROZEN".to_owned(), theme::accent()),
+            _ if self.clip.is_some() => (format!("REC   {age}"), theme::fault()),
+            _ => (age, if facts.age_ms.is_some_and(|age| age > OLD_MS) { theme::warn() } else { theme::muted() }),
+        };
+        let painter = ui.painter_at(line);
+        let at = line.left_center() + vec2(16.0, 0.0);
+        painter.text(at, Align2::LEFT_CENTER, words, FontId::proportional(18.0), color);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_abi::Tick;
+
+    fn packet(seq: u64, value: u8) -> RenderedPacket {
+        let pixels = Pixels { width: 2, height: 2, rgba: [value, value, value, 255].repeat(4) };
+        let tick = Tick { source: 3, flags: 0, seq, capture_ns: 0 };
+        RenderedPacket { pixels: Some(pixels), tick, ..RenderedPacket::default() }
+    }
+
+    #[test]
+    fn only_images_of_one_instant_are_a_pair() {
+        let eyes = ["left", "right"].map(|port| Output::new("scope", port));
+        let [left, right] = eyes.clone();
+        let mut pair = Pair::default();
+        pair.take(&eyes, &HashMap::from([(left.clone(), packet(4, 10)), (right.clone(), packet(3, 20))]));
+        assert_eq!(pair.tick(), None);
+        pair.take(&eyes, &HashMap::from([(right.clone(), packet(4, 20))]));
+        assert_eq!(pair.tick(), Some(4));
+        pair.take(&eyes, &HashMap::from([(left, packet(5, 10))]));
+        assert_eq!(pair.tick(), Some(4), "it stays until both have come");
+        pair.take(&eyes, &HashMap::from([(right, packet(5, 20))]));
+        assert_eq!(pair.tick(), Some(5));
+        let (pixels, _) = pair.shown.expect("a pair");
+        assert_eq!((pixels[0].rgba[0], pixels[1].rgba[0]), (10, 20));
+    }
+
+    #[test]
+    fn even_rows_of_the_screen_are_the_left_eyes() {
+        let eye = |value: u8| Pixels { width: 2, height: 2, rgba: [value, value, value, 255].repeat(4) };
+        for top in [0, 1, 7] {
+            let image = interleaved(&eye(10), &eye(20), [3, 4], top);
+            for y in 0..4 {
+                let expected = if (top + y) % 2 == 0 { 10 } else { 20 };
+                assert!((0..3).all(|x| image[(x, y)] == Color32::from_gray(expected)), "row {y} below {top}");
+            }
+        }
+    }
+
+    #[test]
+    fn halves_have_one_size_and_images_their_proportions_when_stretched() {
+        let whole = Rect::from_min_size(pos2(0.0, 0.0), vec2(1920.0, 1080.0));
+        for three_d in [ThreeD::SideBySide, ThreeD::TopBottom] {
+            let [a, b] = three_d.halves(whole);
+            assert_eq!(a.size(), b.size());
+            assert_eq!(a.size() * three_d.stretch(), whole.size());
+        }
+        let mut three_d = ThreeD::Off;
+        for _ in 0..4 {
+            three_d = three_d.next();
+        }
+        assert_eq!(three_d, ThreeD::Off);
+    }
+}
