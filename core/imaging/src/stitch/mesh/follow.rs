@@ -378,7 +378,7 @@ impl MeshFollower {
             let Some((cell, t)) = lattice.cell_of(seen.at) else { continue };
             let at = lattice.interpolate(|vertex| base[vertex], cell, t);
             let shift = [seen.source[0] - at[0], seen.source[1] - at[1]];
-            if shift[0].hypot(shift[1]) <= reach_px {
+            if length(shift) <= reach_px {
                 self.located.push(Located { index, cell, t, shift, weight: share * f64::from(seen.weight) });
             }
         }
@@ -424,7 +424,7 @@ impl MeshFollower {
             self.sorted.extend(full.map(|[x, y, count]| value([x / count, y / count])));
             median(&mut self.sorted)
         };
-        (of_full(|[x, y]| x.hypot(y)), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
+        (of_full(length), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
     }
 
     /// Repeats a pass of a first fit until the mesh rests.
@@ -504,7 +504,7 @@ impl MeshFollower {
             let at = self.lattice.interpolate(of, seen.cell, seen.t);
             let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
             doubt.mark(seen.index, off);
-            self.sorted.push(off[0].hypot(off[1]));
+            self.sorted.push(length(off));
         }
         let scale = self.lattice.cell_px as f64 / self.params.cell_px;
         doubt.spread(self.params.margin_px * scale);
@@ -553,6 +553,11 @@ fn borders(
         is_beyond.then_some(Border { axis, outwards, at_px, overlap_px })
     };
     [side(0, 1.0), side(0, -1.0), side(1, 1.0), side(1, -1.0)]
+}
+
+/// Length of a vector whose square does not overflow, faster than `hypot`.
+pub(super) fn length([x, y]: Point) -> f64 {
+    (x * x + y * y).sqrt()
 }
 
 /// Of the values, which are reordered; 0 without any.

@@ -1,6 +1,7 @@
 //! Where the points that both views see lie in the other view, cell by cell of the reference view.
 
 use super::super::grid::RectifiedView;
+use super::follow::length;
 use crate::{Parallel, SharedMut, View};
 
 /// Rows of cells per chunk.
@@ -10,11 +11,11 @@ const MOST_SAMPLES: usize = 8;
 /// Share of a cell's samples that must agree on a disparity.
 const LEAST_SHARE: f32 = 0.3;
 /// Spread of the agreeing disparities around their plane at which an observation counts half, px.
-const HALF_SPREAD_PX: f64 = 0.7;
+const HALF_SPREAD_PX: f32 = 0.7;
 /// Disparities further from the median of their cell do not determine its plane, px: slopes steeper than this in a cell are edges.
 const MOST_CLIMB_PX: f32 = 8.0;
 /// Keeps slopes small where samples lie in a line or a corner, px^2.
-const FLAT_PX2: f64 = 2.0;
+const FLAT_PX2: f32 = 2.0;
 /// Disparities of neighbouring cells change by at most this much per px where they lie on one surface, and by [`ONE_STEP_PX`] more for their noise.
 const ONE_SLOPE: f64 = 0.8;
 const ONE_STEP_PX: f64 = 1.0;
@@ -63,6 +64,7 @@ impl Observations {
         (self.cell_px, self.columns, self.rows) = (cell_px, columns, rows);
         self.cells.clear();
         self.cells.resize(columns * rows, Observation::default());
+        let [left_is_straight, right_is_straight] = [left, right].map(RectifiedView::is_straight);
         let cells = SharedMut::new(&mut self.cells);
         pool.run(rows.div_ceil(ROWS), &|chunk| {
             for row in chunk * ROWS..(chunk * ROWS + ROWS).min(rows) {
@@ -70,10 +72,11 @@ impl Observations {
                 let out = unsafe { cells.part(row * columns, columns) };
                 for (column, out) in out.iter_mut().enumerate() {
                     let Some(found) = cell(disparity, column, row, &sampling) else { continue };
-                    let at = left.unrectify([found.x, found.y]);
                     let [along_x, along_y] = sampling.along;
-                    let source =
-                        right.unrectify([found.x - along_x * found.disparity, found.y - along_y * found.disparity]);
+                    let at = [found.x, found.y];
+                    let source = [found.x - along_x * found.disparity, found.y - along_y * found.disparity];
+                    let at = if left_is_straight { at } else { left.unrectify(at) };
+                    let source = if right_is_straight { source } else { right.unrectify(source) };
                     // A rim pixel is compared with less of its surroundings, and its neighbours cannot correct it.
                     let rim = row == 0 || row + 1 == rows || column == 0 || column + 1 == columns;
                     let weight = found.weight * if rim { 0.25 } else { 1.0 };
@@ -131,7 +134,7 @@ impl Observation {
         let apart = |a: [f64; 2], b: [f64; 2]| [a[0] - b[0], a[1] - b[1]];
         let (here, there) = (apart(self.at, other.at), apart(self.source, other.source));
         let step = apart(here, there);
-        step[0].hypot(step[1]) <= ONE_SLOPE * here[0].hypot(here[1]) + ONE_STEP_PX
+        length(step) <= ONE_SLOPE * length(here) + ONE_STEP_PX
     }
 }
 
@@ -160,7 +163,7 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
     let along = along.map(|v| v as f32);
     let (x0, y0) = (column * cell_px, row * cell_px);
     let (x1, y1) = ((x0 + cell_px).min(map.width), (y0 + cell_px).min(map.height));
-    let mut samples = [(0.0f32, 0u32, 0u32); MOST_SAMPLES * MOST_SAMPLES];
+    let mut samples = [[0.0f32; 3]; MOST_SAMPLES * MOST_SAMPLES];
     let (mut count, mut total) = (0, 0usize);
     for y in (y0 + step / 2..y1).step_by(step) {
         let line = map.row(y);
@@ -171,7 +174,7 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
             // NaN fails; what lies outside the other view is not matched.
             let is_inside = u >= 0.0 && v >= 0.0 && u < map.width as f32 && v < map.height as f32;
             if is_inside && count < samples.len() {
-                samples[count] = (d, x as u32, y as u32);
+                samples[count] = [d, (x - x0) as f32, (y - y0) as f32];
                 count += 1;
             }
         }
@@ -181,63 +184,70 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
     }
     let samples = &mut samples[..count];
     let middle = count / 2;
-    let median = samples.select_nth_unstable_by(middle, |a, b| a.0.total_cmp(&b.0)).1.0;
+    let median = samples.select_nth_unstable_by(middle, |a, b| a[0].total_cmp(&b[0])).1[0];
     let plane = Plane::of(samples, median);
-    let (mut sum, mut agreed) = ([0.0f64; 4], 0usize);
+    let (mut sum_x, mut sum_y, mut sum_off, mut squares, mut agreed) = (0.0f32, 0.0, 0.0, 0.0, 0.0);
     for sample in samples.iter() {
-        let (off, rest) = (f64::from(sample.0 - median), plane.rest(sample, median));
-        if rest.abs() > f64::from(agree_px) {
-            continue;
-        }
-        for (sum, v) in sum.iter_mut().zip([f64::from(sample.1), f64::from(sample.2), off, rest * rest]) {
-            *sum += v;
-        }
-        agreed += 1;
+        let rest = plane.rest(sample, median);
+        // Without a branch: which samples agree cannot be foreseen.
+        let counts = f32::from(u8::from(rest.abs() <= agree_px));
+        sum_x += counts * sample[1];
+        sum_y += counts * sample[2];
+        sum_off += counts * (sample[0] - median);
+        squares += counts * rest * rest;
+        agreed += counts;
     }
-    let share = agreed as f32 / total as f32;
+    let share = agreed / total as f32;
     if share < LEAST_SHARE {
         return None;
     }
-    let [x, y, off, square] = sum.map(|v| v / agreed as f64);
-    let spread = square / (HALF_SPREAD_PX * HALF_SPREAD_PX);
-    Some(Agreed { x, y, disparity: f64::from(median) + off, weight: share / (1.0 + spread) as f32 })
+    let mean = |sum: f32| f64::from(sum / agreed);
+    let spread = squares / (agreed * HALF_SPREAD_PX * HALF_SPREAD_PX);
+    Some(Agreed {
+        x: x0 as f64 + mean(sum_x),
+        y: y0 as f64 + mean(sum_y),
+        disparity: f64::from(median) + mean(sum_off),
+        weight: share / (1.0 + spread),
+    })
 }
 
-/// Disparity and position of a pixel.
-type Sample = (f32, u32, u32);
+/// Disparity of a pixel, and its position in the cell.
+type Sample = [f32; 3];
 
 /// The slope of the disparities in a cell, so that those of steep tissue agree as well.
 struct Plane {
-    middle: [f64; 2],
+    middle: [f32; 2],
     /// At the middle, from the median.
-    off: f64,
-    slope: [f64; 2],
+    off: f32,
+    slope: [f32; 2],
 }
 
 impl Plane {
     /// Least squares over the samples near the median; there is one at least.
     fn of(samples: &[Sample], median: f32) -> Self {
-        let (mut count, mut sums) = (0.0, [0.0f64; 8]);
-        // Counted from a sample, so that sums of squares stay small.
-        let [x0, y0] = samples.first().map_or([0.0; 2], |sample| [sample.1, sample.2].map(f64::from));
-        for (d, x, y) in samples.iter().filter(|sample| (sample.0 - median).abs() <= MOST_CLIMB_PX) {
-            let (x, y, d) = (f64::from(*x) - x0, f64::from(*y) - y0, f64::from(d - median));
-            for (sum, v) in sums.iter_mut().zip([x, y, d, x * x, x * y, y * y, x * d, y * d]) {
-                *sum += v;
-            }
-            count += 1.0;
+        let (mut count, mut x, mut y, mut d) = (0.0f32, 0.0, 0.0, 0.0);
+        let (mut xx, mut xy, mut yy, mut xd, mut yd) = (0.0f32, 0.0, 0.0, 0.0, 0.0);
+        for [value, column, row] in samples {
+            let off = value - median;
+            let counts = f32::from(u8::from(off.abs() <= MOST_CLIMB_PX));
+            let (cx, cy, cd) = (counts * column, counts * row, counts * off);
+            count += counts;
+            (x, y, d) = (x + cx, y + cy, d + cd);
+            (xx, xy, yy) = (xx + cx * column, xy + cx * row, yy + cy * row);
+            (xd, yd) = (xd + cd * column, yd + cd * row);
         }
-        let [x, y, d, xx, xy, yy, xd, yd] = sums.map(|sum| sum / f64::max(count, 1.0));
-        let (xx, xy, yy) = (xx - x * x + FLAT_PX2, xy - x * y, yy - y * y + FLAT_PX2);
-        let (xd, yd) = (xd - x * d, yd - y * d);
+        let one = 1.0 / count.max(1.0);
+        let (x, y, d) = (x * one, y * one, d * one);
+        let (xx, xy, yy) = (xx * one - x * x + FLAT_PX2, xy * one - x * y, yy * one - y * y + FLAT_PX2);
+        let (xd, yd) = (xd * one - x * d, yd * one - y * d);
         let determinant = xx * yy - xy * xy;
         let slope = [(xd * yy - yd * xy) / determinant, (yd * xx - xd * xy) / determinant];
-        Self { middle: [x0 + x, y0 + y], off: d, slope }
+        Self { middle: [x, y], off: d, slope }
     }
 
     /// Distance of a disparity from the plane, px.
-    fn rest(&self, (d, x, y): &Sample, median: f32) -> f64 {
-        let climb = self.slope[0] * (f64::from(*x) - self.middle[0]) + self.slope[1] * (f64::from(*y) - self.middle[1]);
-        f64::from(d - median) - self.off - climb
+    fn rest(&self, [d, x, y]: &Sample, median: f32) -> f32 {
+        let climb = self.slope[0] * (x - self.middle[0]) + self.slope[1] * (y - self.middle[1]);
+        d - median - self.off - climb
     }
 }
