@@ -25,10 +25,10 @@ pub struct CompositeMeshParams {
     #[param(default = 20, range = 12..=96, unit = "px")]
     cell: u32,
     /// Smoothness of the mesh: weight of its bends beside what is observed in a cell.
-    #[param(default = 0.05, range = 0.01..=100.0, step = 0.01, unit = "ratio")]
+    #[param(default = 0.01, range = 0.001..=100.0, step = 0.001, unit = "ratio")]
     bend: f64,
     /// How soon the mesh fades into the homography where nothing is observed: weight of its slopes.
-    #[param(default = 0.02, range = 0.0..=10.0, step = 0.01, unit = "ratio")]
+    #[param(default = 0.005, range = 0.0..=10.0, step = 0.001, unit = "ratio")]
     fade: f64,
     /// Largest change of a length where only the other camera sees, against the homography.
     #[param(default = 4.5, range = 0.0..=100.0, step = 0.5, unit = "%")]
@@ -38,7 +38,7 @@ pub struct CompositeMeshParams {
     #[param(default = 60.0, range = 0.0..=400.0, step = 5.0, unit = "px")]
     zone_px: f64,
     /// Distance from the mesh at which an observation counts a quarter: those of an instrument in front of the tissue do not count.
-    #[param(default = 8.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
+    #[param(default = 12.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
     outlier_px: f64,
     /// Weight of the mesh of the frame before while nothing moves; 0 fits each frame anew.
     #[param(default = 10.0, range = 0.0..=1000.0, step = 1.0, unit = "ratio")]
@@ -105,9 +105,39 @@ pub struct Out<'f> {
     mesh: Slot<'f, TableData>,
 }
 
+/// Share of the border between two views along which the mesh guesses, from which on a warning says so, and below which it ends.
+const BLIND: [f64; 2] = [0.2, 0.1];
+/// Ticks in a row before the warning: a short blur needs none.
+const BLIND_TICKS: u32 = 15;
+
+/// Warns when nothing says how the views lie beside each other along a part of their border.
+#[derive(Default)]
+struct BlindWatch {
+    ticks: u32,
+    is_blind: bool,
+}
+
+impl BlindWatch {
+    fn look(&mut self, cx: &Context<'_>, report: &MeshReport) {
+        let is_blind = !report.is_held && report.blind > BLIND[usize::from(self.is_blind)];
+        self.ticks = if is_blind { self.ticks.saturating_add(1) } else { 0 };
+        if self.ticks >= BLIND_TICKS && !self.is_blind {
+            self.is_blind = true;
+            cx.warn(&format!(
+                "along {:.0} % of the border between the views nothing matches: they share too little there, and the panorama may be off by many pixels. Move back from the tissue",
+                100.0 * report.blind
+            ));
+        } else if self.is_blind && !is_blind {
+            self.is_blind = false;
+            cx.info("the views match again all along the border between them");
+        }
+    }
+}
+
 /// See the module.
 pub struct CompositeMesh {
     kernel: Compositor,
+    blind: BlindWatch,
     /// One for each further view.
     followers: Vec<MeshFollower>,
     /// Disparity that several maps make together.
@@ -168,6 +198,7 @@ fn join(joined: &mut Vec<f32>, maps: &List<'_, Image<'_, Disparity>>, (width, he
 fn worst(a: MeshReport, b: MeshReport) -> MeshReport {
     MeshReport {
         observations: a.observations.min(b.observations),
+        blind: a.blind.max(b.blind),
         residual_px: a.residual_px.max(b.residual_px),
         motion_px: a.motion_px.max(b.motion_px),
         is_held: a.is_held || b.is_held,
@@ -278,7 +309,14 @@ impl Node for CompositeMesh {
 
     fn open(_: &Open<'_>, params: &CompositeMeshParams) -> Result<Self> {
         let kernel = Compositor::new(params.composite.kernel());
-        Ok(Self { kernel, followers: Vec::new(), joined: Vec::new(), rows: Vec::new(), seams: 0 })
+        Ok(Self {
+            kernel,
+            blind: BlindWatch::default(),
+            followers: Vec::new(),
+            joined: Vec::new(),
+            rows: Vec::new(),
+            seams: 0,
+        })
     }
 
     fn process<'f>(
@@ -302,6 +340,8 @@ impl Node for CompositeMesh {
         if let Some(report) = self.follow_all(cx, &input, &scene, params)? {
             cx.metric("mesh_observations", report.observations as f64);
             cx.metric("mesh_held", f64::from(u8::from(report.is_held)));
+            cx.metric("mesh_blind_pct", 100.0 * report.blind);
+            self.blind.look(cx, &report);
             if report.residual_px.is_finite() {
                 cx.metric("mesh_residual_px", report.residual_px);
             }

@@ -33,6 +33,15 @@ pub struct RectifiedView {
 }
 
 impl RectifiedView {
+    /// Whether the camera's picture is the rectified view.
+    pub fn is_straight(&self) -> bool {
+        let same = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        self.distortion == [0.0; 12]
+            && self.rectified_from_camera == same
+            && self.focal_px == self.rectified_focal_px
+            && self.centre_px == self.rectified_centre_px
+    }
+
     /// Where a pixel of the rectified view lies in the camera's picture; not finite when the camera cannot see it.
     pub fn unrectify(&self, [u, v]: Point) -> Point {
         let (x, y) = (

@@ -1,5 +1,7 @@
 //! Where a mesh and what was measured differ: a seam must not run there.
 
+use super::follow::length;
+
 /// Doubt of a place without an observation, px: it may match, but nothing says so.
 const UNKNOWN_PX: f32 = 1.0;
 /// Largest doubt, px.
@@ -45,7 +47,7 @@ impl Doubt {
     ///
     /// What the other view shows of it is drawn off by as much: all cells on the way there are in doubt.
     pub fn mark(&mut self, cell: usize, off: [f64; 2]) {
-        let length = off[0].hypot(off[1]);
+        let length = length(off);
         let level = length.min(MOST_PX) as f32;
         let own = &mut self.px[cell];
         *own = if *own <= UNKNOWN_PX { level } else { own.max(level) };

@@ -1,5 +1,6 @@
 //! The inverse of the mesh that fits: which point of the reference view the other view shows at a position.
 
+use super::follow::length;
 use super::{LEAST_MOVE_PX, Lattice};
 use crate::geometry::{Homography, Point};
 
@@ -31,7 +32,7 @@ impl Fitted<'_> {
         let mut is_moved = false;
         for (index, (wanted, (base, shift))) in drawn.iter().zip(self.base.iter().zip(self.shift)).enumerate() {
             let at = self.lattice.position(index % self.lattice.columns, index / self.lattice.columns);
-            let off = (wanted[0] - base[0] - shift[0]).hypot(wanted[1] - base[1] - shift[1]);
+            let off = length([wanted[0] - base[0] - shift[0], wanted[1] - base[1] - shift[1]]);
             let shown = if off < LEAST_MOVE_PX { at } else { self.search(at, *wanted) };
             is_moved |= shown != at;
             out.push(shown);
@@ -50,7 +51,7 @@ impl Fitted<'_> {
             let Some(there) = self.at(at) else { break };
             let step = [goal[0] - there[0], goal[1] - there[1]];
             at = [0, 1].map(|k| (at[k] + step[k]).clamp(start[k] - most, start[k] + most));
-            if step[0].hypot(step[1]) < DONE_PX {
+            if length(step) < DONE_PX {
                 break;
             }
         }

@@ -6,8 +6,8 @@ use super::fitted::Fitted;
 use super::observe::{Observations, Sampling};
 use super::relax::{Border, Continuation, Relax};
 use super::{Lattice, Mesh};
-use crate::geometry::{Homography, Point};
-use crate::{Parallel, Simd, View};
+use crate::geometry::{Homography, Point, overlap_roi};
+use crate::{Parallel, Rect, Simd, View};
 
 /// Columns of a view that lengths of [`MeshParams`] refer to.
 const REFERENCE_COLUMNS: f64 = 640.0;
@@ -24,6 +24,8 @@ const LEAST_BLOCK: f64 = 4.0;
 /// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the sides towards which its camera
 /// stands, and on the others, where the perspective of far corners is no overlap.
 const BEYOND_CELLS: [f64; 2] = [1.0, 4.0];
+/// Observations per cell, each way, beside which the stiffness is meant; more of them count less each.
+const WEIGHED_OBSERVATIONS: f64 = 2.0;
 /// Multiples of the stiffness and of the outlier limit in the passes of a first fit; the first pass weighs all observations alike. A stiff mesh follows
 /// what most of the picture shows and finds an instrument off; a mesh that is soft from the start would follow it.
 const FIRST_PASSES: [(f64, f64); 9] = [
@@ -37,6 +39,15 @@ const FIRST_PASSES: [(f64, f64); 9] = [
     (1.0, 2.0),
     (1.0, 1.0),
 ];
+/// Square of the multiple of the outlier limit from which on an observation does not count: nothing else holds the mesh where an instrument hides the
+/// tissue, so that even a weak pull would bring it there.
+const MOST_SQUARE: f64 = 4.0;
+/// What the multiples are of.
+const FIRST_STIFFNESS: Stiffness = Stiffness { bend: 0.05, slope: 0.02, place: 1e-4 };
+/// Passes after those, at most, until none moves the mesh by more than [`SETTLED_PX`]: what lies at the end of a slope counts only when the mesh has
+/// come near.
+const SETTLE_PASSES: usize = 6;
+const SETTLED_PX: f64 = 0.2;
 /// A mesh that moves by less than this stays as it is, px: what follows from it need not be computed again.
 const DEAD_BAND_PX: f64 = 0.02;
 
@@ -49,8 +60,10 @@ pub struct MeshParams {
     pub observations: usize,
     /// Spacing of the disparities that are read.
     pub step_px: usize,
-    /// Disparities of one observation differ from their median by at most this.
+    /// Disparities of one observation differ from a plane by at most this.
     pub agree_px: f64,
+    /// Observations on one surface below which none of them counts.
+    pub least_patch: usize,
     /// Weight of second differences beside an observation's: how smooth the mesh is.
     pub bend: f64,
     /// Weight of first differences: how soon it fades into the shifted homography where nothing is observed.
@@ -60,7 +73,7 @@ pub struct MeshParams {
     /// Width of the zone before the border of the reference view in which the mesh leaves what it observes for that; 0 leaves nothing, and the mesh
     /// fades beyond the border by its slopes alone.
     pub zone_px: f64,
-    /// Distance from the mesh at which an observation counts a quarter; one much further off does not count.
+    /// Distance from the mesh at which an observation counts a quarter; one twice as far off does not count.
     pub outlier_px: f64,
     /// Weight of the frame before while the views move.
     pub hold_moving: f64,
@@ -87,14 +100,15 @@ impl Default for MeshParams {
     fn default() -> Self {
         Self {
             cell_px: 20.0,
-            observations: 2,
+            observations: 3,
             step_px: 3,
             agree_px: 2.0,
-            bend: 0.05,
-            slope: 0.02,
+            least_patch: 24,
+            bend: 0.01,
+            slope: 0.005,
             most_stretch: 0.045,
             zone_px: 60.0,
-            outlier_px: 8.0,
+            outlier_px: 12.0,
             hold_moving: 0.005,
             hold_still: 10.0,
             still_px: 0.15,
@@ -113,6 +127,8 @@ impl Default for MeshParams {
 pub struct MeshReport {
     /// Observations used.
     pub observations: usize,
+    /// Share of the lines of cells in what both views see, across the border between them, in which nothing is observed: the mesh guesses there.
+    pub blind: f64,
     /// Median distance of the observations from the mesh, px; NaN while it is held.
     pub residual_px: f64,
     /// Motion of the observations against the mesh of the frame before, px; NaN without one.
@@ -159,6 +175,7 @@ pub struct MeshFollower {
     located: Vec<Located>,
     blocks: Vec<[f64; 3]>,
     sorted: Vec<f64>,
+    is_seen: Vec<bool>,
     energy: Energy,
     relax: Relax,
 }
@@ -211,8 +228,14 @@ impl MeshFollower {
     ) -> MeshReport {
         let p = self.params;
         let scale = right.size.0 as f64 / REFERENCE_COLUMNS;
-        let mut report =
-            MeshReport { observations: 0, residual_px: f64::NAN, motion_px: f64::NAN, is_held: true, is_new: true };
+        let mut report = MeshReport {
+            observations: 0,
+            blind: 1.0,
+            residual_px: f64::NAN,
+            motion_px: f64::NAN,
+            is_held: true,
+            is_new: true,
+        };
         let Some(lattice) = self.cover(left_from_right, right.size, scale) else {
             self.reset();
             return report;
@@ -227,8 +250,10 @@ impl MeshFollower {
         let agree_px = (p.agree_px * scale) as f32;
         let sampling = Sampling { cell_px: cell, step_px: step, agree_px, along: p.along };
         self.observations.gather(disparity, [left, right], &sampling, pool);
+        self.observations.keep_patches(p.least_patch);
         self.locate(p.reach_px * scale);
         report.observations = self.located.len();
+        report.blind = self.blind(overlap_roi(left_from_right, right.size.0, right.size.1, left.size.0, left.size.1));
         if self.located.len() < p.least_observations {
             if !report.is_new {
                 self.shift.clone_from(&self.shift_before);
@@ -248,9 +273,10 @@ impl MeshFollower {
             self.shift.clear();
             self.shift.resize(lattice.len(), [0.0; 2]);
             FIRST_PASSES.iter().all(|(stiffer, times)| {
-                self.energy.reset(lattice.columns, lattice.rows, stiffness.times(*stiffer));
+                let wanted = if *stiffer > 1.0 { FIRST_STIFFNESS.times(*stiffer) } else { stiffness };
+                self.energy.reset(lattice.columns, lattice.rows, wanted);
                 self.pass(times * limit_px, 0.0)
-            })
+            }) && self.settle(limit_px)
         } else {
             self.energy.reset(lattice.columns, lattice.rows, stiffness);
             let still = 1.0 / (1.0 + (report.motion_px / (p.still_px * scale)).powi(4));
@@ -347,14 +373,32 @@ impl MeshFollower {
     fn locate(&mut self, reach_px: f64) {
         self.located.clear();
         let (lattice, base) = (self.lattice, &self.base);
+        let share = (WEIGHED_OBSERVATIONS / self.params.observations.max(1) as f64).powi(2);
         for (index, seen) in self.observations.cells.iter().enumerate().filter(|(_, seen)| seen.weight > 0.0) {
             let Some((cell, t)) = lattice.cell_of(seen.at) else { continue };
             let at = lattice.interpolate(|vertex| base[vertex], cell, t);
             let shift = [seen.source[0] - at[0], seen.source[1] - at[1]];
-            if shift[0].hypot(shift[1]) <= reach_px {
-                self.located.push(Located { index, cell, t, shift, weight: f64::from(seen.weight) });
+            if length(shift) <= reach_px {
+                self.located.push(Located { index, cell, t, shift, weight: share * f64::from(seen.weight) });
             }
         }
+    }
+
+    /// See [`MeshReport::blind`].
+    fn blind(&mut self, overlap: Rect) -> f64 {
+        let Observations { cell_px, columns, rows, .. } = self.observations;
+        let by_rows = self.params.along[0] != 0.0;
+        let (count, first_px, size_px) =
+            if by_rows { (rows, overlap.y, overlap.height) } else { (columns, overlap.x, overlap.width) };
+        self.is_seen.clear();
+        self.is_seen.resize(count, false);
+        for seen in &self.located {
+            self.is_seen[if by_rows { seen.index / columns } else { seen.index % columns }] = true;
+        }
+        let lines = first_px.div_ceil(cell_px)..((first_px + size_px) / cell_px).min(count);
+        let shared = self.is_seen.get(lines).unwrap_or_default();
+        let seen = shared.iter().filter(|is_seen| **is_seen).count();
+        1.0 - seen as f64 / shared.len().max(1) as f64
     }
 
     /// Motion of the observations against the mesh of the frame before: the median over blocks of observations of their mean distance from it, px, and
@@ -380,7 +424,22 @@ impl MeshFollower {
             self.sorted.extend(full.map(|[x, y, count]| value([x / count, y / count])));
             median(&mut self.sorted)
         };
-        (of_full(|[x, y]| x.hypot(y)), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
+        (of_full(length), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
+    }
+
+    /// Repeats a pass of a first fit until the mesh rests.
+    fn settle(&mut self, limit_px: f64) -> bool {
+        for _ in 0..SETTLE_PASSES {
+            self.shift_before.clone_from(&self.shift);
+            if !self.pass(limit_px, 0.0) {
+                return false;
+            }
+            let moved = |(a, b): (&Point, &Point)| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+            if self.shift.iter().zip(&self.shift_before).map(moved).fold(0.0, f64::max) < SETTLED_PX {
+                break;
+            }
+        }
+        true
     }
 
     /// One solution with weights from the distances to the mesh so far. `hold` is the weight of the frame before.
@@ -390,7 +449,10 @@ impl MeshFollower {
         for seen in &self.located {
             let at = lattice.interpolate(|vertex| shift[vertex], seen.cell, seen.t);
             let square = ((seen.shift[0] - at[0]).powi(2) + (seen.shift[1] - at[1]).powi(2)) / (limit_px * limit_px);
-            // Geman and McClure: what is far off does not pull at all.
+            if square > MOST_SQUARE {
+                continue;
+            }
+            // Geman and McClure: what is far off hardly pulls.
             self.energy.observe(seen.cell, seen.t, seen.shift, seen.weight / (1.0 + square).powi(2));
         }
         if hold > 0.0 {
@@ -442,7 +504,7 @@ impl MeshFollower {
             let at = self.lattice.interpolate(of, seen.cell, seen.t);
             let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
             doubt.mark(seen.index, off);
-            self.sorted.push(off[0].hypot(off[1]));
+            self.sorted.push(length(off));
         }
         let scale = self.lattice.cell_px as f64 / self.params.cell_px;
         doubt.spread(self.params.margin_px * scale);
@@ -491,6 +553,11 @@ fn borders(
         is_beyond.then_some(Border { axis, outwards, at_px, overlap_px })
     };
     [side(0, 1.0), side(0, -1.0), side(1, 1.0), side(1, -1.0)]
+}
+
+/// Length of a vector whose square does not overflow, faster than `hypot`.
+pub(super) fn length([x, y]: Point) -> f64 {
+    (x * x + y * y).sqrt()
 }
 
 /// Of the values, which are reordered; 0 without any.

@@ -1,6 +1,7 @@
 //! Where the points that both views see lie in the other view, cell by cell of the reference view.
 
 use super::super::grid::RectifiedView;
+use super::follow::length;
 use crate::{Parallel, SharedMut, View};
 
 /// Rows of cells per chunk.
@@ -9,8 +10,15 @@ const ROWS: usize = 4;
 const MOST_SAMPLES: usize = 8;
 /// Share of a cell's samples that must agree on a disparity.
 const LEAST_SHARE: f32 = 0.3;
-/// Spread of the agreeing disparities at which an observation counts half, px.
+/// Spread of the agreeing disparities around their plane at which an observation counts half, px.
 const HALF_SPREAD_PX: f32 = 0.7;
+/// Disparities further from the median of their cell do not determine its plane, px: slopes steeper than this in a cell are edges.
+const MOST_CLIMB_PX: f32 = 8.0;
+/// Keeps slopes small where samples lie in a line or a corner, px^2.
+const FLAT_PX2: f32 = 2.0;
+/// Disparities of neighbouring cells change by at most this much per px where they lie on one surface, and by [`ONE_STEP_PX`] more for their noise.
+const ONE_SLOPE: f64 = 0.8;
+const ONE_STEP_PX: f64 = 1.0;
 
 /// The matched pixels of a cell that agree; without weight when there are too few.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,6 +42,9 @@ pub struct Observations {
     pub rows: usize,
     /// Row after row.
     pub cells: Vec<Observation>,
+    /// Memory of [`keep_patches`](Self::keep_patches).
+    is_visited: Vec<bool>,
+    patch: Vec<usize>,
 }
 
 impl Observations {
@@ -53,6 +64,7 @@ impl Observations {
         (self.cell_px, self.columns, self.rows) = (cell_px, columns, rows);
         self.cells.clear();
         self.cells.resize(columns * rows, Observation::default());
+        let [left_is_straight, right_is_straight] = [left, right].map(RectifiedView::is_straight);
         let cells = SharedMut::new(&mut self.cells);
         pool.run(rows.div_ceil(ROWS), &|chunk| {
             for row in chunk * ROWS..(chunk * ROWS + ROWS).min(rows) {
@@ -60,10 +72,11 @@ impl Observations {
                 let out = unsafe { cells.part(row * columns, columns) };
                 for (column, out) in out.iter_mut().enumerate() {
                     let Some(found) = cell(disparity, column, row, &sampling) else { continue };
-                    let at = left.unrectify([found.x, found.y]);
                     let [along_x, along_y] = sampling.along;
-                    let source =
-                        right.unrectify([found.x - along_x * found.disparity, found.y - along_y * found.disparity]);
+                    let at = [found.x, found.y];
+                    let source = [found.x - along_x * found.disparity, found.y - along_y * found.disparity];
+                    let at = if left_is_straight { at } else { left.unrectify(at) };
+                    let source = if right_is_straight { source } else { right.unrectify(source) };
                     // A rim pixel is compared with less of its surroundings, and its neighbours cannot correct it.
                     let rim = row == 0 || row + 1 == rows || column == 0 || column + 1 == columns;
                     let weight = found.weight * if rim { 0.25 } else { 1.0 };
@@ -74,6 +87,55 @@ impl Observations {
             }
         });
     }
+
+    /// Drops the observations of surfaces with fewer than `least` cells: where the views share nothing, matches agree by chance, but not for long.
+    pub fn keep_patches(&mut self, least: usize) {
+        if least < 2 {
+            return;
+        }
+        let (columns, rows) = (self.columns, self.rows);
+        self.is_visited.clear();
+        self.is_visited.extend(self.cells.iter().map(|cell| cell.weight <= 0.0));
+        for start in 0..self.cells.len() {
+            if self.is_visited[start] {
+                continue;
+            }
+            self.is_visited[start] = true;
+            self.patch.clear();
+            self.patch.push(start);
+            let mut next = 0;
+            while let Some(&from) = self.patch.get(next) {
+                next += 1;
+                let (column, row) = (from % columns, from / columns);
+                let around = [
+                    (column > 0).then(|| from - 1),
+                    (column + 1 < columns).then(|| from + 1),
+                    (row > 0).then(|| from - columns),
+                    (row + 1 < rows).then(|| from + columns),
+                ];
+                for to in around.into_iter().flatten() {
+                    if !self.is_visited[to] && self.cells[from].is_one_surface_with(&self.cells[to]) {
+                        self.is_visited[to] = true;
+                        self.patch.push(to);
+                    }
+                }
+            }
+            if self.patch.len() < least {
+                for cell in &self.patch {
+                    self.cells[*cell].weight = 0.0;
+                }
+            }
+        }
+    }
+}
+
+impl Observation {
+    fn is_one_surface_with(&self, other: &Self) -> bool {
+        let apart = |a: [f64; 2], b: [f64; 2]| [a[0] - b[0], a[1] - b[1]];
+        let (here, there) = (apart(self.at, other.at), apart(self.source, other.source));
+        let step = apart(here, there);
+        length(step) <= ONE_SLOPE * length(here) + ONE_STEP_PX
+    }
 }
 
 /// How a disparity map is read.
@@ -83,7 +145,7 @@ pub struct Sampling {
     pub cell_px: usize,
     /// Spacing of the disparities that are read.
     pub step_px: usize,
-    /// Pixels of a cell agree when they lie within this of its median disparity.
+    /// Pixels of a cell agree when their disparities lie within this of a plane.
     pub agree_px: f32,
     /// Where the other camera stands, in units of the baseline of the disparity: a point at `(x, y)` lies at `(x, y) - disparity * along` there.
     pub along: [f64; 2],
@@ -101,7 +163,7 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
     let along = along.map(|v| v as f32);
     let (x0, y0) = (column * cell_px, row * cell_px);
     let (x1, y1) = ((x0 + cell_px).min(map.width), (y0 + cell_px).min(map.height));
-    let mut samples = [(0.0f32, 0u32, 0u32); MOST_SAMPLES * MOST_SAMPLES];
+    let mut samples = [[0.0f32; 3]; MOST_SAMPLES * MOST_SAMPLES];
     let (mut count, mut total) = (0, 0usize);
     for y in (y0 + step / 2..y1).step_by(step) {
         let line = map.row(y);
@@ -112,7 +174,7 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
             // NaN fails; what lies outside the other view is not matched.
             let is_inside = u >= 0.0 && v >= 0.0 && u < map.width as f32 && v < map.height as f32;
             if is_inside && count < samples.len() {
-                samples[count] = (d, x as u32, y as u32);
+                samples[count] = [d, (x - x0) as f32, (y - y0) as f32];
                 count += 1;
             }
         }
@@ -122,20 +184,70 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
     }
     let samples = &mut samples[..count];
     let middle = count / 2;
-    let median = samples.select_nth_unstable_by(middle, |a, b| a.0.total_cmp(&b.0)).1.0;
-    let (mut sum, mut agreed) = ([0.0f64; 4], 0usize);
-    for (d, x, y) in samples.iter().filter(|s| (s.0 - median).abs() <= agree_px) {
-        let off = f64::from(d - median);
-        for (sum, v) in sum.iter_mut().zip([f64::from(*x), f64::from(*y), off, off * off]) {
-            *sum += v;
-        }
-        agreed += 1;
+    let median = samples.select_nth_unstable_by(middle, |a, b| a[0].total_cmp(&b[0])).1[0];
+    let plane = Plane::of(samples, median);
+    let (mut sum_x, mut sum_y, mut sum_off, mut squares, mut agreed) = (0.0f32, 0.0, 0.0, 0.0, 0.0);
+    for sample in samples.iter() {
+        let rest = plane.rest(sample, median);
+        // Without a branch: which samples agree cannot be foreseen.
+        let counts = f32::from(u8::from(rest.abs() <= agree_px));
+        sum_x += counts * sample[1];
+        sum_y += counts * sample[2];
+        sum_off += counts * (sample[0] - median);
+        squares += counts * rest * rest;
+        agreed += counts;
     }
-    let share = agreed as f32 / total as f32;
+    let share = agreed / total as f32;
     if share < LEAST_SHARE {
         return None;
     }
-    let [x, y, off, square] = sum.map(|v| v / agreed as f64);
-    let spread = ((square - off * off).max(0.0) as f32).sqrt() / HALF_SPREAD_PX;
-    Some(Agreed { x, y, disparity: f64::from(median) + off, weight: share / (1.0 + spread * spread) })
+    let mean = |sum: f32| f64::from(sum / agreed);
+    let spread = squares / (agreed * HALF_SPREAD_PX * HALF_SPREAD_PX);
+    Some(Agreed {
+        x: x0 as f64 + mean(sum_x),
+        y: y0 as f64 + mean(sum_y),
+        disparity: f64::from(median) + mean(sum_off),
+        weight: share / (1.0 + spread),
+    })
+}
+
+/// Disparity of a pixel, and its position in the cell.
+type Sample = [f32; 3];
+
+/// The slope of the disparities in a cell, so that those of steep tissue agree as well.
+struct Plane {
+    middle: [f32; 2],
+    /// At the middle, from the median.
+    off: f32,
+    slope: [f32; 2],
+}
+
+impl Plane {
+    /// Least squares over the samples near the median; there is one at least.
+    fn of(samples: &[Sample], median: f32) -> Self {
+        let (mut count, mut x, mut y, mut d) = (0.0f32, 0.0, 0.0, 0.0);
+        let (mut xx, mut xy, mut yy, mut xd, mut yd) = (0.0f32, 0.0, 0.0, 0.0, 0.0);
+        for [value, column, row] in samples {
+            let off = value - median;
+            let counts = f32::from(u8::from(off.abs() <= MOST_CLIMB_PX));
+            let (cx, cy, cd) = (counts * column, counts * row, counts * off);
+            count += counts;
+            (x, y, d) = (x + cx, y + cy, d + cd);
+            (xx, xy, yy) = (xx + cx * column, xy + cx * row, yy + cy * row);
+            (xd, yd) = (xd + cd * column, yd + cd * row);
+        }
+        let one = 1.0 / count.max(1.0);
+        let (x, y, d) = (x * one, y * one, d * one);
+        let (xx, xy, yy) = (xx * one - x * x + FLAT_PX2, xy * one - x * y, yy * one - y * y + FLAT_PX2);
+        let (xd, yd) = (xd * one - x * d, yd * one - y * d);
+        let determinant = xx * yy - xy * xy;
+        let slope = [(xd * yy - yd * xy) / determinant, (yd * xx - xd * xy) / determinant];
+        Self { middle: [x, y], off: d, slope }
+    }
+
+    /// Distance of a disparity from the plane, px.
+    fn rest(&self, [d, x, y]: &Sample, median: f32) -> f32 {
+        let climb = self.slope[0] * (x - self.middle[0]) + self.slope[1] * (y - self.middle[1]);
+        d - median - self.off - climb
+    }
 }

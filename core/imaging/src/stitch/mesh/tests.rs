@@ -187,7 +187,7 @@ fn a_tool_in_front_does_not_bend_the_tissue() {
     for (x, y) in [(300.0, 220.0), (490.0, 150.0), (490.0, 290.0), (600.0, 220.0)] {
         let [u, _] = mesh.map([x, y]).expect("inside");
         let error = u - (x - hills(x, y));
-        assert!(error.abs() < 1.5, "{error} px at {x}, {y}");
+        assert!(error.abs() < 2.0, "{error} px at {x}, {y}");
     }
     assert!(mesh.doubt_px([490.0, 220.0]) > 8.0, "the seam must not cross the tool");
     assert!(mesh.doubt_px([490.0, 130.0]) < 2.0);
@@ -245,6 +245,45 @@ fn wrong_matches_do_not_count() {
     update(&mut follower, &wrong, &plane());
     let (worst, rms) = errors(follower.mesh().expect("a mesh"), hills, 12);
     assert!(rms < 0.8 && worst < 8.0, "rms {rms}, worst {worst}");
+}
+
+#[test]
+fn chance_matches_in_patches_do_not_count_and_are_reported_as_blind() {
+    // From row 300 down the views match by chance only, in patches of 18 px that lie anywhere.
+    let mut lost = map(hills, 0.3, 0);
+    for y in 300..SIZE.1 {
+        for x in 0..SIZE.0 {
+            let chance = random((x / 18) as i64, (y / 18) as i64, 9);
+            lost[y * SIZE.0 + x] = if chance < 0.6 { f32::NAN } else { (400.0 * chance - 90.0) as f32 };
+        }
+    }
+    let kept = MeshParams { zone_px: 0.0, least_patch: 40, ..MeshParams::default() };
+    let at_the_bottom = |params: MeshParams| {
+        let mut follower = MeshFollower::new(params);
+        let report = update(&mut follower, &lost, &plane());
+        let mesh = follower.mesh().expect("a mesh");
+        let off = |x: f64, y: f64| (mesh.map([x, y]).expect("inside")[0] - (x - hills(x, y))).abs();
+        assert!(off(400.0, 200.0) < 1.0 && off(600.0, 250.0) < 1.0);
+        let worst = (280..640).step_by(20).map(|x| off(f64::from(x), 440.0)).fold(0.0, f64::max);
+        (worst, report)
+    };
+    let (worst, report) = at_the_bottom(kept);
+    assert!(worst < 15.0, "{worst} px");
+    assert!((0.3..0.45).contains(&report.blind), "{report:?}");
+    let (misled, report) = at_the_bottom(MeshParams { least_patch: 0, ..kept });
+    assert!(misled > 1.5 * worst && report.blind < 0.3, "{misled} px, {report:?}");
+    let mut follower = MeshFollower::new(MeshParams::default());
+    assert!(update(&mut follower, &map(hills, 0.3, 0), &plane()).blind < 1e-9);
+}
+
+#[test]
+fn a_steep_fold_is_followed() {
+    // 40 px within 60: disparities of a cell differ by more than what agrees.
+    let fold = |x: f64, y: f64| hills(x, y) + 20.0 * ((y - 240.0 - 0.1 * x) / 20.0).tanh();
+    let mut follower = up_to_the_border();
+    let report = update(&mut follower, &map(fold, 0.3, 0), &plane());
+    let (worst, rms) = errors(follower.mesh().expect("a mesh"), fold, 12);
+    assert!(rms < 0.8 && worst < 6.0, "rms {rms}, worst {worst}, {report:?}");
 }
 
 #[test]
