@@ -10,8 +10,6 @@ use std::time::Duration;
 /// A running graph; killed when dropped.
 pub struct Attachable {
     child: Child,
-    /// Where it listens.
-    pub address: String,
 }
 
 /// The program `panoscope` beside a program of the same build, or the one that tests name.
@@ -42,7 +40,7 @@ impl Attachable {
                 let _ = listens.send(line);
             }
         });
-        let this = Self { child, address: address.to_owned() };
+        let this = Self { child };
         let mut log = Vec::new();
         while let Ok(line) = heard.recv_timeout(Duration::from_secs(30)) {
             if line.contains("windows attach to") {

@@ -1,11 +1,14 @@
 //! What an edit of a window may not change, whoever may edit.
 
 use std::collections::BTreeMap;
+use std::path::Path;
+
+use panoscope_graph::GraphText;
 
 /// Parameters that stop an arm and release it: both are set where the graph runs, and nowhere else.
 pub const STOPS: [&str; 2] = ["emergency_stop", "reset"];
-/// Keys of a graph file that name code.
-const CODE: [&str; 2] = ["plugin_paths", "isolate"];
+/// Keys of a graph file that name code and machines, and what code may do.
+const CODE: [&str; 4] = ["plugin_paths", "isolate", "deny", "machines"];
 
 /// Why an edit is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -23,9 +26,12 @@ pub enum RuleError {
         /// Its parameter.
         param: String,
     },
-    /// It names code to load.
+    /// It names code to load, or machines.
     #[error("`{0}` is changed only at the machine that runs the graph")]
     Code(&'static str),
+    /// It refers to other files, whose values these rules do not see.
+    #[error("an edit by a window has no parts, overlays and arguments: write their nodes into the graph")]
+    OtherFiles,
 }
 
 fn table(text: &str) -> Result<toml::Table, RuleError> {
@@ -44,6 +50,9 @@ fn stops(graph: &toml::Table) -> BTreeMap<String, [Option<toml::Value>; 2]> {
 /// # Errors
 /// It changes what no window may.
 pub fn check(old: &str, new: &str) -> Result<(), RuleError> {
+    if !GraphText::parse(Path::new("graph.toml"), new).is_plain() {
+        return Err(RuleError::OtherFiles);
+    }
     let (old, new) = (table(old)?, table(new)?);
     if let Some(key) = CODE.into_iter().find(|key| old.get(*key) != new.get(*key)) {
         return Err(RuleError::Code(key));
@@ -89,6 +98,14 @@ mod tests {
     #[test]
     fn an_edit_names_no_new_code() {
         assert_eq!(check(RUNS, &RUNS.replace("[\"a\"]", "[\"b\"]")), Err(RuleError::Code("plugin_paths")));
+        assert_eq!(check(RUNS, &format!("{RUNS}[deny]\n")), Err(RuleError::Code("deny")));
         assert!(matches!(check(RUNS, "[nodes"), Err(RuleError::Toml(_))));
+    }
+
+    #[test]
+    fn an_edit_takes_no_values_from_elsewhere() {
+        let stop = "[args.stop]\ndefault = false\n";
+        let with_args = RUNS.replace("emergency_stop = true", "emergency_stop = \"$stop\"") + stop;
+        assert_eq!(check(RUNS, &with_args), Err(RuleError::OtherFiles));
     }
 }

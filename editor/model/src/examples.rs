@@ -51,7 +51,7 @@ pub fn of_type(node_type: &str, folders: &[PathBuf], but: &Path) -> Vec<PathBuf>
         .filter_map(|file| {
             let text = GraphText::load(&file).ok()?;
             let outline = text.outline();
-            outline.iter().any(|node| node.type_name == node_type).then(|| (outline.len(), file))
+            outline.iter().any(|node| node.type_name == node_type).then_some((outline.len(), file))
         })
         .collect();
     found.sort();

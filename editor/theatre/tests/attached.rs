@@ -18,10 +18,9 @@ use panoscope_theatre::{Action, Theatre};
 
 const THEATRE: &str = env!("CARGO_BIN_EXE_panoscope-theatre");
 
-/// Runs the graph and attaches a window to it.
-fn attached(folder: Folder, allows: &[&str]) -> Option<(Attachable, Window)> {
-    let address = free_address();
-    let running = Attachable::start(THEATRE, &folder.write("g.toml", GRAPH), &address, allows);
+/// Runs the graph at an address and attaches a window to it.
+fn attached(folder: Folder, address: &str, allows: &[&str]) -> Option<(Attachable, Window)> {
+    let running = Attachable::start(THEATRE, &folder.write("g.toml", GRAPH), address, allows);
     let Some(running) = running else {
         panoscope_testing::skipped!("there is no program `panoscope`");
         return None;
@@ -60,7 +59,7 @@ fn it_shows_what_runs_elsewhere_and_says_that_it_has_no_stop() {
     if !has_plugin("flow") {
         return;
     }
-    let Some((_running, mut window)) = attached(Folder::new("attached_reads"), &[]) else { return };
+    let Some((_running, mut window)) = attached(Folder::new("attached_reads"), &free_address(), &[]) else { return };
     window.until("the note", |t| says(t, "Attached to engine: no emergency stop from here"));
     window.until("a young picture", |t| t.camera_age_ms().is_some_and(|age| age < 500.0));
     assert!(window.theatre().plan().settings.is_empty(), "it only reads");
@@ -81,7 +80,8 @@ fn it_sets_what_the_preset_pins_where_it_may_and_comes_back_after_a_loss() {
         return;
     }
     let allows = ["--allow-edit", "unnamed"];
-    let Some((running, mut window)) = attached(Folder::new("attached_edits"), &allows) else { return };
+    let address = free_address();
+    let Some((running, mut window)) = attached(Folder::new("attached_edits"), &address, &allows) else { return };
     window.until("its values", |t| past_weight(t) == Some(100));
     for weight in [120, 130, 140] {
         // Faster than the machine answers: none is lost.
@@ -91,7 +91,6 @@ fn it_sets_what_the_preset_pins_where_it_may_and_comes_back_after_a_loss() {
     }
     window.until("the setting there", |t| past_weight(t) == Some(140));
     assert!(!window.theatre().notices().iter().any(|notice| notice.message.contains("changed elsewhere")));
-    let address = running.address.clone();
     drop(running);
     window.until("what happened", |t| says(t, "engine is not reached"));
     assert!(!says(window.theatre(), "camera lost"), "nothing is known of its cameras");
