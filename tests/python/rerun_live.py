@@ -87,7 +87,10 @@ class RerunTest(unittest.TestCase):
     def test_a_server_of_rerun_receives_a_running_graph(self):
         port, file = free_port(), self.folder / "received.rrd"
         server = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(port), "--save", str(file)]
-        process = subprocess.Popen(server, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "RERUN": "on"})
+        # A job in the background of a shell ignores SIGINT, and hands that on.
+        listens = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": {**os.environ, "RERUN": "on"}}
+        process = subprocess.Popen(server, preexec_fn=listens, **quiet)
         self.addCleanup(process.kill)
         end = time.monotonic() + LIMIT
         while True:
