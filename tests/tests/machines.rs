@@ -202,10 +202,15 @@ fn keys(folder: &Path, names: &[&str]) -> Option<PathBuf> {
 
 /// Runs a graph with the keys of a host, in a process of its own: the variable is that of the process.
 fn run_as(folder: &Path, keys: &Path, text: &str) -> (bool, String) {
+    run_frames_as(folder, keys, text, 20)
+}
+
+/// The same with so many frames.
+fn run_frames_as(folder: &Path, keys: &Path, text: &str, frames: u64) -> (bool, String) {
     let graph = folder.join("graph.toml");
     std::fs::write(&graph, text).expect("a file");
     let mut command = Command::new(program().expect("a program"));
-    command.args(["run", "--headless", "--frames", "20"]).arg(&graph).env("PANOSCOPE_KEYS", keys);
+    command.args(["run", "--headless", "--frames", &frames.to_string()]).arg(&graph).env("PANOSCOPE_KEYS", keys);
     let done = command.output().expect("it runs");
     (done.status.success(), String::from_utf8_lossy(&done.stdout).into_owned() + &String::from_utf8_lossy(&done.stderr))
 }
@@ -235,6 +240,29 @@ fn only_machines_with_certificates_and_permission_connect() {
     let plain = text.replace("tls/", "tcp/");
     let (done, words) = run_as(&folder, &keys.join("theatre"), &plain);
     assert!(!done, "a server with certificates takes no host without: {words}");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// zenoh reads and writes a TLS connection from two threads without a lock; with the traffic of this graph that crashed or lost messages.
+#[test]
+fn many_pictures_pass_both_ways_through_one_encrypted_connection() {
+    let folder = scratch("machines-busy-keys");
+    let Some(keys) = keys(&folder, &["theatre", "rack=127.0.0.1"]) else {
+        return panoscope_testing::skipped!("there is no program `panoscope`");
+    };
+    let address = format!("tls/127.0.0.1:{}", free_port());
+    let rack = keys.join("rack").display().to_string();
+    let rack = Machine::start(&[], "rack", &address, &["--allow", "theatre", "--keys", &rack], &folder);
+    let mut text = "mode = \"batch\"\nplugins = [\"flow\", \"phantom\"]\n".to_owned();
+    text += "[nodes.scope]\ntype = \"frames\"\nparams = { width_px = 640, height_px = 480, rate_hz = 1000.0 }\n";
+    for at in 0..4 {
+        text += &format!("[nodes.far{at}]\ntype = \"smooth\"\non = \"rack\"\nparams = {{ past_weight = 0 }}\n");
+        text += "inputs = { image = \"scope.image\", past = \"scope.image\" }\n";
+        text += &format!("[nodes.end{at}]\ntype = \"drain\"\ninputs = {{ image = \"far{at}.image\" }}\n");
+    }
+    text += &machine(&address, "timeout_ms = 5000");
+    let (done, words) = run_frames_as(&folder, &keys.join("theatre"), &text, 100);
+    assert!(done, "{words}\n{:?}", rack.expect("a program").log());
     let _ = std::fs::remove_dir_all(&folder);
 }
 

@@ -20,7 +20,7 @@ mod h264;
 pub mod keys;
 pub mod link;
 mod mirror;
-mod network;
+pub mod network;
 pub mod raw;
 pub mod serve;
 mod served;

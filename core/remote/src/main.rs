@@ -18,7 +18,7 @@ use panoscope_attach::tunnel::{ATTACH, ATTACHABLE};
 use panoscope_isolate::LINK_COMMAND;
 use panoscope_remote::keys::{Identity, KEYS_VARIABLE, Member, make};
 use panoscope_remote::serve::{Options, Server};
-use panoscope_remote::{attach, attachable, link, raw};
+use panoscope_remote::{attach, attachable, link, network, raw};
 
 /// The arguments or the keys are wrong.
 const WRONG: u8 = 2;
@@ -32,6 +32,10 @@ extern "C" fn end(_: libc::c_int) {
 fn main() -> ExitCode {
     let words: Vec<OsString> = std::env::args_os().skip(1).collect();
     let Some((command, rest)) = words.split_first() else { return usage() };
+    if rest.iter().any(|word| word.to_string_lossy().starts_with("tls/")) {
+        // SAFETY: the program begins here; nothing has started a thread.
+        unsafe { network::work_in_one_thread() };
+    }
     if command == LINK_COMMAND {
         link::run(rest);
     }

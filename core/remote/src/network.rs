@@ -69,6 +69,17 @@ fn is_loopback(host: &str) -> bool {
     }
 }
 
+/// Lets one thread do all of zenoh's work: it reads and writes a TLS connection from two threads at once, which rustls does not allow and which
+/// damages memory (zenoh's issue 2557).
+///
+/// # Safety
+/// The process has no other thread yet, and has not used zenoh.
+pub unsafe fn work_in_one_thread() {
+    let runtime = "(app: (worker_threads: 1), rx: (handover: app), tx: (handover: app), net: (handover: app), acc: (handover: app))";
+    // SAFETY: the caller's promise: nobody reads the environment meanwhile.
+    unsafe { std::env::set_var("ZENOH_RUNTIME", runtime) };
+}
+
 /// A configuration without discovery.
 fn quiet() -> Result<Config, NetworkError> {
     let mut config = Config::default();
