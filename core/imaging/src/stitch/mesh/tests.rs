@@ -284,6 +284,25 @@ fn chance_matches_in_patches_do_not_count_and_are_reported_as_blind() {
 }
 
 #[test]
+fn where_the_mesh_guessed_it_follows_what_is_observed_later() {
+    // Unknown at first: from row 300 down the tissue comes 60 px nearer.
+    let near = |x: f64, y: f64| hills(x, y) + 60.0 * ((y - 300.0) / 100.0).clamp(0.0, 1.0);
+    let whole = map(near, 0.3, 1);
+    let mut upper = map(near, 0.3, 0);
+    upper[300 * SIZE.0..].fill(f32::NAN);
+    let mut follower = up_to_the_border();
+    update(&mut follower, &upper, &plane());
+    let off = |follower: &MeshFollower| {
+        let mesh = follower.mesh().expect("a mesh");
+        (mesh.map([560.0, 440.0]).expect("inside")[0] - (560.0 - near(560.0, 440.0))).abs()
+    };
+    assert!(off(&follower) > 20.0, "{} px: nothing was known there", off(&follower));
+    let report = update(&mut follower, &whole, &plane());
+    assert!(report.is_new && off(&follower) < 2.0, "{} px, {report:?}", off(&follower));
+    assert!(!update(&mut follower, &whole, &plane()).is_new);
+}
+
+#[test]
 fn a_steep_fold_is_followed() {
     // 40 px within 60: disparities of a cell differ by more than what agrees.
     let fold = |x: f64, y: f64| hills(x, y) + 20.0 * ((y - 240.0 - 0.1 * x) / 20.0).tanh();
