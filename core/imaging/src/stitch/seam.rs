@@ -166,10 +166,14 @@ impl Seam {
         if !due || (self.known && !may_find) {
             return false;
         }
+        if params.seam_cost == SeamCost::Transition {
+            self.gather(params.blend_px / 2 / params.cell_px());
+        }
         for i in 0..self.columns * self.rows {
             self.weight[i] = match params.seam_cost {
                 SeamCost::Color => self.cost[i],
                 SeamCost::ColorGradient => self.cost[i] / (1.0 + self.gradient[i] / 32.0),
+                SeamCost::Transition => self.cost[i].max(self.weight[i]),
             } + self.doubt[i];
         }
         let hold = if self.known { params.seam_hold_levels.clamp(0.0, 255.0) } else { 0.0 };
@@ -182,6 +186,23 @@ impl Seam {
         self.age_frames = 0;
         self.cost_found = self.cost_along();
         true
+    }
+
+    /// Sets the weight of each cell of the overlap to the mean cost of those within `reach` cells.
+    fn gather(&mut self, reach: usize) {
+        let (w, h) = (self.columns, self.rows);
+        for y in 0..h {
+            for x in 0..w {
+                let (mut sum, mut count) = (0.0, 0.0);
+                for row in y.saturating_sub(reach)..(y + reach + 1).min(h) {
+                    for p in row * w + x.saturating_sub(reach)..row * w + (x + reach + 1).min(w) {
+                        let counts = f32::from(u8::from(self.class[p] == BOTH));
+                        (sum, count) = (sum + counts * self.cost[p], count + counts);
+                    }
+                }
+                self.weight[y * w + x] = if count > 0.0 { sum / count } else { 0.0 };
+            }
+        }
     }
 
     /// Cost of a seam between two neighbouring cells, or `None` when either lies outside the overlap and none is at stake.
@@ -445,5 +466,46 @@ impl Seam {
             previous = Some((x, v));
         }
         starts_new
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_transition_keeps_away_from_a_highlight_that_one_view_has() {
+        let (columns, rows) = (20, 12);
+        let crossing = |seam_cost: SeamCost, blend_px: usize| {
+            let mut seam = Seam::default();
+            seam.resize(columns, rows);
+            for i in 0..columns * rows {
+                let x = i % columns;
+                seam.class[i] = match x {
+                    0 => BASE,
+                    19 => NEW,
+                    _ => BOTH,
+                };
+                // Nothing differs beside the highlight; further off a little does.
+                seam.cost[i] = match x {
+                    10 | 11 => 100.0,
+                    8 | 9 => 0.0,
+                    3 | 4 => 2.0,
+                    _ => 8.0,
+                };
+            }
+            let params = CompositeParams {
+                seam: SeamMethod::DynamicProgramming,
+                seam_cost,
+                blend_px,
+                seam_scale: 10,
+                ..CompositeParams::default()
+            };
+            assert!(seam.update(&params, true, true, &mut GridCut::default()));
+            seam.take[..columns].iter().position(|take| *take == 1).expect("a crossing")
+        };
+        assert_eq!(crossing(SeamCost::Color, 24), 9);
+        assert_eq!(crossing(SeamCost::Transition, 24), 4);
+        assert_eq!(crossing(SeamCost::Transition, 8), 9, "a narrow transition does not reach it");
     }
 }
