@@ -1,7 +1,7 @@
 //! The seam between the pictures joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
 
 use super::graph_cut::GridCut;
-use super::mesh::Mesh;
+use super::mesh::{Mesh, length};
 use super::params::{Canvas, CompositeParams, SeamCost, SeamMethod};
 
 /// What covers a cell: bit 0 the pictures so far, bit 1 the new view.
@@ -33,7 +33,7 @@ fn moved_px(reference: &Mesh, [low, high]: [[f64; 2]; 2], at: [f64; 2]) -> f64 {
         if (0..2).all(|k| near[k] > low[k] && near[k] < high[k])
             && let Some(shown) = reference.map(near)
         {
-            most = most.max((shown[0] - near[0]).hypot(shown[1] - near[1]));
+            most = most.max(length([shown[0] - near[0], shown[1] - near[1]]));
         }
     }
     most
@@ -147,8 +147,14 @@ impl Seam {
         found
     }
 
+    /// Whether [`Seam::update`] finds a new seam in this frame, whose costs are known: only then it reads what [`Seam::doubt`] sets.
+    pub fn is_due(&self, params: &CompositeParams, may_find: bool) -> bool {
+        let is_old = self.age_frames.saturating_add(1) >= params.seam_interval_frames.max(1)
+            || self.cost_along() > self.cost_found * params.seam_cost_growth.max(1.0) + 2.0;
+        !self.known || (may_find && is_old)
+    }
+
     fn label(&mut self, params: &CompositeParams, strip: bool, may_find: bool, cut: &mut GridCut) -> bool {
-        self.age_frames = self.age_frames.saturating_add(1);
         for (take, class) in self.take.iter_mut().zip(&self.class) {
             match *class {
                 BASE => *take = 0,
@@ -160,10 +166,8 @@ impl Seam {
         if params.seam == SeamMethod::None {
             return !std::mem::replace(&mut self.known, true);
         }
-        let due = !self.known
-            || self.age_frames >= params.seam_interval_frames.max(1)
-            || self.cost_along() > self.cost_found * params.seam_cost_growth.max(1.0) + 2.0;
-        if !due || (self.known && !may_find) {
+        if !self.is_due(params, may_find) {
+            self.age_frames = self.age_frames.saturating_add(1);
             return false;
         }
         if params.seam_cost == SeamCost::Transition {

@@ -564,7 +564,7 @@ fn borders(
 }
 
 /// Length of a vector whose square does not overflow, faster than `hypot`.
-pub(super) fn length([x, y]: Point) -> f64 {
+pub(in crate::stitch) fn length([x, y]: Point) -> f64 {
     (x * x + y * y).sqrt()
 }
 
