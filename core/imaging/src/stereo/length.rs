@@ -51,9 +51,10 @@ impl Errors {
 }
 
 /// Standard deviation of a disparity without confidence, px: under smoke and blood whole patches are matched wrongly, and a filter smooths them.
-const DOUBTFUL_PX: f64 = 50.0;
-/// Exponent by which it falls with the confidence.
-const DOUBT_EXPONENT: i32 = 3;
+const DOUBTFUL_PX: f64 = 12.0;
+/// It falls with the third power of what is missing to full confidence, times this. On the synthetic pairs for tuning 95 % of the depths with a confidence
+/// under 0.4 lie within 23 px, at 0.5 within 12, at 0.7 within 1.7 px.
+const DOUBT_SLOPE: f64 = 4.0;
 
 /// How many standard deviations are stated: 95 % of true errors lie within.
 const STATED_DEVIATIONS: f64 = 2.0;
@@ -101,7 +102,7 @@ pub fn with_error(points: &[SurfacePoint], errors: Option<&Errors>, measure: fn(
     let mut add = |changed: &[[f64; 3]; MOST_POINTS]| squares += (measure(&changed[..count]) - value).powi(2);
     for (index, point) in points[..count].iter().enumerate() {
         let mut changed = places;
-        let doubt = errors.doubtful_inverse_depth * (1.0 - point.confidence).powi(DOUBT_EXPONENT);
+        let doubt = errors.doubtful_inverse_depth * (DOUBT_SLOPE * (1.0 - point.confidence).powi(3)).min(1.0);
         changed[index] = point.xyz_mm(point.scatter.hypot(errors.inverse_depth).hypot(doubt));
         add(&changed);
     }
@@ -134,7 +135,7 @@ mod tests {
         };
         let [full, half, none, unknown] = [1.0, 0.5, 0.0, f32::NAN].map(stated);
         assert!(full == unknown && full < 1.0, "{full} mm, {unknown} mm");
-        assert!(half > 2.0 * full && none > 2.0 * half, "{full}, {half}, {none} mm");
+        assert!(half > 2.0 * full && none > 1.5 * half, "{full}, {half}, {none} mm");
         assert!(stated(0.95) < 1.05 * full, "a good match is as good as before");
     }
 }

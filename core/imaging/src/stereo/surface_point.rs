@@ -103,8 +103,8 @@ const AROUND_STEPS: usize = 5;
 const SAME_SURFACE: f64 = 0.15;
 /// Fewer samples further around say nothing.
 const LEAST_AROUND: usize = 9;
-/// Scatter of a point for each unit of standard deviation further around. With it, 95 % of the lengths on the synthetic pairs for tuning are within the
-/// stated error in 11 of 14 conditions, of the others (blur, smoke, blood) 92, 88 and 84 %.
+/// Scatter of a point for each unit of standard deviation further around. With it alone, 95 % of the lengths on the synthetic pairs for tuning are within
+/// the stated error in 11 of 14 conditions, of the others (blur, smoke, blood) 92, 88 and 84 %: there the confidence says what the scatter does not.
 const AROUND_WEIGHT: f64 = 1.5;
 
 /// Positions around `at` in steps of `step`, with their distances in px, inside `0..size`.
