@@ -5,7 +5,7 @@ mod common;
 use common::{SIZE, bgr, pair, rectified};
 use panoscope_node::abi::Calibration;
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
-use panoscope_node::{Bgr8, Depth, Disparity, Gray8};
+use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8};
 use panoscope_stereo::{Measure, Rectify, Reproject};
 
 type TestResult = Result<(), HarnessError>;
@@ -263,6 +263,26 @@ fn the_stated_error_follows_the_noise() -> TestResult {
     assert!(loud[0][5] > 1.5 * quiet[0][5], "{quiet:?} {loud:?}");
     let length = apart(truth(40.0, 30.0), truth(280.0, 90.0));
     assert!((loud[0][4] - length).abs() < loud[0][5], "{loud:?} {length}");
+    Ok(())
+}
+
+#[test]
+fn the_stated_error_grows_where_the_confidence_is_low() -> TestResult {
+    let depth: Vec<f32> = slope_map().iter().map(|disparity| (FOCAL * BASELINE) as f32 / disparity).collect();
+    let mut node = Harness::<Measure>::from_toml("params = { points = [40, 30, 280, 90] }")?;
+    let mut stated = |confidence: f32, height: usize| -> Result<f64, HarnessError> {
+        let trust = vec![confidence; SIZE.0 * height];
+        let out = node
+            .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+            .input_image::<Confidence>("confidence", SIZE.0, height, &trust)
+            .input_value("calibration", rectified(FOCAL, BASELINE))
+            .process()?;
+        Ok(out.table("table")?.rows().map(|row| row[5]).sum())
+    };
+    let (full, low) = (stated(1.0, SIZE.1)?, stated(0.3, SIZE.1)?);
+    assert!(low > 5.0 * full, "{full} and {low} mm");
+    let wrong = stated(1.0, 60).map_err(|error| error.to_string());
+    assert!(wrong.as_ref().is_err_and(|text| text.contains("320x60")), "{wrong:?}");
     Ok(())
 }
 

@@ -28,6 +28,8 @@ pub enum Cost {
     Color,
     /// Colour difference divided by the local gradient: seams hide along edges (Kwatra et al. 2003, eq. 2).
     ColorGradient,
+    /// Colour difference, or its mean over the width of the transition if that is larger.
+    Transition,
 }
 
 /// Output while a frame's registration is lost or implausible.
@@ -145,6 +147,7 @@ impl CompositeNodeParams {
             seam_cost: match self.seam_cost {
                 Cost::Color => SeamCost::Color,
                 Cost::ColorGradient => SeamCost::ColorGradient,
+                Cost::Transition => SeamCost::Transition,
             },
             seam_hold_levels: self.seam_hold,
             blend: match self.blend {

@@ -8,8 +8,13 @@ const REACH: usize = 2;
 const RAMP_SHARE: f32 = 0.4;
 /// Smallest piece of a surface, as a share of all corners.
 const LEAST_PIECE: f32 = 0.004;
-/// Neighbours of eight that a corner of a rim has.
+/// Steepest rise of a rim, as a share of the largest slope between neighbours, and how many corners of a steeper one are cut at most: a step of one
+/// corner is a long tooth there when it is seen from the side.
+const RIM_SHARE: f32 = 0.2;
+const RIM_ROUNDS: usize = 6;
+/// Neighbours of eight that a corner of a rim has, and known corners of the 25 around it, its own included: a straight rim has 15.
 const LEAST_NEIGHBOURS: usize = 4;
+const LEAST_AROUND: u8 = 13;
 /// Corners in a row, from the picture's edge inward, that a surface has at least.
 const EDGE: usize = 6;
 /// How often rims are smoothed.
@@ -21,6 +26,8 @@ pub struct Rims {
     is_out: Vec<bool>,
     piece: Vec<u32>,
     open: Vec<usize>,
+    /// Known corners of five in a row.
+    across: Vec<u8>,
 }
 
 /// Whether there is a point of a surface.
@@ -37,12 +44,20 @@ pub fn is_steep(a: [f32; 3], b: [f32; 3], slope: f32) -> bool {
     (b[2] - a[2]).abs() > slope * across.max(1e-6)
 }
 
+/// The index `step` from `at`. The picture's own edge is no rim: what lies beyond it is like what lies opposite.
+fn mirrored(at: isize, step: isize, end: usize) -> usize {
+    let to = at + step;
+    let inside = if (0..end as isize).contains(&to) { to } else { at - step };
+    inside.clamp(0, end as isize - 1) as usize
+}
+
 impl Rims {
     /// Takes corners out of a grid of `width` that do not belong to a surface: those on a ramp between two depths, pieces that are too small, and
     /// teeth of rims. Holes stay holes.
     pub fn clean(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
         self.cut_edges(corners, width, max_slope);
         self.cut_ramps(corners, width, max_slope);
+        self.cut_steep_rims(corners, width, max_slope);
         for _ in 0..ROUNDS {
             self.cut_teeth(corners, width);
         }
@@ -103,22 +118,56 @@ impl Rims {
         self.take_out(corners);
     }
 
+    /// Takes out the corners of a rim where the surface falls away steeply.
+    fn cut_steep_rims(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
+        let height = corners.len() / width;
+        let slope = RIM_SHARE * max_slope;
+        for _ in 0..RIM_ROUNDS {
+            self.is_out.clear();
+            self.is_out.resize(corners.len(), false);
+            for at in (0..corners.len()).filter(|at| is_known(&corners[*at])) {
+                let (x, y) = (at % width, at / width);
+                // Both neighbours along a row, along a column; the picture's edge is no rim.
+                let lines = [
+                    (x > 0 && x + 1 < width).then(|| [at - 1, at + 1]),
+                    (y > 0 && y + 1 < height).then(|| [at - width, at + width]),
+                ];
+                self.is_out[at] = lines.into_iter().flatten().any(|[a, b]| {
+                    let of = |known: usize, gone: usize| {
+                        is_known(&corners[known])
+                            && !is_known(&corners[gone])
+                            && is_steep(corners[at].world, corners[known].world, slope)
+                    };
+                    of(a, b) || of(b, a)
+                });
+            }
+            if !self.is_out.contains(&true) {
+                return;
+            }
+            self.take_out(corners);
+        }
+    }
+
     fn cut_teeth(&mut self, corners: &mut [Corner], width: usize) {
         let height = corners.len() / width;
         self.is_out.clear();
         self.is_out.resize(corners.len(), false);
+        self.across.clear();
+        for row in corners.chunks_exact(width) {
+            self.across.extend((0..width).map(|x| {
+                let five = (-2..=2).map(|step| mirrored(x as isize, step, width));
+                five.map(|x| u8::from(is_known(&row[x]))).sum::<u8>()
+            }));
+        }
         for at in (0..corners.len()).filter(|at| is_known(&corners[*at])) {
             let (x, y) = ((at % width) as isize, (at / width) as isize);
+            let around = (-2..=2).map(|step| self.across[mirrored(y, step, height) * width + x as usize]);
             let mut count = 0;
             for (dx, dy) in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)] {
-                // The picture's own edge is no rim: what lies beyond it is like what lies opposite.
-                let mirrored = |at: isize, step: isize, end: usize| {
-                    if (0..end as isize).contains(&(at + step)) { at + step } else { at - step }
-                };
                 let (x, y) = (mirrored(x, dx, width), mirrored(y, dy, height));
-                count += usize::from(is_known(&corners[y as usize * width + x as usize]));
+                count += usize::from(is_known(&corners[y * width + x]));
             }
-            self.is_out[at] = count < LEAST_NEIGHBOURS;
+            self.is_out[at] = count < LEAST_NEIGHBOURS || around.sum::<u8>() < LEAST_AROUND;
         }
         self.take_out(corners);
     }
@@ -235,6 +284,27 @@ mod tests {
         Rims::default().clean(&mut corners, SIDE, 6.0);
         assert!((17..24).all(|x| !known(&corners, x, 20)), "the ramp");
         assert!((0..13).all(|x| known(&corners, x, 20)) && (28..SIDE).all(|x| known(&corners, x, 20)));
+    }
+
+    #[test]
+    fn a_rim_that_falls_away_is_cut_back_to_the_flat_surface() {
+        // Steeper and steeper towards a gap, but nowhere a ramp.
+        let steep = |x: usize| 60.0 + if x > 20 { 0.15 * (x as f32 - 20.0).powi(2) } else { 0.0 };
+        let mut corners = seen(|x, _| if x < 26 { steep(x) } else { f32::NAN });
+        Rims::default().clean(&mut corners, SIDE, 6.0);
+        assert!((0..21).all(|x| known(&corners, x, 20)), "the flat surface");
+        assert!((24..26).all(|x| !known(&corners, x, 20)), "the steep rim");
+    }
+
+    #[test]
+    fn a_ragged_rim_becomes_smooth() {
+        let is_ragged = |x: usize, y: usize| x < 20 + [0, 3, 1, 4, 0, 2][y % 6];
+        let mut corners = seen(|x, y| if is_ragged(x, y) { 50.0 } else { f32::NAN });
+        Rims::default().clean(&mut corners, SIDE, 6.0);
+        let ends: Vec<usize> = (6..34).map(|y| (0..SIDE).filter(|x| known(&corners, *x, y)).count()).collect();
+        let jumps = ends.windows(2).map(|pair| pair[0].abs_diff(pair[1])).max();
+        assert!(jumps <= Some(2), "{ends:?}");
+        assert!(ends.iter().all(|end| (19..=23).contains(end)), "{ends:?}");
     }
 
     #[test]

@@ -25,6 +25,8 @@ impl Noise {
 pub struct Errors {
     /// Of one point's inverse depth, beside the scatter around it, in 1/mm.
     pub inverse_depth: f64,
+    /// Of the inverse depth of a point that nothing speaks for, in 1/mm: it falls with the confidence, to nothing for full confidence.
+    pub doubtful_inverse_depth: f64,
     /// Of all inverse depths alike (the calibration's disparity offset), in 1/mm.
     pub common_inverse_depth: f64,
     /// Of all lengths alike (baseline), relative.
@@ -39,6 +41,7 @@ impl Errors {
         let inverse_depth_per_px = 1.0 / (focal_px * baseline_mm);
         Self {
             inverse_depth: noise.disparity_px * inverse_depth_per_px,
+            doubtful_inverse_depth: DOUBTFUL_PX * inverse_depth_per_px,
             // `max` drops NaN.
             common_inverse_depth: noise.offset_px.max(rms_px) * inverse_depth_per_px,
             scale: noise.baseline_mm / baseline_mm,
@@ -46,6 +49,13 @@ impl Errors {
         }
     }
 }
+
+/// Standard deviation of a disparity without confidence, px: under smoke and blood whole patches are matched wrongly, and a filter smooths them.
+const DOUBTFUL_PX: f64 = 12.0;
+/// It falls with the third power of what is missing to full confidence, times this. On the synthetic pairs for tuning 95 % of the depths with a confidence
+/// under 0.4 lie within 23 px, at 0.5 within 12, at 0.7 within 1.7 px.
+const DOUBT_SLOPE: f64 = 4.0;
+
 /// How many standard deviations are stated: 95 % of true errors lie within.
 const STATED_DEVIATIONS: f64 = 2.0;
 
@@ -92,7 +102,8 @@ pub fn with_error(points: &[SurfacePoint], errors: Option<&Errors>, measure: fn(
     let mut add = |changed: &[[f64; 3]; MOST_POINTS]| squares += (measure(&changed[..count]) - value).powi(2);
     for (index, point) in points[..count].iter().enumerate() {
         let mut changed = places;
-        changed[index] = point.xyz_mm(point.scatter.hypot(errors.inverse_depth));
+        let doubt = errors.doubtful_inverse_depth * (DOUBT_SLOPE * (1.0 - point.confidence).powi(3)).min(1.0);
+        changed[index] = point.xyz_mm(point.scatter.hypot(errors.inverse_depth).hypot(doubt));
         add(&changed);
     }
     let mut changed = places;
@@ -103,4 +114,28 @@ pub fn with_error(points: &[SurfacePoint], errors: Option<&Errors>, measure: fn(
     add(&places.map(|place| place.map(|part| part * (1.0 + errors.scale))));
     add(&places.map(|[x, y, z]| [x, y, z * (1.0 + errors.depth_scale)]));
     (value, STATED_DEVIATIONS * squares.sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_error_grows_as_the_confidence_falls() {
+        let errors = Errors::of(750.0, 15.0, f64::NAN, &Noise::USUAL);
+        let stated = |confidence: f32| {
+            let point = |x: f64, z_mm: f64| SurfacePoint {
+                ray: [x, 0.0],
+                inverse_depth: 1.0 / z_mm,
+                scatter: 1e-5,
+                confidence: 1.0,
+            };
+            let ends = [point(-0.1, 50.0).trusted(confidence), point(0.1, 65.0)];
+            with_error(&ends, Some(&errors), distance).1
+        };
+        let [full, half, none, unknown] = [1.0, 0.5, 0.0, f32::NAN].map(stated);
+        assert!(full == unknown && full < 1.0, "{full} mm, {unknown} mm");
+        assert!(half > 2.0 * full && none > 1.5 * half, "{full}, {half}, {none} mm");
+        assert!(stated(0.95) < 1.05 * full, "a good match is as good as before");
+    }
 }

@@ -9,6 +9,7 @@ pub mod bilateral_solver;
 pub mod block_matching;
 mod block_matching_finish;
 mod block_matching_kernel;
+mod border_strip;
 pub mod camera;
 pub mod confidence;
 mod epipolar;

@@ -1,5 +1,6 @@
 //! A matcher as nodes use it: range of the search, kernel, shared field, speckles.
 
+use super::border_strip::BorderStrip;
 use super::search::{Search, SearchParams};
 use super::tile::{Tile, project_right};
 use super::{BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams};
@@ -105,6 +106,7 @@ pub struct PairMatcher {
     search: Search,
     speckles: SpeckleFilter,
     field: SharedField,
+    strip: BorderStrip,
     /// The right view's map when nobody reads it: the shared field is found by it.
     right: Vec<f32>,
     /// Tiles inside the region.
@@ -121,13 +123,15 @@ impl PairMatcher {
             search: Search::new()?,
             speckles: SpeckleFilter::default(),
             field: SharedField::default(),
+            strip: BorderStrip::default(),
             right: Vec::new(),
             tiles: Vec::new(),
         })
     }
 
     /// Matches `roi` of a rectified gray pair. Writes px of the left view into `disparity` and, where asked for, px of the right view into
-    /// `disparity_right`; NaN where unmatched, outside `roi`, and where only one camera sees.
+    /// `disparity_right`; NaN where unmatched, outside `roi`, and where only one camera sees. A strip at the
+    /// right border that is narrower than a block is filled in in `disparity` alone.
     ///
     /// # Errors
     /// When sizes or channel counts do not agree.
@@ -175,6 +179,7 @@ impl PairMatcher {
             self.field.clear_outside(&mut disparity, right, roi);
         }
         self.speckles.remove(&mut disparity, roi, params.speckle_area_px, SPECKLE_STEP_PX);
+        self.strip.fill(views, roi, &mut disparity);
         self.search.end(report, views, disparity.as_view(), is_whole, &params.search);
         Ok(())
     }

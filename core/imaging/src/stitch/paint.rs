@@ -117,8 +117,10 @@ impl Layers {
             let gain = taps::fixed_gain(&self.gains[k]);
             let step = &mut self.steps[k];
             step.seam.resize(canvas.width.div_ceil(scale), canvas.height.div_ceil(scale));
-            step.seam.doubt(self.meshes[k].given(), self.meshes[0].given(), canvas, scale);
             self.joined.measure(taps, &gain, &mut step.seam, pool);
+            if step.seam.is_due(params, may_learn) {
+                step.seam.doubt(self.meshes[k].given(), self.meshes[0].given(), canvas, scale);
+            }
             let found = step.seam.update(params, k == 1, may_learn, &mut self.cut);
             found_any |= found;
             worst_cost = worst_cost.max(step.seam.cost_along());

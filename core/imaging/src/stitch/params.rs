@@ -38,6 +38,8 @@ pub enum SeamCost {
     /// Colour difference divided by the local gradient: seams hide along edges (Kwatra et al. 2003, eq. 2).
     #[default]
     ColorGradient,
+    /// Colour difference, and its mean over the width of the transition if that is larger: a highlight that only one view has shows beside the seam too.
+    Transition,
 }
 
 /// How the views are joined along the seam.

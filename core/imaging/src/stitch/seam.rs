@@ -1,7 +1,7 @@
 //! The seam between the pictures joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
 
 use super::graph_cut::GridCut;
-use super::mesh::Mesh;
+use super::mesh::{Mesh, length};
 use super::params::{Canvas, CompositeParams, SeamCost, SeamMethod};
 
 /// What covers a cell: bit 0 the pictures so far, bit 1 the new view.
@@ -33,7 +33,7 @@ fn moved_px(reference: &Mesh, [low, high]: [[f64; 2]; 2], at: [f64; 2]) -> f64 {
         if (0..2).all(|k| near[k] > low[k] && near[k] < high[k])
             && let Some(shown) = reference.map(near)
         {
-            most = most.max((shown[0] - near[0]).hypot(shown[1] - near[1]));
+            most = most.max(length([shown[0] - near[0], shown[1] - near[1]]));
         }
     }
     most
@@ -147,8 +147,14 @@ impl Seam {
         found
     }
 
+    /// Whether [`Seam::update`] finds a new seam in this frame, whose costs are known: only then it reads what [`Seam::doubt`] sets.
+    pub fn is_due(&self, params: &CompositeParams, may_find: bool) -> bool {
+        let is_old = self.age_frames.saturating_add(1) >= params.seam_interval_frames.max(1)
+            || self.cost_along() > self.cost_found * params.seam_cost_growth.max(1.0) + 2.0;
+        !self.known || (may_find && is_old)
+    }
+
     fn label(&mut self, params: &CompositeParams, strip: bool, may_find: bool, cut: &mut GridCut) -> bool {
-        self.age_frames = self.age_frames.saturating_add(1);
         for (take, class) in self.take.iter_mut().zip(&self.class) {
             match *class {
                 BASE => *take = 0,
@@ -160,16 +166,18 @@ impl Seam {
         if params.seam == SeamMethod::None {
             return !std::mem::replace(&mut self.known, true);
         }
-        let due = !self.known
-            || self.age_frames >= params.seam_interval_frames.max(1)
-            || self.cost_along() > self.cost_found * params.seam_cost_growth.max(1.0) + 2.0;
-        if !due || (self.known && !may_find) {
+        if !self.is_due(params, may_find) {
+            self.age_frames = self.age_frames.saturating_add(1);
             return false;
+        }
+        if params.seam_cost == SeamCost::Transition {
+            self.gather(params.blend_px / 2 / params.cell_px());
         }
         for i in 0..self.columns * self.rows {
             self.weight[i] = match params.seam_cost {
                 SeamCost::Color => self.cost[i],
                 SeamCost::ColorGradient => self.cost[i] / (1.0 + self.gradient[i] / 32.0),
+                SeamCost::Transition => self.cost[i].max(self.weight[i]),
             } + self.doubt[i];
         }
         let hold = if self.known { params.seam_hold_levels.clamp(0.0, 255.0) } else { 0.0 };
@@ -182,6 +190,23 @@ impl Seam {
         self.age_frames = 0;
         self.cost_found = self.cost_along();
         true
+    }
+
+    /// Sets the weight of each cell of the overlap to the mean cost of those within `reach` cells.
+    fn gather(&mut self, reach: usize) {
+        let (w, h) = (self.columns, self.rows);
+        for y in 0..h {
+            for x in 0..w {
+                let (mut sum, mut count) = (0.0, 0.0);
+                for row in y.saturating_sub(reach)..(y + reach + 1).min(h) {
+                    for p in row * w + x.saturating_sub(reach)..row * w + (x + reach + 1).min(w) {
+                        let counts = f32::from(u8::from(self.class[p] == BOTH));
+                        (sum, count) = (sum + counts * self.cost[p], count + counts);
+                    }
+                }
+                self.weight[y * w + x] = if count > 0.0 { sum / count } else { 0.0 };
+            }
+        }
     }
 
     /// Cost of a seam between two neighbouring cells, or `None` when either lies outside the overlap and none is at stake.
@@ -445,5 +470,46 @@ impl Seam {
             previous = Some((x, v));
         }
         starts_new
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_transition_keeps_away_from_a_highlight_that_one_view_has() {
+        let (columns, rows) = (20, 12);
+        let crossing = |seam_cost: SeamCost, blend_px: usize| {
+            let mut seam = Seam::default();
+            seam.resize(columns, rows);
+            for i in 0..columns * rows {
+                let x = i % columns;
+                seam.class[i] = match x {
+                    0 => BASE,
+                    19 => NEW,
+                    _ => BOTH,
+                };
+                // Nothing differs beside the highlight; further off a little does.
+                seam.cost[i] = match x {
+                    10 | 11 => 100.0,
+                    8 | 9 => 0.0,
+                    3 | 4 => 2.0,
+                    _ => 8.0,
+                };
+            }
+            let params = CompositeParams {
+                seam: SeamMethod::DynamicProgramming,
+                seam_cost,
+                blend_px,
+                seam_scale: 10,
+                ..CompositeParams::default()
+            };
+            assert!(seam.update(&params, true, true, &mut GridCut::default()));
+            seam.take[..columns].iter().position(|take| *take == 1).expect("a crossing")
+        };
+        assert_eq!(crossing(SeamCost::Color, 24), 9);
+        assert_eq!(crossing(SeamCost::Transition, 24), 4);
+        assert_eq!(crossing(SeamCost::Transition, 8), 9, "a narrow transition does not reach it");
     }
 }

@@ -6,8 +6,8 @@ use panoscope_imaging::stereo::length::{self, Errors, Noise};
 use panoscope_imaging::stereo::{Rectification, SurfacePoint};
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
-    Choice, Cloud, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result, Slot,
-    TableData, Validation, Value, error,
+    Choice, Cloud, Confidence, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result,
+    Slot, TableData, Validation, Value, error,
 };
 
 use panoscope_calibration::packet as calibration;
@@ -58,6 +58,8 @@ pub struct In<'f> {
     depth: Option<Image<'f, Depth>>,
     /// Calibration of the rectified views; without it errors are unknown.
     calibration: Option<Value<'f, Calibration>>,
+    /// Confidence of the disparity that the surface comes from, as a filter gives it: errors grow where it is low. Without it all is trusted.
+    confidence: Option<Image<'f, Confidence>>,
     /// Tips of tools: one point each, after those of the parameter. A tip that is missing in a tick is an unknown point.
     tips: Option<List<'f, Value<'f, Tip>>>,
     /// Boxes in the left rectified view: the centre of each is a point, after those of the parameter and the tips.
@@ -126,7 +128,14 @@ impl Measure {
         self.given.clear();
         self.places.clear();
         let (given, places, samples) = (&mut self.given, &mut self.places, &mut self.samples);
-        let mut at = |u: f64, v: f64| surface.at(u, v, params.radius_px, samples);
+        let trust = input.confidence.as_ref().map(Image::view);
+        let mut at = |u: f64, v: f64| {
+            let point = surface.at(u, v, params.radius_px, samples)?;
+            // Inside the picture, or there would be no point.
+            let here = trust
+                .map(|map| map.row((v.round() as usize).min(map.height - 1))[(u.round() as usize).min(map.width - 1)]);
+            Some(here.map_or(point, |confidence| point.trusted(confidence)))
+        };
         for point in params.points.as_chunks::<2>().0 {
             given.push(*point);
             places.push(at(point[0], point[1]));
@@ -145,8 +154,8 @@ impl Measure {
                 .then_some(tip.xyz_mm)
                 .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
             places.push(given.map_or(seen, |[x, y, z]| {
-                let scatter = seen.map_or(0.0, |point| point.scatter);
-                Some(SurfacePoint { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter })
+                let (scatter, confidence) = seen.map_or((0.0, 1.0), |point| (point.scatter, point.confidence));
+                Some(SurfacePoint { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter, confidence })
             }));
         }
         for found in input.detections.as_ref().map_or(&[][..], Detections::items) {
@@ -166,7 +175,8 @@ impl Measure {
         for start in starts {
             self.rows.extend(self.given[start..start + size].iter().flatten());
             let mut points =
-                [SurfacePoint { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN }; length::MOST_POINTS];
+                [SurfacePoint { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN, confidence: 1.0 };
+                    length::MOST_POINTS];
             for (point, place) in points.iter_mut().zip(&self.places[start..start + size]) {
                 *point = place.unwrap_or(*point);
             }
@@ -259,6 +269,17 @@ impl Node for Measure {
             return Err(error!(
                 "the surface is {}x{}, the calibration was made for {}x{}",
                 size.0, size.1, views.width, views.height
+            ));
+        }
+        if let Some(map) = &input.confidence
+            && (map.width(), map.height()) != size
+        {
+            return Err(error!(
+                "the confidence is {}x{}, the surface {}x{}: connect the confidence of the same disparity",
+                map.width(),
+                map.height(),
+                size.0,
+                size.1
             ));
         }
         self.gather(&input, &surface, params);

@@ -42,6 +42,9 @@ pub struct Arguments {
     /// Leaves out what the graph is compared with: OpenCV's conventional pipeline and as-projective-as-possible warps.
     #[arg(long)]
     no_peer: bool,
+    /// Leaves out the runs with views that hold still and with incidents, which take most of the time.
+    #[arg(long, conflicts_with_all = ["fov", "speeds", "cases"])]
+    brief: bool,
     /// Writes the last panorama of each case, with those of its peers below it, into this folder.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["fov", "speeds", "cases"])]
     pictures: Option<PathBuf>,
@@ -116,6 +119,7 @@ pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>
                 settings,
                 given,
                 with_peer: !arguments.no_peer,
+                is_brief: arguments.brief,
                 pictures: arguments.pictures.clone(),
             };
             stitch::judge(session, &options)?

@@ -16,6 +16,8 @@ pub struct ChainOutput {
     pub chain: &'static str,
     /// Px of the left view, NaN where unknown.
     pub disparity: Vec<f32>,
+    /// Of the disparities, 0 to 1, where the chain gives it.
+    pub confidence: Option<Vec<f32>>,
 }
 
 /// All chains with the nodes' own settings, over disparities `first_px..first_px + search_px`.
@@ -98,17 +100,13 @@ fn chains(left: &Picture, right: &Picture, search: SearchParams, pool: &dyn Para
     solver.compute(input, pool, view_mut(&mut bm_wls_fbs, size), None)?;
     let semi_global = matched(Matched::SemiGlobal { speckle_area_px: 0 })?;
     let [sgbm_wls, _] = filtered(&semi_global, 3, lambda)?;
-    let [depth, _] = filtered(&matched(Matched::SemiGlobal { speckle_area_px: DEPTH.1 })?, 3, DEPTH.0)?;
+    let [depth, depth_trust] = filtered(&matched(Matched::SemiGlobal { speckle_area_px: DEPTH.1 })?, 3, DEPTH.0)?;
     let [sgbm, _] = semi_global;
-    let all = [
-        ("bm", bm),
-        ("bm_wls", bm_wls),
-        ("bm_wls_fbs", bm_wls_fbs),
-        ("sgbm", sgbm),
-        ("sgbm_wls", sgbm_wls),
-        ("depth", depth),
-    ];
-    Ok(all.into_iter().map(|(chain, disparity)| ChainOutput { chain, disparity }).collect())
+    let all = [("bm", bm), ("bm_wls", bm_wls), ("bm_wls_fbs", bm_wls_fbs), ("sgbm", sgbm), ("sgbm_wls", sgbm_wls)];
+    let mut all: Vec<ChainOutput> =
+        all.into_iter().map(|(chain, disparity)| ChainOutput { chain, disparity, confidence: None }).collect();
+    all.push(ChainOutput { chain: "depth", disparity: depth, confidence: Some(depth_trust) });
+    Ok(all)
 }
 
 /// How a chain begins.

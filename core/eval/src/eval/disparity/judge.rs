@@ -60,7 +60,7 @@ impl Judge<'_> {
     /// The user's graph on a pair, if there is one.
     pub fn own_graph(&self, left: &Picture, right: &Picture) -> Result<Option<ChainOutput>> {
         let Some(own) = &self.own else { return Ok(None) };
-        Ok(Some(ChainOutput { chain: "graph", disparity: own.disparity(self.session, left, right)? }))
+        Ok(Some(ChainOutput { chain: "graph", disparity: own.disparity(self.session, left, right)?, confidence: None }))
     }
 
     pub fn against(

@@ -83,7 +83,7 @@ struct Stated {
 }
 
 impl Stated {
-    fn add(&mut self, SyntheticPair([left, _]): &SyntheticPair, found: &[f32]) {
+    fn add(&mut self, SyntheticPair([left, _]): &SyntheticPair, found: &[f32], trust: Option<&[f32]>) {
         let (size, per_px) = (synthetic::SIZE, 1.0 / (synthetic::FOCAL_PX * synthetic::BASELINE_MM));
         let errors = Errors95::of(synthetic::FOCAL_PX, synthetic::BASELINE_MM, f64::NAN, &Noise::USUAL);
         let ray = |x: usize, y: usize| {
@@ -104,6 +104,7 @@ impl Stated {
             let [u, v, inverse] = is_seen.then(|| sample(&left.disparity, x, y))??;
             // What is measured is the surface under the pixel: no point where the map has none.
             sample(found, x, y)?;
+            let point = point.map(|point| trust.map_or(point, |trust| point.trusted(trust[y * size.0 + x])));
             Some((point?, [u / inverse, v / inverse, 1.0 / inverse]))
         };
         for y in (POINTS_PX..size.1).step_by(POINTS_PX) {
@@ -170,7 +171,7 @@ impl Judge<'_> {
                     all.len() - 1
                 });
                 all[index].1.add(&pair, &made.disparity);
-                all[index].2.add(&pair, &made.disparity);
+                all[index].2.add(&pair, &made.disparity, made.confidence.as_deref());
             }
             if let Some(folder) = self.pictures {
                 picture::view(&folder.join(format!("{case}_{name}_{seed}_left.png")), synthetic::SIZE, &left.bgr)?;

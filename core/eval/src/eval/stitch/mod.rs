@@ -60,6 +60,8 @@ pub struct Options {
     pub given: GraphOptions,
     /// Runs OpenCV's conventional pipeline and as-projective-as-possible warps on the same pictures.
     pub with_peer: bool,
+    /// Leaves out the runs with views that hold still and with incidents.
+    pub is_brief: bool,
     /// Folder for the last panorama of each case: the graph's and each peer's, one above the other.
     pub pictures: Option<PathBuf>,
 }
@@ -78,10 +80,10 @@ struct Marks {
 fn judge_all(
     session: &dyn Session,
     case: &Case,
-    path: &Path,
-    frames: u64,
+    options: &Options,
     is_peer: bool,
 ) -> Result<Option<(Vec<Marks>, JudgedRun)>> {
+    let (path, frames) = (options.graph.as_path(), options.frames);
     let of = |judged: JudgeInputs| if is_peer { case.wiring.peer(judged, 0.0, 2) } else { Some(case.wiring.clone()) };
     let (Some(whole), Some(plain)) = (of(JudgeInputs::Pictures), of(JudgeInputs::Registration)) else {
         return Ok(None);
@@ -90,6 +92,9 @@ fn judge_all(
     let mut all = Vec::new();
     for rows in &main.tables {
         all.push(Marks { registration: registration(rows)?, jitter_px: f64::NAN, recovery: Vec::new() });
+    }
+    if options.is_brief {
+        return Ok(Some((all, main)));
     }
     if !case.still.is_empty() {
         let mut still = plain.clone();
@@ -121,13 +126,14 @@ fn judge_all(
 }
 
 /// As-projective-as-possible warps on the pictures of a case.
-fn reference_of(session: &dyn Session, case: &Case, path: &Path, frames: u64) -> Result<Option<reference::Reference>> {
-    let still = (!case.still.is_empty()).then(|| {
+fn reference_of(session: &dyn Session, case: &Case, options: &Options) -> Result<Option<reference::Reference>> {
+    let Options { graph: path, frames, is_brief, .. } = options;
+    let still = (!is_brief && !case.still.is_empty()).then(|| {
         let mut still = case.wiring.clone();
         case.still.iter().for_each(|(node, param, value)| still.set(node, param, value.clone()));
         still
     });
-    reference::judge(session, &case.wiring, still.as_ref(), path, frames)
+    reference::judge(session, &case.wiring, still.as_ref(), path, *frames)
 }
 
 fn csv(rows: &Table) -> String {
@@ -270,11 +276,11 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
                 continue;
             }
         };
-        let Some((ours, main)) = judge_all(session, &case, path, options.frames, false)? else { continue };
-        let peer = if options.with_peer { judge_all(session, &case, path, options.frames, true)? } else { None };
+        let Some((ours, main)) = judge_all(session, &case, options, false)? else { continue };
+        let peer = if options.with_peer { judge_all(session, &case, options, true)? } else { None };
         let peer_marks = peer.as_ref().and_then(|(marks, _)| marks.first());
         let peer_rows = peer.as_ref().and_then(|(_, run)| run.tables.first());
-        let reference = if options.with_peer { reference_of(session, &case, path, options.frames)? } else { None };
+        let reference = if options.with_peer { reference_of(session, &case, options)? } else { None };
         let input = format!("{}, {} frames", case.input, options.frames);
         let title =
             [graph.name.as_str(), case.name].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");

@@ -50,6 +50,9 @@ const SETTLE_PASSES: usize = 6;
 const SETTLED_PX: f64 = 0.2;
 /// A mesh that moves by less than this stays as it is, px: what follows from it need not be computed again.
 const DEAD_BAND_PX: f64 = 0.02;
+/// The mesh starts afresh when the share of the lines in which nothing is observed falls by more than this: where it guessed it may be so far off that
+/// what is observed there now would pass for mistakes.
+const LESS_BLIND: f64 = 0.1;
 
 /// Parameters of [`MeshFollower`]. Lengths are in pixels of a view with 640 columns and grow with the view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -176,6 +179,8 @@ pub struct MeshFollower {
     blocks: Vec<[f64; 3]>,
     sorted: Vec<f64>,
     is_seen: Vec<bool>,
+    /// [`MeshReport::blind`] when the mesh started afresh.
+    blind_at_start: f64,
     energy: Energy,
     relax: Relax,
 }
@@ -265,7 +270,10 @@ impl MeshFollower {
         let mut shared = [0.0; 2];
         if !report.is_new {
             (report.motion_px, shared) = self.motion();
-            report.is_new = report.motion_px > p.jump_px * scale;
+            report.is_new = report.motion_px > p.jump_px * scale || report.blind < self.blind_at_start - LESS_BLIND;
+        }
+        if report.is_new {
+            self.blind_at_start = report.blind;
         }
         let stiffness = Stiffness { bend: p.bend, slope: p.slope, place: 1e-4 };
         let limit_px = p.outlier_px * scale;
@@ -556,7 +564,7 @@ fn borders(
 }
 
 /// Length of a vector whose square does not overflow, faster than `hypot`.
-pub(super) fn length([x, y]: Point) -> f64 {
+pub(in crate::stitch) fn length([x, y]: Point) -> f64 {
     (x * x + y * y).sqrt()
 }
 

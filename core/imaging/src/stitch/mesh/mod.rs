@@ -17,6 +17,7 @@ mod relax;
 #[cfg(test)]
 mod tests;
 
+pub(super) use follow::length;
 pub use follow::{MeshFollower, MeshParams, MeshReport};
 pub(super) use locate::{Mapping, MeshGrid};
 
