@@ -151,6 +151,9 @@ pub fn histogram(ui: &mut Ui, probe: &Probe) {
     if unknown > 0.0 {
         words += &format!(", {:.0} % unknown", (unknown * 100.0).max(1.0));
     }
+    if probe.is_thinned {
+        words += ", thinned on the way";
+    }
     response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Histogram: {words}")));
     ui.label(eframe::egui::RichText::new(words).size(11.0).color(theme::muted()));
 }

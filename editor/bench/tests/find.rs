@@ -107,8 +107,7 @@ fn a_slider_keeps_the_keys_when_a_line_comes_above_it() {
     window.until_shown("Pick mean.past_weight");
     window.key(NONE, Key::Enter);
     window.steps(3);
-    let has_keys =
-        |window: &Window| window.harness.get_by_role_and_label(Role::Slider, "past_weight").is_focused();
+    let has_keys = |window: &Window| window.harness.get_by_role_and_label(Role::Slider, "past_weight").is_focused();
     assert!(has_keys(&window));
     // A mistake, which the panel shows above the parameters.
     folder.write("g.toml", &GRAPH.replace("past_weight = 100", "past_weight = 100, nothing = 1"));

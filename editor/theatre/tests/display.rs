@@ -105,7 +105,10 @@ fn the_stereo_pair_is_shown_for_3d_displays() {
     window.harness.step();
     let (left, right) = (rect(&window, "Left eye"), rect(&window, "Right eye"));
     assert_eq!(left.size(), right.size());
-    assert!((right.left() - left.left() - HALF.x).abs() < 1.0 && (right.top() - left.top()).abs() < 0.1, "{left:?} {right:?}");
+    assert!(
+        (right.left() - left.left() - HALF.x).abs() < 1.0 && (right.top() - left.top()).abs() < 0.1,
+        "{left:?} {right:?}"
+    );
     // Stretched to twice its width the image has its proportions.
     assert!((2.0 * left.width() / left.height() - 160.0 / 120.0).abs() < 0.02, "{left:?}");
     // The stop of the arm is there for both eyes, at the same place, and not on the image.
