@@ -353,6 +353,8 @@ struct ColourRun {
     made: BTreeMap<u64, Vec<u8>>,
     bytes: u64,
     faults: usize,
+    /// Connections that were made.
+    connections: u64,
 }
 
 impl ColourRun {
@@ -377,9 +379,11 @@ impl ColourRun {
         });
         let options = Options { listen: listen.into(), graph_dir: folder.to_owned(), ..options(frames) };
         let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
-        let mut link = None;
+        let (mut link, mut connections) = (None, 0);
         let _ = engine.watch(Duration::from_millis(20), |engine| {
-            link = engine.report().groups["rack"].link.clone().or(link.take());
+            let rack = &engine.report().groups["rack"];
+            link = rack.link.clone().or(link.take());
+            connections = rack.processes;
             look(made.lock().expect("no panic").len());
             Ok::<_, ()>(())
         });
@@ -387,7 +391,8 @@ impl ColourRun {
         let link = link.expect("a link");
         let take = |pictures: &Pictures| std::mem::take(&mut *pictures.lock().expect("no panic"));
         let (sent, made) = (take(&sent), take(&made));
-        Self { sent, made, bytes: link.sent_bytes + link.received_bytes, faults: engine.recent_faults().len() }
+        let bytes = link.sent_bytes + link.received_bytes;
+        Self { sent, made, bytes, faults: engine.recent_faults().len(), connections }
     }
 
     /// Peak signal-to-noise ratio of the worst picture, dB.
@@ -443,10 +448,11 @@ fn streams_of_h264_begin_anew_with_each_connection() {
         }
         last = made;
     });
+    // A loss between two pictures is no fault of a node.
+    let connections = run.connections;
     assert!(
-        run.faults >= 1 && at_loss.is_some_and(|made| last > made + 10),
-        "{at_loss:?} of {last}, {} faults",
-        run.faults
+        connections >= 2 && at_loss.is_some_and(|made| last > made + 10),
+        "{at_loss:?} of {last}, {connections} connections"
     );
     let worst_db = run.worst_db();
     assert!(worst_db > 30.0, "no picture after the loss is made of one that was lost: {worst_db} dB");

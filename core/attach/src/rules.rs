@@ -104,8 +104,8 @@ mod tests {
 
     #[test]
     fn an_edit_takes_no_values_from_elsewhere() {
-        let stop = "[args.stop]\ndefault = false\n";
-        let with_args = RUNS.replace("emergency_stop = true", "emergency_stop = \"$stop\"") + stop;
+        let stop = "[args.stop]\ntype = \"bool\"\ndefault = false\ndoc = \"Stop\"\n";
+        let with_args = RUNS.replace("emergency_stop = true", "emergency_stop = { arg = \"stop\" }") + stop;
         assert_eq!(check(RUNS, &with_args), Err(RuleError::OtherFiles));
     }
 }

@@ -239,6 +239,10 @@ mod tests {
         }
         let short = FrameHead { pool: 1, offset: 0, len: 4096, coding: Coding::Lz4, coded_len: 3 };
         assert!(pools.fill(&[short], true, &mut &b"\x10a\x00"[..], 1, &decoders).is_err(), "too few bytes come out");
+        // A match of 4,100 bytes: a release of lz4_flex panicked at such a one.
+        let coded = [&[0x1f, 7, 1, 0][..], &[255; 16], &[1, 0]].concat();
+        let long = FrameHead { coded_len: coded.len() as u64, ..short };
+        assert!(pools.fill(&[long], true, &mut &coded[..], 1, &decoders).is_err(), "too many bytes come out");
         assert!(new_file(0, 1).is_err() && new_file(1, u64::MAX).is_err() && new_file(1 << 20, 1).is_err());
     }
 }
