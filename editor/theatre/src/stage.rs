@@ -9,6 +9,7 @@ use eframe::egui::{
 use super::arrange::{GAP, TITLE, fit, inset, level};
 use super::notices::{Facts, NoPicture, OLD_MS, STOPPED};
 use super::{Layout, Pane, Theatre};
+use panoscope_editor_model::surface::Viewpoint;
 use panoscope_editor_widgets::surface;
 use panoscope_editor_widgets::theme;
 
@@ -125,6 +126,11 @@ impl Theatre {
             }
             None => self.zoom.step(closer),
         }
+    }
+
+    /// The viewpoint on the surface of an output such as `points.cloud`; `None` for one that was not shown yet.
+    pub fn viewpoint(&self, output: &str) -> Option<Viewpoint> {
+        self.viewpoints.iter().find(|(known, _)| known.to_string() == output).map(|(_, viewpoint)| *viewpoint)
     }
 
     /// Magnification of the main view.
