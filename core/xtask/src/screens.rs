@@ -13,7 +13,7 @@ use crate::process;
 use crate::setup;
 use crate::workspace::Workspace;
 
-/// Name of the picture, graph, what is done before it is taken, seconds until then.
+/// Name of the picture (a film where it ends with `.gif`), graph, what is done before it is taken, seconds until then.
 const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench", "graphs/panorama.toml", &[], "8"),
     ("bench_node", "graphs/panorama.toml", &["select:wide"], "8"),
@@ -41,6 +41,22 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench_plugins", "graphs/panorama.toml", &["plugins"], "8"),
     ("bench_add", "graphs/panorama.toml", &["add"], "8"),
     ("bench_keys", "graphs/panorama.toml", &["help"], "8"),
+    // A rewire and back, a sweep, a swap of the plugins: while the graph runs.
+    (
+        "bench_film.gif",
+        "graphs/depth.toml",
+        &[
+            "wire:stereo.left still.image",
+            "wait:3",
+            "undo",
+            "wait:2",
+            "sweep:lengths.radius_px lengths.table.error_mm",
+            "wait:26",
+            "sweep",
+            "reload",
+        ],
+        "42",
+    ),
     ("theatre", "graphs/depth.toml", &[], "12"),
     ("theatre_panorama", "graphs/panorama.toml", &["view:1"], "8"),
     ("theatre_surface", "graphs/depth.toml", &["view:2"], "12"),
@@ -95,7 +111,7 @@ pub fn screens(workspace: &Workspace, args: &[String]) -> Result<()> {
     let windows = build_windows(workspace, Profile::Release)?;
     let screen = Screen::start()?;
     for (name, graph, actions, after) in SCREENS.iter().filter(|s| only.is_empty() || only.iter().any(|o| o == s.0)) {
-        let file = folder.join(format!("{name}.png"));
+        let file = folder.join(if name.contains('.') { (*name).to_owned() } else { format!("{name}.png") });
         let _ = fs::remove_file(&file);
         let is_theatre = name.starts_with("theatre");
         let mut command = Command::new(if is_theatre { &windows.theatre } else { &windows.editor });

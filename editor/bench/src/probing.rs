@@ -22,6 +22,8 @@ pub struct Probing {
     line: Option<[[f32; 2]; 2]>,
     /// The first end of a line that is being drawn.
     from: Option<[f32; 2]>,
+    /// Whether the pointer is drawing the line.
+    draws: bool,
     crosshair: Crosshair,
 }
 
@@ -31,14 +33,15 @@ impl Probing {
         ProbeRequest { at: self.at, line: self.line }
     }
 
-    /// Whether a line is drawn.
+    /// Whether there is a line whose profile is shown. While the pointer draws it, there is no profile, so that the picture does not get
+    /// smaller under the pointer.
     pub fn has_line(&self) -> bool {
-        self.line.is_some()
+        self.line.is_some() && !self.draws
     }
 
     /// Takes the line away; returns whether there was one.
     pub fn clear(&mut self) -> bool {
-        self.from = None;
+        (self.from, self.draws) = (None, false);
         self.line.take().is_some()
     }
 
@@ -49,12 +52,13 @@ impl Probing {
         let inside = |at: [f32; 2]| at.map(|share| share.clamp(0.0, 1.0));
         if ground.drag_started() {
             let origin = ui.input(|i| i.pointer.press_origin()).filter(|at| rect.contains(*at));
-            (self.from, self.line) = (origin.map(share), None);
+            (self.from, self.line, self.draws) = (origin.map(share), None, origin.is_some());
         }
         if let (Some(from), Some(to)) = (self.from, ground.interact_pointer_pos().filter(|_| ground.dragged())) {
             self.line = Some([from, inside(share(to))]);
-        } else if ground.drag_stopped() {
-            self.from = None;
+        }
+        if ground.drag_stopped() {
+            (self.from, self.draws) = (None, false);
         } else if ground.clicked() {
             self.line = None;
         }
@@ -146,6 +150,9 @@ pub fn histogram(ui: &mut Ui, probe: &Probe) {
         format!("{} to {}, mean {}", with_unit(low, probe.unit), with_unit(high, probe.unit), means.join(", "));
     if unknown > 0.0 {
         words += &format!(", {:.0} % unknown", (unknown * 100.0).max(1.0));
+    }
+    if probe.is_thinned {
+        words += ", thinned on the way";
     }
     response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Histogram: {words}")));
     ui.label(eframe::egui::RichText::new(words).size(11.0).color(theme::muted()));

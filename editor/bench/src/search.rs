@@ -40,7 +40,18 @@ pub fn score(typed: &str, text: &str) -> Option<i32> {
         score += 2 * run + if starts(place) { 8 } else { 0 } - ((place - at).min(8) as i32) / 2;
         at = place + 1;
     }
-    Some(score - (text.len() as i32) / 16)
+    Some(score + whole(typed, &text) - (text.len() as i32) / 16)
+}
+
+/// What it counts that `typed` occurs as it is: more at the start of a word. Scattered letters that start words must not win over that.
+fn whole(typed: &str, text: &[char]) -> i32 {
+    let typed: Vec<char> = typed.to_lowercase().chars().filter(|c| !c.is_whitespace()).collect();
+    if typed.len() < 2 {
+        return 0;
+    }
+    let at = |(n, part): (usize, &[char])| (part == typed).then(|| n == 0 || !text[n - 1].is_alphanumeric());
+    let occurrences = text.windows(typed.len()).enumerate().filter_map(at);
+    occurrences.map(|starts| if starts { 16 } else { 6 }).max().unwrap_or(0)
 }
 
 /// Indices of the matching candidates, best first. A candidate has a name, which counts more, and a description.
@@ -72,6 +83,12 @@ mod tests {
         assert_eq!(best("rs"), "register_surf");
         assert_eq!(best("wr"), "write_raw");
         assert_eq!(best("finds"), "register_surf");
+    }
+
+    #[test]
+    fn a_word_wins_over_scattered_letters() {
+        let names = ["Presets and snapshots", "Paths of dropped and late ticks", "mean/mean.past_weight"];
+        assert_eq!(rank("past", names.iter().map(|name| (*name, "")))[0], 2);
     }
 
     #[test]

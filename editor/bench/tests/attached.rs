@@ -11,6 +11,7 @@ use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use panoscope_attach::{Attachment, Target};
 use panoscope_editor::app::{App, Options};
+use panoscope_editor_model::observe::Output;
 
 const EDITOR: &str = env!("CARGO_BIN_EXE_panoscope-editor");
 
@@ -55,6 +56,15 @@ fn edits_are_made_there_and_conflicts_are_shown() {
     let mut window = open(&folder, &address);
     window.until_shown("Runs on engine: this window edits it");
     window.until("a picture", |app| app.canvas().visible().next().is_some());
+    // Values come from there, paths of ticks and sources do not.
+    let output = Output::new("b", "image");
+    window.select("b");
+    window.until("values of a picture", |app| app.probe(&output).is_some_and(|p| p.size == (64, 48)));
+    window.key(Modifiers::NONE, Key::D);
+    window.until_shown("which sends no paths of ticks");
+    window.key(Modifiers::NONE, Key::D);
+    window.key(Modifiers::NONE, Key::X);
+    window.until_shown("the source of nodes is on `engine`");
     // Deleted here, gone there.
     window.select("sink");
     window.key(Modifiers::NONE, Key::Delete);

@@ -95,6 +95,35 @@ fn a_parameter_inside_a_folded_part_is_shown_with_its_part_opened() {
 }
 
 #[test]
+fn a_slider_keeps_the_keys_when_a_line_comes_above_it() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("keeps_keys");
+    let path = folder.write("g.toml", GRAPH);
+    let mut window = Window::run(&path);
+    window.key(CTRL, Key::K);
+    window.type_text("past");
+    window.until_shown("Pick mean.past_weight");
+    window.key(NONE, Key::Enter);
+    window.steps(3);
+    let has_keys = |window: &Window| window.harness.get_by_role_and_label(Role::Slider, "past_weight").is_focused();
+    assert!(has_keys(&window));
+    // A mistake, which the panel shows above the parameters.
+    folder.write("g.toml", &GRAPH.replace("past_weight = 100", "past_weight = 100, nothing = 1"));
+    window.until("the mistake is read", |app| {
+        let view = app.document().view();
+        view.node("mean").is_some_and(|node| !view.nodes[node].mistakes.is_empty())
+    });
+    window.steps(3);
+    assert!(has_keys(&window));
+    window.key(NONE, Key::ArrowRight);
+    assert!(window.app().document().text().contains("past_weight = 101"));
+    let report = window.close();
+    nothing_lost(&folder, &report);
+}
+
+#[test]
 fn the_panel_says_why_a_node_is_idle_and_leads_to_the_cause() {
     if !has_plugin("flow") {
         return;

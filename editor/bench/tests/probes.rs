@@ -34,7 +34,7 @@ fn a_point_and_a_line_on_a_picture_have_its_values() {
     window.harness.step();
     window.harness.hover_at(viewer.center() + vec2(3.0, 2.0));
     window.until("the value under the pointer", |app| app.probe(&output).is_some_and(|p| p.at.is_some()));
-    window.until_shown("px: value ");
+    window.until_shown("Value at ");
     let probe = window.app().probe(&output).expect("it is read").clone();
     let sample = probe.at.expect("a point");
     // The test picture is `column + row + tick`, modulo 256.

@@ -66,7 +66,7 @@ fn a_saved_source_is_swapped_in_and_a_wrong_one_is_refused() {
     until_version(&mut window, 1.0);
     window.select("shade");
     window.key(NONE, Key::X);
-    window.until_shown("Source");
+    window.until_shown("Close source");
     assert_eq!(window.app().source_file().map(|source| source.text.as_str()), Some(SOURCE));
     input::all_named(&window.harness, "source", 6);
     let replace = |window: &mut Window, text: &str| {

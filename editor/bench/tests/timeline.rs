@@ -73,7 +73,11 @@ fn a_recording_is_moved_through_and_compared_while_the_graph_runs() {
     window.harness.get_by_role_and_label(Role::Slider, "Moment of the recording").focus();
     window.steps(2);
     (0..10).for_each(|_| window.key(NONE, Key::ArrowRight));
-    window.until("the slider moves it", |app| app.shown_tick(&output).is_some_and(|tick| tick > 1));
+    window.until("the slider moves it by ticks", |app| app.shown_tick(&output) == Some(11));
+    // Values are those of the recording, not of the running graph.
+    window.select("b");
+    let shown = window.app().shown_tick(&output);
+    window.until("values of the recorded picture", |app| app.probe(&output).is_some_and(|p| Some(p.seq) == shown));
     // A part of it, again and again: the ticks come at 50 per second.
     let seek = |window: &Window, at_s: f64| window.app().timeline().expect("open").seek(at_s);
     seek(&window, 0.2);

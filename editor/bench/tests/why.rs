@@ -35,8 +35,8 @@ fn a_tour_leads_through_all_problems() {
     while !(nodes.contains(&"polish".to_owned()) && nodes.contains(&"sink".to_owned())) {
         assert!(std::time::Instant::now() < until, "problems at {nodes:?}");
         window.key(NONE, Key::F8);
+        let Some(shown) = window.app().shown_problem().cloned() else { continue };
         window.until_shown("What to do: ");
-        let shown = window.app().shown_problem().expect("a problem").clone();
         assert!(!shown.remedy.is_empty() && !shown.cause.is_empty(), "{shown:?}");
         let node = shown.node.expect("a node");
         assert_eq!(window.app().selected().as_deref(), Some(node.as_str()), "the tour goes there");
@@ -95,7 +95,7 @@ fn the_help_of_a_node_has_its_limits_and_an_example_that_opens() {
     window.until_shown("Help of smooth");
     window.until_shown("Limits of past_weight: 0 to 255");
     input::all_named(&window.harness, "node help", 4);
-    window.harness.get_by_label("Open example smooth_alone").click();
+    window.harness.get_by_label("Open example smooth_alone").click_accesskit();
     window.steps(3);
     let until = std::time::Instant::now() + PATIENCE;
     let opened = loop {
@@ -139,6 +139,8 @@ fn a_click_on_a_drop_shows_the_path_of_the_tick_that_was_in_its_way() {
         engine.report().nodes["b"].dropped > 3
     });
     window.select("b");
+    // Counters are read twice per second.
+    window.until_shown("Why ticks are dropped");
     window.click_until_shown("Why ticks are dropped", "which was in the way of tick");
     let path = window.app().trace_panel().path().expect("a path").clone();
     let nodes: Vec<&str> = path.steps.iter().map(|step| step.node.as_str()).collect();

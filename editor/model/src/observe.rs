@@ -296,7 +296,11 @@ impl OutputPreview {
         if answered.replace(*request) == Some(*request) {
             return None;
         }
-        probe::read(frame.frame(), frame.bytes(), packet, request)
+        let probe = probe::read(frame.frame(), frame.bytes(), packet, request)?;
+        Some(match self.elsewhere {
+            Some((_, size)) => probe.of_thinned(size),
+            None => probe,
+        })
     }
 }
 

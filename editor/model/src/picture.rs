@@ -252,7 +252,9 @@ fn try_describe(bytes: &[u8], kind: &str) -> Result<String, PacketError> {
 
 /// The first rows of a table.
 fn table(table: &Table<'_>) -> String {
-    let mut out = format!("{} rows: {}", table.rows(), table.names().collect::<Vec<_>>().join(", "));
+    let rows = table.rows();
+    let mut out =
+        format!("{rows} row{}: {}", if rows == 1 { "" } else { "s" }, table.names().collect::<Vec<_>>().join(", "));
     for row in 0..table.rows().min(8) {
         let cells = (0..table.columns().min(12)).filter_map(|column| table.value(row, column));
         let _ = write!(out, "\n{}", cells.map(short).collect::<Vec<_>>().join("  "));

@@ -93,6 +93,23 @@ pub fn file_of(graph: &Path) -> PathBuf {
     graph.with_extension("presets.toml")
 }
 
+/// Reads the text of a file of presets.
+///
+/// # Errors
+/// What is wrong, with the line.
+pub fn parse(text: &str) -> Result<Vec<Preset>, String> {
+    let contents: Contents = toml::from_str(text).map_err(|error| error.to_string().trim().to_owned())?;
+    Ok(contents.preset)
+}
+
+/// The text of a file of presets.
+///
+/// # Errors
+/// A value that TOML cannot hold.
+pub fn text_of(presets: &[Preset]) -> Result<String, toml::ser::Error> {
+    toml::to_string(&Contents { preset: presets.to_vec() })
+}
+
 impl Presets {
     /// Reads the presets of a graph; none where it has no file.
     ///
@@ -108,11 +125,10 @@ impl Presets {
             Ok(_) => {}
         }
         let text = std::fs::read_to_string(&path).map_err(read)?;
-        let contents: Contents = toml::from_str(&text).map_err(|error| PresetError::Contents {
-            path: path.clone(),
-            reason: error.to_string().trim().to_owned(),
-        })?;
-        Ok(Self { path, list: contents.preset })
+        match parse(&text) {
+            Ok(list) => Ok(Self { path, list }),
+            Err(reason) => Err(PresetError::Contents { path, reason }),
+        }
     }
 
     /// The presets, in the order in which they were stored.
@@ -159,10 +175,9 @@ impl Presets {
 
     fn write(&mut self, list: Vec<Preset>) -> Result<(), PresetError> {
         let fail = |cause| PresetError::Write { path: self.path.clone(), cause };
-        let contents = Contents { preset: list };
-        let text = toml::to_string(&contents).map_err(|error| fail(std::io::Error::other(error)))?;
+        let text = text_of(&list).map_err(|error| fail(std::io::Error::other(error)))?;
         disk::replace(&self.path, text.as_bytes(), None).map_err(fail)?;
-        self.list = contents.preset;
+        self.list = list;
         Ok(())
     }
 }

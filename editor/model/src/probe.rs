@@ -39,6 +39,8 @@ pub struct Probe {
     pub histograms: Vec<Histogram>,
     /// The values along the requested line.
     pub profile: Option<Profile>,
+    /// Whether the picture came from another machine with fewer pixels than it has there, each a mean or one of several.
+    pub is_thinned: bool,
 }
 
 /// The values of one pixel.
@@ -189,10 +191,30 @@ pub fn read(frame: &abi::Frame, bytes: &[u8], packet: &str, request: &ProbeReque
         at: request.at.and_then(|at| layout.sample(at)),
         histograms: counted.map(|channel| layout.histogram(channel)).collect(),
         profile: request.line.and_then(|line| layout.profile(line)),
+        is_thinned: false,
     })
 }
 
 impl Probe {
+    /// The same with positions and lengths in px of the picture before it was thinned.
+    pub fn of_thinned(mut self, size: (usize, usize)) -> Self {
+        let (width, height) = self.size;
+        if size == self.size || width == 0 || height == 0 {
+            return self;
+        }
+        let scale = [size.0 as f32 / width as f32, size.1 as f32 / height as f32];
+        if let Some(sample) = &mut self.at {
+            let place = |px: usize, scale: f32| ((px as f32 + 0.5) * scale) as usize;
+            sample.px = (place(sample.px.0, scale[0]), place(sample.px.1, scale[1]));
+        }
+        if let Some(profile) = &mut self.profile {
+            // Both sides are thinned alike.
+            profile.length_px *= scale[0];
+        }
+        (self.size, self.is_thinned) = (size, true);
+        self
+    }
+
     /// The value of the requested point, such as `320, 240 px: depth 83.2 mm`.
     pub fn words(&self) -> Option<String> {
         let sample = self.at.as_ref()?;
@@ -202,7 +224,8 @@ impl Probe {
             false => format!("{name} unknown"),
         };
         let values: Vec<String> = self.channels.iter().zip(&sample.values).map(one).collect();
-        Some(format!("{}, {} px: {}", sample.px.0, sample.px.1, values.join(", ")))
+        let thinned = if self.is_thinned { ", thinned on the way" } else { "" };
+        Some(format!("{}, {} px: {}{thinned}", sample.px.0, sample.px.1, values.join(", ")))
     }
 }
 
@@ -249,6 +272,17 @@ mod tests {
         assert_eq!(profile.values[0], [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 18.0], "red");
         assert_eq!(profile.values[2][9], 9.0, "blue");
         assert_eq!((probe.channels.len(), probe.histograms.len()), (3, 3));
+    }
+
+    #[test]
+    fn positions_on_a_thinned_picture_are_those_of_the_whole_one() {
+        let bytes: Vec<u8> = (0..8 * 4).collect();
+        let request = ProbeRequest { at: Some([0.3, 0.3]), line: Some([[0.0, 0.5], [0.5, 0.5]]) };
+        let probe = read(&frame(abi::FORMAT_GRAY8, 8, 4, 8), &bytes, "image", &request).expect("a picture");
+        assert_eq!(probe.clone().of_thinned((8, 4)), probe, "all of it came");
+        let probe = probe.of_thinned((32, 16));
+        assert_eq!(probe.words().as_deref(), Some("10, 6 px: value 10, thinned on the way"));
+        assert_eq!(probe.profile.expect("a line").length_px, 16.0);
     }
 
     #[test]

@@ -155,8 +155,15 @@ fn read(path: &Path) -> Result<Snapshot, String> {
     if meta.len() > MAX_BYTES {
         return Err("it has more than 16 MiB".to_owned());
     }
-    let text = std::fs::read_to_string(path).map_err(|error| error.to_string())?;
-    toml::from_str(&text).map_err(|error| error.to_string().trim().to_owned())
+    parse(&std::fs::read_to_string(path).map_err(|error| error.to_string())?)
+}
+
+/// Reads the text of a snapshot; its number is that of its file.
+///
+/// # Errors
+/// What is wrong, with the line.
+pub fn parse(text: &str) -> Result<Snapshot, String> {
+    toml::from_str(text).map_err(|error| error.to_string().trim().to_owned())
 }
 
 /// Gives a document the texts of a snapshot, as one step that can be undone. Returns whether anything differed.

@@ -8,11 +8,13 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use panoscope_engine::memory::FrameRef;
 use panoscope_engine::sync::lock;
 use panoscope_record::{Recording, RecordingError};
 
 use crate::observe::{Output, PreviewRequest};
 use crate::picture::{self, Range, RenderedPacket};
+use crate::probe::{self, Probe, ProbeRequest};
 use crate::session::Wake;
 
 /// Time between two pictures while it plays.
@@ -43,6 +45,8 @@ struct State {
     position: Option<Position>,
     requests: HashMap<Output, PreviewRequest>,
     previews: HashMap<Output, RenderedPacket>,
+    probe_requests: HashMap<Output, ProbeRequest>,
+    probes: HashMap<Output, Probe>,
     problem: Option<String>,
     second: Option<Arc<Recording>>,
     /// Incremented when everything is to be rendered again.
@@ -100,7 +104,14 @@ impl Timeline {
         let position = Position { at_s: 0.0, plays: false, range_s: None, speed: 1.0 };
         let state = Arc::new(Mutex::new(State { position: Some(position), ..State::default() }));
         let ports = recording.ports.keys().cloned().collect();
-        let player = Player { recording, start_ns, state: Arc::clone(&state), rendered: HashMap::new(), wake };
+        let player = Player {
+            recording,
+            start_ns,
+            state: Arc::clone(&state),
+            rendered: HashMap::new(),
+            probed: HashMap::new(),
+            wake,
+        };
         let thread = std::thread::Builder::new().name("timeline".to_owned()).spawn(move || player.run())?;
         Ok(Self { path: path.to_owned(), second_path: None, ticks_s, ports, state, thread: Some(thread) })
     }
@@ -216,6 +227,22 @@ impl Timeline {
         }
     }
 
+    /// Sets whose values are read.
+    pub fn set_probes(&self, requests: HashMap<Output, ProbeRequest>) {
+        let mut state = lock(&self.state);
+        if state.probe_requests != requests {
+            state.probes.retain(|output, _| requests.contains_key(output));
+            state.probe_requests = requests;
+            drop(state);
+            self.wake_player();
+        }
+    }
+
+    /// The values of the shown pictures.
+    pub fn probes(&self) -> HashMap<Output, Probe> {
+        lock(&self.state).probes.clone()
+    }
+
     /// Takes the pictures rendered since the last call.
     pub fn take(&self) -> HashMap<Output, RenderedPacket> {
         std::mem::take(&mut lock(&self.state).previews)
@@ -235,11 +262,15 @@ impl Drop for Timeline {
 /// What was rendered of an output: generation, position in the port, request.
 type Rendered = (u64, Option<usize>, PreviewRequest, Range);
 
+/// Whose values were read: generation, position in the port, request.
+type Probed = (u64, usize, ProbeRequest);
+
 struct Player {
     recording: Arc<Recording>,
     start_ns: i64,
     state: Arc<Mutex<State>>,
     rendered: HashMap<Output, Rendered>,
+    probed: HashMap<Output, Probed>,
     wake: Arc<Wake>,
 }
 
@@ -249,7 +280,7 @@ impl Player {
         loop {
             let elapsed_s = last.elapsed().as_secs_f64();
             last = Instant::now();
-            let (at_s, plays, requests, second, generation) = {
+            let (at_s, plays, requests, asked, second, generation) = {
                 let mut state = lock(&self.state);
                 if state.quit {
                     return;
@@ -258,12 +289,15 @@ impl Player {
                 let Some(position) = &mut state.position else { return };
                 advance(position, elapsed_s, length_s);
                 let (at_s, plays) = (position.at_s, position.plays);
-                (at_s, plays, state.requests.clone(), state.second.clone(), state.generation)
+                let asked = state.probe_requests.clone();
+                (at_s, plays, state.requests.clone(), asked, state.second.clone(), state.generation)
             };
             self.rendered.retain(|output, _| requests.contains_key(output));
+            self.probed.retain(|output, _| asked.contains_key(output));
             let mut changed = plays;
             for (output, request) in requests {
-                changed |= self.render(&output, request, at_s, second.as_deref(), generation);
+                let asked = asked.get(&output).copied();
+                changed |= self.render(&output, (request, asked), at_s, second.as_deref(), generation);
             }
             if changed {
                 (self.wake)();
@@ -283,49 +317,78 @@ impl Player {
         seconds(last.unwrap_or(self.start_ns).saturating_sub(self.start_ns))
     }
 
-    /// Renders an output as it was at a moment, if it is not rendered already; returns whether there is something new.
-    fn render(
-        &mut self,
-        output: &Output,
-        request: PreviewRequest,
-        at_s: f64,
-        second: Option<&Recording>,
-        generation: u64,
-    ) -> bool {
+    /// The packets of an output, in its recording, and the position of the newest one at a moment.
+    fn packets<'r>(&'r self, output: &Output, at_s: f64, second: Option<&'r Recording>) -> Option<Shown<'r>> {
         let (recording, start_ns, node) = match output.node.strip_prefix(SECOND) {
             None => (&*self.recording, self.start_ns, output.node.as_str()),
             Some(node) => {
-                let Some(second) = second else { return false };
+                let second = second?;
                 (second, start_of(second).unwrap_or(0), node)
             }
         };
         let port = format!("{node}.{}", output.port);
-        let Some(packets) = recording.ports.get(&port) else { return false };
+        let packets = recording.ports.get(&port)?;
         let until_ns = start_ns.saturating_add((at_s * 1e9).round() as i64);
         // Ticks of a port are in order.
         let passed = packets.partition_point(|packet| packet.head.tick.capture_ns <= until_ns);
-        let at = passed.checked_sub(1);
+        Some(Shown { recording, port, at: passed.checked_sub(1) })
+    }
+
+    /// Renders an output as it was at a moment and reads its values, as far as that is not done already; returns whether there is something new.
+    fn render(
+        &mut self,
+        output: &Output,
+        (request, asked): (PreviewRequest, Option<ProbeRequest>),
+        at_s: f64,
+        second: Option<&Recording>,
+        generation: u64,
+    ) -> bool {
+        let Some(shown) = self.packets(output, at_s, second) else { return false };
+        let at = shown.at;
         let known = self.rendered.get(output);
-        if known.is_some_and(|(g, n, r, _)| (*g, *n, r) == (generation, at, &request)) {
+        let renders = known.is_none_or(|(g, n, r, _)| (*g, *n, r) != (generation, at, &request));
+        let question = asked.zip(at).map(|(asked, at)| (generation, at, asked));
+        let probes = question.is_some_and(|question| self.probed.get(output) != Some(&question));
+        if !renders && !probes {
             return false;
         }
         let mut range = known.and_then(|(.., range)| *range);
-        let mut shown = false;
-        if let Some(packet) = at.and_then(|at| packets.get(at)) {
-            let result = recording.frame(&port, packet);
-            let mut state = lock(&self.state);
-            match result {
-                Ok(frame) => {
-                    let rendered = picture::render(&frame, &request.packet, request.max_width, &mut range);
-                    state.previews.insert(output.clone(), rendered);
-                    state.problem = None;
-                    shown = true;
-                }
-                Err(error) => state.problem = Some(error.to_string()),
+        let mut is_new = false;
+        match shown.frame() {
+            Some(Ok(frame)) => {
+                let rendered = renders.then(|| picture::render(&frame, &request.packet, request.max_width, &mut range));
+                let probe = asked
+                    .filter(|_| probes)
+                    .and_then(|asked| probe::read(frame.frame(), frame.bytes(), &request.packet, &asked));
+                let mut state = lock(&self.state);
+                state.previews.extend(rendered.map(|rendered| (output.clone(), rendered)));
+                state.probes.extend(probe.map(|probe| (output.clone(), probe)));
+                state.problem = None;
+                is_new = true;
             }
+            Some(Err(error)) => lock(&self.state).problem = Some(error.to_string()),
+            None => {}
+        }
+        if let Some(question) = question {
+            self.probed.insert(output.clone(), question);
         }
         self.rendered.insert(output.clone(), (generation, at, request, range));
-        shown
+        is_new
+    }
+}
+
+/// What an output shows at a moment.
+struct Shown<'r> {
+    recording: &'r Recording,
+    port: String,
+    /// Position of the packet in the port; `None` before the first one.
+    at: Option<usize>,
+}
+
+impl Shown<'_> {
+    fn frame(&self) -> Option<Result<FrameRef, RecordingError>> {
+        let packet = self.recording.ports.get(&self.port)?.get(self.at?)?;
+        Some(self.recording.frame(&self.port, packet))
     }
 }
 

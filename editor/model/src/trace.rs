@@ -148,15 +148,19 @@ pub struct Path {
     pub steps: Vec<Step>,
 }
 
+/// A wait that is shorter than this share of the longest work is not mentioned.
+const NOTABLE_WAIT: f64 = 0.1;
+
 impl Path {
-    /// The step with the longest work or wait, in words.
+    /// The step with the longest work, and the one with the longest wait if it is worth a word.
     pub fn longest(&self) -> Option<String> {
         let work = self.steps.iter().max_by(|a, b| a.work_ms().total_cmp(&b.work_ms()))?;
         let wait = self.steps.iter().max_by(|a, b| a.wait_ms().total_cmp(&b.wait_ms()))?;
-        Some(match wait.wait_ms() > work.work_ms() {
-            true => format!("`{}` waited longest: {:.1} ms for its turn", wait.node, wait.wait_ms()),
-            false => format!("`{}` worked longest: {:.1} ms", work.node, work.work_ms()),
-        })
+        let mut words = format!("`{}` worked longest: {:.1} ms", work.node, work.work_ms());
+        if wait.wait_ms() > work.work_ms() * NOTABLE_WAIT {
+            words += &format!("; `{}` waited longest: {:.1} ms for its turn", wait.node, wait.wait_ms());
+        }
+        Some(words)
     }
 }
 

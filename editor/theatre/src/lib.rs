@@ -304,11 +304,6 @@ impl Theatre {
         self.measure.distance()
     }
 
-    /// The viewpoint on the surface of an output such as `points.cloud`; `None` for one that was not shown yet.
-    pub fn viewpoint(&self, output: &str) -> Option<Viewpoint> {
-        self.viewpoints.iter().find(|(known, _)| known.to_string() == output).map(|(_, viewpoint)| *viewpoint)
-    }
-
     /// Whether the window was asked to close.
     pub fn is_closing(&self) -> bool {
         self.closing

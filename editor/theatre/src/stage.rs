@@ -9,6 +9,7 @@ use eframe::egui::{
 use super::arrange::{GAP, TITLE, fit, inset, level};
 use super::notices::{Facts, NoPicture, OLD_MS, STOPPED};
 use super::{Layout, Pane, Theatre};
+use panoscope_editor_model::surface::Viewpoint;
 use panoscope_editor_widgets::surface;
 use panoscope_editor_widgets::theme;
 
@@ -105,20 +106,31 @@ impl Theatre {
         }
     }
 
-    /// Whether a view is the one that zooming applies to: the main one, not a live image in a corner, and no surface, which is turned instead.
+    /// Whether a view is the one that zooming applies to: the main one, not a live image in a corner, and no surface, which has a viewpoint.
     fn is_zoomed(&self, pane: &Pane, live: bool) -> bool {
         let is_inset = live && self.frozen.is_some();
         let main = if self.shows_raw() { self.plan.raw.as_ref() } else { self.plan.views.get(self.layout.main()) };
         !is_inset && pane.packet != "cloud" && main.is_some_and(|main| main.output == pane.output)
     }
 
-    /// Zooms the main view by a step.
+    /// Zooms the main view by a step, a picture as well as a surface.
     pub(super) fn zoom_by(&mut self, closer: bool) {
-        let main = if self.shows_raw() { self.plan.raw.as_ref() } else { self.plan.views.get(self.layout.main()) };
-        match main.is_some_and(|main| main.packet == "cloud") || self.measure.is_on() {
-            true => self.notify("this view is not zoomed", false),
-            false => self.zoom.step(closer),
+        if self.measure.is_on() {
+            return self.notify("the picture is not zoomed while distances are measured", false);
         }
+        let main = if self.shows_raw() { self.plan.raw.as_ref() } else { self.plan.views.get(self.layout.main()) };
+        match main.filter(|main| main.packet == "cloud") {
+            Some(surface) => {
+                let viewpoint = self.viewpoints.entry(surface.output.clone()).or_default();
+                surface::zoom_by(viewpoint, if closer { 1.0 } else { -1.0 });
+            }
+            None => self.zoom.step(closer),
+        }
+    }
+
+    /// The viewpoint on the surface of an output such as `points.cloud`; `None` for one that was not shown yet.
+    pub fn viewpoint(&self, output: &str) -> Option<Viewpoint> {
+        self.viewpoints.iter().find(|(known, _)| known.to_string() == output).map(|(_, viewpoint)| *viewpoint)
     }
 
     /// Magnification of the main view.

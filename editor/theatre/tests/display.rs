@@ -4,7 +4,7 @@ mod common;
 
 use common::window::{GRAPH, Window, options};
 use common::{Folder, has_plugin, input};
-use eframe::egui::{Key, Rect, vec2};
+use eframe::egui::{Key, Rect, Vec2, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_model::session::Phase;
 use panoscope_theatre::{Layout, Options, State, Theatre, ThreeD};
@@ -89,6 +89,9 @@ fn the_main_view_is_zoomed_and_another_one_stands_in_its_corner() {
     nothing_dropped(&window, &["sink"]);
 }
 
+/// Half of the window, whose frame in tests is 8 points wide.
+const HALF: Vec2 = vec2(712.0, 472.0);
+
 #[test]
 fn the_stereo_pair_is_shown_for_3d_displays() {
     if !has_plugin("flow") || !has_plugin("phantom") {
@@ -102,7 +105,10 @@ fn the_stereo_pair_is_shown_for_3d_displays() {
     window.harness.step();
     let (left, right) = (rect(&window, "Left eye"), rect(&window, "Right eye"));
     assert_eq!(left.size(), right.size());
-    assert!((right.left() - left.left() - 720.0).abs() < 1.0 && (right.top() - left.top()).abs() < 0.1);
+    assert!(
+        (right.left() - left.left() - HALF.x).abs() < 1.0 && (right.top() - left.top()).abs() < 0.1,
+        "{left:?} {right:?}"
+    );
     // Stretched to twice its width the image has its proportions.
     assert!((2.0 * left.width() / left.height() - 160.0 / 120.0).abs() < 0.02, "{left:?}");
     // The stop of the arm is there for both eyes, at the same place, and not on the image.
@@ -110,13 +116,13 @@ fn the_stereo_pair_is_shown_for_3d_displays() {
         window.harness.get_all_by_label("Emergency stop of the arm").map(|stop| stop.rect()).collect();
     assert_eq!(stops.len(), 2);
     assert!(stops.iter().all(|stop| !stop.intersects(left) && !stop.intersects(right)), "{stops:?}");
-    assert!((stops[1].left() - stops[0].left() - 720.0).abs() < 1.0);
+    assert!((stops[1].left() - stops[0].left() - HALF.x).abs() < 1.0);
     window.key(Key::D);
     assert_eq!(window.theatre().three_d(), ThreeD::TopBottom);
     window.until("a pair", |t| t.pair_tick().is_some());
     window.harness.step();
     let (left, right) = (rect(&window, "Left eye"), rect(&window, "Right eye"));
-    assert!((right.top() - left.top() - 480.0).abs() < 1.0 && (right.left() - left.left()).abs() < 0.1);
+    assert!((right.top() - left.top() - HALF.y).abs() < 1.0 && (right.left() - left.left()).abs() < 0.1);
     assert!((left.width() / (2.0 * left.height()) - 160.0 / 120.0).abs() < 0.02, "{left:?}");
     window.key(Key::D);
     assert_eq!(window.theatre().three_d(), ThreeD::Rows);

@@ -2,6 +2,7 @@
 
 pub mod arguments_form;
 pub mod crosshair;
+mod film;
 mod keys;
 mod output_cache;
 mod shot;

@@ -9,11 +9,15 @@ use eframe::egui::{self, Context};
 
 use panoscope_editor_model::session::Session;
 
+use crate::film::Film;
+
 /// A script of actions, and what is written at its end.
 #[derive(Clone, Debug)]
 pub struct Shot {
     /// File of a screenshot, and the seconds until it is taken.
     screenshot: Option<(PathBuf, f64)>,
+    /// A film, in place of a screenshot.
+    film: Option<Film>,
     /// File for the window's costs, and the seconds until it is written.
     measure: Option<(PathBuf, f64)>,
     /// Steps with the second at which each is due.
@@ -28,11 +32,16 @@ impl Default for Shot {
 }
 
 impl Shot {
-    /// A screenshot or costs after a number of seconds, and a script before that. The script begins once the graph has had time to start. A
+    /// A screenshot (a film from the beginning of the script on, if its name ends with `.gif`) or costs after a number of seconds, and a script before that. The script begins once the graph has had time to start. A
     /// step `wait:2` delays the following steps by two seconds.
     pub fn new(screenshot: Option<(PathBuf, f64)>, measure: Option<(PathBuf, f64)>, script: &[String]) -> Self {
         let after = screenshot.as_ref().or(measure.as_ref()).map_or(0.0, |(_, after)| *after);
         let mut due = (after * 0.4).min(4.0);
+        let is_film = |(file, _): &(PathBuf, f64)| file.extension().is_some_and(|ending| ending == "gif");
+        let (film, screenshot) = match screenshot {
+            Some(shot) if is_film(&shot) => (Some(Film::new(shot.0, ((due - 1.0).max(0.0), after))), None),
+            other => (None, other),
+        };
         let mut steps = VecDeque::new();
         for step in script {
             match step.strip_prefix("wait:").and_then(|s| s.parse::<f64>().ok()) {
@@ -40,12 +49,12 @@ impl Shot {
                 None => steps.push_back((due, step.clone())),
             }
         }
-        Self { screenshot, measure, script: steps, start: Instant::now() }
+        Self { screenshot, film, measure, script: steps, start: Instant::now() }
     }
 
     /// Whether a screenshot or costs are written at the end, so that nobody is at the window.
     pub fn is_scripted(&self) -> bool {
-        self.screenshot.is_some() || self.measure.is_some()
+        self.screenshot.is_some() || self.film.is_some() || self.measure.is_some()
     }
 
     /// The next step of the script, if one is due.
@@ -85,8 +94,12 @@ impl Shot {
         ctx.send_viewport_cmd(egui::ViewportCommand::Close);
     }
 
-    /// Takes the screenshot, when it is due.
+    /// Takes the screenshot, or the pictures of a film, when they are due.
     pub fn take(&mut self, ctx: &Context) {
+        let seconds = self.start.elapsed().as_secs_f64();
+        if self.film.as_mut().is_some_and(|film| film.take(ctx, seconds)) {
+            self.film = None;
+        }
         let Some((file, after)) = self.screenshot.clone() else { return };
         let elapsed = self.start.elapsed().as_secs_f64();
         let taken = ctx.input(|i| {

@@ -25,7 +25,7 @@ pub struct Arguments {
     /// Width and height of the window in points.
     #[arg(long, default_value = "1440x900", value_parser = size)]
     pub size: (f32, f32),
-    /// Writes a screenshot of the window (PNG or JPEG) and exits.
+    /// Writes a screenshot of the window (PNG or JPEG), or a film (GIF), and exits.
     #[arg(long, value_name = "FILE")]
     screenshot: Option<PathBuf>,
     /// Writes the costs of the window and the graph (JSON) and exits.

@@ -57,6 +57,9 @@ impl App {
 
     /// The Python file that a node's type comes from.
     pub(super) fn python_file(&self, node: &str) -> Option<PathBuf> {
+        if self.is_attached() {
+            return None;
+        }
         let plugin = self.type_of(node)?.plugin.clone();
         let loader = self.session.loader();
         let found = loader.found().find(|found| found.note.name == plugin)?;
@@ -65,6 +68,10 @@ impl App {
 
     /// Opens the source of a node written in Python beside the graph.
     pub(super) fn open_source(&mut self, node: Option<&str>) {
+        if let Some(machine) = self.session.attachment().map(|machine| machine.target().name.clone()) {
+            let words = format!("the source of nodes is on `{machine}`, where the graph runs: edit it there");
+            return self.notify(words, true);
+        }
         let Some(file) = node.and_then(|node| self.python_file(node)) else {
             return self.notify("select one node that is written in Python to see its source", true);
         };

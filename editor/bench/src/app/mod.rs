@@ -370,7 +370,7 @@ impl App {
             self.document.set_tick(status.tick);
         }
         self.take_pictures(&ctx);
-        self.probes = self.observer.probes();
+        self.probes = self.timeline.as_ref().map_or_else(|| self.observer.probes(), |timeline| timeline.probes());
         self.follow_machine();
         if !self.is_attached() {
             if let Some(text) = self.disk.poll() {
@@ -528,7 +528,8 @@ impl App {
         if self.switches.trace {
             let panel = Panel::bottom("trace").frame(frame).default_size(240.0).size_range(140.0..=560.0);
             let view = self.document.view().clone();
-            let go = panel.show(ui, |ui| self.trace_panel.show(ui, &view, &self.trace)).inner;
+            let machine = self.session.attachment().map(|machine| machine.target().name.clone());
+            let go = panel.show(ui, |ui| self.trace_panel.show(ui, &view, &self.trace, machine.as_deref())).inner;
             if let Some(id) = go {
                 self.canvas.show_node(&view, &id);
             }

@@ -91,7 +91,13 @@ impl App {
         {
             requests.viewpoint = Some(viewpoint);
         }
-        self.observer.set_probes(probes);
+        let of_running = if let Some(timeline) = &self.timeline {
+            timeline.set_probes(probes);
+            HashMap::new()
+        } else {
+            probes
+        };
+        self.observer.set_probes(of_running);
         let view = self.document.view();
         self.shown.retain(|output| requests.contains_key(output) || view.flat().node(&output.node).is_some());
         // The pictures of a recording take the place of those of the running graph.

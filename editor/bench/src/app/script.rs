@@ -5,6 +5,7 @@ use eframe::egui::{self, Context};
 use super::App;
 use crate::actions;
 use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::ops;
 
 impl App {
     /// Performs the steps that are due.
@@ -20,7 +21,7 @@ impl App {
     }
 
     /// Performs one step of a script: `select:NODE`, `view:NODE.PORT`, `set:NODE.PARAM=VALUE`, `pick:NODE.PARAM`, `browse:NODE.PARAM`,
-    /// `sweep:NODE.PARAM MEASURE`, `orbit:YAW,PITCH,ZOOM`, `heat`, ...
+    /// `sweep:NODE.PARAM MEASURE`, `wire:NODE.OUTPUT NODE.INPUT`, `orbit:YAW,PITCH,ZOOM`, `heat`, ...
     fn play(&mut self, step: &str) {
         let (word, rest) = step.split_once(':').unwrap_or((step, ""));
         match (word, rest.split_once('.')) {
@@ -28,6 +29,7 @@ impl App {
             ("browse", Some((node, param))) => return self.browse(node, param),
             ("set", Some((node, rest))) => return self.set_from_script(node, rest),
             ("sweep", Some(_)) => return self.sweep_from_script(rest),
+            ("wire", Some(_)) => return self.wire_from_script(rest),
             _ => {}
         }
         match word {
@@ -58,5 +60,14 @@ impl App {
                 }
             }
         }
+    }
+
+    fn wire_from_script(&mut self, rest: &str) {
+        let ends = rest.split_once(' ').and_then(|(from, to)| Some((from.split_once('.')?, to.split_once('.')?)));
+        let Some(((from, output), to)) = ends else {
+            return self.notify("wire needs an output and an input: wire:NODE.OUTPUT NODE.INPUT", true);
+        };
+        let result = ops::wire(&mut self.document, &Output::new(from, output), to, None, None);
+        self.try_edit(result);
     }
 }

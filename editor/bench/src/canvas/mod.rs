@@ -317,7 +317,7 @@ impl Canvas {
         nodes.filter_map(|(id, shape)| Some((id.clone(), rect(self.positions.get(id)?, shape)))).collect()
     }
 
-    /// The bounding rectangle of nodes, marks and paths of wires.
+    /// The bounding rectangle of nodes, marks and paths of wires, in points of the graph.
     fn extent(&self, view: &GraphView) -> Option<Rect> {
         let rects = view.nodes.iter().zip(&self.shapes).map(|(node, shape)| {
             Rect::from_min_size(self.positions.get(node.id()).copied().unwrap_or_default(), shape.size)
@@ -327,7 +327,8 @@ impl Canvas {
             Rect::from_min_size(pos2(m.at.0, m.at.1), vec2(w, h))
         });
         let corners = self.routes.values().flatten().map(|at| Rect::from_min_max(*at, *at));
-        rects.chain(marks).chain(self.frames.values().copied()).chain(corners).reduce(|a, b| a.union(b))
+        let nodes = rects.chain(marks).chain(self.frames.values().copied());
+        nodes.chain(corners).chain(self.backward(view)).reduce(|a, b| a.union(b))
     }
 
     fn fit_now(&mut self, view: &GraphView) {

@@ -81,7 +81,8 @@ impl Canvas {
         painter.galley(pos2(rect.left() + inset, line - name.size().y / 2.0), name, theme::text());
         if this.is_part && room > 30.0 {
             painter.text(
-                pos2(light.x - 12.0 * scale, line),
+                // Clear of the ring of a fault.
+                pos2(light.x - (12.0 * scale).max(10.0), line),
                 Align2::RIGHT_CENTER,
                 "open",
                 self.font(11.0),

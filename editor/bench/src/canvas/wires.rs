@@ -108,6 +108,19 @@ impl Canvas {
         rounded(&corners).into_iter().map(|curve| curve.map(|at| transform * at)).collect()
     }
 
+    /// The bounding rectangles of backward wires that the layout gives no path, in points of the graph.
+    pub(super) fn backward(&self, view: &GraphView) -> Vec<Rect> {
+        let has_path = |ends: &(usize, usize)| self.lanes.contains_key(ends) || self.routes.contains_key(ends);
+        let to_graph = self.transform().inverse();
+        let path = |wire: &Wire| {
+            let (from, _) = self.pin_at(view, wire.from, &wire.output, false)?;
+            let (to, _) = self.pin_at(view, wire.to, &wire.input, true)?;
+            let points = if to.x > from.x { Vec::new() } else { self.around(view, wire, from, to).into_flattened() };
+            (!points.is_empty()).then(|| to_graph * Rect::from_points(&points))
+        };
+        view.wires.iter().filter(|wire| !has_path(&(wire.from, wire.to))).filter_map(path).collect()
+    }
+
     pub(super) fn paint_wires(&self, painter: &Painter, scene: &Scene<'_>) {
         let view = scene.view;
         let pulled = match &self.drag {

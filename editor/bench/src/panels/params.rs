@@ -2,7 +2,7 @@
 
 use eframe::egui::{
     Align, Button, ComboBox, Context, DragValue, Id, Layout, Response, RichText, Sense, Slider, SliderClamping,
-    TextEdit, Ui, WidgetInfo, WidgetType, vec2,
+    TextEdit, Ui, UiBuilder, WidgetInfo, WidgetType, vec2,
 };
 use panoscope_graph::{Param, ParamKind, Pick};
 
@@ -34,8 +34,15 @@ pub enum ParamRequest {
 /// Shows all parameters of a node; returns the user's requests.
 pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<ParamRequest> {
     let params = node.node_type.iter().flat_map(|t| &t.params);
-    let one = |p: &Param| ui.push_id(&p.name, |ui| one(ui, document, node, p, &title(p))).inner;
+    let one = |p: &Param| own_id(ui, node, p, |ui| one(ui, document, node, p, &title(p)));
     params.filter_map(one).collect()
+}
+
+/// Gives the widgets of a parameter identities of their own. By default they depend on how many widgets are above, and a slider would lose focus
+/// and drag when a line such as "why it is idle" comes or goes there.
+pub fn own_id<R>(ui: &mut Ui, node: &NodeView, param: &Param, add: impl FnOnce(&mut Ui) -> R) -> R {
+    let id = Id::new(("parameter", node.id(), &param.name));
+    ui.scope_builder(UiBuilder::new().id(id), add).inner
 }
 
 /// A parameter's name as a title, without the unit, which is shown after the value.

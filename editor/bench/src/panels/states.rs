@@ -147,7 +147,7 @@ impl States {
 
     fn snapshots(&mut self, ui: &mut Ui, requests: &mut Vec<StateRequest>) {
         section(ui, "Snapshots");
-        if ui.button("Take a snapshot").clicked() {
+        if ui.horizontal(|ui| ui.button("Take a snapshot").clicked()).inner {
             requests.push(StateRequest::Take);
         }
         for refused in self.snapshots.refused() {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use eframe::egui::{Button, DragValue, RichText, Slider, TextEdit, Ui, WidgetInfo, WidgetType};
+use eframe::egui::{Button, DragValue, Id, Key, Modifiers, RichText, Slider, TextEdit, Ui, WidgetInfo, WidgetType};
 
 use crate::actions::{self, Action};
 use panoscope_editor_model::timeline::Timeline;
@@ -28,6 +28,8 @@ pub struct TimelinePanel {
     second: String,
     /// The beginning of a range whose end is not chosen yet, s.
     from_s: Option<f64>,
+    /// The slider of the moment.
+    slider: Option<Id>,
 }
 
 impl TimelinePanel {
@@ -88,10 +90,12 @@ impl TimelinePanel {
                 ui.label(RichText::new(format!("{from:.2} to {to:.2} s")).size(12.0).color(theme::muted()));
             }
         });
-        let mut at_s = position.at_s;
+        self.step_by_keys(ui, timeline);
+        let mut at_s = timeline.position().at_s;
         ui.spacing_mut().slider_width = (ui.available_width() - 24.0).max(120.0);
         let slider = ui.add(Slider::new(&mut at_s, 0.0..=timeline.length_s().max(1e-3)).show_value(false));
         ui.ctx().accesskit_node_builder(slider.id, |node| node.set_label("Moment of the recording"));
+        self.slider = Some(slider.id);
         if slider.changed() {
             timeline.play(false);
             timeline.seek(at_s);
@@ -118,6 +122,20 @@ impl TimelinePanel {
             }
         });
         request
+    }
+
+    /// Arrow keys on the slider go from tick to tick; by themselves they would move it by a point, which is less.
+    fn step_by_keys(&self, ui: &Ui, timeline: &Timeline) {
+        if !self.slider.is_some_and(|slider| ui.memory(|memory| memory.has_focus(slider))) {
+            return;
+        }
+        let steps = ui.input_mut(|input| {
+            let mut count = |key| input.count_and_consume_key(Modifiers::NONE, key) as isize;
+            count(Key::ArrowRight) - count(Key::ArrowLeft)
+        });
+        if steps != 0 {
+            timeline.step(steps);
+        }
     }
 }
 

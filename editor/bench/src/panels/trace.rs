@@ -46,8 +46,17 @@ impl TracePanel {
         &self.list
     }
 
-    /// Shows the panel; returns the node that was clicked.
-    pub fn show(&mut self, ui: &mut Ui, view: &GraphView, trace: &Arc<Trace>) -> Option<String> {
+    /// Shows the panel; returns the node that was clicked. `machine` is where the graph runs, if that is not here.
+    pub fn show(&mut self, ui: &mut Ui, view: &GraphView, trace: &Arc<Trace>, machine: Option<&str>) -> Option<String> {
+        if let Some(machine) = machine {
+            section(ui, "Dropped and late ticks");
+            let words = format!(
+                "The graph runs on {machine}, which sends no paths of ticks: open it there for them. Counts of dropped ticks and the times of \
+                 nodes are shown here too."
+            );
+            ui.label(RichText::new(words).color(theme::muted()));
+            return None;
+        }
         if self.read.is_none_or(|read| read.elapsed() > INTERVAL) {
             self.list = trace.notable(view);
             self.read = Some(Instant::now());

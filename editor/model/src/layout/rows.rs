@@ -23,8 +23,10 @@ const ROW_COST: f32 = 0.96;
 const CAP_COST: f32 = 0.88;
 /// What the graph would have to gain if all its wires went between rows.
 const ROUTE_COST: f32 = 0.2;
+/// The share of the window that the nodes should be spread over.
+const FILLED: f32 = 0.65;
 /// Number of plans that are laid out before one is chosen.
-const TRIALS: usize = 6;
+const TRIALS: usize = 12;
 /// From this number of nodes on only the best plan is laid out.
 const MANY: usize = 200;
 
@@ -57,6 +59,17 @@ impl Laid {
     fn scale(&self, window: [f32; 2]) -> f32 {
         (window[0] / self.extent[0].max(1.0)).min(window[1] / self.extent[1].max(1.0))
     }
+
+    /// Share of the window inside the bounding box of the nodes.
+    fn used(&self, sizes: &[[f32; 2]], window: [f32; 2]) -> f32 {
+        let scale = self.scale(window).min(LARGE);
+        let share = |k: usize| {
+            let ends = self.layout.positions.iter().zip(sizes).map(|(at, size)| (at[k], at[k] + size[k]));
+            let (low, high) = ends.fold((f32::MAX, f32::MIN), |(low, high), (a, b)| (low.min(a), high.max(b)));
+            (high - low) * scale / window[k].max(1.0)
+        };
+        share(0) * share(1)
+    }
 }
 
 /// Lays out nodes of the given sizes for a window (width and height that are free for the graph). `edges` go from producer to consumer; those that
@@ -79,19 +92,25 @@ pub fn fitted(sizes: &[[f32; 2]], edges: &[(usize, usize)], delayed: &[(usize, u
     let laid = plans(&input).into_iter().take(trials).map(|plan| {
         let laid = lay(&input, &plan, GAP);
         let routes = laid.layout.routes.len() as f32 / (input.edges.len() + input.others.len()).max(1) as f32;
-        let score = laid.scale(window).min(LARGE) * plan.factor() * (1.0 - ROUTE_COST * routes);
-        (score, plan, laid)
+        let scale = laid.scale(window).min(LARGE);
+        let laid = spread(&input, &plan, &laid);
+        // A few nodes that are larger than designed need no more of the window.
+        let fill = if scale < 1.0 { (laid.used(input.sizes, window) / FILLED).min(1.0) } else { 1.0 };
+        (scale * plan.factor() * (1.0 - ROUTE_COST * routes) * fill, laid)
     });
-    let Some((_, plan, laid)) = laid.max_by(|a, b| a.0.total_cmp(&b.0)) else { return Layout::default() };
-    // What is left of the window becomes distance between the nodes.
-    let scale = laid.scale(window).min(LARGE);
-    let spare = |k: usize, gaps: usize| (window[k] / scale - laid.extent[k]).max(0.0) / gaps.max(1) as f32;
-    let columns = plan.columns(sizes.len());
+    laid.max_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(Layout::default, |(_, laid)| laid.layout)
+}
+
+/// Lays a plan out once more: what is left of the window becomes distance between the nodes.
+fn spread(input: &Input<'_>, plan: &Plan, laid: &Laid) -> Laid {
+    let scale = laid.scale(input.window).min(LARGE);
+    let spare = |k: usize, gaps: usize| (input.window[k] / scale - laid.extent[k]).max(0.0) / gaps.max(1) as f32;
+    let columns = plan.columns(input.sizes.len());
     let across = plan.row_ranges(columns.len()).map(|row| row.len() - 1).max().unwrap_or(0);
     let down = |row: std::ops::Range<usize>| columns[row].iter().map(|c| c.len().saturating_sub(1)).max().unwrap_or(0);
     let down: usize = plan.row_ranges(columns.len()).map(down).sum::<usize>() + plan.rows.len() - 1;
     let gap = [(GAP[0] + spare(0, across)).min(MOST_GAP[0]), (GAP[1] + spare(1, down)).min(MOST_GAP[1])];
-    lay(&input, &plan, gap).layout
+    lay(input, plan, gap)
 }
 
 impl Plan {

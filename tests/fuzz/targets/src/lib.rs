@@ -25,6 +25,7 @@ mod plugin;
 mod recording;
 mod ros;
 mod scratch;
+mod states;
 mod webrtc;
 
 use std::path::Path;
@@ -69,10 +70,12 @@ pub const TARGETS: &[Target] = &[
     Target { name: "packet", run: packets::run, seeds: packets::seeds },
     Target { name: "picture", run: picture::run, seeds: picture::seeds },
     Target { name: "plugin_note", run: plugin::note, seeds: plugin::note_seeds },
+    Target { name: "presets", run: states::presets, seeds: states::preset_seeds },
     Target { name: "recording", run: recording::file, seeds: recording::file_seeds },
     Target { name: "ros_bag", run: ros::bag, seeds: ros::bag_seeds },
     Target { name: "ros_message", run: ros::message, seeds: ros::message_seeds },
     Target { name: "rtde", run: arm::rtde, seeds: arm::rtde_seeds },
+    Target { name: "snapshot", run: states::snapshot, seeds: states::snapshot_seeds },
     Target { name: "truth_file", run: numbers::truth_file, seeds: numbers::truth_file_seeds },
     Target { name: "urdf", run: arm::urdf, seeds: arm::urdf_seeds },
     Target { name: "via", run: labels::via, seeds: labels::via_seeds },
