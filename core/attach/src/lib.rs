@@ -20,7 +20,7 @@ pub mod tunnel;
 mod window;
 
 pub use packet::{Packet, PacketError};
-pub use program::{KEYS_VARIABLE, LISTENERS, Listener};
+pub use program::{KEYS_VARIABLE, LISTENERS};
 pub use running::{AttachError, Attachable, Options};
 pub use target::{Target, TargetError};
 pub use window::{Attachment, Clock, Contact, Edit, State};

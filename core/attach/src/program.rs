@@ -6,23 +6,11 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
+use panoscope_graph::Listener;
 use panoscope_isolate::MACHINE_PROGRAM;
 
 /// Environment variable that names the folder with the keys of this machine.
 pub const KEYS_VARIABLE: &str = "PANOSCOPE_KEYS";
-
-/// Something that can listen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Listener {
-    /// What asks for it.
-    pub option: &'static str,
-    /// Protocol and purpose.
-    pub what: &'static str,
-    /// Where it listens.
-    pub default_address: &'static str,
-    /// What others may do.
-    pub access: &'static str,
-}
 
 /// What this crate can listen on, off by default.
 pub const LISTENERS: &[Listener] = &[Listener {

@@ -49,7 +49,7 @@ pub use checked::{Align, Deny, Edge, Graph, Machine, Mode, Node, OnFault, Pin, P
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
 pub use dot::to_dot;
 pub use flatten::{HomeEntry, ParamHome};
-pub use listening::{Listening, can_listen, listening};
+pub use listening::{Listener, Listening, can_listen, listening};
 pub use options::GraphOptions;
 pub use outline::{InputOutline, NodeHome, NodeOutline, PartOutline, PartPort, Reference};
 pub use packet::{PacketMismatch, PacketType};

@@ -9,6 +9,19 @@ use crate::catalog::{Catalog, NodeType};
 use crate::checked::{Graph, Node};
 use crate::param::{ParamKind, ParamValue};
 
+/// An option of a command that lets it listen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Listener {
+    /// The command with the option.
+    pub option: &'static str,
+    /// Protocol and purpose.
+    pub what: &'static str,
+    /// Where it listens when only a port is given, or what an address must be.
+    pub default_address: &'static str,
+    /// What others may do.
+    pub access: &'static str,
+}
+
 /// A node that listens.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Listening {

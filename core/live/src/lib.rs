@@ -16,18 +16,7 @@ pub use error::LiveServerError;
 pub use gate::{Refusal, check_head};
 pub use server::{FoxgloveServer, Options};
 
-/// Something that can listen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Listener {
-    /// What asks for it.
-    pub option: &'static str,
-    /// Protocol and purpose.
-    pub what: &'static str,
-    /// Where it listens when only a port is given.
-    pub default_address: &'static str,
-    /// What others may do.
-    pub access: &'static str,
-}
+use panoscope_graph::Listener;
 
 /// What this crate can listen on, off by default. Nodes that listen: [`panoscope_graph::listening`].
 pub const LISTENERS: &[Listener] = &[Listener {

@@ -3,10 +3,11 @@
 use std::io::BufReader;
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use panoscope_attach::tunnel::{self, ClockFrame, Frame, Kind};
+use panoscope_engine::sync::lock;
 use panoscope_isolate::system_ns;
 use zenoh::Wait;
 use zenoh::pubsub::Publisher;
@@ -19,10 +20,6 @@ use crate::network;
 
 /// Probes of the clock in the time in which the machine counts as lost.
 const PROBES: u32 = 10;
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 struct Connection {
     parent: Mutex<UnixStream>,
@@ -109,12 +106,9 @@ impl Connection {
     /// The answer to a probe: when it was sent, and the clock there.
     fn measure(&self, sample: &Sample) {
         let now_ns = system_ns();
-        let bytes = sample.payload().to_bytes();
-        let Some((sent, rest)) = bytes.split_first_chunk::<8>() else { return };
-        let Some(there) = rest.first_chunk::<8>() else { return };
         let clock = {
             let mut clock = lock(&self.clock);
-            clock.add(i64::from_le_bytes(*sent), i64::from_le_bytes(*there), now_ns);
+            let Some(()) = clock.take_answer(&sample.payload().to_bytes(), now_ns) else { return };
             let round_trip_ns = clock.round_trip_ns();
             clock.at(now_ns).map(|(offset_ns, error_ns)| ClockFrame { offset_ns, error_ns, round_trip_ns })
         };

@@ -6,10 +6,11 @@ use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use panoscope_attach::tunnel::{self, Frame, Kind};
+use panoscope_engine::sync::lock;
 use panoscope_isolate::system_ns;
 use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
@@ -33,10 +34,6 @@ pub(crate) const HELLO: u8 = 1;
 pub(crate) const DATA: u8 = 2;
 /// The end, with the reason.
 pub(crate) const BYE: u8 = 3;
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// The socket that the parent left as standard input.
 pub(crate) fn parent() -> Result<UnixStream, String> {
@@ -117,7 +114,7 @@ pub fn run(
             let (mine, host) = (Arc::clone(&shared), host.clone());
             let pattern = format!("panoscope/{name}/{host}/*/{key}");
             let callback = move |sample: Sample| {
-                let Some(id) = sample.key_expr().as_str().split('/').nth(3).map(str::to_owned) else { return };
+                let Some(id) = network::session_of(&sample) else { return };
                 match key {
                     "down" => mine.receive(&host, &id, &sample),
                     _ => mine.answer_probe(&host, &id, &sample),
@@ -166,14 +163,10 @@ impl Shared {
 
     fn answer_probe(&self, host: &str, id: &str, sample: &Sample) {
         let now_ns = system_ns();
-        let bytes = sample.payload().to_bytes();
-        let Some(sent) = bytes.first_chunk::<8>() else { return };
-        if let Some((_, window)) = self.window(host, id) {
+        let makes_sense = network::answer_probe(&self.session, self.key(host, id, "pong"), sample, now_ns);
+        if let Some((_, window)) = self.window(host, id).filter(|_| makes_sense) {
             window.heard_ns.store(now_ns, Ordering::Relaxed);
         }
-        let answer = [*sent, now_ns.to_le_bytes()].concat();
-        let put = self.session.put(self.key(host, id, "pong"), answer);
-        let _ = put.priority(zenoh::qos::Priority::RealTime).express(true).wait();
     }
 
     fn receive(self: &Arc<Self>, host: &str, id: &str, sample: &Sample) {

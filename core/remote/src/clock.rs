@@ -41,6 +41,14 @@ impl Offset {
         self.probes.push_back(Probe { at_ns: received_ns, offset_ns, half_way_ns });
     }
 
+    /// Takes the answer to a probe as [`crate::network::answer_probe`] writes it, received at `received_ns`; `None` where it makes no sense.
+    pub fn take_answer(&mut self, bytes: &[u8], received_ns: i64) -> Option<()> {
+        let (sent, rest) = bytes.split_first_chunk::<8>()?;
+        let there = rest.first_chunk::<8>()?;
+        self.add(i64::from_le_bytes(*sent), i64::from_le_bytes(*there), received_ns);
+        Some(())
+    }
+
     /// The other clock minus this one, and the largest error of that, in ns; `None` without a probe.
     pub fn at(&self, now_ns: i64) -> Option<(i64, u64)> {
         let error_ns = |probe: &Probe| {

@@ -6,10 +6,11 @@ use std::io::{Seek, SeekFrom};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Condvar, Mutex, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use panoscope_engine::isolation::Pixels;
+use panoscope_engine::sync::lock;
 use panoscope_isolate::relay::{self, Bytes, Given, Link, LinkLane, LinkNumbers, kind};
 use panoscope_isolate::{EXIT_LINK, system_ns};
 use panoscope_loader::sealed::Fingerprint;
@@ -65,10 +66,6 @@ pub(crate) fn lose(words: &str) -> ! {
 pub(crate) fn leave(code: i32) -> ! {
     // SAFETY: ends the process. Threads of zenoh may still run, so that nothing is destroyed.
     unsafe { libc::_exit(code) }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn seconds(time: Duration) -> String {
@@ -335,11 +332,7 @@ impl Connection {
 
     /// The answer to a probe: when it was sent, and the clock there.
     fn measure(&self, sample: &Sample) -> Result<(), BadMessage> {
-        let now_ns = system_ns();
-        let bytes = sample.payload().to_bytes();
-        let (sent, rest) = bytes.split_first_chunk::<8>().ok_or(BadMessage)?;
-        let there = rest.first_chunk::<8>().ok_or(BadMessage)?;
-        lock(&self.clock).add(i64::from_le_bytes(*sent), i64::from_le_bytes(*there), now_ns);
+        lock(&self.clock).take_answer(&sample.payload().to_bytes(), system_ns()).ok_or(BadMessage)?;
         // Whoever waits has looked at the clock before, or looks again.
         drop(lock(&self.is_ready));
         self.changed.notify_all();

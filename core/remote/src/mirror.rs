@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use panoscope_engine::isolation::Pixels;
 use panoscope_engine::memory::MOST_POOLS;
+use panoscope_engine::sync::lock;
 use panoscope_isolate::relay::Bytes;
 
 use crate::h264::{Decoders, Encoders};
@@ -93,7 +94,7 @@ impl Pool {
             Coding::H264(picture) => {
                 let mut coded = vec![0; frame.coded_len as usize];
                 from.read_exact(&mut coded)?;
-                let mut decoders = decoders.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut decoders = lock(decoders);
                 decoders.decode(lane, &picture, coded, to).map_err(io::Error::other)
             }
         }
@@ -117,13 +118,13 @@ pub struct Pools {
 impl Pools {
     /// A pool can be used from now on.
     pub fn add(&self, number: u32, pool: Pool) {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner).insert(number, Arc::new(pool));
+        lock(&self.known).insert(number, Arc::new(pool));
         self.changed.notify_all();
     }
 
     /// A pool, which may still be on its way.
     pub fn get(&self, number: u32) -> Result<Arc<Pool>, BadMessage> {
-        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = lock(&self.known);
         let missing = |known: &mut HashMap<u32, Arc<Pool>>| !known.contains_key(&number);
         let waited = self.changed.wait_timeout_while(known, MAX_WAIT, missing);
         waited.unwrap_or_else(PoisonError::into_inner).0.get(&number).cloned().ok_or(BadMessage)
@@ -160,7 +161,7 @@ impl Pools {
         let bytes = self.get(pool)?.copy(frame)?;
         let raw = FrameHead { pool, offset, len, coding: Coding::Raw, coded_len: len };
         if let Some(size) = frame.colour_px.filter(|_| pixels == Pixels::H264) {
-            let mut encoders = encoders.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut encoders = lock(encoders);
             if let Some((picture, coded)) = encoders.encode((lane, stream), size, &bytes) {
                 return Ok((FrameHead { coding: Coding::H264(picture), coded_len: coded.len() as u64, ..raw }, coded));
             }

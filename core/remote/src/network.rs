@@ -4,6 +4,7 @@ use std::net::ToSocketAddrs;
 use std::path::Path;
 
 use zenoh::qos::{CongestionControl, Priority};
+use zenoh::sample::Sample;
 use zenoh::{Config, Session, Wait};
 
 use crate::keys::Identity;
@@ -183,6 +184,21 @@ fn access(machine: &str, hosts: &[String]) -> String {
 /// The part of a connection's keys that both ends share.
 pub fn prefix(machine: &str, host: &str, session: &str) -> String {
     format!("panoscope/{machine}/{host}/{session}")
+}
+
+/// The session in the key of a message, see [`prefix`].
+pub fn session_of(sample: &Sample) -> Option<String> {
+    sample.key_expr().as_str().split('/').nth(3).map(str::to_owned)
+}
+
+/// Answers a probe of the clock: what was sent, then this machine's clock at `now_ns`. Returns false, without an
+/// answer, for one that makes no sense.
+pub fn answer_probe(session: &Session, key: String, probe: &Sample, now_ns: i64) -> bool {
+    let bytes = probe.payload().to_bytes();
+    let Some(sent) = bytes.first_chunk::<8>() else { return false };
+    let put = session.put(key, [*sent, now_ns.to_le_bytes()].concat());
+    let _ = put.priority(Priority::RealTime).express(true).wait();
+    true
 }
 
 /// Whether a name can be part of a key, and of a certificate: letters, digits, `_` and `-`.

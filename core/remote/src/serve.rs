@@ -4,8 +4,9 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
+use panoscope_engine::sync::lock;
 use panoscope_isolate::system_ns;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
@@ -64,10 +65,6 @@ pub struct Server {
     _subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Server {
     /// Listens from now on. `log` gets a line for each group that comes and goes.
     ///
@@ -85,7 +82,7 @@ impl Server {
                 let mine = Arc::clone(&shared);
                 let name = host.clone();
                 let callback = move |sample: Sample| {
-                    let Some(id) = sample.key_expr().as_str().split('/').nth(3).map(str::to_owned) else { return };
+                    let Some(id) = network::session_of(&sample) else { return };
                     match key {
                         "down" => mine.receive(&name, id, &sample),
                         _ => mine.answer_probe(&name, id, &sample),
@@ -130,17 +127,11 @@ impl Shared {
 
     fn answer_probe(&self, host: &str, id: String, sample: &Sample) {
         let now_ns = system_ns();
-        let bytes = sample.payload().to_bytes();
-        let Some(sent) = bytes.first_chunk::<8>() else { return };
-        let mut answer = [0; 16];
-        answer[..8].copy_from_slice(sent);
-        answer[8..].copy_from_slice(&now_ns.to_le_bytes());
         let key = self.key(host, &id, "pong");
-        if let Some(open) = lock(&self.open).get(&(host.to_owned(), id)) {
+        let makes_sense = network::answer_probe(&self.session, key, sample, now_ns);
+        if let Some(open) = lock(&self.open).get(&(host.to_owned(), id)).filter(|_| makes_sense) {
             open.heard_ns.store(now_ns, Ordering::Relaxed);
         }
-        let put = self.session.put(key, answer.to_vec());
-        let _ = put.priority(zenoh::qos::Priority::RealTime).express(true).wait();
     }
 
     fn receive(self: &Arc<Self>, host: &str, id: String, sample: &Sample) {

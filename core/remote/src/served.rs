@@ -6,10 +6,11 @@ use std::io::{Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use panoscope_engine::isolation::{Deny, Pixels};
+use panoscope_engine::sync::lock;
 use panoscope_isolate::relay::{self, Bytes, RelayError, Served, ServedLane, Settings, kind};
 use panoscope_isolate::system_ns;
 use panoscope_loader::sealed::SealedWriter;
@@ -35,10 +36,6 @@ pub(crate) struct Delivered {
     pub message: Message,
     pub payload: ZBytes,
     pub begin: u64,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What the threads of a group share.

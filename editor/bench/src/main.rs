@@ -3,13 +3,12 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
 use clap::Parser;
 use eframe::egui::vec2;
-use panoscope_attach::{Attachment, Target};
 use panoscope_editor::app::{App, Options};
 use panoscope_editor::arrangement::Arrangement;
+use panoscope_editor_model::attaching;
 use panoscope_editor_widgets::{theme, window};
 use panoscope_graph::GraphText;
 use panoscope_loader::Loader;
@@ -71,24 +70,17 @@ fn write_arrangement(arguments: &Arguments, text: &str, file: &Path) -> i32 {
     }
 }
 
-/// How long a machine may take to be reached at first.
-const REACH: Duration = Duration::from_secs(10);
-
 /// Opens the window on the graph of another machine.
 fn attach(arguments: &Arguments, name: &str) -> i32 {
-    let config = panoscope_editor_model::arguments::config_folder();
-    let target = Target::find(name, config.as_deref()).map_err(|error| error.to_string());
-    let target = target.map(|target| Target { keys: arguments.keys.clone(), ..target });
-    let attachment = match target.and_then(|target| Attachment::open(target).map_err(|error| error.to_string())) {
+    let attachment = match attaching::open(name, arguments.keys.clone()) {
         Ok(attachment) => attachment,
         Err(error) => {
             eprintln!("error: {error}");
             return 2;
         }
     };
-    // Without a window nobody would see why it takes time.
-    if !attachment.wait_opened(REACH) {
-        eprintln!("error: `{}` is not reached: {}", attachment.target().name, attachment.state().problem);
+    if let Err(error) = attaching::wait(&attachment) {
+        eprintln!("error: {error}");
         return 1;
     }
     let path = arguments.graph.clone().unwrap_or_else(|| format!("{}.toml", attachment.target().name).into());

@@ -39,6 +39,17 @@ pub fn save(path: &Path, text: &str) -> Result<(), SaveError> {
     replace(path, text.as_bytes(), mode).map_err(fail)
 }
 
+/// Reads the text of a file of at most `max_bytes`; `None` for a larger one, of which no more is read.
+///
+/// # Errors
+/// The file cannot be read, or is no UTF-8.
+pub fn read_text(path: &Path, max_bytes: u64) -> std::io::Result<Option<String>> {
+    if fs::metadata(path)?.len() > max_bytes {
+        return Ok(None);
+    }
+    fs::read_to_string(path).map(Some)
+}
+
 /// Writes a file atomically: at any moment the complete old or the complete new file exists.
 ///
 /// # Errors

@@ -5,6 +5,7 @@
 //! transaction after the other. An observer ([`observe`]) renders previews and reads counters on a thread of its own.
 
 pub mod arguments;
+pub mod attaching;
 pub mod content;
 pub mod copying;
 pub mod difference;

@@ -117,14 +117,12 @@ impl Presets {
     /// The file cannot be read, or is not a file of presets.
     pub fn load(graph: &Path) -> Result<Self, PresetError> {
         let path = file_of(graph);
-        let read = |cause| PresetError::Read { path: path.clone(), cause };
-        match std::fs::metadata(&path) {
+        let text = match disk::read_text(&path, MAX_BYTES) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Self { path, list: Vec::new() }),
-            Err(error) => return Err(read(error)),
-            Ok(meta) if meta.len() > MAX_BYTES => return Err(PresetError::Size { path }),
-            Ok(_) => {}
-        }
-        let text = std::fs::read_to_string(&path).map_err(read)?;
+            Err(cause) => return Err(PresetError::Read { path, cause }),
+            Ok(None) => return Err(PresetError::Size { path }),
+            Ok(Some(text)) => text,
+        };
         match parse(&text) {
             Ok(list) => Ok(Self { path, list }),
             Err(reason) => Err(PresetError::Contents { path, reason }),

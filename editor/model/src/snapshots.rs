@@ -151,11 +151,8 @@ fn base_of(graph: &Path) -> PathBuf {
 }
 
 fn read(path: &Path) -> Result<Snapshot, String> {
-    let meta = std::fs::metadata(path).map_err(|error| error.to_string())?;
-    if meta.len() > MAX_BYTES {
-        return Err("it has more than 16 MiB".to_owned());
-    }
-    parse(&std::fs::read_to_string(path).map_err(|error| error.to_string())?)
+    let text = disk::read_text(path, MAX_BYTES).map_err(|error| error.to_string())?;
+    parse(&text.ok_or("it has more than 16 MiB")?)
 }
 
 /// Reads the text of a snapshot; its number is that of its file.

@@ -40,9 +40,15 @@ pub struct Position {
     pub speed: f64,
 }
 
+impl Default for Position {
+    fn default() -> Self {
+        Self { at_s: 0.0, plays: false, range_s: None, speed: 1.0 }
+    }
+}
+
 #[derive(Default)]
 struct State {
-    position: Option<Position>,
+    position: Position,
     requests: HashMap<Output, PreviewRequest>,
     previews: HashMap<Output, RenderedPacket>,
     probe_requests: HashMap<Output, ProbeRequest>,
@@ -101,8 +107,7 @@ impl Timeline {
         let start_ns = start_of(&recording).ok_or_else(|| TimelineError::Empty { path: path.to_owned() })?;
         let times: BTreeSet<i64> = recording.sources.values().flatten().map(|tick| tick.capture_ns).collect();
         let ticks_s = times.into_iter().map(|ns| seconds(ns.saturating_sub(start_ns))).collect();
-        let position = Position { at_s: 0.0, plays: false, range_s: None, speed: 1.0 };
-        let state = Arc::new(Mutex::new(State { position: Some(position), ..State::default() }));
+        let state = Arc::new(Mutex::new(State::default()));
         let ports = recording.ports.keys().cloned().collect();
         let player = Player {
             recording,
@@ -159,7 +164,7 @@ impl Timeline {
 
     /// Where it stands.
     pub fn position(&self) -> Position {
-        lock(&self.state).position.unwrap_or(Position { at_s: 0.0, plays: false, range_s: None, speed: 1.0 })
+        lock(&self.state).position
     }
 
     /// Why the newest pictures could not be read.
@@ -169,10 +174,10 @@ impl Timeline {
 
     fn change(&self, change: impl FnOnce(&mut Position)) {
         let length_s = self.length_s();
-        if let Some(position) = &mut lock(&self.state).position {
-            change(position);
-            position.at_s = position.at_s.clamp(0.0, length_s);
-        }
+        let mut state = lock(&self.state);
+        change(&mut state.position);
+        state.position.at_s = state.position.at_s.clamp(0.0, length_s);
+        drop(state);
         self.wake_player();
     }
 
@@ -285,10 +290,8 @@ impl Player {
                 if state.quit {
                     return;
                 }
-                let length_s = self.length_s();
-                let Some(position) = &mut state.position else { return };
-                advance(position, elapsed_s, length_s);
-                let (at_s, plays) = (position.at_s, position.plays);
+                advance(&mut state.position, elapsed_s, self.length_s());
+                let Position { at_s, plays, .. } = state.position;
                 let asked = state.probe_requests.clone();
                 (at_s, plays, state.requests.clone(), asked, state.second.clone(), state.generation)
             };

@@ -1,14 +1,13 @@
-//! `panoscope-theatre GRAPH`, started by `panoscope theatre GRAPH`; with `--attach` on the graph of another machine. Exit codes: 0 success, 1 the window could not be opened, 2 the file cannot
-//! be read or was refused.
+//! `panoscope-theatre GRAPH`, started by `panoscope theatre GRAPH`; with `--attach` on the graph of another machine. Exit codes: 0 success, 1 the
+//! window could not be opened, 2 the file cannot be read or was refused.
 //!
 //! The program runs twice: this process owns the window, and starts another one, with the first argument [`worker::COMMAND`], for the graph.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
-use std::time::Duration;
 
 use clap::Parser;
-use panoscope_attach::{Attachment, Target};
+use panoscope_editor_model::attaching;
 use panoscope_editor_widgets::window;
 use panoscope_graph::{GraphText, installed};
 use panoscope_loader::keys::{KeyError, PublicKey, Trust};
@@ -117,16 +116,10 @@ fn work(own: &[OsString], arguments: &Arguments) -> i32 {
     }
 }
 
-/// How long a machine may take to be reached at first.
-const REACH: Duration = Duration::from_secs(10);
-
 /// Opens the window on the graph of another machine.
 fn attach(arguments: &Arguments, name: &str) -> i32 {
-    let config = panoscope_editor_model::arguments::config_folder();
-    let target = Target::find(name, config.as_deref()).map_err(|error| error.to_string());
-    let target = target.map(|target| Target { keys: arguments.keys.clone(), ..target });
     let options = options(arguments).map_err(|error| error.to_string());
-    let opened = target.and_then(|target| Ok((Attachment::open(target).map_err(|error| error.to_string())?, options?)));
+    let opened = attaching::open(name, arguments.keys.clone()).and_then(|attachment| Ok((attachment, options?)));
     let (attachment, options) = match opened {
         Ok(opened) => opened,
         Err(error) => {
@@ -134,16 +127,17 @@ fn attach(arguments: &Arguments, name: &str) -> i32 {
             return 2;
         }
     };
-    // Without a window nobody would see why it takes time.
-    if !attachment.wait_opened(REACH) {
-        eprintln!("error: `{}` is not reached: {}", attachment.target().name, attachment.state().problem);
+    if let Err(error) = attaching::wait(&attachment) {
+        eprintln!("error: {error}");
         return 1;
     }
     let path = PathBuf::from(&attachment.target().name);
     let viewport = window::viewport(&path, "panoscope-theatre", arguments.window.size)
         .with_fullscreen(!arguments.windowed)
         .with_decorations(arguments.windowed);
-    window::open(viewport, move |cc| Ok(Box::new(Theatre::attached(&cc.egui_ctx, attachment, REACH, options)?)))
+    window::open(viewport, move |cc| {
+        Ok(Box::new(Theatre::attached(&cc.egui_ctx, attachment, attaching::REACH, options)?))
+    })
 }
 
 fn run(arguments: &Arguments) -> i32 {

@@ -11,6 +11,7 @@
 use std::path::{Path, PathBuf};
 
 use eframe::egui::{Key, Modifiers};
+use panoscope_editor_model::disk;
 
 use super::Action;
 
@@ -88,11 +89,8 @@ impl Pedal {
 }
 
 fn read(file: &Path) -> Result<Vec<PedalKey>, String> {
-    let meta = std::fs::metadata(file).map_err(|error| error.to_string())?;
-    if meta.len() > MAX_BYTES {
-        return Err("it has more than 64 KiB".to_owned());
-    }
-    parse(&std::fs::read_to_string(file).map_err(|error| error.to_string())?)
+    let text = disk::read_text(file, MAX_BYTES).map_err(|error| error.to_string())?;
+    parse(&text.ok_or("it has more than 64 KiB")?)
 }
 
 /// Reads the text of a settings file.

@@ -1,6 +1,7 @@
 //! Where a surface ends: corners that lie between two surfaces, islands and ragged rims are taken out; and the light on what is left.
 
 use super::surface::{Corner, NOWHERE};
+use crate::pieces;
 
 /// Corners over which a slope and a normal are measured, to each side.
 const REACH: usize = 2;
@@ -24,8 +25,8 @@ const ROUNDS: usize = 3;
 #[derive(Default)]
 pub struct Rims {
     is_out: Vec<bool>,
-    piece: Vec<u32>,
-    open: Vec<usize>,
+    is_visited: Vec<bool>,
+    piece: Vec<usize>,
     /// Known corners of five in a row.
     across: Vec<u8>,
 }
@@ -175,38 +176,19 @@ impl Rims {
     fn cut_islands(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
         let height = corners.len() / width;
         let least = (corners.len() as f32 * LEAST_PIECE) as usize;
-        self.piece.clear();
-        self.piece.resize(corners.len(), 0);
+        self.is_visited.clear();
+        self.is_visited.resize(corners.len(), false);
         self.is_out.clear();
         self.is_out.resize(corners.len(), false);
         for start in 0..corners.len() {
-            if self.piece[start] != 0 || !is_known(&corners[start]) {
+            if self.is_visited[start] || !is_known(&corners[start]) {
                 continue;
             }
-            self.open.clear();
-            self.open.push(start);
-            self.piece[start] = 1;
-            let mut next = 0;
-            while let Some(&at) = self.open.get(next) {
-                next += 1;
-                let (x, y) = (at % width, at / width);
-                let near = [
-                    (x > 0).then(|| at - 1),
-                    (x + 1 < width).then(|| at + 1),
-                    (y > 0).then(|| at - width),
-                    (y + 1 < height).then(|| at + width),
-                ];
-                for to in near.into_iter().flatten() {
-                    let is_linked =
-                        is_known(&corners[to]) && !is_steep(corners[at].world, corners[to].world, max_slope);
-                    if self.piece[to] == 0 && is_linked {
-                        self.piece[to] = 1;
-                        self.open.push(to);
-                    }
-                }
-            }
-            if self.open.len() < least {
-                self.open.iter().for_each(|at| self.is_out[*at] = true);
+            pieces::grow(start, (width, height), &mut self.is_visited, &mut self.piece, |at, to| {
+                is_known(&corners[to]) && !is_steep(corners[at].world, corners[to].world, max_slope)
+            });
+            if self.piece.len() < least {
+                self.piece.iter().for_each(|at| self.is_out[*at] = true);
             }
         }
         self.take_out(corners);

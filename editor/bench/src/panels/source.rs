@@ -37,11 +37,8 @@ impl SourceFile {
     /// Why it cannot be read, in words.
     pub fn open(path: &Path) -> Result<Self, String> {
         let fail = |error: std::io::Error| format!("{} cannot be read: {error}", path.display());
-        let meta = std::fs::metadata(path).map_err(fail)?;
-        if meta.len() > MAX_BYTES {
-            return Err(format!("{} has more than 1 MiB", path.display()));
-        }
-        let text = std::fs::read_to_string(path).map_err(fail)?;
+        let text = disk::read_text(path, MAX_BYTES).map_err(fail)?;
+        let text = text.ok_or_else(|| format!("{} has more than 1 MiB", path.display()))?;
         Ok(Self { path: path.to_owned(), saved: text.clone(), text })
     }
 

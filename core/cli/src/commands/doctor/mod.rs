@@ -247,11 +247,7 @@ impl Doctor {
         out!("network: nothing listens unless you ask for it");
         let web = "pictures, ages and metrics over HTTP, for reading only; on 127.0.0.1 unless you give IP:PORT";
         self.say(State::Fine, "run --web PORT", web);
-        for one in panoscope_live::LISTENERS {
-            let about = format!("{}; on {}; {}", one.what, one.default_address, one.access);
-            self.say(State::Fine, one.option, &about);
-        }
-        for one in panoscope_attach::LISTENERS {
+        for one in panoscope_live::LISTENERS.iter().chain(panoscope_attach::LISTENERS) {
             self.say(State::Fine, one.option, &format!("{}; on {}; {}", one.what, one.default_address, one.access));
         }
         let serve = "nodes of other machines over TLS; hosts that --allow names, with certificates of your authority";

@@ -2,7 +2,7 @@
 
 use super::super::grid::RectifiedView;
 use super::follow::length;
-use crate::{Parallel, SharedMut, View};
+use crate::{Parallel, SharedMut, View, pieces};
 
 /// Rows of cells per chunk.
 const ROWS: usize = 4;
@@ -93,33 +93,17 @@ impl Observations {
         if least < 2 {
             return;
         }
-        let (columns, rows) = (self.columns, self.rows);
+        let size = (self.columns, self.rows);
         self.is_visited.clear();
         self.is_visited.extend(self.cells.iter().map(|cell| cell.weight <= 0.0));
         for start in 0..self.cells.len() {
             if self.is_visited[start] {
                 continue;
             }
-            self.is_visited[start] = true;
-            self.patch.clear();
-            self.patch.push(start);
-            let mut next = 0;
-            while let Some(&from) = self.patch.get(next) {
-                next += 1;
-                let (column, row) = (from % columns, from / columns);
-                let around = [
-                    (column > 0).then(|| from - 1),
-                    (column + 1 < columns).then(|| from + 1),
-                    (row > 0).then(|| from - columns),
-                    (row + 1 < rows).then(|| from + columns),
-                ];
-                for to in around.into_iter().flatten() {
-                    if !self.is_visited[to] && self.cells[from].is_one_surface_with(&self.cells[to]) {
-                        self.is_visited[to] = true;
-                        self.patch.push(to);
-                    }
-                }
-            }
+            let cells = &self.cells;
+            pieces::grow(start, size, &mut self.is_visited, &mut self.patch, |from, to| {
+                cells[from].is_one_surface_with(&cells[to])
+            });
             if self.patch.len() < least {
                 for cell in &self.patch {
                     self.cells[*cell].weight = 0.0;
