@@ -103,6 +103,34 @@ pub enum Action {
     NodeHelp,
     /// Open the source of the selected node, if it is written in Python.
     Source,
+    /// Show the panel of the selected node.
+    NodePanel,
+    /// Show the panel of the whole graph.
+    Overview,
+    /// Show the viewer beside the graph, or over it.
+    ViewerBeside,
+    /// Give the keys to the next panel.
+    NextPanel,
+    /// Give the keys to the previous panel.
+    PreviousPanel,
+    /// Move the panel to the left of the graph.
+    PanelLeft,
+    /// Move the panel to the right of the graph.
+    PanelRight,
+    /// Move the panel above the graph.
+    PanelAbove,
+    /// Move the panel below the graph.
+    PanelBelow,
+    /// Make the panel larger.
+    PanelLarger,
+    /// Make the panel smaller.
+    PanelSmaller,
+    /// Put the panel into a window of its own, or back.
+    TearOff,
+    /// Close the panel.
+    ClosePanel,
+    /// Arrange all panels as at first.
+    ResetLayout,
     /// Show the keys.
     Help,
     /// Close what is open, or clear the selection.
@@ -115,6 +143,7 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
     const NONE: Modifiers = Modifiers::NONE;
     const CTRL: Modifiers = Modifiers::COMMAND;
     const SHIFT: Modifiers = Modifiers::COMMAND.plus(Modifiers::SHIFT);
+    const ALT: Modifiers = Modifiers::ALT;
     &[
         (Add, NONE, Key::A, "Add a node"),
         (Connect, NONE, Key::W, "Connect the selected node"),
@@ -164,6 +193,20 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Commands, CTRL, Key::K, "Find a command, node or parameter"),
         (NodeHelp, Modifiers::SHIFT, Key::F1, "Help of the selected node"),
         (Source, NONE, Key::X, "Source of the selected node, if it is written in Python"),
+        (NodePanel, Modifiers::SHIFT, Key::I, "Panel of the selected node"),
+        (Overview, Modifiers::SHIFT, Key::O, "Panel of the whole graph"),
+        (ViewerBeside, Modifiers::SHIFT, Key::V, "The viewer beside the graph, or over it"),
+        (NextPanel, NONE, Key::F6, "The next panel gets the keys"),
+        (PreviousPanel, Modifiers::SHIFT, Key::F6, "The previous panel gets the keys"),
+        (PanelLeft, ALT, Key::ArrowLeft, "Move the panel to the left of the graph"),
+        (PanelRight, ALT, Key::ArrowRight, "Move the panel to the right of the graph"),
+        (PanelAbove, ALT, Key::ArrowUp, "Move the panel above the graph"),
+        (PanelBelow, ALT, Key::ArrowDown, "Move the panel below the graph"),
+        (PanelLarger, ALT, Key::Plus, "Make the panel larger"),
+        (PanelSmaller, ALT, Key::Minus, "Make the panel smaller"),
+        (TearOff, ALT, Key::Enter, "Put the panel into a window of its own, or back"),
+        (ClosePanel, CTRL, Key::W, "Close the panel"),
+        (ResetLayout, ALT, Key::Num0, "Reset the layout of the panels"),
         (Guide, CTRL, Key::F1, "Guided tour of one minute"),
         (Help, NONE, Key::F1, "These keys"),
         (Escape, NONE, Key::Escape, "Close what is open"),
@@ -173,23 +216,29 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
 /// Actions whose keys work while picking on an image; the picker gets the other keys.
 const PICKING: [Action; 5] = [Action::Undo, Action::Redo, Action::Save, Action::Help, Action::Escape];
 
+/// Number of modifiers.
+fn count(modifiers: Modifiers) -> u8 {
+    u8::from(modifiers.command) + u8::from(modifiers.shift) + u8::from(modifiers.alt)
+}
+
 /// As [`pressed`], while picking on an image.
 pub fn pressed_while_picking(input: &mut InputState) -> Vec<Action> {
     let mut all: Vec<_> = ALL.iter().filter(|(action, ..)| PICKING.contains(action)).collect();
-    all.sort_by_key(|(_, m, ..)| std::cmp::Reverse(u8::from(m.command) + u8::from(m.shift)));
+    all.sort_by_key(|(_, modifiers, ..)| std::cmp::Reverse(count(*modifiers)));
     all.retain(|(_, modifiers, key, _)| input.consume_key(*modifiers, *key));
     all.into_iter().map(|(action, ..)| *action).collect()
 }
 
-/// Consumes the keys of actions and returns the actions. While a text is edited, only Escape and keys with Ctrl count.
+/// Consumes the keys of actions and returns the actions. While a text is edited, only Escape, F6 and keys with Ctrl count.
 pub fn pressed(input: &mut InputState, typing: bool) -> Vec<Action> {
     let mut found = Vec::new();
     // Keys with more modifiers first, so that Ctrl+Shift+Z does not count as Ctrl+Z.
     let mut all: Vec<_> = ALL.iter().collect();
-    all.sort_by_key(|(_, m, ..)| std::cmp::Reverse(u8::from(m.command) + u8::from(m.shift)));
+    all.sort_by_key(|(_, modifiers, ..)| std::cmp::Reverse(count(*modifiers)));
     for (action, modifiers, key, _) in all {
         let own_use = matches!(action, Action::SelectAll | Action::Undo | Action::Redo) || !modifiers.command;
-        if typing && own_use && *action != Action::Escape {
+        let leaves = matches!(action, Action::Escape | Action::NextPanel | Action::PreviousPanel);
+        if typing && own_use && !leaves {
             continue;
         }
         if input.consume_key(*modifiers, *key) {

@@ -8,6 +8,7 @@ pub mod actions;
 pub mod app;
 pub mod arrangement;
 pub mod canvas;
+pub mod docks;
 pub mod palette;
 pub mod panels;
 pub mod picker;

@@ -199,7 +199,7 @@ pub fn config_folder() -> Option<PathBuf> {
     base.map(|base| base.join("panoscope"))
 }
 
-fn key(graph: &Path) -> String {
+pub(crate) fn key(graph: &Path) -> String {
     let whole = std::fs::canonicalize(graph).or_else(|_| std::path::absolute(graph));
     whole.unwrap_or_else(|_| graph.to_owned()).display().to_string()
 }

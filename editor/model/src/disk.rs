@@ -1,10 +1,15 @@
 //! The graph file on disk: saves it atomically with a backup, and watches it for changes by other programs.
 
+use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use panoscope_engine::sync::lock;
 use panoscope_loader::Stamp;
 
 /// Why the file was not saved; it is unchanged.
@@ -118,6 +123,62 @@ impl DiskWatch {
     }
 }
 
+/// A thread that calls for attention while watched files change, so that a window in which nothing happens need not draw to notice.
+pub struct DiskAlarm {
+    watched: Arc<Mutex<Vec<PathBuf>>>,
+    quit: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl DiskAlarm {
+    /// Starts the thread; `wake` is called in the intervals in which a [`DiskWatch`] of a file may have something to report.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn new(wake: impl Fn() + Send + 'static) -> std::io::Result<Self> {
+        let watched = Arc::<Mutex<Vec<PathBuf>>>::default();
+        let quit = Arc::new(AtomicBool::new(false));
+        let (files, stop) = (Arc::clone(&watched), Arc::clone(&quit));
+        let run = move || {
+            let mut known: HashMap<PathBuf, Stamp> = HashMap::new();
+            let mut rounds = 0u32;
+            while !stop.load(Ordering::Acquire) {
+                let now: HashMap<PathBuf, Stamp> =
+                    lock(&files).iter().map(|path| (path.clone(), Stamp::of(path))).collect();
+                if now != known {
+                    known = now;
+                    // The watch sees the change, and that the file stays as it is.
+                    rounds = 4;
+                }
+                if rounds > 0 {
+                    rounds -= 1;
+                    wake();
+                }
+                std::thread::park_timeout(DiskWatch::INTERVAL);
+            }
+        };
+        let thread = std::thread::Builder::new().name("disk".to_owned()).spawn(run)?;
+        Ok(Self { watched, quit, thread: Some(thread) })
+    }
+
+    /// Sets the files to watch.
+    pub fn watch<'p>(&self, paths: impl Iterator<Item = &'p Path>) {
+        let mut watched = lock(&self.watched);
+        watched.clear();
+        watched.extend(paths.map(Path::to_owned));
+    }
+}
+
+impl Drop for DiskAlarm {
+    fn drop(&mut self) {
+        self.quit.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            let _ = thread.join();
+        }
+    }
+}
+
 /// Whether a node's error message means that the disk is full.
 pub fn is_full(words: &str) -> bool {
     words.contains("No space left") || words.contains("the disk is full")
@@ -164,6 +225,31 @@ mod tests {
         fs::remove_dir_all(&folder).unwrap();
         let error = save(&folder.join("g.toml"), "x").unwrap_err();
         assert!(error.to_string().contains("g.toml"), "{error}");
+    }
+
+    #[test]
+    fn an_alarm_calls_while_a_file_changes_and_is_quiet_after_that() {
+        let folder = folder("alarm");
+        let path = folder.join("g.toml");
+        fs::write(&path, "one").unwrap();
+        let calls = Arc::new(std::sync::atomic::AtomicU32::new(0));
+        let count = Arc::clone(&calls);
+        let alarm = DiskAlarm::new(move || _ = count.fetch_add(1, Ordering::Relaxed)).unwrap();
+        alarm.watch(std::iter::once(path.as_path()));
+        let until = |what: &str, holds: &dyn Fn(u32) -> bool| {
+            let end = Instant::now() + Duration::from_secs(20);
+            while !holds(calls.load(Ordering::Relaxed)) {
+                assert!(Instant::now() < end, "{what}: {}", calls.load(Ordering::Relaxed));
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        };
+        until("the file is new to it", &|calls| calls == 4);
+        std::thread::sleep(3 * DiskWatch::INTERVAL);
+        assert_eq!(calls.load(Ordering::Relaxed), 4, "nothing changes");
+        fs::write(&path, "three").unwrap();
+        until("the file changed", &|calls| calls == 8);
+        drop(alarm);
+        fs::remove_dir_all(folder).unwrap();
     }
 
     #[test]

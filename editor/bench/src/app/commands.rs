@@ -12,6 +12,7 @@ use crate::panels::inspector::InspectorRequest;
 use crate::panels::params::ParamRequest;
 use crate::panels::states::StateRequest;
 use crate::viewer::Source;
+use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::folding::parent;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, PendingWire};
@@ -86,7 +87,7 @@ impl App {
         match request {
             InspectorRequest::Sweep => {
                 self.canvas.select_only(node);
-                self.switches.sweep = true;
+                self.docks.open(Panel::Sweep);
                 let swept = doc.view().node(node).and_then(|n| {
                     let params = &doc.view().nodes[n].node_type.as_ref()?.params;
                     params.iter().find(|p| can_sweep(&p.kind)).map(|p| p.name.clone())
@@ -115,7 +116,7 @@ impl App {
             InspectorRequest::Help => self.show_node_help(Some(node)),
             InspectorRequest::Source => self.open_source(Some(node)),
             InspectorRequest::Trace => {
-                self.switches.trace = true;
+                self.docks.open(Panel::Trace);
                 self.trace_panel.choose_drop_of(node);
             }
             InspectorRequest::Probe(at) => self.panel_point = Some(at),
@@ -207,26 +208,26 @@ impl App {
                 }
             }
             Action::View => self.view(),
-            Action::Heat => self.switches.heat ^= true,
-            Action::Text => self.switches.text ^= true,
-            Action::Plots => self.switches.plots ^= true,
-            Action::History => self.switches.history ^= true,
+            Action::Heat => self.heat ^= true,
+            Action::Text => _ = self.docks.toggle(Panel::Text),
+            Action::Plots => _ = self.docks.toggle(Panel::Plots),
+            Action::History => _ = self.docks.toggle(Panel::History),
             Action::Back => self.step_to(self.document.history().at().saturating_sub(1)),
             Action::Forward => self.step_to(self.document.history().at() + 1),
-            Action::Sweep => self.switches.sweep ^= true,
+            Action::Sweep => _ = self.docks.toggle(Panel::Sweep),
             Action::States => self.toggle_states(),
             Action::Snapshot => {
                 self.states.load(self.document.path());
                 self.handle_state(StateRequest::Take);
             }
-            Action::Problems => self.switches.problems ^= true,
-            Action::Timeline => self.switches.timeline ^= true,
+            Action::Problems => _ = self.docks.toggle(Panel::Problems),
+            Action::Timeline => _ = self.docks.toggle(Panel::Timeline),
             Action::Play | Action::TickBack | Action::TickForward => match &self.timeline {
                 Some(timeline) if action == Action::Play => timeline.play(!timeline.position().plays),
                 Some(timeline) => timeline.step(if action == Action::TickBack { -1 } else { 1 }),
                 None => self.notify("open a recording first: J shows the timeline", true),
             },
-            Action::Trace => self.switches.trace ^= true,
+            Action::Trace => _ = self.docks.toggle(Panel::Trace),
             Action::NextProblem => self.step_problem(false),
             Action::PreviousProblem => self.step_problem(true),
             Action::Restart => self.session.restart(self.document.runnable()),
@@ -234,7 +235,8 @@ impl App {
             Action::Reload => self.session.reload_plugins(),
             Action::Escape if self.picker.is_some() => self.end_picking(),
             Action::Escape => {
-                if !self.end_guide() && !self.close_tour() && !self.viewer.clear_line() && !self.viewer.close() {
+                let closed = self.end_guide() || self.node_help.take().is_some() || self.close_tour();
+                if !closed && !self.viewer.clear_line() && !self.viewer.close() {
                     self.canvas.selected.clear();
                     self.canvas.selected_wire = None;
                 }
@@ -252,9 +254,23 @@ impl App {
             Action::Commands => self.open_palette(Purpose::Command),
             Action::Help => self.help = true,
             Action::Guide => self.start_guide(),
-            Action::NodeHelp => self.show_node_help(self.selected().as_deref()),
+            Action::NodeHelp => self.toggle_node_help(),
             Action::Source => self.open_source(self.selected().as_deref()),
             Action::Compare => self.compare(),
+            Action::NodePanel => _ = self.docks.toggle(Panel::Node),
+            Action::Overview => _ = self.docks.toggle(Panel::Overview),
+            Action::ViewerBeside
+            | Action::NextPanel
+            | Action::PreviousPanel
+            | Action::PanelLeft
+            | Action::PanelRight
+            | Action::PanelAbove
+            | Action::PanelBelow
+            | Action::PanelLarger
+            | Action::PanelSmaller
+            | Action::TearOff
+            | Action::ClosePanel
+            | Action::ResetLayout => self.perform_on_panel(action),
         }
     }
 
@@ -312,6 +328,7 @@ impl App {
             Picked::Param(node, param) => {
                 self.open_parts_around(&node);
                 self.canvas.show_node(&self.document.view().clone(), &node);
+                self.docks.open(Panel::Node);
                 self.go_to_param = Some((node, param));
             }
         }
@@ -368,7 +385,9 @@ impl App {
 
     /// Arrow keys move the view, with Shift the selected nodes. While the viewer is open, it gets the arrow keys.
     pub(super) fn arrows(&mut self, ctx: &Context, typing: bool) {
-        if typing || self.viewer.source().is_some() || ctx.memory(|m| m.focused().is_some()) {
+        let by_viewer = self.viewer.source().is_some()
+            && (!self.docks.layout.viewer_beside || self.docks.focused() == Panel::Viewer);
+        if typing || by_viewer || ctx.memory(|m| m.focused().is_some()) {
             return;
         }
         for (key, [x, y]) in ARROWS {

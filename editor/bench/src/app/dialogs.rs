@@ -30,7 +30,6 @@ impl App {
                 None => {}
             }
         }
-        self.node_help_dialog(ctx);
         if self.help {
             let modal = egui::Modal::new("help".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
             let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));

@@ -11,6 +11,7 @@ use eframe::egui::{
 use super::App;
 use crate::actions::key_name;
 use panoscope_editor_model::disk;
+use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::numbered::create_folder;
 use panoscope_editor_widgets::theme;
 
@@ -150,7 +151,7 @@ impl App {
             Target::Node => {
                 self.canvas.node_rects().first().map_or(canvas, |(_, rect)| rect.expand(6.0).intersect(canvas))
             }
-            Target::Side => Rect::from_min_max(pos2(canvas.right(), canvas.top()), whole.max),
+            Target::Side => self.docks.rect(Panel::Node).unwrap_or(canvas),
             Target::Top => Rect::from_min_max(whole.min, pos2(whole.right(), whole.top() + 44.0)),
         }
     }

@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use eframe::egui::{Context, Frame, Margin, Panel, Ui};
+use eframe::egui::Ui;
+use panoscope_editor_model::docks::Panel;
 use panoscope_graph::NodeType;
 
 use super::App;
 use crate::panels::node_help::{self, NodeHelpRequest};
 use crate::panels::source::{self, SourceFile, SourceRequest};
 use panoscope_editor_model::examples;
-use panoscope_editor_widgets::theme;
 
 /// The shown help.
 pub(super) struct NodeHelp {
@@ -33,15 +33,35 @@ impl App {
         let path = self.document.path();
         let examples = examples::of_type(&node_type.name, &examples::folders(path), path);
         self.node_help = Some(NodeHelp { node_type, examples });
+        self.docks.open(Panel::Help);
     }
 
-    /// Draws the help, if it is open.
-    pub(super) fn node_help_dialog(&mut self, ctx: &Context) {
+    /// Shows the help of the selected node, or closes it.
+    pub(super) fn toggle_node_help(&mut self) {
+        let node_type = self.selected().and_then(|node| self.type_of(&node));
+        let same = |help: &NodeHelp| node_type.as_ref().is_none_or(|t| t.name == help.node_type.name);
+        if self.docks.is_shown(Panel::Help) && self.node_help.as_ref().is_some_and(same) {
+            self.node_help = None;
+        } else {
+            self.show_node_help(self.selected().as_deref());
+        }
+    }
+
+    /// The help follows the selection.
+    pub(super) fn follow_selection(&mut self) {
         let Some(help) = &self.node_help else { return };
-        match node_help::show(ctx, &help.node_type, &help.examples) {
-            Some(NodeHelpRequest::Open(graph)) => self.open_graph(&graph),
-            Some(NodeHelpRequest::Close) => self.node_help = None,
-            None => {}
+        let selected = self.selected();
+        let node_type = selected.as_ref().and_then(|node| self.type_of(node));
+        if node_type.is_some_and(|node_type| node_type.name != help.node_type.name) {
+            self.show_node_help(selected.as_deref());
+        }
+    }
+
+    /// Draws the help.
+    pub(super) fn help_panel(&mut self, ui: &mut Ui) {
+        let Some(help) = &self.node_help else { return };
+        if let Some(NodeHelpRequest::Open(graph)) = node_help::show(ui, &help.node_type, &help.examples) {
+            self.open_graph(&graph);
         }
     }
 
@@ -76,7 +96,10 @@ impl App {
             return self.notify("select one node that is written in Python to see its source", true);
         };
         match SourceFile::open(&file) {
-            Ok(source) => self.source = Some(source),
+            Ok(source) => {
+                self.source = Some(source);
+                self.docks.open(Panel::Source);
+            }
             Err(reason) => self.notify(reason, true),
         }
     }
@@ -86,31 +109,31 @@ impl App {
         self.source.as_ref()
     }
 
-    /// Draws the panel of the source, if it is open.
+    /// Draws the panel of the source.
     pub(super) fn source_panel(&mut self, ui: &mut Ui) {
-        let Some(mut source) = self.source.take() else { return };
-        let frame = Frame::new().fill(theme::panel()).inner_margin(Margin::symmetric(16, 12));
-        let panel = Panel::left("source").frame(frame).default_size(520.0).size_range(260.0..=1100.0);
+        let Some(source) = &mut self.source else { return };
         let problem = self.session.status().problem.map(|problem| problem.message);
-        let request = panel.show(ui, |ui| source::show(ui, &mut source, problem.as_deref())).inner;
-        match request {
+        match source::show(ui, source, problem.as_deref()) {
             Some(SourceRequest::Save) => match source.save() {
                 Ok(()) => {
+                    let path = source.path.display().to_string();
                     self.session.reload_plugins();
-                    self.notify(format!("{} is saved and swapped in", source.path.display()), false);
+                    self.notify(format!("{path} is saved and swapped in"), false);
                 }
                 Err(reason) => self.notify(reason, true),
             },
-            Some(SourceRequest::Close) if source.is_changed() && !self.discards_source => {
-                self.discards_source = true;
-                self.notify("the source is not saved: close it once more to lose the changes", true);
-            }
-            Some(SourceRequest::Close) => {
-                self.discards_source = false;
-                return;
-            }
+            Some(SourceRequest::Close) => self.close_source(),
             None => {}
         }
-        self.source = Some(source);
+    }
+
+    /// Closes the source; with changes that are not saved only when asked twice.
+    pub(super) fn close_source(&mut self) {
+        if self.source.as_ref().is_some_and(SourceFile::is_changed) && !self.discards_source {
+            self.discards_source = true;
+            return self.notify("the source is not saved: close it once more to lose the changes", true);
+        }
+        self.discards_source = false;
+        self.source = None;
     }
 }

@@ -5,6 +5,7 @@ mod attached;
 mod commands;
 mod conflict;
 mod dialogs;
+mod docking;
 mod guide;
 mod learning;
 mod moments;
@@ -27,23 +28,23 @@ use panoscope_graph::edit::EditError;
 use panoscope_graph::{GraphOptions, GraphText, installed};
 
 use crate::actions;
-use crate::canvas::{Canvas, Scene};
+use crate::canvas::Canvas;
+use crate::docks::Docks;
 use crate::palette::{Palette, Types};
+use crate::panels::below;
 use crate::panels::files::Files;
-use crate::panels::inspector::{self, InspectorRequest};
 use crate::panels::plots::{Export, Plots};
 use crate::panels::source::SourceFile;
 use crate::panels::states::States;
 use crate::panels::sweep::SweepPanel;
 use crate::panels::timeline::TimelinePanel;
-use crate::panels::top::{self, Switches};
+use crate::panels::top;
 use crate::panels::trace::TracePanel;
-use crate::panels::{below, history, overview, params};
 use crate::picker::Picker;
 use crate::view3d::View3d;
 use crate::viewer::Viewer;
 use panoscope_editor_model::arguments::Form;
-use panoscope_editor_model::disk::{self, DiskWatch};
+use panoscope_editor_model::disk::{self, DiskAlarm, DiskWatch};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::numbered::{FolderError, next_file};
 use panoscope_editor_model::observe::{Counters, Observer, Output};
@@ -59,10 +60,12 @@ use conflict::Conflict;
 pub use new_graph::{templates, with_source};
 use panoscope_editor_widgets::{Costs, Shot};
 
-/// Width of a thumbnail in px; sharp at zoom 1 on a screen of double density.
+/// Width of the picture in the panel of a node, px.
 const THUMBNAIL: usize = 416;
 /// Width of the large view in px.
 const LARGE: usize = 2048;
+/// Time between two frames while the graph runs and nothing is new: ages of pictures are shown in seconds.
+const RUNNING: Duration = Duration::from_secs(1);
 /// How long a notification is shown.
 const NOTE: Duration = Duration::from_secs(6);
 
@@ -137,11 +140,15 @@ pub struct App {
     discards_source: bool,
     /// Program that opens another graph; this one by default.
     opener: Option<PathBuf>,
-    pub(crate) switches: Switches,
+    /// Whether nodes are coloured by their load.
+    heat: bool,
+    pub(crate) docks: Docks,
     pub(crate) detours: HashMap<String, Vec<Detour>>,
     /// The highlighted line of the file's text.
     reading: below::Reading,
     disk: DiskWatch,
+    /// Wakes the window when a file changes on disk; `None` where the graph runs on another machine.
+    alarm: Option<DiskAlarm>,
     conflicts: Vec<Conflict>,
     /// Watches of part and overlay files.
     other_disks: HashMap<PathBuf, DiskWatch>,
@@ -192,6 +199,11 @@ impl App {
         if options.scale > 0.0 {
             ctx.set_zoom_factor(options.scale);
         }
+        let for_alarm = ctx.clone();
+        let alarm = match session.attachment() {
+            None => Some(DiskAlarm::new(move || for_alarm.request_repaint())?),
+            Some(_) => None,
+        };
         let trace = session.follow_ticks();
         let observer = Observer::new(session.handle())?;
         let document = Document::with_options(path, text, session.loader(), options.given);
@@ -200,6 +212,9 @@ impl App {
         if document.view().valid {
             session.run(document.runnable());
         }
+        // Pictures of a script are the same for everybody.
+        let config = options.config.as_deref().filter(|_| !options.shot.is_scripted());
+        let (docks, broken) = Docks::of(config, path);
         let is_new = guide::is_first_start(options.config.as_deref()) && !options.shot.is_scripted();
         let mut app = Self {
             observer,
@@ -230,10 +245,12 @@ impl App {
             source: None,
             discards_source: false,
             opener: options.opener,
-            switches: Switches::default(),
+            heat: false,
+            docks,
             detours: HashMap::new(),
             reading: below::Reading::default(),
             disk: DiskWatch::new(path),
+            alarm,
             conflicts: Vec::new(),
             other_disks: HashMap::new(),
             arguments,
@@ -250,6 +267,9 @@ impl App {
             costs: Costs::default(),
             session,
         };
+        if let Some(broken) = broken {
+            app.notify(format!("{broken}; the panels are arranged as at first"), true);
+        }
         // A form or templates come first; the next start with a graph that runs shows the tour.
         if is_new && app.arguments.is_none() && app.document.view().valid {
             app.start_guide();
@@ -379,6 +399,10 @@ impl App {
             self.poll_other_files();
         }
         let typing = ctx.text_edit_focused();
+        if self.docks.dragged().is_some() && ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, egui::Key::Escape))
+        {
+            self.docks.cancel_drag(&ctx);
+        }
         // While a picker or a dialog is open, it gets the keys.
         if self.picker.is_some() && !self.help {
             for action in ctx.input_mut(actions::pressed_while_picking) {
@@ -407,16 +431,32 @@ impl App {
         self.show_guide(&ctx);
         self.show_notification(&ctx);
         self.run_document();
-        self.request_previews();
-        ctx.request_repaint_after(DiskWatch::INTERVAL);
+        self.request_previews(ctx.pixels_per_point());
+        self.rest(&ctx, &status);
         self.play_script(&ctx);
         self.shot.take(&ctx);
         self.shot.measure(&ctx, &self.costs, &self.session);
     }
 
+    /// Asks for the frames that are due without an event. While nothing runs there are none, so that a window at rest costs nothing.
+    fn rest(&mut self, ctx: &Context, status: &Status) {
+        let paths = self.document.saved_files().map(|(path, _)| path).chain([self.document.path()]);
+        if self.is_attached() {
+            ctx.request_repaint_after(DiskWatch::INTERVAL);
+        } else if let Some(alarm) = &self.alarm {
+            alarm.watch(paths);
+        }
+        if let Phase::Running | Phase::Starting = status.phase {
+            ctx.request_repaint_after(RUNNING);
+        }
+        if let Some(left) = self.shown.until_stale() {
+            ctx.request_repaint_after(left);
+        }
+    }
+
     /// Whether a dialog is open that gets the keys.
     fn is_asking(&self) -> bool {
-        let parts = self.part_name.is_some() || self.consent.is_some() || self.node_help.is_some();
+        let parts = self.part_name.is_some() || self.consent.is_some();
         parts || self.palette.is_some() || self.files.is_some() || self.arguments.is_some() || self.help || self.plugins
     }
 
@@ -426,133 +466,14 @@ impl App {
         let actions = Panel::top("top")
             .frame(bar)
             .exact_size(44.0)
-            .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
+            .show(ui, |ui| top::show(ui, &self.document, status, &counters, |action| self.is_on(action)));
         actions.inner.into_iter().for_each(|action| self.perform(action));
         self.machine_bar(ui);
         self.conflict_bar(ui);
-        self.side(ui, status, &counters);
-        self.source_panel(ui);
-        self.below(ui, status, &counters);
-        let view = self.document.view().clone();
-        let problem = status.problem.as_ref().and_then(|t| Some((t.node.as_deref()?, t.message.as_str())));
-        CentralPanel::no_frame().show(ui, |ui| {
-            let rect = ui.available_rect_before_wrap();
-            if self.viewer.source().is_some() {
-                ui.allocate_rect(rect, egui::Sense::hover());
-                let (mut others, trajectories) = (self.sources(), self.trajectories());
-                others.extend(self.viewer.source().and_then(|source| self.of_second_run(source)));
-                let trajectories: Vec<Output> = trajectories.into_iter().map(|(output, _)| output).collect();
-                let probe = self.viewer.probe_request().and_then(|(output, _)| self.probes.get(output)).cloned();
-                let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories, probe.as_ref());
-                self.pick_on(ui, image_rects);
-                return;
-            }
-            let scene = Scene {
-                view: &view,
-                counters: &counters,
-                shown: &self.shown,
-                heat: self.switches.heat,
-                running: status.phase == Phase::Running,
-                problem,
-            };
-            let requests = self.canvas.show(ui, &scene, self.document.revision());
-            requests.into_iter().for_each(|request| self.handle_canvas(request));
-        });
+        let whole = CentralPanel::no_frame();
+        whole.show(ui, |ui| self.show_docks(ui, status, &counters));
+        self.show_windows(ui.ctx(), status, &counters);
         self.show_tour(ui.ctx());
-    }
-
-    /// The panel of the selected node, or of the whole graph. It is always visible, so that selecting does not move the canvas.
-    fn side(&mut self, ui: &mut Ui, status: &Status, counters: &Counters) {
-        let side = Frame::new().fill(theme::panel()).inner_margin(Margin::same(16));
-        let panel = Panel::right("side").frame(side).default_size(320.0).size_range(260.0..=520.0);
-        let view = self.document.view().clone();
-        let Some(node) = self.selected().and_then(|id| view.node(&id)) else {
-            let count = self.canvas.selected.len();
-            let requests = panel.show(ui, |ui| overview::show(ui, &self.document, counters, count));
-            for request in requests.inner {
-                match request {
-                    overview::OverviewRequest::Go(id) => self.canvas.show_node(&view, &id),
-                    overview::OverviewRequest::Perform(action) => self.perform(action),
-                    overview::OverviewRequest::Param(id, change) => {
-                        self.handle_inspector(&id, InspectorRequest::Param(change))
-                    }
-                }
-            }
-            return;
-        };
-        let id = view.nodes[node].id();
-        if let Some((_, param)) = self.go_to_param.take_if(|(node, _)| node == id) {
-            params::go_to(ui.ctx(), &param);
-        }
-        let requests = panel.show(ui, |ui| {
-            let (document, shown) = (&self.document, (&self.shown, &self.probes));
-            let python = self.python_file(id).is_some();
-            inspector::show(ui, document, (counters, status), shown, &self.canvas, (node, python))
-        });
-        let id = view.nodes[node].id().to_owned();
-        requests.inner.into_iter().for_each(|request| self.handle_inspector(&id, request));
-    }
-
-    /// The panels below and beside the canvas that are switched on: text, problems, history, sweep, plots.
-    fn below(&mut self, ui: &mut Ui, status: &Status, counters: &Counters) {
-        let frame = Frame::new().fill(theme::panel()).inner_margin(Margin::symmetric(16, 12));
-        let selected: Vec<String> = self.canvas.selected.iter().cloned().collect();
-        if self.switches.text {
-            let panel = Panel::left("text").frame(frame).default_size(430.0).size_range(200.0..=900.0);
-            panel.show(ui, |ui| below::text(ui, &self.document, &selected, &mut self.reading));
-        }
-        if self.switches.problems {
-            let panel = Panel::bottom("problems").frame(frame).default_size(180.0).size_range(80.0..=480.0);
-            let go = panel.show(ui, |ui| below::problems(ui, &self.document, status, counters)).inner;
-            if let Some(spot) = go {
-                if let Some(line) = spot.line {
-                    self.reading.go_to(line);
-                    // A mistake outside of nodes is shown in the text.
-                    self.switches.text |= spot.node.is_none();
-                }
-                if let Some(id) = spot.node {
-                    self.canvas.show_node(&self.document.view().clone(), &id);
-                }
-            }
-        }
-        if self.switches.history {
-            let panel = Panel::bottom("history").frame(frame).default_size(200.0).size_range(100.0..=480.0);
-            let go = panel.show(ui, |ui| history::show(ui, &self.document)).inner;
-            if let Some(at) = go {
-                self.step_to(at);
-            }
-        }
-        if self.switches.timeline {
-            self.timeline_panel(ui, frame);
-        }
-        if self.switches.trace {
-            let panel = Panel::bottom("trace").frame(frame).default_size(240.0).size_range(140.0..=560.0);
-            let view = self.document.view().clone();
-            let machine = self.session.attachment().map(|machine| machine.target().name.clone());
-            let go = panel.show(ui, |ui| self.trace_panel.show(ui, &view, &self.trace, machine.as_deref())).inner;
-            if let Some(id) = go {
-                self.canvas.show_node(&view, &id);
-            }
-        }
-        if self.switches.states {
-            let panel = Panel::bottom("states").frame(frame).default_size(230.0).size_range(140.0..=480.0);
-            let requests = panel.show(ui, |ui| self.states.show(ui)).inner;
-            requests.into_iter().for_each(|request| self.handle_state(request));
-        }
-        if self.switches.sweep {
-            let panel = Panel::bottom("sweep").frame(frame).default_size(270.0).size_range(160.0..=560.0);
-            let (selected, path) = (self.selected(), self.session.path().to_owned());
-            let request = panel
-                .show(ui, |ui| self.sweep.show(ui, &self.document, counters, &self.shown, selected.as_deref(), &path));
-            request.inner.into_iter().for_each(|request| self.handle_sweep(request));
-        }
-        if self.switches.plots {
-            let panel = Panel::bottom("plots").frame(frame).default_size(220.0).size_range(120.0..=520.0);
-            let export = panel.show(ui, |ui| self.plots.show(ui, self.document.view(), counters, &selected)).inner;
-            if let Some(export) = export {
-                self.export("plot", export);
-            }
-        }
     }
 
     /// Writes curves to a file in `out/` with the next number.

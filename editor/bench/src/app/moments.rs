@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use eframe::egui::{Context, Frame, Panel, Ui};
+use eframe::egui::{Context, Ui};
 
 use super::App;
 use crate::panels::timeline::TimelineRequest;
@@ -30,10 +30,8 @@ impl App {
     }
 
     /// Draws the panel.
-    pub(super) fn timeline_panel(&mut self, ui: &mut Ui, frame: Frame) {
-        let panel = Panel::bottom("timeline").frame(frame).default_size(150.0).size_range(100.0..=300.0);
-        let request = panel.show(ui, |ui| self.timeline_panel.show(ui, self.timeline.as_ref())).inner;
-        match request {
+    pub(super) fn timeline_panel(&mut self, ui: &mut Ui) {
+        match self.timeline_panel.show(ui, self.timeline.as_ref()) {
             Some(TimelineRequest::Open(path)) => self.open_recording(&path, ui.ctx()),
             Some(TimelineRequest::Compare(path)) => self.compare_recordings(Some(&path)),
             Some(TimelineRequest::EndCompare) => self.compare_recordings(None),

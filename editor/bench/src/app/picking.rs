@@ -8,6 +8,7 @@ use super::App;
 use crate::panels::files::{Files, Target};
 use crate::panels::sweep::SweepRequest;
 use crate::picker::{self, Picker};
+use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::ops;
 use panoscope_editor_model::sweeping::Progress;
 
@@ -137,7 +138,7 @@ impl App {
 
     /// Starts a short sweep from a script's `node.param measure`.
     pub(super) fn sweep_from_script(&mut self, setting: &str) {
-        self.switches.sweep = true;
+        self.docks.open(Panel::Sweep);
         if let Some((param, measure)) = setting.split_once(' ')
             && let Some((node, name)) = param.split_once('.')
         {

@@ -6,6 +6,7 @@ use panoscope_abi::LINKS;
 
 use super::{App, LARGE, THUMBNAIL};
 use crate::viewer::Source;
+use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::observe::{LARGE_INTERVAL, Output, PreviewRequest, THUMBNAIL_INTERVAL};
 use panoscope_editor_model::picture::is_pictorial;
 use panoscope_editor_model::probe::ProbeRequest;
@@ -46,7 +47,7 @@ impl App {
     }
 
     /// Requests previews of the visible outputs from the observer.
-    pub(super) fn request_previews(&mut self) {
+    pub(super) fn request_previews(&mut self, pixels_per_point: f32) {
         let mut requests: HashMap<Output, PreviewRequest> = HashMap::new();
         let mut request = |output: &Output, packet: &str, max_width: usize| {
             let entry = requests
@@ -59,8 +60,9 @@ impl App {
             if self.viewer.viewpoint().is_some() {
                 self.trajectories().iter().for_each(|(output, packet)| request(output, packet, 1));
             }
-        } else {
-            let width = self.canvas.thumbnail_width(THUMBNAIL);
+        }
+        if self.viewer.source().is_none() || self.docks.layout.viewer_beside {
+            let width = self.canvas.thumbnail_width(pixels_per_point);
             self.canvas.visible().for_each(|(output, packet)| request(output, packet, width));
         }
         let mut probes: HashMap<Output, ProbeRequest> = HashMap::new();
@@ -77,8 +79,8 @@ impl App {
             }
             request(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
         }
-        let values = self.switches.plots && self.plots.wants_values();
-        if values || self.switches.sweep {
+        let values = self.docks.is_shown(Panel::Plots) && self.plots.wants_values();
+        if values || self.docks.is_shown(Panel::Sweep) {
             self.outputs_of(&["scalar", "table"]).iter().for_each(|(output, packet)| request(output, packet, 1));
         }
         if values {

@@ -3,6 +3,7 @@
 use super::App;
 use super::parts::Asked;
 use crate::panels::states::StateRequest;
+use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::presets::{self, Changes};
@@ -11,8 +12,7 @@ use panoscope_editor_model::snapshots;
 impl App {
     /// Shows or hides the panel of presets and snapshots; reads their files when it opens.
     pub(super) fn toggle_states(&mut self) {
-        self.switches.states ^= true;
-        if self.switches.states {
+        if self.docks.toggle(Panel::States) {
             self.states.load(self.document.path());
         }
     }

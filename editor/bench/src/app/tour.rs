@@ -4,6 +4,7 @@ use eframe::egui::{self, Align2, Context, Frame, Margin, RichText, WidgetInfo, W
 
 use super::App;
 use crate::actions::{Action, hint};
+use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::problems::{self, Problem};
 use panoscope_editor_widgets::theme;
 
@@ -46,7 +47,9 @@ impl App {
         let problem = all[at].clone();
         if let Some(line) = problem.line {
             self.reading.go_to(line);
-            self.switches.text |= problem.node.is_none();
+            if problem.node.is_none() {
+                self.docks.open(Panel::Text);
+            }
         }
         if let Some(node) = problem.node.clone() {
             self.viewer.close();

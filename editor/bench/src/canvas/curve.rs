@@ -13,12 +13,7 @@ pub(super) fn on_curve(p: &[Pos2; 4], t: f32) -> Pos2 {
     at
 }
 
-/// Approximates a curve by as few segments as are not visible; most wires of a large graph are one segment.
-pub(super) fn flattened(p: &[Pos2; 4]) -> Vec<Pos2> {
-    flattened_to(p, 0.25)
-}
-
-/// As [`flattened`], with this greatest distance from the curve.
+/// Approximates a curve by few segments with this greatest distance from it; most wires of a large graph are one segment.
 pub(super) fn flattened_to(p: &[Pos2; 4], tolerance: f32) -> Vec<Pos2> {
     let chord = (p[3] - p[0]).normalized();
     let aside = |q: Pos2| ((q - p[0]).x * chord.y - (q - p[0]).y * chord.x).abs();
@@ -70,9 +65,9 @@ mod tests {
     #[test]
     fn wires_are_few_pieces_and_keep_to_their_curve() {
         let straight = bow(pos2(0.0, 5.0), pos2(300.0, 5.0), 1.0);
-        assert_eq!(flattened(&straight).len(), 2);
+        assert_eq!(flattened_to(&straight, 0.25).len(), 2);
         let curve = bow(pos2(0.0, 0.0), pos2(120.0, 400.0), 1.0);
-        let points = flattened(&curve);
+        let points = flattened_to(&curve, 0.25);
         assert!((8..=64).contains(&points.len()), "{}", points.len());
         let apart = |at: Pos2| points.windows(2).map(|pair| distance(at, pair[0], pair[1])).fold(f32::MAX, f32::min);
         let worst = (0..=500).map(|i| apart(on_curve(&curve, i as f32 / 500.0))).fold(0.0, f32::max);

@@ -1,6 +1,8 @@
 //! Handles pointer input on the canvas.
 
-use eframe::egui::{Id, Modifiers, Pos2, Rect, Response, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
+use std::sync::Arc;
+
+use eframe::egui::{Id, Mesh, Modifiers, Pos2, Rect, Response, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
 
 use super::curve::on_curve;
 use super::shape::{DETAIL, PORTS};
@@ -156,23 +158,24 @@ impl Canvas {
         ui: &mut Ui,
         scene: &Scene<'_>,
         node: usize,
+        far: &mut Mesh,
         requests: &mut Vec<CanvasRequest>,
     ) {
         let this = &scene.view.nodes[node];
         let id = this.id();
-        let position = self.positions.get(id).copied().unwrap_or_default();
+        let position = self.places[node];
         let transform = self.transform();
-        let shape = self.shapes[node].clone();
+        let shape = Arc::clone(&self.shapes[node]);
         let rect = transform * Rect::from_min_size(position, shape.size);
         if !rect.expand(20.0).intersects(self.rect) {
             return;
         }
         let body = ui.interact(rect, Id::new(("node", id)), Sense::click_and_drag());
-        let label = format!("Node {id}");
         body.widget_info(|| {
-            WidgetInfo::selected(WidgetType::SelectableLabel, true, self.selected.contains(id), label.clone())
+            let label = format!("Node {id}");
+            WidgetInfo::selected(WidgetType::SelectableLabel, true, self.selected.contains(id), label)
         });
-        self.paint_node(ui, scene, node, rect, body.hovered());
+        self.paint_node(ui, scene, node, rect, body.hovered(), far);
         let modifiers = ui.input(|i| i.modifiers);
         if body.clicked() || body.drag_started() || body.gained_focus() {
             self.pick(id, modifiers, body.drag_started());
@@ -384,11 +387,12 @@ impl Canvas {
 
     /// The wire at a point of the window.
     pub(super) fn wire_at(&self, view: &GraphView, at: Pos2) -> Option<(String, String, usize)> {
-        let near = view.wires.iter().filter_map(|wire| {
-            let curves = self.curves(view, wire);
-            let points = curves.iter().flat_map(|c| (0..=24).map(|i| on_curve(c, i as f32 / 24.0)));
+        let (at, most) = (self.transform().inverse() * at, 10.0 / self.scale());
+        let paths = view.wires.iter().zip(&self.paths.wires).filter(|(_, path)| path.bounds.expand(most).contains(at));
+        let near = paths.filter_map(|(wire, path)| {
+            let points = path.curves.iter().flat_map(|c| (0..=24).map(|i| on_curve(c, i as f32 / 24.0)));
             let distance = points.map(|p| p.distance(at)).fold(f32::MAX, f32::min);
-            (distance < 10.0).then_some((distance, wire))
+            (distance < most).then_some((distance, wire))
         });
         let (_, wire) = near.min_by(|a, b| a.0.total_cmp(&b.0))?;
         Some((view.nodes[wire.to].id().to_owned(), wire.input.clone(), wire.index))

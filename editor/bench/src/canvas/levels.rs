@@ -1,6 +1,7 @@
 //! Positions of nodes, level by level: an opened part is laid out by itself and takes its place in the level around it as one box.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use eframe::egui::{Pos2, Rect, Vec2, pos2, vec2};
 
@@ -39,7 +40,7 @@ impl Level {
     }
 
     /// The rectangle of everything in it.
-    fn extent(&self, view: &GraphView, shapes: &[Shape]) -> Option<Rect> {
+    fn extent(&self, view: &GraphView, shapes: &[Arc<Shape>]) -> Option<Rect> {
         let nodes =
             self.nodes.iter().filter_map(|(id, at)| Some(Rect::from_min_size(*at, shapes[view.node(id)?].size)));
         nodes.chain(self.frames.values().copied()).reduce(|a, b| a.union(b))
@@ -57,7 +58,7 @@ struct Item {
 }
 
 /// Lays out the nodes of a part, or of the graph where `part` is empty, for a window of this size.
-pub(super) fn lay_out(view: &GraphView, shapes: &[Shape], part: &str, window: Vec2) -> Level {
+pub(super) fn lay_out(view: &GraphView, shapes: &[Arc<Shape>], part: &str, window: Vec2) -> Level {
     let mut inside: HashMap<String, Level> = HashMap::new();
     let mut items: Vec<Item> = (view.nodes.iter().zip(shapes).enumerate())
         .filter(|(_, (node, _))| parent(node.id()) == part)

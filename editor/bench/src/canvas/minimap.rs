@@ -39,8 +39,7 @@ impl Canvas {
             StrokeKind::Inside,
         );
         let mut mesh = Mesh::default();
-        for (node, shape) in scene.view.nodes.iter().zip(&self.shapes) {
-            let Some(at) = self.positions.get(node.id()) else { continue };
+        for ((node, shape), at) in scene.view.nodes.iter().zip(&self.shapes).zip(&self.places) {
             let faulty = scene.counters.faults.contains_key(node.id()) || !node.mistakes.is_empty();
             let color = match (self.selected.contains(node.id()), faulty) {
                 (true, _) => theme::accent(),

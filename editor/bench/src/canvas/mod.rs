@@ -9,13 +9,15 @@ mod marks;
 mod minimap;
 mod node;
 mod paint;
+mod paths;
 mod shape;
 mod wires;
 
 use std::collections::{BTreeSet, HashMap, HashSet};
+use std::sync::Arc;
 
 use eframe::egui::emath::TSTransform;
-use eframe::egui::{Pos2, Rect, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
+use eframe::egui::{Mesh, Pos2, Rect, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
 
 use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::layout;
@@ -35,6 +37,10 @@ const ZOOM_STEPS: std::ops::RangeInclusive<f32> = -28.0..=8.0;
 const FIT_SCALE: f32 = 1.5;
 /// Distance between the whole graph and the edges of the canvas, in points of the window.
 const FIT_MARGIN: f32 = 20.0;
+
+/// Greatest width of a thumbnail, and step of widths, px.
+const LARGEST_PICTURE: f32 = 640.0;
+const PICTURE_STEP: f32 = 32.0;
 
 /// What the canvas draws.
 pub struct Scene<'a> {
@@ -61,7 +67,12 @@ pub struct Canvas {
     /// Frames of opened parts, and the points that positions inside count from.
     frames: HashMap<String, Rect>,
     origins: HashMap<String, Pos2>,
-    shapes: Vec<Shape>,
+    shapes: Vec<Arc<Shape>>,
+    /// Positions of the nodes that the shapes belong to, as they were when the last frame began.
+    places: Vec<Pos2>,
+    /// Number of layouts so far.
+    layouts: u64,
+    paths: paths::Paths,
     /// Names of the nodes that the shapes belong to.
     ids: Vec<String>,
     /// Paths of wires that pass other nodes, while both end nodes are where the layout put them.
@@ -103,6 +114,9 @@ impl Default for Canvas {
             frames: HashMap::new(),
             origins: HashMap::new(),
             shapes: Vec::new(),
+            places: Vec::new(),
+            layouts: 0,
+            paths: paths::Paths::default(),
             ids: Vec::new(),
             lanes: HashMap::new(),
             routes: HashMap::new(),
@@ -249,9 +263,10 @@ impl Canvas {
         self.laid_out = None;
     }
 
-    /// Width of a thumbnail in px at the current zoom, if it is `full` at zoom 1.
-    pub fn thumbnail_width(&self, full: usize) -> usize {
-        (full as f32 * self.scale().clamp(0.25, 1.0)) as usize
+    /// Width of a thumbnail in px: as it is drawn, in steps, so that a small change of the zoom asks for no other one.
+    pub fn thumbnail_width(&self, pixels_per_point: f32) -> usize {
+        let width = (shape::WIDTH - 2.0 * shape::PAD) * self.scale() * pixels_per_point;
+        (width.clamp(64.0, LARGEST_PICTURE) / PICTURE_STEP).ceil() as usize * PICTURE_STEP as usize
     }
 
     /// Outputs whose thumbnails are visible, with their packet types.
@@ -272,9 +287,11 @@ impl Canvas {
             return;
         }
         self.laid_out = Some(revision);
+        self.layouts += 1;
         self.ids = view.nodes.iter().map(|n| n.id().to_owned()).collect();
         self.shapes = (0..view.nodes.len())
             .map(|n| Shape::of(view, n, &self.unfolded, self.chosen.get(view.nodes[n].id()).map(String::as_str)))
+            .map(Arc::new)
             .collect();
         let window = self.shape.map_or_else(|| self.room(), |(room, _)| room);
         let level = levels::lay_out(view, &self.shapes, "", window);
@@ -313,22 +330,21 @@ impl Canvas {
     /// The rectangles of all nodes in the window, by name.
     pub fn node_rects(&self) -> Vec<(String, Rect)> {
         let nodes = self.ids.iter().zip(&self.shapes);
-        let rect = |at: &Pos2, shape: &Shape| self.transform() * Rect::from_min_size(*at, shape.size);
+        let rect = |at: &Pos2, shape: &Arc<Shape>| self.transform() * Rect::from_min_size(*at, shape.size);
         nodes.filter_map(|(id, shape)| Some((id.clone(), rect(self.positions.get(id)?, shape)))).collect()
     }
 
     /// The bounding rectangle of nodes, marks and paths of wires, in points of the graph.
     fn extent(&self, view: &GraphView) -> Option<Rect> {
-        let rects = view.nodes.iter().zip(&self.shapes).map(|(node, shape)| {
-            Rect::from_min_size(self.positions.get(node.id()).copied().unwrap_or_default(), shape.size)
-        });
+        let rects = self.places.iter().zip(&self.shapes).map(|(at, shape)| Rect::from_min_size(*at, shape.size));
         let marks = view.marks.iter().map(|m| {
             let (w, h) = m.size.unwrap_or((220.0, 40.0));
             Rect::from_min_size(pos2(m.at.0, m.at.1), vec2(w, h))
         });
         let corners = self.routes.values().flatten().map(|at| Rect::from_min_max(*at, *at));
         let nodes = rects.chain(marks).chain(self.frames.values().copied());
-        nodes.chain(corners).chain(self.backward(view)).reduce(|a, b| a.union(b))
+        let around = self.paths.wires.iter().filter(|path| path.around).map(|path| path.bounds);
+        nodes.chain(corners).chain(around).reduce(|a, b| a.union(b))
     }
 
     fn fit_now(&mut self, view: &GraphView) {
@@ -352,6 +368,7 @@ impl Canvas {
             self.fitted = None;
         }
         self.lay_out(scene.view, revision);
+        self.follow_places(scene.view);
         if self.fit && self.fitted != Some((rect, revision)) && matches!(self.drag, interaction::Drag::None) {
             self.fitted = Some((rect, revision));
             self.fit_now(scene.view);
@@ -367,10 +384,13 @@ impl Canvas {
         self.show_frames(ui, scene, &mut requests);
         self.paint_wires(&painter, scene);
         self.under_pointer = None;
+        // From afar the boxes of all nodes are one mesh, below their names.
+        let (slot, mut far) = (painter.add(eframe::egui::Shape::Noop), Mesh::default());
         let order = self.order(scene.view);
         for node in order {
-            self.show_node_at(ui, scene, node, &mut requests);
+            self.show_node_at(ui, scene, node, &mut far, &mut requests);
         }
+        painter.set(slot, far);
         self.paint_drag(ui, scene);
         self.name_wires(ui, &ground, scene);
         self.show_minimap(ui, scene);
@@ -380,7 +400,9 @@ impl Canvas {
     /// The drawing order: selected nodes last, so that they are on top.
     fn order(&self, view: &GraphView) -> Vec<usize> {
         let mut order: Vec<usize> = (0..view.nodes.len()).collect();
-        order.sort_by_key(|&n| self.selected.contains(view.nodes[n].id()));
+        if !self.selected.is_empty() {
+            order.sort_by_key(|&n| self.selected.contains(view.nodes[n].id()));
+        }
         order
     }
 }

@@ -31,7 +31,16 @@ fn header(rect: Rect, scale: f32) -> Rect {
 }
 
 impl Canvas {
-    pub(super) fn paint_node(&self, ui: &Ui, scene: &Scene<'_>, node: usize, rect: Rect, hovered: bool) {
+    /// Draws a node into `rect`; from afar its box becomes a part of `far`.
+    pub(super) fn paint_node(
+        &self,
+        ui: &Ui,
+        scene: &Scene<'_>,
+        node: usize,
+        rect: Rect,
+        hovered: bool,
+        far: &mut Mesh,
+    ) {
         let painter = ui.painter();
         let this = &scene.view.nodes[node];
         let (id, scale) = (this.id(), self.scale());
@@ -51,7 +60,7 @@ impl Canvas {
             _ => Stroke::new(1.0, theme::line()),
         };
         if scale < PICTURES {
-            painter.add(plain_node(rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family));
+            plain_node(far, rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family);
             if rect.height() > LINE && rect.width() > 2.5 * LEAST_TEXT {
                 let font = FontId::proportional(LEAST_TEXT);
                 let name = elided(painter, title, font, theme::text(), rect.width() - 6.0);
@@ -97,7 +106,7 @@ impl Canvas {
             self.paint_picture(painter, scene, node, frame);
         }
         if scale >= DETAIL {
-            self.paint_pins(painter, scene, node, near);
+            self.paint_pins(painter, node, near);
         }
         if let Some(footer) = self.footer_rect(node, rect) {
             self.paint_footer(painter, scene, node, footer);
@@ -130,9 +139,9 @@ impl Canvas {
     }
 
     /// Draws the ports, and near their names.
-    fn paint_pins(&self, painter: &Painter, scene: &Scene<'_>, node: usize, near: bool) {
+    fn paint_pins(&self, painter: &Painter, node: usize, near: bool) {
         let (shape, transform, scale) = (&self.shapes[node], self.transform(), self.scale());
-        let position = self.positions.get(scene.view.nodes[node].id()).copied().unwrap_or_default();
+        let position = self.places[node];
         for pin in &shape.pins {
             let at = transform * (position + pin.at.to_vec2());
             self.paint_pin(painter, pin, at);
@@ -301,16 +310,11 @@ impl Canvas {
 }
 
 /// A small node as a few rectangles: with hundreds of nodes in view, round and antialiased edges would dominate the drawing time.
-fn plain_node(rect: Rect, fill: Color32, edge: Stroke, bar: Color32) -> Mesh {
-    let (mut mesh, w) = (Mesh::default(), edge.width);
-    let outer = rect.expand(w);
-    mesh.add_colored_rect(Rect::from_min_max(outer.min, pos2(outer.right(), rect.top())), edge.color);
-    mesh.add_colored_rect(Rect::from_min_max(pos2(outer.left(), rect.bottom()), outer.max), edge.color);
-    mesh.add_colored_rect(Rect::from_min_max(pos2(outer.left(), rect.top()), rect.left_bottom()), edge.color);
-    mesh.add_colored_rect(Rect::from_min_max(rect.right_top(), pos2(outer.right(), rect.bottom())), edge.color);
+fn plain_node(mesh: &mut Mesh, rect: Rect, fill: Color32, edge: Stroke, bar: Color32) {
+    let outer = rect.expand(edge.width);
+    mesh.add_colored_rect(outer, edge.color);
     mesh.add_colored_rect(rect, fill);
     mesh.add_colored_rect(Rect::from_min_size(rect.min, vec2(2.0, rect.height())), bar);
-    mesh
 }
 
 /// Colour of a fault, the same for the light and for the words beside it.

@@ -50,16 +50,16 @@ impl Canvas {
             }
             Drag::Wire { from, .. } => {
                 let Some(node) = scene.view.node(&from.node) else { return };
-                let Some((start, packet)) = self.pin_at(scene.view, node, &from.port, from.input) else { return };
+                let Some((start, packet)) = self.pin_at(node, &from.port, from.input) else { return };
                 let over = self.pin_near(scene.view, from, pointer);
                 let verdict = over.as_ref().map(|end| check_wire(scene.view, from, end));
                 let end = over.as_ref().and_then(|end| {
-                    Some(self.pin_at(scene.view, scene.view.node(&end.node)?, &end.port, end.input)?.0)
+                    Some(self.pin_at(scene.view.node(&end.node)?, &end.port, end.input)?.0)
                 });
                 let color = match verdict {
                     Some(Err(_)) => theme::fault(),
                     Some(Ok(())) => theme::accent(),
-                    None => theme::packet(&packet),
+                    None => theme::packet(packet),
                 };
                 let to = end.unwrap_or(pointer);
                 let curve = if from.input { bow(to, start, self.scale()) } else { bow(start, to, self.scale()) };

@@ -1,9 +1,10 @@
 //! Draws the wires: bundles along lanes and between rows, and the names of those under the pointer.
 
-use eframe::egui::{Painter, Pos2, Rect, Response, Shape as Drawn, Stroke, Ui, Vec2, pos2, vec2};
+use eframe::egui::{Mesh, Painter, Pos2, Rect, Response, Shape as Drawn, Stroke, Ui, Vec2, pos2, vec2};
 
-use super::curve::{bow, distance, flattened, flattened_to, on_curve, rounded};
+use super::curve::{bow, distance, on_curve, rounded};
 use super::interaction::Drag;
+use super::paths::Path;
 use super::shape::{HEADER, PICTURES};
 use super::{Canvas, Scene};
 use panoscope_editor_model::graph_view::{GraphView, Wire};
@@ -20,41 +21,56 @@ const NEAR: f32 = 6.0;
 const NAMED: usize = 12;
 
 impl Canvas {
-    /// Position of a pin in the window, and its packet type.
-    pub(super) fn pin_at(&self, view: &GraphView, node: usize, port: &str, input: bool) -> Option<(Pos2, String)> {
+    /// Position of a pin in points of the graph, and its packet type.
+    fn pin_of(&self, node: usize, port: &str, input: bool) -> Option<(Pos2, &str)> {
         let shape = self.shapes.get(node)?;
-        let position = self.positions.get(view.nodes[node].id())?;
         let (at, packet) = match shape.pin(port, input) {
-            Some(pin) => (pin.at, pin.packet.clone()),
+            Some(pin) => (pin.at, pin.packet.as_str()),
             // A port that the type does not have is drawn at the header.
-            None => (pos2(if input { 0.0 } else { shape.size.x }, HEADER / 2.0), String::new()),
+            None => (pos2(if input { 0.0 } else { shape.size.x }, HEADER / 2.0), ""),
         };
-        Some((self.transform() * (*position + at.to_vec2()), packet))
+        Some((*self.places.get(node)? + at.to_vec2(), packet))
     }
 
-    /// The curves that a wire consists of.
+    /// Position of a pin in the window, and its packet type.
+    pub(super) fn pin_at(&self, node: usize, port: &str, input: bool) -> Option<(Pos2, &str)> {
+        let (at, packet) = self.pin_of(node, port, input)?;
+        Some((self.transform() * at, packet))
+    }
+
+    /// The curves that a wire consists of, in points of the graph.
     pub(super) fn curves(&self, view: &GraphView, wire: &Wire) -> Vec<[Pos2; 4]> {
-        let ends = (self.pin_at(view, wire.from, &wire.output, false), self.pin_at(view, wire.to, &wire.input, true));
+        let ends = (self.pin_of(wire.from, &wire.output, false), self.pin_of(wire.to, &wire.input, true));
         let (Some((from, _)), Some((to, _))) = ends else { return Vec::new() };
         let ends = (wire.from, wire.to);
         let Some(lane) = self.lanes.get(&ends) else {
             return match self.routes.get(&ends) {
                 Some(corners) => self.routed(wire, from, to, corners),
-                None if to.x > from.x => vec![bow(from, to, self.scale())],
+                None if to.x > from.x => vec![bow(from, to, 1.0)],
                 None => self.around(view, wire, from, to),
             };
         };
         let shift = vec2(0.0, self.beside(wire, BESIDE));
-        let (transform, mut at, mut curves) = (self.transform(), from, Vec::new());
+        let (mut at, mut curves) = (from, Vec::new());
         for [left, right] in lane {
-            let (left, right) = (transform * (*left + shift), transform * (*right + shift));
-            curves.push(bow(at, left, self.scale()));
+            let (left, right) = (*left + shift, *right + shift);
+            curves.push(bow(at, left, 1.0));
             let third = (right - left) / 3.0;
             curves.push([left, left + third, right - third, right]);
             at = right;
         }
-        curves.push(bow(at, to, self.scale()));
+        curves.push(bow(at, to, 1.0));
         curves
+    }
+
+    /// Whether a wire goes backward and the layout gives it no path.
+    pub(super) fn goes_around(&self, wire: &Wire) -> bool {
+        let ends = (wire.from, wire.to);
+        if self.lanes.contains_key(&ends) || self.routes.contains_key(&ends) {
+            return false;
+        }
+        let pins = self.pin_of(wire.from, &wire.output, false).zip(self.pin_of(wire.to, &wire.input, true));
+        pins.is_some_and(|((from, _), (to, _))| to.x <= from.x)
     }
 
     /// Distance of a wire from the middle of the bundle that the wires of its node form.
@@ -67,8 +83,6 @@ impl Canvas {
 
     /// The path of a wire to another row: along the corners that the layout gives.
     fn routed(&self, wire: &Wire, from: Pos2, to: Pos2, corners: &[Pos2]) -> Vec<[Pos2; 4]> {
-        let transform = self.transform();
-        let (from, to) = (transform.inverse() * from, transform.inverse() * to);
         let shift = Vec2::splat(self.beside(wire, BESIDE / 2.0));
         let mut path = vec![from];
         if let (Some(first), Some(last)) = (corners.first(), corners.last()) {
@@ -77,18 +91,13 @@ impl Canvas {
             path.push(pos2(last.x + shift.x, to.y));
         }
         path.push(to);
-        rounded(&path).into_iter().map(|curve| curve.map(|at| transform * at)).collect()
+        rounded(&path)
     }
 
     /// The path of a backward wire, below the nodes between its ends.
     fn around(&self, view: &GraphView, wire: &Wire, from: Pos2, to: Pos2) -> Vec<[Pos2; 4]> {
-        let transform = self.transform();
-        let (from, to) = (transform.inverse() * from, transform.inverse() * to);
-        let rects: Vec<Rect> = (view.nodes.iter().zip(&self.shapes))
-            .map(|(node, shape)| {
-                Rect::from_min_size(self.positions.get(node.id()).copied().unwrap_or_default(), shape.size)
-            })
-            .collect();
+        let nodes = self.places.iter().zip(&self.shapes);
+        let rects: Vec<Rect> = nodes.map(|(at, shape)| Rect::from_min_size(*at, shape.size)).collect();
         let bottom = |n: usize| rects.get(n).map_or(f32::MIN, Rect::bottom);
         // Backward wires are drawn beside each other.
         let beside = view.wires.iter().filter(|w| w.delayed).position(|w| w == wire).unwrap_or(0);
@@ -105,61 +114,64 @@ impl Canvas {
         // Down and up between the columns.
         let (right, left) = (from.x + room, to.x - room);
         let corners = [from, pos2(right, from.y), pos2(right, low), pos2(left, low), pos2(left, to.y), to];
-        rounded(&corners).into_iter().map(|curve| curve.map(|at| transform * at)).collect()
+        rounded(&corners)
     }
 
-    /// The bounding rectangles of backward wires that the layout gives no path, in points of the graph.
-    pub(super) fn backward(&self, view: &GraphView) -> Vec<Rect> {
-        let has_path = |ends: &(usize, usize)| self.lanes.contains_key(ends) || self.routes.contains_key(ends);
-        let to_graph = self.transform().inverse();
-        let path = |wire: &Wire| {
-            let (from, _) = self.pin_at(view, wire.from, &wire.output, false)?;
-            let (to, _) = self.pin_at(view, wire.to, &wire.input, true)?;
-            let points = if to.x > from.x { Vec::new() } else { self.around(view, wire, from, to).into_flattened() };
-            (!points.is_empty()).then(|| to_graph * Rect::from_points(&points))
-        };
-        view.wires.iter().filter(|wire| !has_path(&(wire.from, wire.to))).filter_map(path).collect()
-    }
-
-    pub(super) fn paint_wires(&self, painter: &Painter, scene: &Scene<'_>) {
+    /// Draws the wires. From afar all of them are one mesh of thin lines without smooth edges.
+    pub(super) fn paint_wires(&mut self, painter: &Painter, scene: &Scene<'_>) {
+        self.follow_scale();
         let view = scene.view;
         let pulled = match &self.drag {
             Drag::Wire { moved: Some((input, index)), .. } => Some((input, *index)),
             _ => None,
         };
-        // Of hundreds of nodes wires are thin and short.
-        let tolerance = if self.scale() < PICTURES { 1.0 } else { 0.25 };
-        for wire in &view.wires {
+        let (transform, scale) = (self.transform(), self.scale());
+        let seen = (transform.inverse() * self.rect).expand(8.0 / scale);
+        let far = scale < PICTURES;
+        let mut thin = Mesh::default();
+        let selected: Vec<bool> = match self.selected.is_empty() {
+            true => Vec::new(),
+            false => self.ids.iter().map(|id| self.selected.contains(id)).collect(),
+        };
+        let is_selected = |node: usize| selected.get(node).copied().unwrap_or_default();
+        for (wire, path) in view.wires.iter().zip(&self.paths.wires).filter(|(_, path)| path.bounds.intersects(seen)) {
             let to = view.nodes[wire.to].id();
-            let is_pulled = pulled
-                .is_some_and(|(input, index)| input.node == to && input.port == wire.input && index == wire.index);
-            if is_pulled {
+            if pulled.is_some_and(|(input, index)| {
+                input.node == to && input.port == wire.input && index == wire.index
+            }) {
                 continue;
             }
-            let curves = self.curves(view, wire);
             let packet = view.packet(wire.from, &wire.output).map_or("", |p| p.name.as_str());
-            let selected =
+            let chosen =
                 self.selected_wire.as_ref().is_some_and(|w| w.0 == to && w.1 == wire.input && w.2 == wire.index);
-            let near = self.selected.contains(to) || self.selected.contains(view.nodes[wire.from].id());
-            let (color, width) = match (selected, near) {
+            let near = is_selected(wire.to) || is_selected(wire.from);
+            let (color, width) = match (chosen, near) {
                 (true, _) => (theme::accent(), 3.0),
                 (_, true) => (theme::packet(packet), 2.5),
                 _ if wire.delayed => (theme::packet(packet).gamma_multiply(0.45), 1.5),
                 _ => (theme::packet(packet).gamma_multiply(0.6), 2.0),
             };
-            let stroke = Stroke::new((width * self.scale()).max(1.0), color);
-            for curve in curves.into_iter().filter(|c| Rect::from_points(c).expand(8.0).intersects(self.rect)) {
-                if wire.delayed {
-                    let points: Vec<Pos2> = (0..=32).map(|i| on_curve(&curve, i as f32 / 32.0)).collect();
-                    painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * self.scale(), 5.0 * self.scale()));
-                } else {
-                    match &flattened_to(&curve, tolerance)[..] {
-                        [from, to] => painter.line_segment([*from, *to], stroke),
-                        points => painter.line(points.to_vec(), stroke),
-                    };
+            let stroke = Stroke::new((width * scale).max(1.0), color);
+            if wire.delayed {
+                for curve in &path.curves {
+                    let points: Vec<Pos2> = (0..=32).map(|i| transform * on_curve(curve, i as f32 / 32.0)).collect();
+                    painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * scale, 5.0 * scale));
+                }
+                continue;
+            }
+            let lines = path.curves.iter().zip(&path.lines);
+            for (_, line) in lines.filter(|(curve, _)| Rect::from_points(*curve).intersects(seen)) {
+                match &line[..] {
+                    points if far => {
+                        let ends = points.windows(2).map(|ends| (transform * ends[0], transform * ends[1]));
+                        ends.for_each(|(from, to)| add_line(&mut thin, from, to, stroke));
+                    }
+                    [from, to] => _ = painter.line_segment([transform * *from, transform * *to], stroke),
+                    points => _ = painter.line(points.iter().map(|at| transform * *at).collect(), stroke),
                 }
             }
         }
+        painter.add(thin);
     }
 
     /// Names the wires under the pointer, all of a bundle.
@@ -180,12 +192,10 @@ impl Canvas {
 
     /// Names of the wires near a point of the window, such as `scope.left to register.left`.
     fn wires_near(&self, view: &GraphView, at: Pos2) -> Vec<String> {
-        let is_near = |wire: &&Wire| {
-            let curves = self.curves(view, wire);
-            curves.iter().any(|curve| {
-                Rect::from_points(curve).expand(NEAR).contains(at)
-                    && flattened(curve).windows(2).any(|ends| distance(at, ends[0], ends[1]) < NEAR)
-            })
+        let (at, near) = (self.transform().inverse() * at, NEAR / self.scale());
+        let is_near = |path: &Path| {
+            let lines = path.lines.iter().flat_map(|line| line.windows(2));
+            path.bounds.expand(near).contains(at) && lines.into_iter().any(|ends| distance(at, ends[0], ends[1]) < near)
         };
         let name = |wire: &Wire| {
             let (from, to) = (view.nodes[wire.from].id(), view.nodes[wire.to].id());
@@ -193,6 +203,19 @@ impl Canvas {
             let delayed = if wire.delayed { ", previous value" } else { "" };
             format!("{from}.{} to {to}.{}{packet}{delayed}", wire.output, wire.input)
         };
-        view.wires.iter().filter(is_near).map(name).collect()
+        let wires = view.wires.iter().zip(&self.paths.wires);
+        wires.filter(|(_, path)| is_near(path)).map(|(wire, _)| name(wire)).collect()
     }
+}
+
+/// Adds a straight line to a mesh.
+fn add_line(mesh: &mut Mesh, from: Pos2, to: Pos2, stroke: Stroke) {
+    let along = (to - from).normalized() * (stroke.width / 2.0);
+    let aside = vec2(-along.y, along.x);
+    let first = mesh.vertices.len() as u32;
+    for at in [from + aside, to + aside, to - aside, from - aside] {
+        mesh.colored_vertex(at, stroke.color);
+    }
+    mesh.add_triangle(first, first + 1, first + 2);
+    mesh.add_triangle(first, first + 2, first + 3);
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use eframe::egui::{Context, Frame, Grid, Label, Margin, Modal, RichText, ScrollArea, Ui, WidgetInfo, WidgetType};
+use eframe::egui::{Grid, Label, RichText, ScrollArea, Ui, WidgetInfo, WidgetType};
 use panoscope_graph::{NodeType, Param, ParamKind, Port};
 
 use super::inspector::section;
@@ -11,69 +11,66 @@ use panoscope_editor_widgets::{theme, unit_suffix};
 
 /// Maximum number of examples.
 const MAX_EXAMPLES: usize = 6;
+/// Width of the names of parameters, points.
+const NAMES: f32 = 150.0;
 
-/// A request of this dialog.
+/// A request of this panel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum NodeHelpRequest {
     /// Open a graph in a window of its own.
     Open(PathBuf),
-    /// Close the dialog.
-    Close,
 }
 
 /// Shows the help of a type.
-pub fn show(ctx: &Context, node_type: &NodeType, examples: &[PathBuf]) -> Option<NodeHelpRequest> {
-    let modal = Modal::new("node help".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
-    let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
+pub fn show(ui: &mut Ui, node_type: &NodeType, examples: &[PathBuf]) -> Option<NodeHelpRequest> {
     let mut request = None;
-    let shown = modal.frame(frame).show(ctx, |ui| {
-        ui.set_width(640.0);
-        let title = ui.label(RichText::new(&node_type.name).size(18.0));
-        title.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("Help of {}", node_type.name)));
-        let source = if node_type.source { ", makes ticks of its own" } else { "" };
-        let device = if node_type.exclusive { ", owns a device" } else { "" };
-        let acts = if node_type.side_effects { ", acts beyond the graph" } else { "" };
-        let about = format!("{} · plugin {}{source}{device}{acts}", node_type.family, node_type.plugin);
-        ui.label(RichText::new(about).size(12.0).color(theme::muted()));
-        let height = ctx.content_rect().height();
-        ScrollArea::vertical().max_height(height * 0.65).show(ui, |ui| {
-            ui.add_space(theme::STEP);
-            ui.add(Label::new(RichText::new(&node_type.doc).size(13.0)).wrap());
-            ports(ui, "Inputs", &node_type.inputs);
-            ports(ui, "Outputs", &node_type.outputs);
-            if !node_type.params.is_empty() {
-                section(ui, "Parameters");
-                Grid::new("params").num_columns(2).spacing([20.0, 8.0]).show(ui, |ui| {
-                    for param in &node_type.params {
-                        ui.label(RichText::new(&param.name).color(theme::accent()));
-                        ui.vertical(|ui| {
-                            ui.set_width(440.0);
-                            ui.add(Label::new(RichText::new(&param.doc).size(12.5)).wrap());
-                            let limits = ui.label(RichText::new(limits_of(param)).size(12.0).color(theme::muted()));
-                            let name = format!("Limits of {}: {}", param.name, limits_of(param));
-                            limits.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, name.clone()));
-                        });
-                        ui.end_row();
-                    }
-                });
+    let title = ui.label(RichText::new(&node_type.name).size(18.0));
+    title.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("Help of {}", node_type.name)));
+    let source = if node_type.source { ", makes ticks of its own" } else { "" };
+    let device = if node_type.exclusive { ", owns a device" } else { "" };
+    let acts = if node_type.side_effects { ", acts beyond the graph" } else { "" };
+    let about = format!("{} · plugin {}{source}{device}{acts}", node_type.family, node_type.plugin);
+    ui.label(RichText::new(about).size(12.0).color(theme::muted()));
+    ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
+        ui.add_space(theme::STEP);
+        ui.add(Label::new(RichText::new(&node_type.doc).size(13.0)).wrap());
+        ports(ui, "Inputs", &node_type.inputs);
+        ports(ui, "Outputs", &node_type.outputs);
+        if !node_type.params.is_empty() {
+            section(ui, "Parameters");
+            params(ui, &node_type.params);
+        }
+        section(ui, "Example graphs");
+        if examples.is_empty() {
+            ui.label(RichText::new("No graph beside this one or in the installation uses it.").color(theme::muted()));
+        }
+        for example in examples.iter().take(MAX_EXAMPLES) {
+            let name = example.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let button = ui.button(&name).on_hover_text(example.display().to_string());
+            button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Open example {name}")));
+            if button.clicked() {
+                request = Some(NodeHelpRequest::Open(example.clone()));
             }
-            section(ui, "Example graphs");
-            if examples.is_empty() {
-                ui.label(
-                    RichText::new("No graph beside this one or in the installation uses it.").color(theme::muted()),
-                );
-            }
-            for example in examples.iter().take(MAX_EXAMPLES) {
-                let name = example.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-                let button = ui.button(&name).on_hover_text(example.display().to_string());
-                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Open example {name}")));
-                if button.clicked() {
-                    request = Some(NodeHelpRequest::Open(example.clone()));
-                }
-            }
-        });
+        }
     });
-    request.or(shown.should_close().then_some(NodeHelpRequest::Close))
+    request
+}
+
+fn params(ui: &mut Ui, params: &[Param]) {
+    let width = (ui.available_width() - NAMES).max(160.0);
+    Grid::new("params").num_columns(2).spacing([20.0, 8.0]).show(ui, |ui| {
+        for param in params {
+            ui.label(RichText::new(&param.name).color(theme::accent()));
+            ui.vertical(|ui| {
+                ui.set_width(width);
+                ui.add(Label::new(RichText::new(&param.doc).size(12.5)).wrap());
+                let limits = ui.label(RichText::new(limits_of(param)).size(12.0).color(theme::muted()));
+                let name = format!("Limits of {}: {}", param.name, limits_of(param));
+                limits.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, name.clone()));
+            });
+            ui.end_row();
+        }
+    });
 }
 
 fn ports(ui: &mut Ui, caption: &str, ports: &[Port]) {

@@ -10,31 +10,16 @@ use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme;
 
-/// Which panels and modes are switched on.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Switches {
-    /// The heat map.
-    pub heat: bool,
-    /// The panel of the file's text.
-    pub text: bool,
-    /// The panel of plots.
-    pub plots: bool,
-    /// The panel of mistakes and faults.
-    pub problems: bool,
-    /// The panel of the parameter history.
-    pub history: bool,
-    /// The panel of a sweep.
-    pub sweep: bool,
-    /// The panel of a recording.
-    pub timeline: bool,
-    /// The panel of tick paths.
-    pub trace: bool,
-    /// The panel of presets and snapshots.
-    pub states: bool,
-}
-
 /// Shows the bar; returns the actions that the user requests.
-pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters, on: Switches) -> Vec<Action> {
+///
+/// `on` says whether an action's panel or mode is on.
+pub fn show(
+    ui: &mut Ui,
+    document: &Document,
+    status: &Status,
+    counters: &Counters,
+    on: impl Fn(Action) -> bool,
+) -> Vec<Action> {
     let mut actions = Vec::new();
     ui.horizontal_centered(|ui| {
         ui.spacing_mut().item_spacing.x = theme::STEP * 1.5;
@@ -53,15 +38,15 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
                 }
             };
             button(ui, Action::Help, "Keys", false, true);
-            button(ui, Action::Sweep, "Sweep", on.sweep, true);
-            button(ui, Action::States, "Presets", on.states, true);
-            button(ui, Action::History, "History", on.history, true);
-            button(ui, Action::Plots, "Plots", on.plots, true);
-            button(ui, Action::Text, "Text", on.text, true);
-            button(ui, Action::Heat, "Heat", on.heat, true);
+            button(ui, Action::Sweep, "Sweep", on(Action::Sweep), true);
+            button(ui, Action::States, "Presets", on(Action::States), true);
+            button(ui, Action::History, "History", on(Action::History), true);
+            button(ui, Action::Plots, "Plots", on(Action::Plots), true);
+            button(ui, Action::Text, "Text", on(Action::Text), true);
+            button(ui, Action::Heat, "Heat", on(Action::Heat), true);
             let wrong = document.view().diagnostics.len() + usize::from(status.problem.is_some());
             let caption = if wrong == 0 { "Problems".to_owned() } else { format!("Problems {wrong}") };
-            button(ui, Action::Problems, &caption, on.problems, true);
+            button(ui, Action::Problems, &caption, on(Action::Problems), true);
             if !document.args().is_empty() || !document.given().with.is_empty() {
                 let caption = match document.missing_args().len() {
                     0 => "Arguments".to_owned(),
