@@ -10,6 +10,7 @@ pub mod content;
 pub mod copying;
 pub mod difference;
 pub mod disk;
+pub mod docks;
 pub mod document;
 mod entries;
 pub mod examples;

@@ -88,6 +88,12 @@ impl OutputCache {
         self.outputs.get(output).map(|outputs| outputs.at.elapsed()).filter(|age| *age > STALE)
     }
 
+    /// Time until the next preview counts as old; `None` when all do.
+    pub fn until_stale(&self) -> Option<Duration> {
+        let left = self.outputs.values().filter_map(|output| STALE.checked_sub(output.at.elapsed()));
+        left.min().map(|left| left + Duration::from_millis(20))
+    }
+
     /// The pixels of an output.
     pub fn pixels(&self, output: &Output) -> Option<&Pixels> {
         self.outputs.get(output)?.pixels.as_ref()
