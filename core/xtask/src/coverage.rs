@@ -78,6 +78,7 @@ const PARSERS: &[(&str, &[Source])] = &[
             functions("core/attach/src/rules.rs", &["table", "stops", "check"]),
         ],
     ),
+    ("pedal", &[functions("editor/model/src/pedal.rs", &["parse", "binding"])]),
     ("presets", &[functions("editor/model/src/presets.rs", &["parse", "changes_to", "change_to", "between", "mixed"])]),
     ("snapshot", &[functions("editor/model/src/snapshots.rs", &["parse", "restore"])]),
     ("keys", &[functions("core/loader/src/keys.rs", &["digits", "read", "name_of", "verifies", "in_folders", "find"])]),

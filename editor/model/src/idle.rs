@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use panoscope_editor_texts::text;
 use panoscope_engine::fault::Action;
 
 use crate::graph_view::GraphView;
@@ -23,11 +24,11 @@ pub fn reason(view: &GraphView, counters: &Counters, status: &Status, id: &str) 
     let here = |words: String| Some(Reason { words, cause: None });
     let node = view.node(id)?;
     match &status.phase {
-        Phase::Idle if view.valid => return here("the graph was not started".to_owned()),
-        Phase::Idle => return here("the file has mistakes, so nothing runs yet".to_owned()),
-        Phase::Starting => return here("the graph is starting".to_owned()),
-        Phase::Ended => return here("the run has ended".to_owned()),
-        Phase::Failed(why) => return here(format!("the run was stopped: {why}")),
+        Phase::Idle if view.valid => return here(text!("idle-not-started").to_owned()),
+        Phase::Idle => return here(text!("idle-mistakes").to_owned()),
+        Phase::Starting => return here(text!("idle-starting").to_owned()),
+        Phase::Ended => return here(text!("idle-ended").to_owned()),
+        Phase::Failed(why) => return here(text!("idle-stopped", reason = why)),
         Phase::Running => {}
     }
     if works(counters, id) {
@@ -54,60 +55,54 @@ fn follow(
     let (this, id) = (&view.nodes[node], view.nodes[node].id());
     visited.insert(node);
     if let Some(mistake) = this.mistakes.first() {
-        words.push(format!("`{id}` has a mistake in the file: {mistake}"));
+        words.push(text!("idle-mistake", node = id, mistake = mistake));
         return node;
     }
     let Some(counts) = counters.nodes.get(id) else {
-        words.push(format!("`{id}` is not part of the running graph yet"));
+        words.push(text!("idle-not-running", node = id));
         return node;
     };
     if let Some(fault) = counters.faults.get(id) {
-        let state = match fault.done {
-            Action::Note => "has a fault",
-            Action::Bypass => "is bypassed since a fault",
-            Action::Stop => "stopped the run with a fault",
-            Action::End => "ended with a fault",
-            Action::Restart | Action::Abandon => "is being restarted after a fault",
-            Action::Withhold => "sent a packet that was not delivered",
-        };
-        words.push(format!("`{id}` {state}: {}", fault.words));
+        let reason = &fault.words;
+        words.push(match fault.done {
+            Action::Note => text!("idle-fault", node = id, reason = reason),
+            Action::Bypass => text!("idle-bypassed", node = id, reason = reason),
+            Action::Stop => text!("idle-stopped-run", node = id, reason = reason),
+            Action::End => text!("idle-ended-by-fault", node = id, reason = reason),
+            Action::Restart | Action::Abandon => text!("idle-restarting", node = id, reason = reason),
+            Action::Withhold => text!("idle-withheld", node = id, reason = reason),
+        });
         return node;
     }
     let Some(node_type) = &this.node_type else {
-        words.push(format!("the type of `{id}` is not known"));
+        words.push(text!("idle-unknown-type", node = id));
         return node;
     };
     if node_type.inputs.is_empty() {
-        words.push(match counts.count {
-            0 => format!("the source `{id}` has sent nothing yet"),
-            1 => format!("the source `{id}` has sent 1 tick and none in the last half second"),
-            count => format!("the source `{id}` has sent {count} ticks and none in the last half second"),
-        });
+        words.push(text!("idle-source", node = id, count = counts.count));
         return node;
     }
     if let Some(port) = node_type.inputs.iter().find(|p| !p.optional && view.wires_into(node, &p.name).next().is_none())
     {
-        words.push(format!("the input `{}` of `{id}` is not connected", port.name));
+        words.push(text!("idle-not-connected", node = id, input = &port.name));
         return node;
     }
     let wires: Vec<_> = view.wires.iter().filter(|w| w.to == node && !w.delayed).collect();
     let idle = wires.iter().find(|w| !works(counters, view.nodes[w.from].id()) && !visited.contains(&w.from));
     if let Some(wire) = idle {
-        words.push(format!("`{id}` waits for `{}.{}`", view.nodes[wire.from].id(), wire.output));
+        words.push(text!("idle-waits", node = id, output = format!("{}.{}", view.nodes[wire.from].id(), wire.output)));
         return follow(view, counters, wire.from, words, visited);
     }
     if wires.is_empty() {
-        words.push(format!("no input of `{id}` is connected"));
+        words.push(text!("idle-no-input", node = id));
         return node;
     }
     let producers: BTreeSet<String> =
         wires.iter().map(|w| format!("`{}.{}`", view.nodes[w.from].id(), w.output)).collect();
     let producers = producers.into_iter().collect::<Vec<_>>().join(", ");
     words.push(match wires.len() {
-        1 => format!("`{id}` is skipped: its input {producers} runs but is empty"),
-        _ => format!(
-            "`{id}` is skipped: its inputs run, but one of them is empty or they never hold the same tick: {producers}"
-        ),
+        1 => text!("idle-empty", node = id, outputs = producers),
+        _ => text!("idle-apart", node = id, outputs = producers),
     });
     node
 }

@@ -1,5 +1,6 @@
 //! Everything that is wrong with a graph and its run, each with its place, its cause and what to do: for a tour from one to the next.
 
+use panoscope_editor_texts::{decimal, text};
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_graph::Severity;
 
@@ -33,11 +34,11 @@ pub fn problems(document: &Document, status: &Status, counters: &Counters) -> Ve
     if let Some(problem) = &status.problem {
         all.push(Problem {
             is_error: true,
-            place: problem.node.clone().unwrap_or_else(|| "the last change".to_owned()),
+            place: problem.node.clone().unwrap_or_else(|| text!("problem-last-change").to_owned()),
             node: problem.node.clone(),
             line: None,
-            cause: format!("the change was not applied: {}", problem.message),
-            remedy: "correct it, or undo it with Ctrl+Z; the graph before it keeps running".to_owned(),
+            cause: text!("problem-last-change.cause", reason = &problem.message),
+            remedy: text!("problem-last-change.remedy").to_owned(),
         });
     }
     for severity in [Severity::Error, Severity::Warning] {
@@ -46,12 +47,15 @@ pub fn problems(document: &Document, status: &Status, counters: &Counters) -> Ve
             let label = if d.label.is_empty() { String::new() } else { format!(": {}", d.label) };
             let remedy = match (d.help.is_empty(), severity) {
                 (false, _) => d.help.clone(),
-                (true, Severity::Error) => "correct the line; the last valid graph keeps running".to_owned(),
-                (true, _) => "correct the line, or leave it: the graph runs".to_owned(),
+                (true, Severity::Error) => text!("problem-mistake-remedy").to_owned(),
+                (true, _) => text!("problem-warning-remedy").to_owned(),
             };
             all.push(Problem {
                 is_error: severity == Severity::Error,
-                place: if is_here { format!("line {}", d.line) } else { format!("{}, line {}", d.file, d.line) },
+                place: match is_here {
+                    true => text!("problem-line", line = d.line),
+                    false => text!("problem-line-of", file = &d.file, line = d.line),
+                },
                 node: view.node_of(d, document.text()),
                 line: is_here.then_some(d.line),
                 cause: format!("{}{label}", d.message),
@@ -66,7 +70,7 @@ pub fn problems(document: &Document, status: &Status, counters: &Counters) -> Ve
         place: fault.node.clone(),
         node: Some(fault.node.clone()),
         line: None,
-        cause: format!("{} ({} so far)", fault.words, fault.count),
+        cause: text!("problem-fault", reason = &fault.words, count = fault.count),
         remedy: remedy_of(fault).to_owned(),
     }));
     if status.phase == Phase::Running {
@@ -89,7 +93,7 @@ fn idle_nodes(view: &GraphView, counters: &Counters, status: &Status) -> Vec<Pro
             node: Some(id.to_owned()),
             line: None,
             cause: reason.words,
-            remedy: "check what this node reads and its values; the nodes behind it wait for it".to_owned(),
+            remedy: text!("problem-idle-remedy").to_owned(),
         })
         .collect()
 }
@@ -105,13 +109,10 @@ fn losses(view: &GraphView, counters: &Counters) -> Vec<Problem> {
             place: id.to_owned(),
             node: Some(id.to_owned()),
             line: None,
-            cause: format!("{} of its ticks were dropped, because a newer one came before there was room", counts.dropped),
+            cause: text!("problem-losses", count = counts.dropped),
             remedy: match slowest {
-                Some((slow, times)) => format!(
-                    "`{slow}` takes longest ({:.1} ms): make it faster or the source slower; the path of a tick shows where it waits",
-                    times.p50_ms
-                ),
-                None => "make the source slower".to_owned(),
+                Some((slow, times)) => text!("problem-losses-remedy", node = slow, ms = decimal(times.p50_ms, 1)),
+                None => text!("problem-losses-remedy-source").to_owned(),
             },
         })
         .collect()
@@ -120,24 +121,24 @@ fn losses(view: &GraphView, counters: &Counters) -> Vec<Problem> {
 /// What to do about a fault.
 fn remedy_of(fault: &Fault) -> &'static str {
     match (fault.cause, fault.done) {
-        (_, Action::Stop) => "correct the cause, then run the graph again",
-        (_, Action::Bypass) => "correct the cause; any edit of the node opens it again",
-        (Cause::Open, _) => "check the device, file or model that the node names; it is tried again by itself",
+        (_, Action::Stop) => text!("remedy-stop"),
+        (_, Action::Bypass) => text!("remedy-bypass"),
+        (Cause::Open, _) => text!("remedy-open"),
         (Cause::Panic | Cause::Crash, _) => {
-            "an error in the plugin: report it with these words; `isolate` keeps it from other nodes"
+            text!("remedy-panic")
         }
-        (Cause::Hang, _) => "the node does not return: check its device, or give it a `budget_ms` that fits",
-        (Cause::Slow, _) => "the node is over its `budget_ms`: reduce its work, or raise the budget",
+        (Cause::Hang, _) => text!("remedy-hang"),
+        (Cause::Slow, _) => text!("remedy-slow"),
         (Cause::BadOutput | Cause::NotANumber | Cause::TooMuch | Cause::Format | Cause::Size, _) => {
-            "the output is not as declared: check the node's values and inputs, else it is an error in the plugin"
+            text!("remedy-output")
         }
         (Cause::Exhausted | Cause::Leak | Cause::Release, _) => {
-            "the node keeps frames: shorten what it holds, else it is an error in the plugin"
+            text!("remedy-frames")
         }
-        (Cause::CaptureTime, _) => "the source's times run backwards: check the camera's driver or the recording",
-        (Cause::Silent, _) => "the node makes nothing of complete inputs: look at them, and at its limits",
-        (Cause::Recording, _) => "the recording has a gap: check the disk",
-        (Cause::Error, _) => "read the message; the node is restarted by itself",
+        (Cause::CaptureTime, _) => text!("remedy-times"),
+        (Cause::Silent, _) => text!("remedy-silent"),
+        (Cause::Recording, _) => text!("remedy-recording"),
+        (Cause::Error, _) => text!("remedy-error"),
     }
 }
 

@@ -2,6 +2,8 @@
 
 use eframe::egui::{Event, InputState, Key, Modifiers};
 
+use panoscope_editor_texts::text;
+
 use super::pedal::PedalKey;
 
 /// An action of the theatre.
@@ -37,6 +39,8 @@ pub enum Action {
     Inset,
     /// Show the stereo pair for a 3-D display: the next way.
     ThreeD,
+    /// Speak the next language.
+    Language,
 }
 
 /// Actions with their keys; the first key is shown.
@@ -55,6 +59,7 @@ pub const KEYS: &[(Action, &[Key])] = &[
     (Action::ZoomOut, &[Key::Minus]),
     (Action::Inset, &[Key::I]),
     (Action::ThreeD, &[Key::D]),
+    (Action::Language, &[Key::L]),
     (Action::One(0), &[Key::Num1]),
     (Action::One(1), &[Key::Num2]),
     (Action::One(2), &[Key::Num3]),
@@ -103,8 +108,13 @@ pub fn is_held(input: &InputState, action: Action, pedal: &[PedalKey]) -> bool {
     keys.iter().chain(by_pedal).any(|key| input.key_down(*key))
 }
 
-/// The name of an action's key.
+/// The name of an action's key, in the language of the window.
 pub fn key_name(action: Action) -> &'static str {
     let keys = KEYS.iter().find(|(a, _)| *a == action).map_or(&[][..], |(_, keys)| keys);
-    keys.first().map_or("", |key| key.name())
+    match keys.first() {
+        Some(Key::Space) => text!("key-space"),
+        Some(Key::Enter) => text!("key-enter"),
+        Some(key) => key.name(),
+        None => "",
+    }
 }

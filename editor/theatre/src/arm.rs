@@ -1,18 +1,22 @@
 //! The emergency stop of a robot arm in the graph: one tap stops it, holding releases it.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use eframe::egui::{
-    Align2, Color32, Context, FontId, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo,
+    Color32, Context, FontId, Galley, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo,
     WidgetType, pos2, vec2,
 };
 use panoscope_audit::Event;
+use panoscope_editor_texts::text;
 use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
 
 use super::stage::focus_frame;
 use super::{Action, HOLD, Theatre, actions, key_name, plan};
 
+/// Size of the smallest text, points.
+const LEAST_TEXT: f32 = 11.0;
 pub(super) const STOP_RED: Color32 = Color32::from_rgb(0xD6, 0x2F, 0x1F);
 
 impl Theatre {
@@ -70,7 +74,7 @@ impl Theatre {
     /// The stop button, always visible while the graph has an arm. One tap stops the arm; holding releases it.
     pub(super) fn stop_button(&mut self, ui: &mut Ui, rect: Rect) {
         let response = ui.interact(rect, ui.id().with("stop"), Sense::click_and_drag());
-        let label = if self.emergency { "Release the arm: hold 2 s" } else { "Emergency stop of the arm" };
+        let label = if self.emergency { text!("stop-arm.release") } else { text!("stop-arm.name") };
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label));
         let held = response.is_pointer_button_down_on();
         if response.has_focus() {
@@ -97,18 +101,27 @@ impl Theatre {
             painter.rect_filled(done, 8.0, STOP_RED.gamma_multiply(0.6));
         }
         let (message, below) = if self.emergency {
-            ("ARM STOPPED", "hold 2 s to release".to_owned())
+            (text!("arm-stopped"), text!("arm-stopped.hold").to_owned())
         } else {
-            ("STOP ARM", format!("key {}", key_name(Action::Stop)))
+            (text!("stop-arm"), text!("stop-arm.key", key = key_name(Action::Stop)))
         };
         let sign_at = pos2(rect.left() + 38.0, rect.center().y);
         octagon(painter, sign_at, 20.0);
         let left = rect.left() + 70.0;
         let y = rect.center().y;
-        painter.text(pos2(left, y - 9.0), Align2::LEFT_CENTER, message, FontId::proportional(22.0), Color32::WHITE);
         let pale = Color32::from_white_alpha(210);
-        painter.text(pos2(left, y + 15.0), Align2::LEFT_CENTER, below, FontId::proportional(14.0), pale);
+        for (at, words, size, color) in [(y - 9.0, message, 22.0, Color32::WHITE), (y + 15.0, &below, 14.0, pale)] {
+            let galley = fitting(painter, words, size, rect.right() - 8.0 - left, color);
+            painter.galley(pos2(left, at - galley.size().y / 2.0), galley, color);
+        }
     }
+}
+
+/// Words on one line, smaller where they do not fit in `width`.
+fn fitting(painter: &Painter, words: &str, size: f32, width: f32, color: Color32) -> Arc<Galley> {
+    let lay = |size: f32| painter.layout_no_wrap(words.to_owned(), FontId::proportional(size), color);
+    let galley = lay(size);
+    if galley.size().x <= width { galley } else { lay((size * width / galley.size().x).max(LEAST_TEXT)) }
 }
 
 /// Draws a stop sign.

@@ -9,13 +9,11 @@ use std::time::Duration;
 use eframe::egui::Context;
 use panoscope_attach::message::Opened as Running;
 use panoscope_attach::{Attachment, Clock, Contact, State};
+use panoscope_editor_texts::{decimal, text, with_decimal_sign};
 
 use super::runner::{Local, Runner};
 use super::{Layout, OpenError, Opened, Options, Plan, Theatre, Verified};
 use panoscope_editor_model::session::Session;
-
-/// Why an attached theatre does not do what was asked.
-pub(super) const ELSEWHERE: &str = "this window is attached: clips, starts and stops are made where the graph runs";
 
 /// The machine that runs the graph.
 pub(super) struct Machine {
@@ -41,14 +39,14 @@ impl MachineFacts {
     /// The clock, in words.
     pub fn clock_words(&self) -> String {
         let Some(Clock { offset_ns, error_ns, round_trip_ns }) = self.clock else {
-            return "its clock is not known".to_owned();
+            return text!("check-machine-no-clock").to_owned();
         };
         let ms = |ns: f64| ns / 1e6;
-        format!(
-            "reached in {:.1} ms; ages are right to {:.1} ms (its clock is {:+.1} ms)",
-            ms(round_trip_ns as f64),
-            ms(error_ns as f64),
-            ms(offset_ns as f64)
+        text!(
+            "check-machine-clock",
+            reach = decimal(ms(round_trip_ns as f64), 1),
+            error = decimal(ms(error_ns as f64), 1),
+            offset = with_decimal_sign(&format!("{:+.1}", ms(offset_ns as f64)))
         )
     }
 }

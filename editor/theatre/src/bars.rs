@@ -9,15 +9,18 @@ use eframe::egui::{
 
 use super::alarms::Urgency;
 use super::arm::STOP_RED;
-use super::notices::{Facts, OLD_MS, format_bytes};
+use super::notices::{Facts, OLD_MS};
 use super::{Action, EDGE, HOLD, Outage, OutageStage, REMARK, Theatre, key_name, settings};
 use panoscope_editor_model::session::{Phase, Status};
+use panoscope_editor_texts::{bytes, text};
 use panoscope_editor_widgets::theme;
 
 /// Width of a setting.
 const SETTING: f32 = 216.0;
 /// Distance between two settings.
 const SETTING_GAP: f32 = 24.0;
+/// Size of the caption of a button.
+const BUTTON_TEXT: f32 = 20.0;
 /// Width of the button for the next page of settings.
 const MORE: f32 = 84.0;
 
@@ -41,28 +44,30 @@ impl Theatre {
             right = rect.left() - 10.0;
         };
         let (message, fill, color) = match (&status.phase, self.frozen) {
-            _ if facts.is_dark() => ("RESTARTING".to_owned(), theme::fault(), theme::BLACK),
-            _ if facts.unreached().is_some() => ("NOT REACHED".to_owned(), theme::fault(), theme::BLACK),
-            _ if facts.why_dark.is_some() => ("NO PICTURE".to_owned(), theme::fault(), theme::BLACK),
-            (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::raised(), theme::muted()),
-            (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::fault(), theme::BLACK),
-            (_, Some(since)) => (format!("FROZEN  {}", format_clock(since)), theme::accent(), theme::BLACK),
+            _ if facts.is_dark() => (text!("state-restarting").to_owned(), theme::fault(), theme::BLACK),
+            _ if facts.unreached().is_some() => (text!("state-unreached").to_owned(), theme::fault(), theme::BLACK),
+            _ if facts.why_dark.is_some() => (text!("state-no-picture").to_owned(), theme::fault(), theme::BLACK),
+            (Phase::Starting | Phase::Idle, _) => (text!("state-starting").to_owned(), theme::raised(), theme::muted()),
+            (Phase::Ended | Phase::Failed(_), _) => (text!("state-stopped").to_owned(), theme::fault(), theme::BLACK),
+            (_, Some(since)) => {
+                (format!("{}  {}", text!("state-frozen"), format_clock(since)), theme::accent(), theme::BLACK)
+            }
             // Delayed images must not be called live.
             _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > OLD_MS) => {
-                ("DELAYED".to_owned(), theme::warn(), theme::BLACK)
+                (text!("state-delayed").to_owned(), theme::warn(), theme::BLACK)
             }
-            _ => ("LIVE".to_owned(), theme::raised(), theme::live()),
+            _ => (text!("state-live").to_owned(), theme::raised(), theme::live()),
         };
         chip(&message, fill, color);
         if let Some(clip) = &self.clip {
-            chip(&format!("REC  {}", format_clock(clip.since)), STOP_RED, Color32::WHITE);
-            let free = facts.free_bytes.map(|b| format!("{} free", format_bytes(b))).unwrap_or_default();
+            chip(&format!("{}  {}", text!("state-recording"), format_clock(clip.since)), STOP_RED, Color32::WHITE);
+            let free = facts.free_bytes.map(|free| text!("disk-free", size = bytes(free))).unwrap_or_default();
             let font = FontId::proportional(14.0);
             let rect = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::muted());
             right = rect.left() - 16.0;
         }
-        if let Some((heading, line)) = self.verified.mark() {
-            right = unverified(ui, pos2(right, middle), heading, line).left() - 10.0;
+        if let Some(mark) = self.verified.mark() {
+            right = unverified(ui, pos2(right, middle), mark).left() - 10.0;
         }
         let room = Rect::from_min_max(inner.min, pos2(right - 10.0, inner.bottom()));
         self.show_message(ui, room);
@@ -74,7 +79,7 @@ impl Theatre {
         if let Some(since) = self.leaving.filter(|since| since.elapsed() > HOLD / 8) {
             let share = (since.elapsed().as_secs_f32() / HOLD.as_secs_f32()).min(1.0);
             let text = FontId::proportional(22.0);
-            let message = "Keep holding Esc to leave";
+            let message = text!("leave-hold");
             let rect = painter.text(room.left_center(), Align2::LEFT_CENTER, message, text, theme::text());
             let rail = Rect::from_min_size(pos2(rect.right() + 20.0, rect.center().y - 3.0), vec2(160.0, 6.0));
             painter.rect_filled(rail, 3.0, theme::raised());
@@ -85,14 +90,16 @@ impl Theatre {
         let label = |message: &str| WidgetInfo::labeled(WidgetType::Label, true, message.to_owned());
         for (k, notice) in self.notices.iter().enumerate() {
             let response = ui.interact(room, ui.id().with(("notice", k)), Sense::hover());
-            response.widget_info(|| label(&format!("Notice: {}", notice.message)));
+            response.widget_info(|| label(&text!("notice-name", notice = &notice.message)));
             let action = notice.action;
-            ui.ctx().accesskit_node_builder(response.id, |node| node.set_description(format!("To do: {action}")));
+            ui.ctx().accesskit_node_builder(response.id, |node| {
+                node.set_description(text!("notice-action", action = action))
+            });
         }
         let remark = self.remark.as_ref().filter(|(.., at)| at.elapsed() < REMARK);
         if let Some((message, ..)) = remark {
             let response = ui.interact(room, ui.id().with("remark"), Sense::hover());
-            response.widget_info(|| label(&format!("Remark: {message}")));
+            response.widget_info(|| label(&text!("remark-name", remark = message)));
         }
         let Some(first) = self.notices.first() else {
             let (message, color) = match remark {
@@ -115,7 +122,7 @@ impl Theatre {
         let rest: Vec<&str> = self.notices.iter().skip(1).map(|n| n.message.as_str()).collect();
         let rest = remark.iter().map(|(message, ..)| message.as_str()).chain(rest).collect::<Vec<_>>().join("   ·   ");
         // What to do, where nothing else is to be said.
-        let rest = if rest.is_empty() { format!("To do: {}", first.action) } else { rest };
+        let rest = if rest.is_empty() { text!("notice-action", action = first.action) } else { rest };
         let left = room.left() + if first.urgency >= Urgency::Warning { 44.0 } else { 0.0 };
         let (y, size) = if rest.is_empty() { (room.center().y, 24.0) } else { (room.center().y - 10.0, 22.0) };
         let size = if first.urgency == Urgency::Note { 18.0 } else { size };
@@ -154,23 +161,23 @@ impl Theatre {
         let frozen = self.frozen.is_some() && !self.measure.is_on();
         let whole = !self.shows_raw();
         let buttons = [
-            (Action::Next, "Layout", false, whole && self.plan.views.len() > 1),
-            (Action::Freeze, if frozen { "Continue" } else { "Freeze" }, frozen, whole),
-            (Action::Still, "Still", false, true),
+            (Action::Next, text!("button-layout"), false, whole && self.plan.views.len() > 1),
+            (Action::Freeze, if frozen { text!("button-continue") } else { text!("button-freeze") }, frozen, whole),
+            (Action::Still, text!("button-still"), false, true),
             (
                 Action::Record,
-                if self.clip.is_some() { "End clip" } else { "Record" },
+                if self.clip.is_some() { text!("button-end-clip") } else { text!("button-record") },
                 self.clip.is_some(),
                 whole && is_here,
             ),
-            (Action::Measure, "Measure", self.measure.is_on(), whole && self.plan.cloud.is_some()),
-            (Action::Again, "Start again", true, over && is_here),
+            (Action::Measure, text!("button-measure"), self.measure.is_on(), whole && self.plan.cloud.is_some()),
+            (Action::Again, text!("button-again"), true, over && is_here),
         ];
         for (action, caption, on, there) in buttons {
             if !there {
                 continue;
             }
-            let width = if caption.len() > 8 { 132.0 } else { 108.0 };
+            let width = button_width(ui, caption);
             let rect = Rect::from_min_size(pos2(left, inner.top()), vec2(width, inner.height()));
             if button(ui, rect, caption, key_name(action), on) {
                 self.perform(action);
@@ -193,8 +200,8 @@ impl Theatre {
             fit = across(room.width());
             let pages = settings.len().div_ceil(fit);
             self.page %= pages;
-            let caption = format!("{} of {pages}", self.page + 1);
-            if button_named(ui, rect, "More settings", &caption, key_name(Action::More), false) {
+            let caption = text!("button-page", page = self.page + 1, pages = pages);
+            if button_named(ui, rect, text!("button-more"), &caption, key_name(Action::More), false) {
                 self.perform(Action::More);
             }
         } else {
@@ -214,7 +221,7 @@ impl Theatre {
 }
 
 /// Draws the mark of an unverified graph, which is visible as long as it runs. `right` is the middle of its right edge; returns its rectangle.
-fn unverified(ui: &mut Ui, right: Pos2, heading: &str, line: &str) -> Rect {
+fn unverified(ui: &mut Ui, right: Pos2, [heading, line, name]: [&str; 3]) -> Rect {
     let painter = ui.painter();
     let heading_text = painter.layout_no_wrap(heading.to_owned(), FontId::proportional(15.0), theme::warn());
     let line_text = painter.layout_no_wrap(line.to_owned(), FontId::proportional(13.0), theme::text());
@@ -227,9 +234,15 @@ fn unverified(ui: &mut Ui, right: Pos2, heading: &str, line: &str) -> Rect {
     painter.galley(at, heading_text, theme::warn());
     painter.galley(below, line_text, theme::text());
     let response = ui.interact(rect, ui.id().with("verified"), Sense::hover());
-    let caption = format!("{}: {line}", heading[..1].to_owned() + &heading[1..].to_lowercase());
-    response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, caption.clone()));
+    response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, name));
     rect
+}
+
+/// Width of a button with this caption: one of two, or what a longer caption needs.
+fn button_width(ui: &Ui, caption: &str) -> f32 {
+    let font = FontId::proportional(BUTTON_TEXT);
+    let needed = ui.painter().layout_no_wrap(caption.to_owned(), font, Color32::WHITE).size().x + 20.0;
+    [108.0, 132.0].into_iter().find(|width| *width >= needed).unwrap_or(needed.ceil())
 }
 
 /// Draws a large button with its key below its caption; returns whether it was clicked.
@@ -251,7 +264,7 @@ fn button_named(ui: &mut Ui, rect: Rect, name: &str, caption: &str, key: &str, o
     let painter = ui.painter();
     painter.rect(rect, 12.0, fill, Stroke::new(2.0, edge), StrokeKind::Inside);
     let c = rect.center();
-    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, caption, FontId::proportional(20.0), theme::text());
+    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, caption, FontId::proportional(BUTTON_TEXT), theme::text());
     painter.text(c + vec2(0.0, 17.0), Align2::CENTER_CENTER, key, FontId::proportional(13.0), theme::muted());
     response.clicked()
 }

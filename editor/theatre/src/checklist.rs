@@ -3,10 +3,11 @@
 use eframe::egui::text::{LayoutJob, TextWrapping};
 use eframe::egui::{Align2, FontId, Rect, Sense, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2, vec2};
 use panoscope_editor_model::observe::Counters;
+use panoscope_editor_texts::{bytes, decimal, text};
 use panoscope_editor_widgets::theme;
 
 use super::Theatre;
-use super::notices::{FULL_BYTES, Facts, LOW_BYTES, OLD_MS, format_bytes};
+use super::notices::{FULL_BYTES, Facts, LOW_BYTES, OLD_MS};
 use super::open::Verified;
 use super::pedal::Pedal;
 use super::plan::Plan;
@@ -29,9 +30,9 @@ pub enum State {
 impl State {
     fn word(self) -> &'static str {
         match self {
-            Self::Ready => "ready",
-            Self::Attention => "attention",
-            Self::Missing => "missing",
+            Self::Ready => text!("check-ready"),
+            Self::Attention => text!("check-attention"),
+            Self::Missing => text!("check-missing"),
         }
     }
 }
@@ -65,73 +66,77 @@ pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
     let mut all = Vec::new();
     let mut add = |name: &str, state, words: String| all.push(Check { name: name.to_owned(), state, words });
     for (camera, age) in known.plan.cameras.iter().zip(&known.camera_ages_ms) {
-        let lost = facts.lost.iter().any(|(label, _)| *label == camera.label);
+        let title = camera.title();
+        let lost = facts.lost.iter().any(|(known, _)| *known == title);
         let (state, words) = match age {
-            Some(_) if lost => (State::Missing, "no image any more".to_owned()),
-            Some(age) if *age > OLD_MS => (State::Attention, format!("image {:.1} s old", age / 1e3)),
-            Some(age) => (State::Ready, format!("image {age:.0} ms old")),
-            None => (State::Missing, "no image yet".to_owned()),
+            Some(_) if lost => (State::Missing, text!("check-image-lost").to_owned()),
+            Some(age) if *age > OLD_MS => (State::Attention, text!("check-image-old", seconds = decimal(age / 1e3, 1))),
+            Some(age) => (State::Ready, text!("check-image", ms = decimal(*age, 0))),
+            None => (State::Missing, text!("check-image-none").to_owned()),
         };
-        add(&camera.label, state, words);
+        add(&title, state, words);
     }
     if known.plan.cameras.is_empty() {
-        add("Cameras", State::Missing, "the graph has none".to_owned());
+        add(text!("check-cameras"), State::Missing, text!("check-cameras-none").to_owned());
     }
     if known.plan.cloud.is_some() {
         let (state, words) = match known.plan.rig {
-            _ if facts.swapped => (State::Missing, "left and right are swapped"),
-            _ if facts.drifted => (State::Attention, "does not fit any more; calibrate again"),
-            None => (State::Attention, "not in the graph: distances have no error bound"),
-            Some(_) if known.has_rig => (State::Ready, "fits the cameras"),
-            Some(_) => (State::Missing, "not received yet"),
+            _ if facts.swapped => (State::Missing, text!("check-calibration-swapped")),
+            _ if facts.drifted => (State::Attention, text!("check-calibration-drifted")),
+            None => (State::Attention, text!("check-calibration-none")),
+            Some(_) if known.has_rig => (State::Ready, text!("check-calibration-fits")),
+            Some(_) => (State::Missing, text!("check-calibration-waits")),
         };
-        add("Calibration", state, words.to_owned());
+        add(text!("check-calibration"), state, words.to_owned());
     }
     for stop in &known.plan.stops {
         let works = known.counters.nodes.get(&stop.node).is_some_and(|node| node.fps > 0.0);
         let (state, words) = match works {
-            _ if facts.emergency => (State::Attention, "stopped; hold the stop to release it"),
-            true => (State::Ready, "runs and can be stopped"),
-            false => (State::Missing, "does not run"),
+            _ if facts.emergency => (State::Attention, text!("check-arm-stopped")),
+            true => (State::Ready, text!("check-arm-ready")),
+            false => (State::Missing, text!("check-arm-missing")),
         };
-        add(&format!("Arm {}", stop.node), state, words.to_owned());
+        add(&text!("check-arm", node = &stop.node), state, words.to_owned());
     }
     let (state, words) = match facts.free_bytes {
-        Some(free) if free < FULL_BYTES => (State::Missing, format!("full: {} free", format_bytes(free))),
-        Some(free) if free < LOW_BYTES => (State::Attention, format!("nearly full: {} free", format_bytes(free))),
-        Some(free) => (State::Ready, format!("{} free", format_bytes(free))),
-        None => (State::Attention, "its free space is not known".to_owned()),
+        Some(free) if free < FULL_BYTES => (State::Missing, text!("check-disk-full", size = bytes(free))),
+        Some(free) if free < LOW_BYTES => (State::Attention, text!("check-disk-low", size = bytes(free))),
+        Some(free) => (State::Ready, text!("check-disk-ready", size = bytes(free))),
+        None => (State::Attention, text!("check-disk-unknown").to_owned()),
     };
-    add("Disk", state, words);
+    add(text!("check-disk"), state, words);
     let (state, words) = match known.verified {
-        Verified::Signed(by) => (State::Ready, format!("as locked, signed by {by}")),
-        Verified::AsLocked => (State::Ready, "as locked".to_owned()),
-        Verified::Never => (State::Attention, "this graph was never locked".to_owned()),
-        Verified::Differs(how) => (State::Attention, format!("differs: {how}")),
+        Verified::Signed(by) => (State::Ready, text!("check-lock-signed", key = by)),
+        Verified::AsLocked => (State::Ready, text!("check-lock-ready").to_owned()),
+        Verified::Never => (State::Attention, text!("check-lock-never").to_owned()),
+        Verified::Differs(how) => (State::Attention, text!("check-lock-differs", difference = how)),
     };
-    add("Lock", state, words);
+    add(text!("check-lock"), state, words);
     if !known.plan.listening.is_empty() {
         let state = if known.plan.is_public() { State::Attention } else { State::Ready };
-        let all: Vec<&str> = known.plan.listening.iter().map(|one| one.what.as_str()).collect();
-        let who = if known.plan.is_public() { "other machines reach it" } else { "this machine only" };
-        add("Network", state, format!("{who}: {}", all.join(", ")));
+        let all: Vec<String> = known.plan.listening.iter().map(|one| one.what.to_string()).collect();
+        let words = match known.plan.is_public() {
+            true => text!("check-network-public", nodes = all.join(", ")),
+            false => text!("check-network-local", nodes = all.join(", ")),
+        };
+        add(text!("check-network"), state, words);
     }
     if let Some(machine) = &facts.machine {
         let (state, words) = match &machine.lost {
-            Some(why) => (State::Missing, format!("not reached: {why}")),
+            Some(why) => (State::Missing, text!("check-machine-lost", reason = why)),
             None => (State::Ready, machine.clock_words()),
         };
-        add(&format!("Machine {}", machine.name), state, words);
+        add(&text!("check-machine", machine = &machine.name), state, words);
     }
     if known.pedal.file.is_some() {
         let (state, words) = match &known.pedal.problem {
             Some(problem) => (State::Attention, problem.clone()),
-            None => (State::Ready, format!("{} keys", known.pedal.keys.len())),
+            None => (State::Ready, text!("check-pedal-keys", count = known.pedal.keys.len())),
         };
-        add("Pedal", state, words);
+        add(text!("check-pedal"), state, words);
     }
     if let Some(problem) = &facts.audit_problem {
-        add("Audit log", State::Attention, format!("not written: {problem}"));
+        add(text!("check-audit"), State::Attention, text!("check-audit-problem", reason = problem));
     }
     all
 }
@@ -170,9 +175,8 @@ impl Theatre {
         let inner = room.shrink(20.0);
         let left = self.checks.iter().filter(|check| check.state != State::Ready).count();
         let heading = match left {
-            0 => "Ready for use".to_owned(),
-            1 => "1 point is not ready".to_owned(),
-            left => format!("{left} points are not ready"),
+            0 => text!("checklist-ready").to_owned(),
+            left => text!("checklist-left", count = left),
         };
         let color = if left == 0 { theme::live() } else { theme::warn() };
         painter.text(inner.left_top(), Align2::LEFT_TOP, &heading, FontId::proportional(24.0), color);
@@ -182,12 +186,14 @@ impl Theatre {
             ui.id().with("checks"),
             Sense::hover(),
         );
-        title.widget_info(|| label(&format!("Checklist: {heading}")));
+        title.widget_info(|| label(&text!("checklist-name", heading = &heading)));
         let mut y = inner.top() + 48.0;
         for (n, check) in self.checks.iter().enumerate() {
             let row = Rect::from_min_size(pos2(inner.left(), y), vec2(inner.width(), ROW));
             let response = ui.interact(row, ui.id().with(("check", n)), Sense::hover());
-            response.widget_info(|| label(&format!("Check {}: {}, {}", check.name, check.state.word(), check.words)));
+            response.widget_info(|| {
+                label(&text!("check-name", check = &check.name, state = check.state.word(), found = &check.words))
+            });
             // Shapes differ, so that the state does not depend on colour.
             let (at, color) = (
                 row.left_top() + vec2(10.0, 14.0),
@@ -221,6 +227,7 @@ impl Theatre {
 #[cfg(test)]
 mod tests {
     use panoscope_editor_model::observe::Output;
+    use panoscope_editor_texts::phrase;
     use panoscope_engine::NodeWindow;
 
     use super::*;
@@ -231,7 +238,8 @@ mod tests {
         let camera = |label: &str| Pane {
             output: Output::new("scope", label),
             packet: "image".to_owned(),
-            label: label.to_owned(),
+            label: format!("{label} camera"),
+            camera: Some(label.to_owned()),
         };
         let mut plan = Plan::default();
         plan.cameras = vec![camera("Left"), camera("Right")];
@@ -266,12 +274,18 @@ mod tests {
             };
             checks(&facts, &known).into_iter().find(|check| check.name == "Network")
         };
-        let one = |what: &str, is_public| Listens { what: what.to_owned(), is_public };
+        let one = |node: &str, is_public| {
+            let what = phrase!("listens-node", node = node, address = "127.0.0.1:8554");
+            Listens { what, is_public }
+        };
         assert_eq!(check(Vec::new()), None);
-        let local = check(vec![one("stream at 127.0.0.1:8554", false)]).expect("a line");
+        let local = check(vec![one("stream", false)]).expect("a line");
         assert_eq!((local.state, local.words.as_str()), (State::Ready, "this machine only: stream at 127.0.0.1:8554"));
         let both = check(vec![one("a", false), one("b", true)]).expect("a line");
-        assert_eq!((both.state, both.words.as_str()), (State::Attention, "other machines reach it: a, b"));
+        assert_eq!(
+            (both.state, both.words.as_str()),
+            (State::Attention, "other machines reach it: a at 127.0.0.1:8554, b at 127.0.0.1:8554")
+        );
     }
 
     #[test]
@@ -291,7 +305,7 @@ mod tests {
             states(&good, ages, false, 0.0, &Verified::Never),
             [Ready, Ready, Missing, Missing, Ready, Attention]
         );
-        let lost = Facts { lost: vec![("Left".to_owned(), None)], swapped: true, ..Facts::default() };
+        let lost = Facts { lost: vec![("Left camera".to_owned(), None)], swapped: true, ..Facts::default() };
         assert_eq!(states(&lost, ages, true, 30.0, &locked), [Missing, Ready, Missing, Ready, Attention, Ready]);
     }
 }

@@ -43,6 +43,7 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
 use panoscope_audit::Event;
+use panoscope_editor_texts::{language, set_language, text};
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{GraphOptions, ParamValue};
 
@@ -326,17 +327,17 @@ impl Theatre {
     /// Why not, in words: a clip is recorded, the arm is stopped, the graph was locked meanwhile, or it is being restarted; nothing is changed.
     pub(crate) fn exchange(&mut self, opened: Opened, take: impl FnOnce(&dyn Runner)) -> Result<(), &'static str> {
         if self.emergency {
-            return Err("the arm is stopped: release it first");
+            return Err(text!("exchange-arm"));
         }
         if self.clip.is_some() {
-            return Err("a clip is being recorded: end it first");
+            return Err(text!("exchange-clip"));
         }
         if self.runner.outage().is_some() {
-            return Err("the image processing is being restarted: try again in a moment");
+            return Err(text!("exchange-restarting"));
         }
         if opened.sealed && !self.sealed {
             // What runs was loaded without being compared.
-            return Err("the graph was locked meanwhile: close the theatre and open it again");
+            return Err(text!("exchange-locked"));
         }
         self.audit.opened(&self.path, &opened);
         self.sealed = opened.sealed;
@@ -471,20 +472,20 @@ impl Theatre {
                 self.layout = if self.layout == Layout::One(n) { Layout::All } else { Layout::One(n) };
             }
             Action::One(_) => {}
-            Action::Freeze if self.shows_raw() => self.notify("the camera's own image is never frozen", false),
+            Action::Freeze if self.shows_raw() => self.notify(text!("view-never-frozen"), false),
             Action::Freeze if self.frozen.is_none() && !self.has_picture() => {
-                self.notify("there is no image yet", true)
+                self.notify(text!("view-no-image-yet"), true)
             }
             Action::Freeze => {
                 self.frozen = if self.frozen.is_some() { None } else { Some(Instant::now()) };
                 self.measure = Measure::default();
             }
             Action::Still => self.still(),
-            Action::Record | Action::Again if self.machine.is_some() => self.notify(attached::ELSEWHERE, true),
+            Action::Record | Action::Again if self.machine.is_some() => self.notify(text!("attached-elsewhere"), true),
             Action::Record => self.record(),
             Action::Measure => self.toggle_measuring(),
             // Stopped already: holding releases the arm.
-            Action::Stop if self.machine.is_some() => self.notify(attached::ELSEWHERE, true),
+            Action::Stop if self.machine.is_some() => self.notify(text!("attached-elsewhere"), true),
             Action::Stop if self.emergency => self.releasing = Some(Instant::now()),
             Action::Stop => self.emergency_stop(true),
             Action::Again => self.again(),
@@ -493,6 +494,10 @@ impl Theatre {
             Action::ZoomIn | Action::ZoomOut => self.zoom_by(action == Action::ZoomIn),
             Action::Inset => self.inset ^= true,
             Action::ThreeD => self.next_three_d(),
+            Action::Language => {
+                set_language(language().next());
+                self.notify(text!("language-is"), false);
+            }
         }
         if matches!(action, Action::Next | Action::Previous | Action::One(_)) {
             self.zoom = Zoom::default();
@@ -514,7 +519,7 @@ impl Theatre {
             self.measure = Measure::default();
             self.frozen = None;
         } else if self.plan.cloud.is_none() || self.shows_raw() {
-            self.notify("this graph has no point cloud to measure in", true);
+            self.notify(text!("measure-none"), true);
         } else {
             self.frozen = None;
             self.measure = Measure::begin();

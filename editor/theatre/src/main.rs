@@ -64,7 +64,11 @@ fn main() {
             let own: Vec<OsString> = words.drain(1..words.len().min(3)).collect();
             work(&own, &window::parse_words(words))
         }
-        false => run(&window::parse()),
+        false => {
+            let arguments: Arguments = window::parse();
+            arguments.window.apply_language();
+            run(&arguments)
+        }
     };
     window::leave(code)
 }

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use eframe::egui::{Context, InputState};
+use panoscope_editor_texts::{decimal, text};
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw;
 use panoscope_imaging::stereo::SurfacePoint;
@@ -35,9 +36,25 @@ pub struct Length {
     pub error_mm: f64,
 }
 
+impl Length {
+    /// The length and its error in the language of the window.
+    pub fn words(&self) -> String {
+        text!("measure-length", length = decimal(self.mm, 1), error = decimal(self.error_mm.max(LEAST_ERROR_MM), 1))
+    }
+
+    /// As [`Self::words`], of a depth.
+    pub fn depth_words(&self) -> String {
+        text!("measure-depth", length = decimal(self.mm, 1), error = decimal(self.error_mm.max(LEAST_ERROR_MM), 1))
+    }
+}
+
+/// The smallest error that is shown, mm.
+const LEAST_ERROR_MM: f64 = 0.1;
+
+/// As files have it, in every language.
 impl std::fmt::Display for Length {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{:.1} ± {:.1} mm", self.mm, self.error_mm.max(0.1))
+        write!(f, "{:.1} ± {:.1} mm", self.mm, self.error_mm.max(LEAST_ERROR_MM))
     }
 }
 
@@ -162,12 +179,12 @@ impl Measure {
     /// What the user should do next.
     pub fn hint(&self) -> &'static str {
         match self.points() {
-            _ if self.is_waiting => "Waiting for an image with depth",
-            [.., Tapped { position: None, .. }] => "No depth at this point: tap beside it",
-            [_, ..] if self.rig.is_none() => "No distance: without a calibration its error is not known",
-            [] => "Tap the first point",
-            [_] => "Tap the second point",
-            _ => "Tap to measure again",
+            _ if self.is_waiting => text!("measure-waiting"),
+            [.., Tapped { position: None, .. }] => text!("measure-no-depth"),
+            [_, ..] if self.rig.is_none() => text!("measure-no-error"),
+            [] => text!("measure-first"),
+            [_] => text!("measure-second"),
+            _ => text!("measure-again"),
         }
     }
 

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use panoscope_editor_model::disk::is_full;
+use panoscope_editor_texts::{bytes, decimal, text};
 use panoscope_engine::fault::{Action, Cause, Fault};
 
 use panoscope_editor_model::observe::Counters;
@@ -59,7 +60,7 @@ pub struct Facts {
     pub emergency: bool,
     /// Cameras without a new image, with the time since the last one; `None` when there never was one.
     pub lost: Vec<(String, Option<Duration>)>,
-    /// Views that have stopped although their camera works.
+    /// Views that have stopped although their camera works. Their labels, which are as the graph names them.
     pub stopped: Vec<String>,
     /// Age of the main image, ms.
     pub age_ms: Option<f64>,
@@ -110,48 +111,44 @@ impl Facts {
 
     /// What to show in place of the image of `node`, which has not arrived yet.
     pub fn no_picture(&self, node: &str, stopped: bool) -> NoPicture {
-        const AGAIN: &str = "Correct this, then press Enter to start again. For a camera: check its cable and power, and close other programs that use it.";
-        const RETRIES: &str = "It is retried automatically. For a camera: check its cable and power, and close other programs that use it.";
         let fault = self.source_faults.get(node).filter(|message| !message.is_empty());
         match (&self.why_dark, fault) {
-            (Some(why), _) => NoPicture::Because { why: why.clone(), remedy: AGAIN },
-            (None, Some(why)) => NoPicture::Because { why: why.clone(), remedy: RETRIES },
-            (None, None) => NoPicture::Plain(if stopped { "no image" } else { "starting" }),
+            (Some(why), _) => NoPicture::Because { why: why.clone(), remedy: text!("no-image-again") },
+            (None, Some(why)) => NoPicture::Because { why: why.clone(), remedy: text!("no-image-retried") },
+            (None, None) => {
+                NoPicture::Plain(if stopped { text!("no-image-plain") } else { text!("no-image-starting") })
+            }
         }
     }
-}
-
-/// Formats a number of bytes in MB or GB.
-pub fn format_bytes(bytes: u64) -> String {
-    let mb = bytes as f64 / 1e6;
-    if mb >= 1000.0 { format!("{:.1} GB", mb / 1000.0) } else { format!("{mb:.0} MB") }
 }
 
 /// All notices for these facts, the most urgent first.
 pub fn notices(facts: &Facts) -> Vec<Notice> {
     let mut all = Vec::new();
     let mut notify = |kind: Alarm, message: String| {
-        all.push(Notice { urgency: kind.urgency, message, action: kind.action });
+        all.push(Notice { urgency: kind.urgency, message, action: kind.action() });
     };
     if facts.emergency {
-        notify(alarms::EMERGENCY, alarms::EMERGENCY.text.to_owned());
+        notify(alarms::EMERGENCY, text!("alarm-emergency").to_owned());
     }
     if let Some(why) = &facts.why_dark {
-        notify(alarms::NO_IMAGE, format!("No image: {why}"));
+        notify(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
     } else if let Some(outage) = &facts.outage {
         notify(alarms::RESTARTING, outage.message());
     } else if let Some(why) = &facts.raw_only {
-        notify(alarms::CAMERA_ONLY, format!("Camera image only: {why}"));
+        notify(alarms::CAMERA_ONLY, text!("alarm-camera-only", reason = why));
     } else if let Phase::Failed(why) = &facts.phase {
-        notify(alarms::STOPPED, format!("The system stopped: {why}"));
+        notify(alarms::STOPPED, text!("alarm-stopped", reason = why));
     }
     if facts.phase == Phase::Ended {
-        notify(alarms::ENDED, alarms::ENDED.text.to_owned());
+        notify(alarms::ENDED, text!("alarm-ended").to_owned());
     }
     if let Some(machine) = &facts.machine {
         match &machine.lost {
-            Some(why) => notify(alarms::MACHINE_LOST, format!("{} is not reached: {why}", machine.name)),
-            None => notify(alarms::ATTACHED, format!("Attached to {}: no emergency stop from here", machine.name)),
+            Some(why) => {
+                notify(alarms::MACHINE_LOST, text!("alarm-machine-lost", machine = &machine.name, reason = why))
+            }
+            None => notify(alarms::ATTACHED, text!("alarm-attached", machine = &machine.name)),
         }
     }
     // Without the machine nothing is known of its cameras and views.
@@ -160,47 +157,47 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
         notify(
             alarms::CAMERA_LOST,
             match since {
-                Some(since) => format!("{camera} lost: no image for {} s", since.as_secs().max(1)),
-                None => format!("{camera} delivers no image"),
+                Some(since) => text!("alarm-camera-lost", camera = camera, seconds = since.as_secs().max(1)),
+                None => text!("notice-camera-silent", camera = camera),
             },
         );
     }
     for view in facts.stopped.iter().filter(|_| is_reached) {
-        notify(alarms::VIEW_STOPPED, format!("{view} has stopped"));
+        notify(alarms::VIEW_STOPPED, text!("alarm-view-stopped", view = view));
     }
     for message in &facts.stages {
         notify(alarms::STAGE, message.clone());
     }
     if let Some(problem) = facts.problem.as_ref().filter(|_| facts.why_dark.is_none()) {
-        notify(alarms::NOT_CHANGED, problem.clone());
+        notify(alarms::NOT_CHANGED, text!("alarm-not-changed", reason = problem));
     }
     if let Some(age) = facts.age_ms.filter(|age| *age > OLD_MS && facts.stopped.is_empty()) {
-        notify(alarms::OLD_IMAGE, format!("Image is {:.1} s old", age / 1e3));
+        notify(alarms::OLD_IMAGE, text!("alarm-image-old", seconds = decimal(age / 1e3, 1)));
     }
     match facts.free_bytes {
-        Some(free) if free < FULL_BYTES => notify(alarms::DISK_FULL, alarms::DISK_FULL.text.to_owned()),
+        Some(free) if free < FULL_BYTES => notify(alarms::DISK_FULL, text!("alarm-disk-full").to_owned()),
         Some(free) if free < LOW_BYTES && facts.recording => {
-            notify(alarms::DISK_LOW, format!("The disk is nearly full: {} free", format_bytes(free)));
+            notify(alarms::DISK_LOW, text!("alarm-disk-low", size = bytes(free)));
         }
         _ => {}
     }
     if let Some(problem) = &facts.audit_problem {
-        notify(alarms::AUDIT, format!("The audit log is not written: {problem}"));
+        notify(alarms::AUDIT, text!("alarm-audit", reason = problem));
     }
     if let Some(problem) = &facts.pedal_problem {
-        notify(alarms::PEDAL, format!("The pedal's settings are not used: {problem}"));
+        notify(alarms::PEDAL, text!("alarm-pedal", reason = problem));
     }
     if facts.drifted {
-        notify(alarms::DRIFTED, alarms::DRIFTED.text.to_owned());
+        notify(alarms::DRIFTED, text!("alarm-drifted").to_owned());
     }
     if facts.swapped {
-        notify(alarms::SWAPPED, alarms::SWAPPED.text.to_owned());
+        notify(alarms::SWAPPED, text!("alarm-swapped").to_owned());
     }
     if let Some(difference) = &facts.unlocked {
-        notify(alarms::UNLOCKED, format!("Runs although it differs from its lock: {difference}"));
+        notify(alarms::UNLOCKED, text!("alarm-unlocked", difference = difference));
     }
     if !facts.public.is_empty() {
-        notify(alarms::PUBLIC, format!("Other machines can reach this one: {}", facts.public.join(", ")));
+        notify(alarms::PUBLIC, text!("alarm-public", nodes = facts.public.join(", ")));
     }
     all.sort_by_key(|n| std::cmp::Reverse(n.urgency));
     all
@@ -217,19 +214,16 @@ pub struct Stages {
 /// The message about a fault for the surgeon; `None` when it does not affect the images.
 fn fault_message(node: &str, fault: &Fault) -> Option<String> {
     if is_full(&fault.words) {
-        return Some(format!("The disk is full: `{node}` cannot write"));
+        return Some(text!("notice-stage-disk-full", stage = node));
     }
-    let what = match fault.cause {
-        Cause::Hang => "does not respond",
-        Cause::Open => "cannot start again",
-        Cause::Exhausted => "has no memory left",
+    Some(match fault.cause {
         Cause::Slow | Cause::Leak | Cause::Size if fault.done == Action::Note => return None,
-        Cause::Recording => return Some(format!("Recording has gaps: {}", fault.words)),
-        _ => "has a fault",
-    };
-    Some(match fault.done {
-        Action::Bypass => format!("Stage `{node}` is bypassed after a fault"),
-        _ => format!("Stage `{node}` {what}"),
+        Cause::Recording => text!("notice-recording-gaps", reason = &fault.words),
+        _ if fault.done == Action::Bypass => text!("notice-stage-bypassed", stage = node),
+        Cause::Hang => text!("notice-stage-silent", stage = node),
+        Cause::Open => text!("notice-stage-closed", stage = node),
+        Cause::Exhausted => text!("notice-stage-exhausted", stage = node),
+        _ => text!("alarm-stage", stage = node),
     })
 }
 
@@ -251,7 +245,7 @@ impl Stages {
         nodes.dedup();
         let message = |id: &String| match counters.faults.get(id) {
             Some(fault) => fault_message(id, fault),
-            None => Some(format!("Stage `{id}` has a fault")),
+            None => Some(text!("alarm-stage", stage = id)),
         };
         nodes.iter().filter_map(message).collect()
     }

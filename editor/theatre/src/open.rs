@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use panoscope_audit::LockFacts;
+use panoscope_editor_texts::{Phrase, phrase, text};
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, check};
 use panoscope_loader::keys::Trust;
 use panoscope_loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError, lock_path};
@@ -101,8 +102,8 @@ pub enum OpenError {
         problem: String,
     },
     /// The process that runs the graph ended before the graph was opened.
-    #[error("the process that runs the graph {0}")]
-    Worker(String),
+    #[error("the process that runs the graph {}", .0.english())]
+    Worker(Phrase),
 }
 
 /// Whether the running graph was verified.
@@ -119,12 +120,12 @@ pub enum Verified {
 }
 
 impl Verified {
-    /// The mark that is shown as long as an unverified graph runs: heading and line. `None` when the graph is as locked.
-    pub fn mark(&self) -> Option<(&'static str, &'static str)> {
+    /// The mark that is shown as long as an unverified graph runs: heading, line, and both for a screen reader. `None` when the graph is as locked.
+    pub fn mark(&self) -> Option<[&'static str; 3]> {
         match self {
             Self::AsLocked | Self::Signed(_) => None,
-            Self::Never => Some(("NOT LOCKED", "this graph was not verified")),
-            Self::Differs(_) => Some(("UNLOCKED", "changed since it was verified")),
+            Self::Never => Some([text!("mark-never"), text!("mark-never.line"), text!("mark-never.name")]),
+            Self::Differs(_) => Some([text!("mark-differs"), text!("mark-differs.line"), text!("mark-differs.name")]),
         }
     }
 }
@@ -227,7 +228,7 @@ impl Ready {
         let Checked { graph, catalog, loader, seal, lock } = checked;
         let mut plan = Plan::of(&graph, &catalog);
         if let Some(address) = options.web {
-            let what = format!("web page at {}", address.socket());
+            let what = phrase!("listens-page", address = address.socket().to_string());
             plan.listening.push(Listens { what, is_public: address.is_public() });
         }
         if plan.views.is_empty() {

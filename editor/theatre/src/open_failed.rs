@@ -5,6 +5,7 @@ use std::path::Path;
 use eframe::egui::{self, Align, Button, Context, Frame, Key, Layout, Margin, RichText, ScrollArea, Ui, vec2};
 
 use super::{EDGE, OpenError, Refusal};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::Shot;
 use panoscope_editor_widgets::theme;
 
@@ -44,13 +45,13 @@ impl OpenFailed {
         let room = egui::Rect::from_center_size(whole.center(), vec2(width, whole.height() - 4.0 * EDGE));
         let mut close = ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, Key::Escape));
         ui.scope_builder(egui::UiBuilder::new().max_rect(room).layout(Layout::top_down(Align::Min)), |ui| {
-            let text = |message: &str, size: f32, color| {
+            let label = |message: &str, size: f32, color| {
                 egui::Label::new(RichText::new(message).size(size).color(color)).wrap()
             };
             ui.spacing_mut().item_spacing.y = 10.0;
             ui.add_space(room.height() * 0.12);
-            ui.add(text("The theatre could not be opened", 18.0, theme::muted()));
-            ui.add(text(&self.refusal.heading, 34.0, theme::fault()));
+            ui.add(label(text!("refused-title"), 18.0, theme::muted()));
+            ui.add(label(&self.refusal.heading.to_string(), 34.0, theme::fault()));
             ui.add_space(14.0);
             let most = (ui.available_height() - 340.0).max(120.0);
             let frame = Frame::new().fill(theme::panel()).corner_radius(8.0).inner_margin(Margin::same(18));
@@ -66,9 +67,9 @@ impl OpenFailed {
                 });
             });
             ui.add_space(14.0);
-            ui.add(text("What to do", 18.0, theme::muted()));
+            ui.add(label(text!("refused-to-do"), 18.0, theme::muted()));
             for (remedy, command) in &self.refusal.remedies {
-                ui.add(text(remedy, 17.0, theme::text()));
+                ui.add(label(&remedy.to_string(), 17.0, theme::text()));
                 if let Some(command) = command {
                     let message = RichText::new(command).monospace().size(16.0).color(theme::accent());
                     ui.add(egui::Label::new(message).wrap());
@@ -76,7 +77,7 @@ impl OpenFailed {
                 }
             }
             ui.add_space(20.0);
-            let button = Button::new(RichText::new("Close (Esc)").size(18.0)).corner_radius(12.0);
+            let button = Button::new(RichText::new(text!("refused-close")).size(18.0)).corner_radius(12.0);
             close |= ui.add_sized(vec2(180.0, 52.0), button).clicked();
         });
         if close && !self.closing {

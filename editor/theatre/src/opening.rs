@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use eframe::egui::{self, Context, Frame, Key, Margin, Modifiers, Panel, RichText, Ui, vec2};
 use panoscope_editor_model::arguments::{self, Form};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::arguments_form::{self, FormRequest, FormStyle};
 use panoscope_editor_widgets::theme;
 use panoscope_graph::{GraphOptions, GraphText};
@@ -185,7 +186,7 @@ impl Opening {
         if !form.is_empty() {
             self.form = Some(form);
         } else if let Stage::Running(theatre) = &mut self.stage {
-            theatre.notify("the graph has no arguments", false);
+            theatre.notify(text!("arguments-none"), false);
         }
     }
 
@@ -234,7 +235,7 @@ impl Opening {
                 let room = egui::Rect::from_center_size(whole.center(), size);
                 let layout = egui::Layout::top_down(egui::Align::Min);
                 ui.scope_builder(egui::UiBuilder::new().max_rect(room).layout(layout), |ui| {
-                    request = Self::show_form(ui, &self.path, self.form.as_mut(), "Start", size.y);
+                    request = Self::show_form(ui, &self.path, self.form.as_mut(), text!("arguments-start"), size.y);
                 });
                 self.options.shot.take(&ctx);
             }
@@ -246,7 +247,7 @@ impl Opening {
                     let (path, form) = (&self.path, &mut self.form);
                     panel.show(ui, |ui| {
                         let height = ui.available_height();
-                        request = Self::show_form(ui, path, form.as_mut(), "Apply", height);
+                        request = Self::show_form(ui, path, form.as_mut(), text!("arguments-apply"), height);
                     });
                 }
                 let whole = ui.available_rect_before_wrap();
@@ -268,11 +269,8 @@ impl Opening {
     fn show_form(ui: &mut Ui, path: &Path, form: Option<&mut Form>, apply: &str, height: f32) -> Option<FormRequest> {
         let form = form?;
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        ui.label(RichText::new(format!("Arguments of {name}")).size(26.0));
-        ui.add(
-            egui::Label::new(RichText::new("Files can be dropped on the window.").size(15.0).color(theme::muted()))
-                .wrap(),
-        );
+        ui.label(RichText::new(text!("arguments-heading", file = name)).size(26.0));
+        ui.add(egui::Label::new(RichText::new(text!("arguments-drop")).size(15.0).color(theme::muted())).wrap());
         ui.add_space(3.0 * theme::STEP);
         let style = FormStyle { apply, browse: false, size: 17.0, height: (height - 220.0).max(160.0) };
         let request = arguments_form::show(ui, form, style);
@@ -339,7 +337,7 @@ impl Opening {
             && let Err(error) = arguments::remember(folder, &self.path, &given)
             && let Stage::Running(theatre) = &mut self.stage
         {
-            theatre.notify(format!("the values were not remembered: {error}"), true);
+            theatre.notify(text!("arguments-not-kept", reason = error.to_string()), true);
         }
         self.given = given;
         self.form = None;

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use panoscope_audit::{ClipState, Event};
+use panoscope_editor_texts::{Phrase, text};
 
 use super::previews::FIRST;
 use super::runner::OutageStage;
@@ -21,7 +22,7 @@ pub(super) struct Resuming {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OutageFacts {
     /// What happened: continues a sentence about the image processing.
-    pub why: String,
+    pub why: Phrase,
     /// How far the recovery is.
     pub stage: OutageStage,
     /// Time since the last image of the camera; `None` when there never was one.
@@ -31,22 +32,17 @@ pub struct OutageFacts {
 impl OutageFacts {
     /// The notice, one sentence.
     pub fn message(&self) -> String {
-        let why = format!("the image processing {}", self.why);
+        let event = &self.why;
         match self.stage {
-            OutageStage::Dark => {
-                let seconds = self.without_image.map_or(0, |time| time.as_secs());
-                let time = if seconds > 0 { format!(" for {seconds} s") } else { String::new() };
-                format!("No image{time}, restarting: {why}")
-            }
+            OutageStage::Dark => match self.without_image.map_or(0, |time| time.as_secs()) {
+                0 => text!("alarm-restarting", event = event),
+                seconds => text!("notice-restarting-long", seconds = seconds, event = event),
+            },
             OutageStage::Cameras(Some(after)) => {
-                format!("Camera image only, all views in {} s: {why}", after.as_secs() + 1)
+                text!("notice-cameras-until", seconds = after.as_secs() + 1, event = event)
             }
-            OutageStage::Cameras(None) => {
-                format!("Camera image only, press Enter for all views: {why} again and again")
-            }
-            OutageStage::Starting | OutageStage::Running => {
-                format!("Camera image only, all views are starting: {why}")
-            }
+            OutageStage::Cameras(None) => text!("notice-cameras-on-request", event = event),
+            OutageStage::Starting | OutageStage::Running => text!("notice-cameras-starting", event = event),
         }
     }
 }
@@ -58,15 +54,11 @@ impl Theatre {
         if outage.number != self.resuming.number {
             self.resuming = Resuming { number: outage.number, since: None };
             // What follows a colon may name files.
-            let cause = outage.why.split(": ").next().unwrap_or_default().to_owned();
+            let cause = outage.why.english().split(": ").next().unwrap_or_default().to_owned();
             self.audit.log(Event::ProcessEnded { cause });
             if let Some(clip) = self.take_clip(ClipState::Failed) {
                 let name = clip.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                let message = format!(
-                    "{name} ended early: the image processing {}; the part recorded so far is saved",
-                    outage.why
-                );
-                self.notify(message, true);
+                self.notify(text!("clip-process-ended", file = name, event = &outage.why), true);
             }
             // No view of before may be taken for a present one.
             (self.shown, self.frozen, self.measure) = (OutputCache::default(), None, Measure::default());
@@ -103,19 +95,21 @@ impl Theatre {
     pub(super) fn see_refused_stops(&mut self) {
         let failed = self.runner.take_refusals();
         if !failed.is_empty() && self.raw_only.is_none() {
-            self.notify(format!("{} did not accept the stop: switch the arm off", failed.join(", ")), true);
+            self.notify(text!("arm-refused", nodes = failed.join(", ")), true);
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use panoscope_editor_texts::phrase;
+
     use super::*;
 
     #[test]
     fn the_notice_says_what_happened_and_what_comes() {
         let facts = |stage, ms| OutageFacts {
-            why: "crashed in node `wide` (SIGSEGV)".to_owned(),
+            why: phrase!("worker-crashed-in", node = "wide", signal = "SIGSEGV"),
             stage,
             without_image: Some(Duration::from_millis(ms)),
         };

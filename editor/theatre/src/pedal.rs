@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 use eframe::egui::{Key, Modifiers};
 use panoscope_editor_model::disk;
+use panoscope_editor_model::pedal::{self, Binding, PedalError};
 
 use super::Action;
 
@@ -34,6 +35,7 @@ pub const NAMES: &[(&str, Action)] = &[
     ("zoom_out", Action::ZoomOut),
     ("inset", Action::Inset),
     ("three_d", Action::ThreeD),
+    ("language", Action::Language),
     ("view1", Action::One(0)),
     ("view2", Action::One(1)),
     ("view3", Action::One(2)),
@@ -90,59 +92,21 @@ impl Pedal {
 
 fn read(file: &Path) -> Result<Vec<PedalKey>, String> {
     let text = disk::read_text(file, MAX_BYTES).map_err(|error| error.to_string())?;
-    parse(&text.ok_or("it has more than 64 KiB")?)
+    parse(&text.ok_or("it has more than 64 KiB")?).map_err(|error| error.to_string())
 }
 
 /// Reads the text of a settings file.
 ///
 /// # Errors
 /// The first mistake, in words that name the key.
-pub fn parse(text: &str) -> Result<Vec<PedalKey>, String> {
-    let mut table: toml::Table = text.parse().map_err(|error: toml::de::Error| error.to_string().trim().to_owned())?;
-    let keys = table.remove("keys").ok_or("there is no table `[keys]`")?;
-    if let Some(other) = table.keys().next() {
-        return Err(format!("`{other}` is not known; only `[keys]` is"));
-    }
-    let keys = keys.as_table().ok_or("`keys` is no table")?.clone();
-    if keys.is_empty() {
-        return Err("`[keys]` is empty".to_owned());
-    }
-    let mut found: Vec<PedalKey> = Vec::new();
-    for (name, value) in &keys {
-        let (modifiers, key) = key_of(name)?;
-        let action = value.as_str().ok_or_else(|| format!("`{name}`: the name of an action in quotes is expected"))?;
-        let known = NAMES.iter().find(|(known, _)| *known == action);
-        let (_, action) = known.ok_or_else(|| {
-            let names: Vec<&str> = NAMES.iter().map(|(name, _)| *name).collect();
-            format!("`{name}`: there is no action `{action}`; there are {}", names.join(", "))
-        })?;
-        if found.iter().any(|(m, k, _)| (*m, *k) == (modifiers, key)) {
-            return Err(format!("the key `{name}` is given twice"));
-        }
-        found.push((modifiers, key, *action));
-    }
-    Ok(found)
-}
-
-/// A key such as `F13` or `Ctrl+Shift+B`.
-fn key_of(name: &str) -> Result<(Modifiers, Key), String> {
-    let mut modifiers = Modifiers::NONE;
-    let mut parts: Vec<&str> = name.split('+').map(str::trim).collect();
-    let last = parts.pop().unwrap_or_default();
-    for part in parts {
-        modifiers = modifiers.plus(match part.to_ascii_lowercase().as_str() {
-            "ctrl" => Modifiers::COMMAND,
-            "shift" => Modifiers::SHIFT,
-            "alt" => Modifiers::ALT,
-            _ => return Err(format!("`{name}`: `{part}` is none of Ctrl, Shift, Alt")),
-        });
-    }
-    let key = Key::from_name(last)
-        .ok_or_else(|| format!("`{name}`: there is no key `{last}`; keys are named F13, B, 7, PageDown, Space"))?;
-    if key == Key::Escape {
-        return Err(format!("`{name}`: Escape leaves the theatre and has no other use"));
-    }
-    Ok((modifiers, key))
+pub fn parse(text: &str) -> Result<Vec<PedalKey>, PedalError> {
+    let found = pedal::parse(text, Key::from_name, NAMES)?;
+    let key = |Binding { ctrl, shift, alt, key, action }: Binding<Key, Action>| {
+        let held = [(ctrl, Modifiers::COMMAND), (shift, Modifiers::SHIFT), (alt, Modifiers::ALT)];
+        let held = held.into_iter().filter(|(is_held, _)| *is_held);
+        (held.fold(Modifiers::NONE, |all, (_, one)| all.plus(one)), key, action)
+    };
+    Ok(found.into_iter().map(key).collect())
 }
 
 #[cfg(test)]
@@ -175,7 +139,7 @@ mod tests {
             ("[keys]\nF13 = \"next\"\n[more]\n", "`more` is not known"),
             ("\u{0}\u{7f}", "line 1"),
         ] {
-            let error = parse(text).expect_err(text);
+            let error = parse(text).expect_err(text).to_string();
             assert!(error.contains(words), "{text}: {error}");
         }
     }

@@ -1,5 +1,6 @@
 //! What the theatre shows of a graph: its views, the raw view for failures, the pinned settings, the nodes that stop an arm.
 
+use panoscope_editor_texts::{Phrase, phrase, text};
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView, listening};
 use panoscope_imaging::stereo::length::Noise;
@@ -21,8 +22,21 @@ pub struct Pane {
     pub output: Output,
     /// Type of its packets.
     pub packet: String,
-    /// Its title.
+    /// Its name in English, which names it also inside of the window.
     pub label: String,
+    /// The name of the camera whose own image it is, such as `Left`; empty where the graph has one camera only.
+    pub camera: Option<String>,
+}
+
+impl Pane {
+    /// Its title in the language of the window. Names that a graph gives stay as they are.
+    pub fn title(&self) -> String {
+        match self.camera.as_deref() {
+            None => self.label.clone(),
+            Some("") => text!("camera-only-name").to_owned(),
+            Some(name) => text!("camera-name", name = name),
+        }
+    }
 }
 
 /// A setting that the preset pins.
@@ -53,7 +67,7 @@ pub struct Stop {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Listens {
     /// Its type and where, in words: `stream at 127.0.0.1:8554`.
-    pub what: String,
+    pub what: Phrase,
     /// Whether other machines can reach it.
     pub is_public: bool,
 }
@@ -142,7 +156,7 @@ impl Plan {
         let pane = |n: usize, port: usize, label: String| {
             let declared = &node_type(n).outputs[port];
             let output = Output::new(&graph.nodes[n].id, &declared.name);
-            Pane { output, packet: declared.packet.name.clone(), label }
+            Pane { output, packet: declared.packet.name.clone(), label, camera: None }
         };
         let read = |n: usize, port: usize| graph.outputs_of(n).any(|e| e.from_port == port);
         let packet = |n: usize, port: usize| node_type(n).outputs[port].packet.name.as_str();
@@ -160,11 +174,15 @@ impl Plan {
             let alone = labels.iter().filter(|l| **l == camera.label).count() == 1;
             let name = if alone { camera.label.clone() } else { format!("{} {}", camera.output.node, camera.label) };
             camera.label = format!("{} camera", title(&name));
+            camera.camera = Some(title(&name));
         }
         let raw = cameras.first().cloned().or_else(|| {
             let image =
                 |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
-            sources.iter().find_map(image).map(|(n, port)| pane(n, port, "Camera".to_owned()))
+            sources
+                .iter()
+                .find_map(image)
+                .map(|(n, port)| Pane { camera: Some(String::new()), ..pane(n, port, "Camera".to_owned()) })
         });
         let mut views: Vec<Pane> = graph.preset.views.iter().map(|v| pane(v.node, v.port, title(&v.label))).collect();
         if views.is_empty() {
@@ -227,7 +245,10 @@ impl Plan {
             stops: (0..graph.nodes.len()).filter_map(stop).collect(),
             listening: listening(graph, catalog)
                 .into_iter()
-                .map(|one| Listens { what: format!("{} at {}", one.type_name, one.at), is_public: one.is_public })
+                .map(|one| {
+                    let what = phrase!("listens-node", node = one.type_name, address = one.at);
+                    Listens { what, is_public: one.is_public }
+                })
                 .collect(),
             sources: sources.into_iter().map(id).collect(),
         }

@@ -102,7 +102,7 @@ impl Theatre {
             |output: &Output| self.last_packets.get(output).map(|last_packets| last_packets.at.elapsed().min(since));
         let has_stopped = |output: &Output| silent(output).map_or(since > FIRST, |age| age > STOPPED);
         let lost = self.plan.cameras.iter().filter(|c| running && has_stopped(&c.output));
-        let lost: Vec<_> = lost.map(|c| (c.label.clone(), silent(&c.output))).collect();
+        let lost: Vec<_> = lost.map(|c| (c.title(), silent(&c.output))).collect();
         let raw_goes_on = self.plan.raw.as_ref().is_some_and(|raw| !has_stopped(&raw.output));
         let is_live = running && self.frozen.is_none();
         let looking = is_live && !self.shows_raw();
@@ -145,7 +145,7 @@ impl Theatre {
             swapped: calibrated("views_swapped"),
             public: {
                 let public = self.plan.listening.iter().filter(|one| one.is_public);
-                public.map(|one| one.what.clone()).collect()
+                public.map(|one| one.what.to_string()).collect()
             },
             unlocked: match &self.verified {
                 Verified::Differs(how) => Some(how.clone()),

@@ -7,6 +7,7 @@ use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::disk::is_full;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::Status;
+use panoscope_editor_texts::text;
 
 impl Theatre {
     /// Saves a still of the main view, or of the image being measured.
@@ -25,8 +26,8 @@ impl Theatre {
         let result = pixels.map(|pixels| self.storage.still(pixels, row));
         match result {
             Some(Ok(number)) => self.audit.log(Event::Still { number }),
-            Some(Err(error)) => self.notify(error.to_string(), true),
-            None => self.notify("there is no image yet", true),
+            Some(Err(error)) => self.notify(error.words(), true),
+            None => self.notify(text!("view-no-image-yet"), true),
         }
     }
 
@@ -45,26 +46,29 @@ impl Theatre {
             return;
         }
         if self.shows_raw() {
-            self.notify("a clip needs the whole graph; only stills can be saved now", true);
+            self.notify(text!("clip-needs-graph"), true);
             return;
         }
         let Some(pane) = self.clip_view() else {
             let packets: Vec<&str> = self.plan.views.iter().map(|v| v.packet.as_str()).collect();
             let message = match packets.is_empty() {
-                true => "this graph shows no image, so there is nothing to record".to_owned(),
-                false => format!(
-                    "a clip needs an image, but this graph shows only {}: save a still, or add an image to the preset",
-                    packets.join(" and ")
-                ),
+                true => text!("clip-nothing").to_owned(),
+                false => {
+                    let join = |all: String, next: &&str| match all.is_empty() {
+                        true => (*next).to_owned(),
+                        false => text!("clip-and", first = all, second = *next),
+                    };
+                    text!("clip-needs-image", packets = packets.iter().fold(String::new(), join))
+                }
             };
             return self.notify(message, true);
         };
         let main = self.plan.views.get(self.layout.main()).filter(|_| !self.shows_raw());
         let instead = main
             .filter(|m| m.output != pane.output)
-            .map(|m| format!("{} is not an image: the clip shows {}", m.label, pane.label));
+            .map(|m| text!("clip-instead", view = m.title(), shown = pane.title()));
         if self.storage.free_bytes().is_some_and(|free| free < FULL_BYTES) {
-            return self.notify("the disk is full", true);
+            return self.notify(text!("disk-is-full"), true);
         }
         match self.storage.start_clip(&self.text, &pane.output) {
             Ok((text, clip)) => {
@@ -92,7 +96,7 @@ impl Theatre {
     fn end_clip(&mut self, state: ClipState) {
         if let Some(clip) = self.take_clip(state) {
             self.run(self.text.clone());
-            self.notify(format!("{} is saved", clip.file.file_name().unwrap_or_default().to_string_lossy()), false);
+            self.notify(text!("saved", file = clip.file.file_name().unwrap_or_default().to_string_lossy()), false);
         }
     }
 
@@ -100,8 +104,8 @@ impl Theatre {
     pub(super) fn update_recordings(&mut self, status: &Status, counters: &Counters) {
         for done in self.storage.finished() {
             match done {
-                Ok(name) => self.notify(format!("{name} is saved"), false),
-                Err(error) => self.notify(error.to_string(), true),
+                Ok(name) => self.notify(text!("saved", file = name), false),
+                Err(error) => self.notify(error.words(), true),
             }
         }
         let Some(clip) = &self.clip else { return };
@@ -110,15 +114,15 @@ impl Theatre {
         let refused = status.problem.as_ref().filter(|_| !status.busy && clip.since.elapsed() > STOPPED);
         let full = self.storage.free_bytes().is_some_and(|free| free < FULL_BYTES);
         if let Some(problem) = refused {
-            let message = format!("the clip could not be started: {}", problem.message);
+            let message = text!("clip-not-started", reason = &problem.message);
             self.take_clip(ClipState::Failed);
             self.run(self.text.clone());
             self.notify(message, true);
         } else if full || fault.is_some() {
             self.end_clip(ClipState::Failed);
             let full = full || fault.as_ref().is_some_and(|f| is_full(f));
-            let why = if full { "the disk is full".to_owned() } else { fault.unwrap_or_default() };
-            self.notify(format!("{name} ended early: {why}; the part recorded so far is saved"), true);
+            let why = if full { text!("disk-is-full").to_owned() } else { fault.unwrap_or_default() };
+            self.notify(text!("clip-ended-early", file = name, reason = why), true);
         }
     }
 }

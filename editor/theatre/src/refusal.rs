@@ -2,21 +2,19 @@
 
 use std::path::Path;
 
+use panoscope_editor_texts::{Phrase, phrase};
 use serde::{Deserialize, Serialize};
 
 use super::OpenError;
 
-/// The last remedy for a difference from the lock.
-const UNVERIFIED: &str = "Or open it unverified; a mark on the screen will show this:";
-
 /// An [`OpenError`] in words, which can be sent to another process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refusal {
-    pub(super) heading: String,
+    pub(super) heading: Phrase,
     /// The causes, each a line or a listing.
     pub(super) causes: Vec<String>,
     /// The remedies, the best one first, each with the command for it.
-    pub(super) remedies: Vec<(String, Option<String>)>,
+    pub(super) remedies: Vec<(Phrase, Option<String>)>,
     /// The error in one text.
     pub(super) message: String,
     /// The error as shown on a terminal.
@@ -51,48 +49,48 @@ impl Refusal {
         let (lock, unlocked) = (format!("panoscope lock {file}"), format!("panoscope theatre {file} --unlocked"));
         let (heading, causes, remedies) = match error {
             OpenError::Locked(differences) => (
-                format!("{name} differs from its lock"),
+                phrase!("refused-differs", file = name),
                 differences.iter().map(ToString::to_string).collect(),
                 vec![
-                    ("Restore the changed files.", None),
-                    ("Or verify the graph as it is now, and lock it again:", Some(lock)),
-                    (UNVERIFIED, Some(unlocked)),
+                    (phrase!("remedy-restore"), None),
+                    (phrase!("remedy-lock-again"), Some(lock)),
+                    (phrase!("remedy-unlocked"), Some(unlocked)),
                 ],
             ),
             OpenError::Lock(error) => (
-                format!("The lock of {name} is not valid"),
+                phrase!("refused-lock", file = name),
                 vec![error.to_string()],
-                vec![("Verify the graph, and lock it again:", Some(lock)), (UNVERIFIED, Some(unlocked))],
+                vec![(phrase!("remedy-lock"), Some(lock)), (phrase!("remedy-unlocked"), Some(unlocked))],
             ),
             OpenError::Graph(diagnostics) => (
-                format!("{name} has mistakes"),
+                phrase!("refused-mistakes", file = name),
                 vec![diagnostics.render(false).trim_end().to_owned()],
-                vec![("Correct them in the editor:", Some(format!("panoscope edit {file}")))],
+                vec![(phrase!("remedy-edit"), Some(format!("panoscope edit {file}")))],
             ),
             OpenError::Runtime(_) => (
-                format!("{name} could not be started"),
+                phrase!("refused-start", file = name),
                 vec![error.to_string()],
-                vec![("Install Panoscope again, then verify the graph and lock it:", Some(lock))],
+                vec![(phrase!("remedy-install"), Some(lock))],
             ),
             OpenError::NoPicture => (
-                format!("{name} has no image"),
+                phrase!("refused-no-picture", file = name),
                 vec![error.to_string()],
-                vec![("Name outputs with images in `views` of `[preset]`.", None)],
+                vec![(phrase!("remedy-views"), None)],
             ),
             OpenError::Thread(_) => (
-                format!("{name} could not be started"),
+                phrase!("refused-start", file = name),
                 vec![error.to_string()],
-                vec![("Close other programs, then open it again.", None)],
+                vec![(phrase!("remedy-close-programs"), None)],
             ),
             OpenError::Worker(_) => (
-                format!("{name} could not be started"),
+                phrase!("refused-start", file = name),
                 vec![error.to_string()],
-                vec![("Find the plugin that crashes:", Some(format!("panoscope check {file}")))],
+                vec![(phrase!("remedy-check"), Some(format!("panoscope check {file}")))],
             ),
             OpenError::Machine { name, .. } => (
-                format!("`{name}` is not reached"),
+                phrase!("refused-machine", machine = name),
                 vec![error.to_string()],
-                vec![("Start the graph there with --attachable, and name this machine with --allow-read:", None)],
+                vec![(phrase!("remedy-attachable"), None)],
             ),
         };
         let terminal_text = match error {
@@ -102,7 +100,7 @@ impl Refusal {
         Self {
             heading,
             causes,
-            remedies: remedies.into_iter().map(|(remedy, command)| (remedy.to_owned(), command)).collect(),
+            remedies,
             message: error.to_string(),
             terminal_text,
             reason: reason(error),

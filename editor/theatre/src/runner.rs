@@ -8,6 +8,7 @@ use std::time::Duration;
 use panoscope_editor_model::observe::{Counters, Observer, Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::session::{Session, Status, Wake};
+use panoscope_editor_texts::Phrase;
 use panoscope_graph::ParamValue;
 use panoscope_loader::Loader;
 use panoscope_loader::verify::Seal;
@@ -71,7 +72,7 @@ pub struct Outage {
     /// Number of the crash, from 1.
     pub number: u64,
     /// What happened: continues a sentence about the image processing.
-    pub why: String,
+    pub why: Phrase,
     /// How far the recovery is.
     pub stage: OutageStage,
 }

@@ -1,6 +1,7 @@
 //! Performs the steps of a `--do` script.
 
 use eframe::egui::Context;
+use panoscope_editor_texts::text;
 
 use super::{Action, Theatre, actions};
 
@@ -19,7 +20,7 @@ impl Theatre {
                         self.measure.tap(x, y);
                     }
                 }
-                _ => self.notify(format!("there is no action `{step}`"), true),
+                _ => self.notify(text!("script-no-action", step = step), true),
             }
             ctx.request_repaint();
         }

@@ -4,6 +4,7 @@ use eframe::egui::{
     Align2, Color32, CornerRadius, FontId, Key, Modifiers, Rect, Response, Sense, Stroke, StrokeKind, Ui, WidgetInfo,
     WidgetType, pos2, vec2,
 };
+use panoscope_editor_texts::{text, with_decimal_sign};
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{ParamKind, ParamValue};
 
@@ -67,7 +68,17 @@ fn origin(setting: &Setting) -> f64 {
     }
 }
 
-/// A value as text, with its unit.
+/// A value with its unit in the language of the window.
+fn shown(value: &ParamValue, unit: &str) -> String {
+    match value {
+        ParamValue::Bool(true) => text!("setting-on").to_owned(),
+        ParamValue::Bool(false) => text!("setting-off").to_owned(),
+        ParamValue::Float(_) => with_decimal_sign(&message(value, unit)),
+        _ => message(value, unit),
+    }
+}
+
+/// A value with its unit, as the audit log has it.
 pub(super) fn message(value: &ParamValue, unit: &str) -> String {
     let with_unit = |text: String| if unit.is_empty() { text } else { format!("{text} {unit}") };
     match value {
@@ -87,7 +98,7 @@ pub fn show(ui: &mut Ui, rect: Rect, setting: &Setting, value: Option<&ParamValu
     let painter = ui.painter().clone();
     let color = if response.has_focus() { theme::accent() } else { theme::muted() };
     painter.text(rect.left_top(), Align2::LEFT_TOP, &setting.label, FontId::proportional(16.0), color);
-    let shown = value.map_or_else(|| "-".to_owned(), |v| message(v, unit_suffix(&setting.param.unit)));
+    let shown = value.map_or_else(|| "-".to_owned(), |v| shown(v, unit_suffix(&setting.param.unit)));
     painter.text(rect.right_top(), Align2::RIGHT_TOP, &shown, FontId::proportional(18.0), theme::text());
     let Some(value) = value else {
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, false, setting.label.clone()));
@@ -117,7 +128,13 @@ pub fn show(ui: &mut Ui, rect: Rect, setting: &Setting, value: Option<&ParamValu
             response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label.clone()));
             let area = Rect::from_min_max(pos2(rect.left(), rect.bottom() - 32.0), rect.max);
             painter.rect_filled(area, 8.0, theme::raised());
-            painter.text(area.center(), Align2::CENTER_CENTER, "next", FontId::proportional(15.0), theme::muted());
+            painter.text(
+                area.center(),
+                Align2::CENTER_CENTER,
+                text!("setting-next"),
+                FontId::proportional(15.0),
+                theme::muted(),
+            );
             let next = (index + 1) % choices.len().max(1);
             let name = choices.get(next)?.clone();
             response.clicked().then_some(ParamValue::Choice { index: next, name })

@@ -10,6 +10,7 @@ use super::arrange::{GAP, TITLE, fit, inset, level};
 use super::notices::{Facts, NoPicture, OLD_MS, STOPPED};
 use super::{Layout, Pane, Theatre};
 use panoscope_editor_model::surface::Viewpoint;
+use panoscope_editor_texts::{decimal, text};
 use panoscope_editor_widgets::surface;
 use panoscope_editor_widgets::theme;
 
@@ -68,7 +69,7 @@ impl Theatre {
             let raw = self.plan.raw.clone().filter(|_| self.replaced(pane, facts) && n == self.layout.main());
             let clicked = match raw {
                 Some(raw) => {
-                    let title = format!("{} (in place of {})", raw.label, pane.label);
+                    let title = text!("view-in-place", camera = raw.title(), view = pane.title());
                     self.picture(ui, rect, &raw, Some(&title), true, facts)
                 }
                 None if pane.packet == "cloud" => {
@@ -102,7 +103,7 @@ impl Theatre {
             // A background and border distinguish it from an image that it may cover.
             ui.painter().rect_filled(side.expand(4.0), 6.0, theme::BLACK);
             ui.painter().rect_stroke(side.expand(4.0), 6.0, Stroke::new(1.5, theme::live()), StrokeKind::Inside);
-            self.picture(ui, side, &raw, Some(&format!("Live: {}", raw.label)), true, facts);
+            self.picture(ui, side, &raw, Some(&text!("view-live", camera = raw.title())), true, facts);
         }
     }
 
@@ -116,7 +117,7 @@ impl Theatre {
     /// Zooms the main view by a step, a picture as well as a surface.
     pub(super) fn zoom_by(&mut self, closer: bool) {
         if self.measure.is_on() {
-            return self.notify("the picture is not zoomed while distances are measured", false);
+            return self.notify(text!("view-not-zoomed"), false);
         }
         let main = if self.shows_raw() { self.plan.raw.as_ref() } else { self.plan.views.get(self.layout.main()) };
         match main.filter(|main| main.packet == "cloud") {
@@ -169,7 +170,7 @@ impl Theatre {
                 StrokeKind::Inside,
             );
             let response = ui.interact(inner, ui.id().with("whole"), Sense::hover());
-            response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Whole picture"));
+            response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, text!("view-whole")));
         }
     }
 
@@ -184,10 +185,10 @@ impl Theatre {
         facts: &Facts,
     ) -> bool {
         let is_zoomed = self.is_zoomed(pane, live);
-        let title = match title.unwrap_or(&pane.label) {
-            title if is_zoomed && self.zoom.is_on() => format!("{title}  ·  {:.1} x", self.zoom.scale()),
-            title => title.to_owned(),
-        };
+        let mut title = title.map_or_else(|| pane.title(), str::to_owned);
+        if is_zoomed && self.zoom.is_on() {
+            title = text!("view-zoomed", title = title, factor = decimal(self.zoom.scale().into(), 1));
+        }
         // A tap changes the layout, except on a live inset or when there is only one view.
         let idle = pane.packet == "cloud" || self.plan.views.len() < 2 || live && self.frozen.is_some();
         let tap = if idle { Sense::hover() } else { Sense::click() };
@@ -199,7 +200,7 @@ impl Theatre {
         // The title is directly above the image.
         let rect = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.max);
         let response = ui.interact(rect, ui.id().with(("view", &pane.output, live)), tap);
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("View {title}")));
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, text!("view-name", title = &title)));
         if response.has_focus() {
             focus_frame(ui, rect);
         }
@@ -214,9 +215,9 @@ impl Theatre {
         );
         let age = self.age_ms(&pane.output).filter(|_| live || self.frozen.is_none());
         let (message, color) = match age {
-            _ if stopped => ("no new image".to_owned(), theme::fault()),
-            Some(age) if age > 9_999.0 => ("no new image".to_owned(), theme::fault()),
-            Some(age) if age > OLD_MS => (format!("{:.1} s old", age / 1e3), theme::warn()),
+            _ if stopped => (text!("view-no-new-image").to_owned(), theme::fault()),
+            Some(age) if age > 9_999.0 => (text!("view-no-new-image").to_owned(), theme::fault()),
+            Some(age) if age > OLD_MS => (text!("view-old", seconds = decimal(age / 1e3, 1)), theme::warn()),
             // In steps of 10 ms, so that the number does not flicker.
             Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), theme::muted()),
             None => (String::new(), theme::muted()),
@@ -256,7 +257,7 @@ impl Theatre {
     /// Handles drags, the wheel and keys on a surface; keys work if it has the focus or is `alone`.
     fn turn(&mut self, ui: &Ui, rect: Rect, pane: &Pane, alone: bool) {
         let response = ui.interact(rect, ui.id().with(("turn", &pane.output)), Sense::click_and_drag());
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Turn {}", pane.label)));
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, text!("view-turn", view = pane.title())));
         let viewpoint = self.viewpoints.entry(pane.output.clone()).or_default();
         surface::steer(ui, &response, viewpoint, TURN);
         if response.has_focus() {
@@ -283,7 +284,7 @@ impl Theatre {
         painter.text(line.left_center(), Align2::LEFT_CENTER, hint, FontId::proportional(18.0), theme::accent());
         image(ui, texture, inner, Color32::WHITE);
         let response = ui.interact(inner, ui.id().with("measure"), Sense::click());
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Measure here"));
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, text!("measure-name")));
         if response.has_focus() {
             capture_arrows(ui, response.id);
             focus_frame(ui, line.union(inner));
@@ -311,8 +312,8 @@ impl Theatre {
         }
         self.measure.crosshair().draw(&painter, inner);
         let result = match (self.measure.distance(), self.measure.depth()) {
-            (Some(length), _) => Some(length.to_string()),
-            (None, Some(depth)) => Some(format!("{depth} deep")),
+            (Some(length), _) => Some(length.words()),
+            (None, Some(depth)) => Some(depth.depth_words()),
             _ => None,
         };
         if let Some(message) = result {
@@ -340,21 +341,20 @@ fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
     };
     let width = (room.width() - 48.0).min(NO_PICTURE_WIDTH);
     let inner = Rect::from_center_size(room.center(), vec2(width, room.height() - 32.0));
-    let text = |message: &str, size: f32, color: Color32| {
+    let lay = |message: &str, size: f32, color: Color32| {
         let job = LayoutJob::simple(message.to_owned(), FontId::proportional(size), color, width);
         ui.painter().layout_job(job)
     };
     let parts = [
-        ("No image", 26.0, theme::fault(), 12.0),
+        (text!("no-image"), 26.0, theme::fault(), 12.0),
         (why, 18.0, theme::text(), 20.0),
         (remedy, 18.0, theme::accent(), 0.0),
     ];
     // In a small rectangle the text is made smaller instead of cut off.
     let (mut scale, mut laid) = (1.0, Vec::new());
     while scale > 0.5 {
-        laid = parts
-            .map(|(message, size, color, gap)| (text(message, size * scale, color), gap * scale, message))
-            .to_vec();
+        laid =
+            parts.map(|(message, size, color, gap)| (lay(message, size * scale, color), gap * scale, message)).to_vec();
         let high: f32 = laid.iter().map(|(galley, gap, _)| galley.size().y + gap).sum();
         if high <= inner.height() {
             break;

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use panoscope_editor_model::numbered::{self, FolderError};
+use panoscope_editor_texts::text;
 use panoscope_graph::edit::{EditError, GraphEdit};
 
 use panoscope_editor_model::disk;
@@ -76,6 +77,19 @@ pub enum StillError {
     /// The thread that writes stills has ended.
     #[error("the still was not written: the writing thread has ended")]
     NoThread,
+}
+
+impl StillError {
+    /// The error in the language of the window. What the system says stays as it is.
+    pub fn words(&self) -> String {
+        match self {
+            Self::Folder(error) => error.to_string(),
+            Self::Encode { name, cause } => text!("not-written", file = name, reason = cause.to_string()),
+            Self::DiskFull { name } => text!("not-written-full", file = name),
+            Self::Write { name, cause } => text!("not-written", file = name, reason = cause.to_string()),
+            Self::NoThread => text!("not-written-thread").to_owned(),
+        }
+    }
 }
 
 /// Writes a still atomically.

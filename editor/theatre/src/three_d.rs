@@ -11,6 +11,7 @@ use eframe::egui::{
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::{image_of, theme};
 
 use super::Theatre;
@@ -51,10 +52,10 @@ impl ThreeD {
     /// Its name.
     pub fn words(self) -> &'static str {
         match self {
-            Self::Off => "3-D is off",
-            Self::SideBySide => "3-D: side by side",
-            Self::TopBottom => "3-D: top and bottom",
-            Self::Rows => "3-D: alternate rows",
+            Self::Off => text!("three-d-off"),
+            Self::SideBySide => text!("three-d-side-by-side"),
+            Self::TopBottom => text!("three-d-top-bottom"),
+            Self::Rows => text!("three-d-rows"),
         }
     }
 
@@ -183,7 +184,7 @@ impl Theatre {
     /// Switches to the next way of showing the pair.
     pub(super) fn next_three_d(&mut self) {
         if !self.has_pair() {
-            return self.notify("this graph has no stereo pair to show in 3-D", true);
+            return self.notify(text!("three-d-none"), true);
         }
         self.three_d = self.three_d.next();
         self.pair = Pair::default();
@@ -230,11 +231,14 @@ impl Theatre {
                 ui.painter().image(id, image, uv, tint);
             }
         }
-        let eyes = if three_d == ThreeD::Rows { &["Both eyes"][..] } else { &["Left eye", "Right eye"][..] };
+        let eyes = match three_d {
+            ThreeD::Rows => vec![text!("eye-both")],
+            _ => vec![text!("eye-left"), text!("eye-right")],
+        };
         for (eye, (half, image)) in eyes.iter().zip(halves.into_iter().zip(images)) {
             ui.push_id(eye, |ui| {
                 let response = ui.interact(image, ui.id().with("eye"), Sense::hover());
-                let name = format!("{eye}: {}", three_d.words());
+                let name = text!("eye-name", eye = *eye, way = three_d.words());
                 response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, name.clone()));
                 self.words_of_pair(ui, half.with_max_y(half.top() + WORDS), facts);
                 if has_arm {
@@ -251,12 +255,12 @@ impl Theatre {
     fn words_of_pair(&self, ui: &Ui, line: Rect, facts: &Facts) {
         let age = facts
             .age_ms
-            .map_or_else(|| "no image yet".to_owned(), |age| format!("{:.0} ms", (age / 10.0).ceil() * 10.0));
+            .map_or_else(|| text!("eye-no-image").to_owned(), |age| format!("{:.0} ms", (age / 10.0).ceil() * 10.0));
         let (words, color) = match self.notices.first() {
             Some(notice) if notice.urgency == Urgency::Alarm => (notice.message.clone(), theme::fault()),
             Some(notice) if notice.urgency == Urgency::Warning => (notice.message.clone(), theme::warn()),
-            _ if self.frozen.is_some() => ("FROZEN".to_owned(), theme::accent()),
-            _ if self.clip.is_some() => (format!("REC   {age}"), theme::fault()),
+            _ if self.frozen.is_some() => (text!("state-frozen").to_owned(), theme::accent()),
+            _ if self.clip.is_some() => (format!("{}   {age}", text!("state-recording")), theme::fault()),
             _ => (age, if facts.age_ms.is_some_and(|age| age > OLD_MS) { theme::warn() } else { theme::muted() }),
         };
         let painter = ui.painter_at(line);

@@ -21,6 +21,7 @@ use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::session::Session;
+use panoscope_editor_texts::phrase;
 use panoscope_engine::clock;
 use panoscope_engine::ending::signals;
 use panoscope_engine::sync::lock;
@@ -243,8 +244,7 @@ impl Worker {
         let prepared = if sealed {
             let ready = Ready::of(&self.parse(file, given), &self.options)?;
             if ready.opened.lock.as_ref() != facts {
-                let why = "cannot be started again: the graph was locked anew meanwhile";
-                return Err(super::OpenError::Worker(why.to_owned()));
+                return Err(super::OpenError::Worker(phrase!("worker-locked-anew")));
             }
             Prepared { loader: ready.loader, seal: ready.seal, watched }
         } else {

@@ -133,7 +133,9 @@ fn a_page_for_reading_is_served_and_comes_back_after_a_crash() {
     shows(&mut window);
     assert!(page(port, "/metrics").is_some_and(|metrics| metrics.contains("panoscope_")));
     let listening = &window.theatre().plan().listening;
-    assert!(listening.iter().any(|one| one.what == format!("web page at 127.0.0.1:{port}") && !one.is_public));
+    assert!(
+        listening.iter().any(|one| one.what.to_string() == format!("web page at 127.0.0.1:{port}") && !one.is_public)
+    );
     window.until_spare();
     signal(window.worker(), "KILL");
     until_camera(&mut window, Instant::now());

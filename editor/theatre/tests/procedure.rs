@@ -1,5 +1,5 @@
 //! A whole procedure with the keyboard alone: start, checklist, views, a distance, a still, a clip, the arm stopped and released, a fault and the
-//! recovery from it, the end.
+//! recovery from it, the end. In each language.
 
 mod common;
 
@@ -10,6 +10,7 @@ use common::window::{Window, options};
 use common::{Folder, has_plugin, input};
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
+use panoscope_editor_texts::{Language, set_language};
 use panoscope_graph::{GraphText, check};
 use panoscope_loader::lock::{ALWAYS_LOCKED, Lock};
 use panoscope_loader::{self as loader, Loader};
@@ -47,14 +48,64 @@ fn tab_to(window: &mut Window, name: &str) {
     panic!("`{name}` is not reached by Tab; the last is {:?}", input::focused(&window.harness));
 }
 
+/// What the window says on the way.
+struct Said {
+    view: &'static str,
+    checklist: &'static str,
+    nearly_full: &'static str,
+    /// Lines of the checklist; the disk's with the beginning of its name for a screen reader.
+    lines: [&'static str; 5],
+    check_disk: &'static str,
+    measure: &'static str,
+    still: &'static str,
+    stopped: &'static str,
+    fault: &'static str,
+}
+
 #[test]
 fn a_whole_procedure_is_driven_by_keys_alone() {
+    drive(
+        Language::English,
+        &Said {
+            view: "View Scope",
+            checklist: "Checklist: ",
+            nearly_full: "nearly full",
+            lines: ["camera", "Calibration", "Arm arm", "Disk", "Lock"],
+            check_disk: "Check Disk: ",
+            measure: "Measure here",
+            still: "still_0001.png is saved",
+            stopped: "Emergency stop: the arm is stopped",
+            fault: "Stage `polish`",
+        },
+    );
+}
+
+#[test]
+fn a_whole_procedure_is_driven_in_german() {
+    drive(
+        Language::German,
+        &Said {
+            view: "Ansicht Scope",
+            checklist: "Checkliste: ",
+            nearly_full: "fast voll",
+            lines: ["Kamera", "Kalibrierung", "Arm arm", "Speicher", "Freigabe"],
+            check_disk: "Prüfpunkt Speicher: ",
+            measure: "Hier messen",
+            still: "still_0001.png ist gespeichert",
+            stopped: "Not-Halt: Arm gestoppt",
+            fault: "Stufe „polish“",
+        },
+    );
+}
+
+fn drive(language: Language, said: &Said) {
+    set_language(language);
     for plugin in ["flow", "phantom", "stereo", "sinks"] {
         if !has_plugin(plugin) {
             return;
         }
     }
-    let folder = Folder::new("procedure");
+    let folder = Folder::new(&format!("procedure_{}", language.code()));
     let path = folder.write("g.toml", GRAPH);
     let text = GraphText::load(&path).expect("it is there");
     let loader = Loader::search(&loader::search_path(&[]));
@@ -66,27 +117,27 @@ fn a_whole_procedure_is_driven_by_keys_alone() {
     // Start: the camera's picture, then the checklist until all is ready.
     let mut window = Window::open_with(folder, &path, options);
     window.until("a picture", Theatre::has_picture);
-    let wide = window.harness.get_by_label_contains("View Scope").rect();
+    let wide = window.harness.get_by_label_contains(said.view).rect();
     window.key(Key::C);
     // Each line becomes ready, not all in one moment: on a loaded machine an image is older than 200 ms now and then, and an arm's rate counts
     // half a second. A disk with less than 2 GiB is no fault of the theatre.
     let ready = RefCell::new(BTreeSet::new());
     window.until("all lines are ready", |t| {
-        let is_ready = |check: &&Check| check.state == State::Ready || check.words.starts_with("nearly full");
+        let is_ready = |check: &&Check| check.state == State::Ready || check.words.starts_with(said.nearly_full);
         ready.borrow_mut().extend(t.checklist().iter().filter(is_ready).map(|check| check.name.clone()));
         t.checklist().len() >= 5 && t.checklist().iter().all(|check| ready.borrow().contains(&check.name))
     });
-    window.until_shown("Checklist: ");
+    window.until_shown(said.checklist);
     let names: Vec<String> = window.theatre().checklist().iter().map(|check| check.name.clone()).collect();
-    for name in ["camera", "Calibration", "Arm arm", "Disk", "Lock"] {
+    for name in said.lines {
         assert!(names.iter().any(|known| known.contains(name)), "{name}: {names:?}");
     }
-    let list = window.harness.get_by_label_contains("Check Disk: ").rect();
-    let beside = window.harness.get_by_label_contains("View Scope").rect();
+    let list = window.harness.get_by_label_contains(said.check_disk).rect();
+    let beside = window.harness.get_by_label_contains(said.view).rect();
     assert!(!list.intersects(beside), "the checklist covers no picture: {list:?} {beside:?}");
     window.key(Key::C);
     assert!(!window.theatre().shows_checklist());
-    assert_eq!(window.harness.get_by_label_contains("View Scope").rect().width(), wide.width());
+    assert_eq!(window.harness.get_by_label_contains(said.view).rect().width(), wide.width());
 
     // Views.
     window.key(Key::Space);
@@ -98,7 +149,7 @@ fn a_whole_procedure_is_driven_by_keys_alone() {
 
     // A distance, with its error.
     window.key(Key::M);
-    window.until_shown("Measure here");
+    window.until_shown(said.measure);
     for key in [Key::ArrowLeft, Key::ArrowLeft, Key::ArrowLeft, Key::Enter] {
         window.key(key);
     }
@@ -110,7 +161,7 @@ fn a_whole_procedure_is_driven_by_keys_alone() {
 
     // A still and a clip.
     window.key(Key::S);
-    window.until("the still is saved", |t| t.remark().is_some_and(|r| r.contains("still_0001.png is saved")));
+    window.until("the still is saved", |t| t.remark().is_some_and(|r| r.contains(said.still)));
     window.key(Key::R);
     window.until("the clip runs", |t| {
         let engine = t.session().expect("it runs here").handle().engine().expect("it runs");
@@ -122,7 +173,7 @@ fn a_whole_procedure_is_driven_by_keys_alone() {
     // The arm is stopped, and released by holding.
     window.key(Key::E);
     assert!(window.theatre().is_stopped());
-    window.until_notice("Emergency stop: the arm is stopped");
+    window.until_notice(said.stopped);
     window.harness.key_down(Key::E);
     window.until("it is released", |t| !t.is_stopped());
     window.harness.key_up(Key::E);
@@ -131,7 +182,7 @@ fn a_whole_procedure_is_driven_by_keys_alone() {
     // A fault, and the recovery from it.
     tab_to(&mut window, "aults");
     window.key(Key::ArrowRight);
-    window.until_notice("Stage `polish`");
+    window.until_notice(said.fault);
     assert!(window.theatre().has_picture(), "the camera's picture stays");
     window.key(Key::ArrowLeft);
     window.until("it works again, and nothing is wrong", |t| t.notices().is_empty());

@@ -1,9 +1,11 @@
 //! The form for arguments and overlays of a graph, as both windows show it.
 
-use eframe::egui::{Align, ComboBox, DragValue, Label, Layout, Response, RichText, ScrollArea, TextEdit, Ui};
+use eframe::egui::{Align, ComboBox, Label, Layout, Response, RichText, ScrollArea, TextEdit, Ui};
 use panoscope_editor_model::arguments::Form;
+use panoscope_editor_texts::{text, with_decimal_sign};
 use panoscope_graph::{Arg, ArgKind};
 
+use crate::numbers::drag_value;
 use crate::theme;
 
 /// What the user asks for.
@@ -53,10 +55,10 @@ pub fn show(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) -> Option<FormRe
         if button(ui, style.apply) {
             request = Some(FormRequest::Apply);
         }
-        if button(ui, "Cancel") {
+        if button(ui, text!("form-cancel")) {
             request = Some(FormRequest::Cancel);
         }
-        ui.label(RichText::new("The graph file is not changed.").size(style.size * 0.85).color(theme::muted()));
+        ui.label(RichText::new(text!("form-unchanged")).size(style.size * 0.85).color(theme::muted()));
     });
     request
 }
@@ -65,14 +67,14 @@ fn overlays(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) {
     if form.overlays.is_empty() {
         return;
     }
-    ui.label(RichText::new("Overlays").size(style.size).strong());
+    ui.label(RichText::new(text!("form-overlays")).size(style.size).strong());
     for overlay in form.overlays.clone() {
         let same =
             |path: &std::path::PathBuf| std::fs::canonicalize(path).ok() == std::fs::canonicalize(&overlay.path).ok();
         let chosen = form.with.iter().find(|path| same(path)).cloned();
         let mut on = chosen.is_some();
         let response = ui.checkbox(&mut on, RichText::new(&overlay.name).size(style.size)).on_hover_text(&overlay.doc);
-        name(&response, &format!("Overlay {}", overlay.name));
+        name(&response, &text!("form-overlay", name = &overlay.name));
         if response.changed() {
             form.choose(&chosen.unwrap_or_else(|| overlay.path.clone()), on);
         }
@@ -80,29 +82,35 @@ fn overlays(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) {
     ui.add_space(2.0 * theme::STEP);
 }
 
+/// Room for a button beside a field, points.
+const FIELD_BUTTON: f32 = 84.0;
+
 /// Shows one argument with its documentation, unit, range and default.
 fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Option<FormRequest> {
     let mut request = None;
     let given = form.values.get(&arg.name).filter(|v| !v.is_empty()).cloned();
     ui.horizontal(|ui| {
         ui.label(RichText::new(arg.name.replace('_', " ")).size(style.size).strong());
-        let state = match (&given, &arg.default) {
-            (Some(_), Some(default)) => format!("default: {default}"),
-            (None, Some(_)) => "default".to_owned(),
-            (Some(_), None) => String::new(),
-            (None, None) if form.required.contains(&arg.name) => "required".to_owned(),
-            (None, None) => "not used".to_owned(),
+        let is_required = form.required.contains(&arg.name);
+        let (state, color) = match (&given, &arg.default) {
+            (Some(_), Some(default)) => (text!("form-default-is", value = default), theme::muted()),
+            (None, Some(_)) => (text!("form-default").to_owned(), theme::muted()),
+            (Some(_), None) => (String::new(), theme::muted()),
+            (None, None) if is_required => (text!("form-required").to_owned(), theme::warn()),
+            (None, None) => (text!("form-not-used").to_owned(), theme::muted()),
         };
-        let color = if state == "required" { theme::warn() } else { theme::muted() };
         ui.label(RichText::new(state).size(style.size * 0.85).color(color));
-        let range = arg.range.map(|(low, high)| format!("{low} to {high}"));
+        let range = arg.range.map(|(low, high)| {
+            let [low, high] = [low, high].map(|limit| with_decimal_sign(&limit.to_string()));
+            text!("form-range", low = low, high = high)
+        });
         let limits = [range.as_deref(), Some(arg.unit.as_str())];
         let limits: Vec<&str> = limits.into_iter().flatten().filter(|t| !t.is_empty()).collect();
         ui.label(RichText::new(limits.join(" ")).size(style.size * 0.85).color(theme::muted()));
         if given.is_some() {
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                let clear = ui.small_button("clear").on_hover_text("Takes the value away, so that the default applies");
-                name(&clear, &format!("Clear {}", arg.name));
+                let clear = ui.small_button(text!("form-clear")).on_hover_text(text!("form-clear.hint"));
+                name(&clear, &text!("form-clear.name", argument = &arg.name));
                 if clear.clicked() {
                     form.values.remove(&arg.name);
                 }
@@ -117,7 +125,7 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
         ArgKind::Flag => {
             let mut on = now == "true";
             let response = ui.checkbox(&mut on, "");
-            name(&response, &format!("Argument {}", arg.name));
+            name(&response, &text!("form-argument", argument = &arg.name));
             response.changed().then(|| on.to_string())
         }
         ArgKind::Choice => {
@@ -128,42 +136,42 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
                     ui.selectable_value(&mut picked, choice.clone(), choice);
                 }
             });
-            name(&response.response, &format!("Argument {}", arg.name));
+            name(&response.response, &text!("form-argument", argument = &arg.name));
             (picked != now).then_some(picked)
         }
         ArgKind::Number | ArgKind::Whole => number(ui, arg, &now),
         ArgKind::Source | ArgKind::File | ArgKind::Path | ArgKind::Text => {
-            let mut text = form.values.get(&arg.name).cloned().unwrap_or_default();
-            let before = text.clone();
+            let mut typed = form.values.get(&arg.name).cloned().unwrap_or_default();
+            let before = typed.clone();
             ui.horizontal(|ui| {
                 let devices = form.devices.clone();
                 let pick_camera = arg.kind == ArgKind::Source && !devices.is_empty();
                 let pick_file = style.browse && arg.kind != ArgKind::Text;
-                let room = 84.0 * f32::from(u8::from(pick_camera) + u8::from(pick_file));
+                let room = FIELD_BUTTON * f32::from(u8::from(pick_camera) + u8::from(pick_file));
                 let hint = arg.default.clone().unwrap_or_default();
                 let field =
-                    TextEdit::singleline(&mut text).hint_text(hint).desired_width(ui.available_width() - room - 16.0);
+                    TextEdit::singleline(&mut typed).hint_text(hint).desired_width(ui.available_width() - room - 16.0);
                 let field = ui.add(field.font(eframe::egui::FontId::proportional(style.size)));
-                name(&field, &format!("Argument {}", arg.name));
+                name(&field, &text!("form-argument", argument = &arg.name));
                 if pick_camera {
-                    let menu = ui.menu_button("Cameras", |ui| {
+                    let menu = ui.menu_button(text!("form-cameras"), |ui| {
                         for (device, model) in &devices {
                             if ui.button(format!("{device}  {model}")).clicked() {
-                                text.clone_from(device);
+                                typed.clone_from(device);
                             }
                         }
                     });
-                    name(&menu.response, &format!("Cameras for {}", arg.name));
+                    name(&menu.response, &text!("form-cameras.name", argument = &arg.name));
                 }
                 if pick_file {
-                    let browse = ui.button("Browse");
-                    name(&browse, &format!("Browse {}", arg.name));
+                    let browse = ui.button(text!("form-browse"));
+                    name(&browse, &text!("form-browse.name", argument = &arg.name));
                     if browse.clicked() {
                         request = Some(FormRequest::Browse(arg.name.clone()));
                     }
                 }
             });
-            (text != before).then_some(text)
+            (typed != before).then_some(typed)
         }
     };
     if let Some(new) = new {
@@ -180,10 +188,10 @@ fn number(ui: &mut Ui, arg: &Arg, now: &str) -> Option<String> {
     let unit = if arg.unit.is_empty() { String::new() } else { format!(" {}", arg.unit) };
     let whole = arg.kind == ArgKind::Whole;
     let speed = arg.range.map_or(0.1, |(low, high)| (high - low) / 500.0);
-    let drag = DragValue::new(&mut number).range(low..=high).clamp_existing_to_range(false).suffix(unit);
+    let drag = drag_value(&mut number).range(low..=high).clamp_existing_to_range(false).suffix(unit);
     let drag = if whole { drag.speed(speed.max(0.25)).max_decimals(0) } else { drag.speed(speed).max_decimals(4) };
     let response = ui.add(drag);
-    name(&response, &format!("Argument {}", arg.name));
+    name(&response, &text!("form-argument", argument = &arg.name));
     response.changed().then(|| if whole { format!("{}", number.round()) } else { format!("{number}") })
 }
 

@@ -8,13 +8,14 @@ use eframe::egui::{Color32, ColorImage, Context, TextureHandle, TextureId, Textu
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
+use panoscope_editor_texts::number;
 
-/// A time in ms, formatted with its unit and three significant digits.
+/// A time in ms, formatted with its unit and three significant digits, in the language of the window.
 pub fn format_time(ms: f64) -> String {
     match ms {
-        _ if ms >= 1000.0 => format!("{:.1} s", ms / 1e3),
+        _ if ms >= 1000.0 => format!("{} s", number(ms / 1e3, 1)),
         _ if ms >= 100.0 => format!("{ms:.0} ms"),
-        _ if ms >= 0.1 => format!("{ms:.1} ms"),
+        _ if ms >= 0.1 => format!("{} ms", number(ms, 1)),
         _ => format!("{:.0} us", ms * 1e3),
     }
 }

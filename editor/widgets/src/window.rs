@@ -7,7 +7,7 @@ use eframe::egui::{ViewportBuilder, vec2};
 use panoscope_graph::GraphOptions;
 use panoscope_graph::command_line::{self, CommandLine};
 
-use crate::{Shot, close_on_signals};
+use crate::{Shot, close_on_signals, speech};
 
 /// The application to show in a window, or why it cannot be created.
 pub type AppResult = Result<Box<dyn eframe::App>, Box<dyn std::error::Error + Send + Sync>>;
@@ -25,6 +25,9 @@ pub struct Arguments {
     /// Width and height of the window in points.
     #[arg(long, default_value = "1440x900", value_parser = size)]
     pub size: (f32, f32),
+    /// Language of the window; `system` is that of LC_ALL, LC_MESSAGES and LANG.
+    #[arg(long, default_value = "system", value_parser = speech::choices())]
+    language: String,
     /// Writes a screenshot of the window (PNG or JPEG), or a film (GIF), and exits.
     #[arg(long, value_name = "FILE")]
     screenshot: Option<PathBuf>,
@@ -40,6 +43,11 @@ pub struct Arguments {
 }
 
 impl Arguments {
+    /// Makes the windows of this thread speak the language that the arguments ask for.
+    pub fn apply_language(&self) {
+        speech::apply(&self.language);
+    }
+
     /// The screenshot, costs and script that the arguments ask for.
     pub fn shot(&self) -> Shot {
         let after = |file: &Option<PathBuf>| file.clone().map(|file| (file, self.after));

@@ -21,6 +21,7 @@ use panoscope_editor_model::arguments::Overlay;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::session::{Phase, Session, Status, Wake};
+use panoscope_editor_texts::phrase;
 use panoscope_engine::sync::lock;
 use panoscope_graph::{GraphOptions, ParamValue};
 use panoscope_loader::verify::Seal;
@@ -92,7 +93,7 @@ impl Guard {
 
     /// Checks the text of the graph file with arguments, in the process. [`Self::take_prepared`] has the answer.
     pub fn prepare(&self, file: &str, given: &GraphOptions) {
-        let refusal = self.owner.shared.refusal("is being restarted: try again in a moment");
+        let refusal = self.owner.shared.refusal(phrase!("worker-restarting"));
         self.owner.shared.act(|state| {
             let is_down = state.known.is_some() && state.active.is_none();
             state.prepared = is_down.then_some(Err(refusal));

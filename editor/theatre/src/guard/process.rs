@@ -15,6 +15,7 @@ use std::time::Duration;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::surface::Cloud;
+use panoscope_editor_texts::{Phrase, phrase};
 use panoscope_engine::clock;
 use panoscope_engine::sync::lock;
 
@@ -64,12 +65,12 @@ struct Life {
     pidfd: OwnedFd,
     silence: Silence,
     /// Why the window ended it.
-    reason: Mutex<Option<String>>,
-    /// Where it crashed, as its report says.
-    crash: Mutex<Option<String>>,
+    reason: Mutex<Option<Phrase>>,
+    /// The node where it crashed, as its report says; `Some(None)` outside of all nodes.
+    crash: Mutex<Option<Option<String>>>,
     reported: Condvar,
     /// How it ended.
-    end: Mutex<Option<String>>,
+    end: Mutex<Option<Phrase>>,
 }
 
 /// A process that runs the graph. It is killed when this is dropped, which does not wait.
@@ -155,13 +156,13 @@ impl Process {
         self.life.pid
     }
 
-    /// Ends it at once.
-    pub fn kill(&self, reason: &str) {
+    /// Ends it at once. `reason` continues a sentence about the image processing.
+    pub fn kill(&self, reason: Phrase) {
         self.life.kill(reason);
     }
 
     /// How it ended, if it has.
-    pub fn end(&self) -> Option<String> {
+    pub fn end(&self) -> Option<Phrase> {
         lock(&self.life.end).clone()
     }
 
@@ -183,39 +184,39 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if self.end().is_none() {
-            self.kill("was not needed any more");
+            self.kill(phrase!("worker-not-needed"));
         }
     }
 }
 
 impl Life {
-    fn kill(&self, reason: &str) {
+    fn kill(&self, reason: Phrase) {
         let end = lock(&self.end);
         if end.is_none() {
-            lock(&self.reason).get_or_insert_with(|| reason.to_owned());
+            lock(&self.reason).get_or_insert(reason);
             // SAFETY: a plain system call on a file descriptor that is open.
             unsafe { libc::syscall(libc::SYS_pidfd_send_signal, self.pidfd.as_raw_fd(), libc::SIGKILL, 0, 0) };
         }
     }
 
-    /// Where it crashed; empty where no node is known.
-    fn crash_place(&self, signal: i32) -> String {
+    /// The node where it crashed; `None` where none is known.
+    fn crash_node(&self, signal: i32) -> Option<String> {
         if !CRASHES.contains(&signal) {
-            return String::new();
+            return None;
         }
         // The report was written before the end, and is read by another thread.
         let crash = lock(&self.crash);
         let wait = self.reported.wait_timeout_while(crash, REPORT, |crash| crash.is_none());
-        wait.unwrap_or_else(PoisonError::into_inner).0.clone().unwrap_or_default()
+        wait.unwrap_or_else(PoisonError::into_inner).0.clone().flatten()
     }
 
     fn finish(&self, status: io::Result<ExitStatus>) {
         let reason = lock(&self.reason).clone();
         let words = reason.unwrap_or_else(|| match status {
-            Err(error) => format!("is lost: {error}"),
+            Err(error) => phrase!("worker-lost", reason = error.to_string()),
             Ok(status) => match (status.signal(), status.code()) {
-                (Some(signal), _) => signal_words(signal, &self.crash_place(signal)),
-                (None, code) => format!("ended by itself (exit code {})", code.unwrap_or(0)),
+                (Some(signal), _) => signal_phrase(signal, self.crash_node(signal)),
+                (None, code) => phrase!("worker-exited", code = code.unwrap_or(0)),
             },
         });
         *lock(&self.end) = Some(words);
@@ -229,22 +230,22 @@ fn relay(life: &Life, from: ChildStderr) {
     while matches!(from.read_until(b'\n', &mut line), Ok(1..)) {
         // Nobody may read it.
         let _ = io::stderr().write_all(&line);
-        if let Some(place) = crash_place(&String::from_utf8_lossy(&line)) {
-            lock(&life.crash).get_or_insert(place);
+        if let Some(node) = crash_node(&String::from_utf8_lossy(&line)) {
+            lock(&life.crash).get_or_insert(node);
             life.reported.notify_all();
         }
         line.clear();
     }
 }
 
-/// The place of a crash that a line of the engine's report names, ready to follow "crashed"; empty where no node ran.
-fn crash_place(line: &str) -> Option<String> {
+/// The node of a crash that a line of the engine's report names; `Some(None)` where no node ran.
+fn crash_node(line: &str) -> Option<Option<String>> {
     let rest = line.strip_prefix("error: ")?;
     if rest.starts_with("the program crashed outside of every node") {
-        return Some(String::new());
+        return Some(None);
     }
     let (node, rest) = rest.strip_prefix("node `")?.split_once('`')?;
-    rest.contains(" crashed while it ").then(|| format!(" in node `{node}`"))
+    rest.contains(" crashed while it ").then(|| Some(node.to_owned()))
 }
 
 /// Names a child process that has not been waited for.
@@ -259,16 +260,20 @@ fn pidfd(child: &Child) -> io::Result<OwnedFd> {
 }
 
 /// How a signal ended a process: continues a sentence about it.
-fn signal_words(signal: i32, place: &str) -> String {
-    match signal {
-        libc::SIGSEGV => format!("crashed{place} (SIGSEGV)"),
-        libc::SIGBUS => format!("crashed{place} (SIGBUS)"),
-        libc::SIGFPE => format!("crashed{place} (SIGFPE)"),
-        libc::SIGILL => format!("crashed{place} (SIGILL)"),
-        libc::SIGABRT => format!("crashed{place} (SIGABRT)"),
-        libc::SIGKILL => "was killed (SIGKILL), perhaps because memory ran out".to_owned(),
-        libc::SIGTERM => "was ended from outside (SIGTERM)".to_owned(),
-        other => format!("was ended by signal {other}"),
+fn signal_phrase(signal: i32, node: Option<String>) -> Phrase {
+    let name = match signal {
+        libc::SIGSEGV => "SIGSEGV",
+        libc::SIGBUS => "SIGBUS",
+        libc::SIGFPE => "SIGFPE",
+        libc::SIGILL => "SIGILL",
+        libc::SIGABRT => "SIGABRT",
+        libc::SIGKILL => return phrase!("worker-killed"),
+        libc::SIGTERM => return phrase!("worker-terminated"),
+        other => return phrase!("worker-signal", signal = other),
+    };
+    match node {
+        Some(node) => phrase!("worker-crashed-in", node = node, signal = name),
+        None => phrase!("worker-crashed", signal = name),
     }
 }
 
@@ -297,13 +302,13 @@ impl Reader {
             match link::receive::<Message>(&mut from) {
                 Ok(Some(message)) => {
                     if !self.pass_on(message) {
-                        return self.life.kill("sent a picture that makes no sense and was ended");
+                        return self.life.kill(phrase!("worker-bad-picture"));
                     }
                 }
                 // Its end has its own thread.
                 Ok(None) => return,
                 Err(error) if error.kind() == io::ErrorKind::InvalidData => {
-                    return self.life.kill("sent a message that makes no sense and was ended");
+                    return self.life.kill(phrase!("worker-bad-message"));
                 }
                 Err(_) => return,
             }

@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use panoscope_editor_texts::{Phrase, phrase};
+
 use crate::runner::{Outage, OutageStage};
 
 /// Time from the first picture of the cameras to the start of the whole graph, by the number of crashes in a row. After the last one the user
@@ -51,14 +53,14 @@ pub(super) struct Recovery {
     stage: Stage,
     number: u64,
     in_a_row: usize,
-    why: String,
+    why: Phrase,
     /// Start of the present stage.
     since: Instant,
 }
 
 impl Recovery {
     pub fn new(now: Instant) -> Self {
-        Self { stage: Stage::Steady, number: 0, in_a_row: 0, why: String::new(), since: now }
+        Self { stage: Stage::Steady, number: 0, in_a_row: 0, why: phrase!("worker-not-needed"), since: now }
     }
 
     fn set(&mut self, stage: Stage, now: Instant) {
@@ -66,7 +68,7 @@ impl Recovery {
     }
 
     /// The process has ended.
-    pub fn crashed(&mut self, why: String, now: Instant) {
+    pub fn crashed(&mut self, why: Phrase, now: Instant) {
         let lived = now.duration_since(self.since);
         if matches!(self.stage, Stage::Steady | Stage::Restored | Stage::Cameras(_)) && lived >= ROW {
             self.in_a_row = 0;
@@ -121,7 +123,7 @@ impl Recovery {
     }
 
     /// The whole graph was not started: `why` continues a sentence about the image processing.
-    pub fn refused(&mut self, why: String, now: Instant) {
+    pub fn refused(&mut self, why: Phrase, now: Instant) {
         if self.stage == Stage::Starting {
             self.why = why;
             self.in_a_row += 1;
@@ -175,6 +177,10 @@ impl Recovery {
 mod tests {
     use super::*;
 
+    fn crash_phrase() -> Phrase {
+        phrase!("worker-crashed", signal = "SIGSEGV")
+    }
+
     fn seconds(s: f64) -> Duration {
         Duration::from_secs_f64(s)
     }
@@ -185,7 +191,7 @@ mod tests {
         let mut recovery = Recovery::new(start);
         assert_eq!((recovery.step(start), recovery.outage(start)), (Step::Wait, None));
         let crash = start + seconds(100.0);
-        recovery.crashed("crashed".to_owned(), crash);
+        recovery.crashed(crash_phrase(), crash);
         assert_eq!(recovery.step(crash), Step::Cameras);
         recovery.opening(crash);
         assert_eq!(recovery.step(crash + seconds(0.1)), Step::Wait);
@@ -206,7 +212,7 @@ mod tests {
         let mut recovery = Recovery::new(now);
         let mut waits = Vec::new();
         for _ in 0..7 {
-            recovery.crashed("crashed".to_owned(), now);
+            recovery.crashed(crash_phrase(), now);
             assert_eq!(recovery.step(now), Step::Cameras, "the cameras come at once after a process that showed them");
             recovery.opening(now);
             recovery.picture(now);
@@ -229,7 +235,7 @@ mod tests {
         recovery.runs(now);
         recovery.done();
         now += seconds(61.0);
-        recovery.crashed("crashed".to_owned(), now);
+        recovery.crashed(crash_phrase(), now);
         recovery.opening(now);
         recovery.picture(now);
         assert_eq!(recovery.outage(now).map(|o| o.stage), Some(OutageStage::Cameras(Some(RESUME_AFTER[0]))));
@@ -241,7 +247,7 @@ mod tests {
         let mut recovery = Recovery::new(now);
         let mut pauses = Vec::new();
         for _ in 0..12 {
-            recovery.crashed("crashed".to_owned(), now);
+            recovery.crashed(crash_phrase(), now);
             let begin = now;
             while recovery.step(now) == Step::Wait {
                 now += seconds(0.025);
@@ -258,17 +264,17 @@ mod tests {
     fn a_whole_graph_that_does_not_start_leaves_the_cameras() {
         let now = Instant::now();
         let mut recovery = Recovery::new(now);
-        recovery.crashed("crashed".to_owned(), now);
+        recovery.crashed(crash_phrase(), now);
         recovery.opening(now);
         assert_eq!(recovery.step(now + seconds(6.0)), Step::CamerasAgain);
         recovery.picture(now);
         recovery.ask(now);
         assert_eq!(recovery.step(now), Step::Whole);
-        recovery.refused("does not start: no camera".to_owned(), now);
+        recovery.refused(phrase!("worker-not-started", reason = "no camera"), now);
         let outage = recovery.outage(now).expect("it goes on");
         assert_eq!(
-            (outage.stage, outage.why.as_str()),
-            (OutageStage::Cameras(Some(RESUME_AFTER[1])), "does not start: no camera")
+            (outage.stage, outage.why.english().as_str()),
+            (OutageStage::Cameras(Some(RESUME_AFTER[1])), "could not be started: no camera")
         );
         assert_eq!(recovery.step(now + RESUME_AFTER[1]), Step::Whole);
     }

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use panoscope_editor_model::arguments::Overlay;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
+use panoscope_editor_texts::phrase;
 use panoscope_graph::{GraphOptions, ParamValue};
 
 use super::process::Process;
@@ -167,7 +168,7 @@ impl State {
             Message::Prepared(Ok(None)) if self.is_preparing => self.show_cameras(),
             Message::Prepared(Err(refusal)) if self.is_preparing => {
                 if let Some(active) = &self.active {
-                    active.kill(&format!("cannot be started again: {}", refusal.message));
+                    active.kill(phrase!("worker-not-restarted", reason = &refusal.message));
                 }
             }
             Message::Prepared(answer) => {
@@ -206,9 +207,9 @@ impl State {
         for (process, has_run) in active.chain(self.spare.iter().map(|spare| (&spare.process, false))) {
             let (beat, round) = process.silence(passed);
             match beat {
-                None if round > BEGIN => process.kill("did not begin to work and was ended"),
-                Some(beat) if beat > SILENT => process.kill("did not answer for one second and was ended"),
-                Some(_) if has_run && round > STUCK => process.kill("was stuck for five seconds and was ended"),
+                None if round > BEGIN => process.kill(phrase!("worker-never-began")),
+                Some(beat) if beat > SILENT => process.kill(phrase!("worker-silent")),
+                Some(_) if has_run && round > STUCK => process.kill(phrase!("worker-stuck")),
                 _ => {}
             }
         }
@@ -222,8 +223,11 @@ impl State {
         if self.run.running == self.run_hash && self.run.is_running() {
             self.recovery.runs(now);
         } else {
-            let why = self.run.problem().unwrap_or("it ended").to_owned();
-            self.recovery.refused(format!("could not start again: {why}"), now);
+            let why = self
+                .run
+                .problem()
+                .map_or_else(|| phrase!("worker-run-ended"), |problem| phrase!("worker-refused", reason = problem));
+            self.recovery.refused(phrase!("worker-not-started-again", reason = why), now);
         }
         true
     }

@@ -101,7 +101,7 @@ fn a_process_that_lives_but_is_stuck_is_replaced() {
         assert!(Instant::now() < until, "nothing is noticed");
         std::thread::sleep(Duration::from_millis(10));
     }
-    assert_eq!(state().expect("an outage").why, "was stuck for five seconds and was ended");
+    assert_eq!(state().expect("an outage").why.english(), "was stuck for five seconds and was ended");
     while guard.processes().0.is_none() {
         assert!(Instant::now() < until, "no other process is started");
         std::thread::sleep(Duration::from_millis(10));

@@ -6,6 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use panoscope_editor_model::session::Wake;
+use panoscope_editor_texts::{Phrase, phrase};
 use panoscope_engine::sync::lock;
 
 use super::process::{Inbox, Incoming, Process, Program};
@@ -67,7 +68,7 @@ impl Shared {
             match (incoming, spare) {
                 (Incoming::Message(Message::Prepared(Ok(_))), Some(spare)) => spare.is_ready = true,
                 (Incoming::Message(Message::Prepared(Err(refusal))), Some(spare)) => {
-                    spare.process.kill(&refusal.message)
+                    spare.process.kill(phrase!("worker-refused", reason = &refusal.message))
                 }
                 // Its end is seen by the next look.
                 (Incoming::End, _) => {}
@@ -142,7 +143,9 @@ impl Shared {
         }
         match self.start(state) {
             Ok(process) => state.active = Some(process),
-            Err(error) => state.prepared = Some(Err(self.refusal(&format!("could not be started: {error}")))),
+            Err(error) => {
+                state.prepared = Some(Err(self.refusal(phrase!("worker-not-started", reason = error.to_string()))))
+            }
         }
         if let Some((file, given)) = state.asked.clone() {
             state.send(Command::Prepare { file, given });
@@ -171,7 +174,7 @@ impl Shared {
                 state.active = Some(process);
                 state.is_preparing = true;
             }
-            Err(error) => state.recovery.crashed(format!("could not be started: {error}"), now),
+            Err(error) => state.recovery.crashed(phrase!("worker-not-started", reason = error.to_string()), now),
         }
     }
 
@@ -200,7 +203,7 @@ impl Shared {
         state.forget_run();
         if state.asked.take().is_some() {
             // What was being checked may be what it crashed on.
-            state.prepared = Some(Err(self.refusal(&why)));
+            state.prepared = Some(Err(self.refusal(why.clone())));
         }
         if state.searched.take().is_some() {
             state.overlays = Some(Vec::new());
@@ -211,7 +214,7 @@ impl Shared {
         true
     }
 
-    pub(super) fn refusal(&self, why: &str) -> Refusal {
-        Refusal::of(&self.path, &OpenError::Worker(why.to_owned()))
+    pub(super) fn refusal(&self, why: Phrase) -> Refusal {
+        Refusal::of(&self.path, &OpenError::Worker(why))
     }
 }

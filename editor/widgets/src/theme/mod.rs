@@ -199,6 +199,7 @@ fn style(ctx: &Context, theme: Theme) {
         spacing.window_margin = Margin::same(16);
         spacing.menu_margin = Margin::same(8);
         style.animation_time = 0.1;
+        style.number_formatter = crate::numbers::formatter();
         let visuals = &mut style.visuals;
         visuals.panel_fill = ground();
         visuals.window_fill = panel();

@@ -20,6 +20,7 @@ mod machine;
 mod model;
 mod numbers;
 mod packets;
+mod pedal;
 mod picture;
 mod plugin;
 mod recording;
@@ -68,6 +69,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "machine_message", run: machine::run, seeds: machine::seeds },
     Target { name: "onnx", run: model::run, seeds: model::seeds },
     Target { name: "packet", run: packets::run, seeds: packets::seeds },
+    Target { name: "pedal", run: pedal::run, seeds: pedal::seeds },
     Target { name: "picture", run: picture::run, seeds: picture::seeds },
     Target { name: "plugin_note", run: plugin::note, seeds: plugin::note_seeds },
     Target { name: "presets", run: states::presets, seeds: states::preset_seeds },
