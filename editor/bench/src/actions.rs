@@ -1,6 +1,7 @@
 //! All actions of the editor and their keys. Buttons and keys trigger the same actions.
 
 use eframe::egui::{InputState, Key, KeyboardShortcut, Modifiers};
+use panoscope_editor_texts as texts;
 
 /// An action of the editor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -95,6 +96,8 @@ pub enum Action {
     Reload,
     /// Change between dark and light.
     Theme,
+    /// Speak the next language.
+    Language,
     /// Open the palette of commands.
     Commands,
     /// Start the guided tour.
@@ -137,7 +140,13 @@ pub enum Action {
     Escape,
 }
 
-/// Every action with its key and description, in the order of the help.
+/// The name of a text, which is known to be there.
+const fn text(name: &'static str) -> &'static str {
+    texts::assert_declared(name, &[]);
+    name
+}
+
+/// Every action with its key and the name of the text that describes it, in the order of the help.
 pub const ALL: &[(Action, Modifiers, Key, &str)] = {
     use Action::*;
     const NONE: Modifiers = Modifiers::NONE;
@@ -145,71 +154,72 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
     const SHIFT: Modifiers = Modifiers::COMMAND.plus(Modifiers::SHIFT);
     const ALT: Modifiers = Modifiers::ALT;
     &[
-        (Add, NONE, Key::A, "Add a node"),
-        (Connect, NONE, Key::W, "Connect the selected node"),
-        (Find, CTRL, Key::F, "Find a node"),
-        (Delete, NONE, Key::Delete, "Delete the selection"),
-        (Duplicate, CTRL, Key::D, "Duplicate the selection"),
-        (Bypass, NONE, Key::B, "Bypass the selected nodes, or end the bypass"),
-        (Undo, CTRL, Key::Z, "Undo"),
-        (Redo, SHIFT, Key::Z, "Redo"),
-        (Save, CTRL, Key::S, "Save the file"),
-        (View, NONE, Key::V, "Show the output large"),
-        (Compare, NONE, Key::C, "Compare it with the next output"),
-        (Fit, NONE, Key::F, "Show the whole graph"),
-        (ZoomIn, NONE, Key::Plus, "Zoom in"),
-        (ZoomOut, NONE, Key::Minus, "Zoom out"),
-        (SelectAll, CTRL, Key::A, "Select all nodes"),
-        (Next, NONE, Key::N, "Select the next node"),
-        (NextToo, Modifiers::SHIFT, Key::N, "Add the next node to the selection"),
-        (Frame, NONE, Key::G, "Frame the selected nodes"),
-        (Note, NONE, Key::O, "Add a note"),
-        (Align, NONE, Key::L, "Align the selected nodes"),
-        (OpenPart, NONE, Key::E, "Open the selected part, or fold it"),
-        (MakePart, NONE, Key::K, "Make a part of the selected nodes"),
-        (Dissolve, Modifiers::SHIFT, Key::K, "Dissolve the selected part into its nodes"),
-        (Arguments, NONE, Key::I, "Arguments and overlays of the graph"),
-        (Heat, NONE, Key::H, "Heat map: where time goes"),
-        (Text, NONE, Key::T, "The file's text"),
-        (Plots, NONE, Key::P, "Plots of times and values"),
-        (History, NONE, Key::Y, "History of the parameters"),
-        (Back, NONE, Key::OpenBracket, "One step back in the history"),
-        (Forward, NONE, Key::CloseBracket, "One step forward in the history"),
-        (Sweep, NONE, Key::S, "Sweep a parameter"),
-        (States, NONE, Key::R, "Presets and snapshots"),
-        (Snapshot, Modifiers::SHIFT, Key::R, "Take a snapshot of the graph"),
-        (Problems, NONE, Key::M, "Mistakes and faults"),
-        (Timeline, NONE, Key::J, "Timeline of a recording"),
-        (Play, NONE, Key::Q, "Play the recording, or pause it"),
-        (TickBack, NONE, Key::Comma, "One tick back in the recording"),
-        (TickForward, NONE, Key::Period, "One tick forward in the recording"),
-        (Trace, NONE, Key::D, "Paths of dropped and late ticks"),
-        (NextProblem, NONE, Key::F8, "The next problem: its cause and what to do"),
-        (PreviousProblem, Modifiers::SHIFT, Key::F8, "The previous problem"),
-        (Plugins, NONE, Key::U, "Plugins and what they offer"),
-        (Reload, CTRL, Key::R, "Swap rebuilt plugins in"),
-        (Restart, SHIFT, Key::R, "Restart the graph"),
-        (Theme, Modifiers::SHIFT, Key::T, "Dark or light"),
-        (Commands, CTRL, Key::K, "Find a command, node or parameter"),
-        (NodeHelp, Modifiers::SHIFT, Key::F1, "Help of the selected node"),
-        (Source, NONE, Key::X, "Source of the selected node, if it is written in Python"),
-        (NodePanel, Modifiers::SHIFT, Key::I, "Panel of the selected node"),
-        (Overview, Modifiers::SHIFT, Key::O, "Panel of the whole graph"),
-        (ViewerBeside, Modifiers::SHIFT, Key::V, "The viewer beside the graph, or over it"),
-        (NextPanel, NONE, Key::F6, "The next panel gets the keys"),
-        (PreviousPanel, Modifiers::SHIFT, Key::F6, "The previous panel gets the keys"),
-        (PanelLeft, ALT, Key::ArrowLeft, "Move the panel to the left of the graph"),
-        (PanelRight, ALT, Key::ArrowRight, "Move the panel to the right of the graph"),
-        (PanelAbove, ALT, Key::ArrowUp, "Move the panel above the graph"),
-        (PanelBelow, ALT, Key::ArrowDown, "Move the panel below the graph"),
-        (PanelLarger, ALT, Key::Plus, "Make the panel larger"),
-        (PanelSmaller, ALT, Key::Minus, "Make the panel smaller"),
-        (TearOff, ALT, Key::Enter, "Put the panel into a window of its own, or back"),
-        (ClosePanel, CTRL, Key::W, "Close the panel"),
-        (ResetLayout, ALT, Key::Num0, "Reset the layout of the panels"),
-        (Guide, CTRL, Key::F1, "Guided tour of one minute"),
-        (Help, NONE, Key::F1, "These keys"),
-        (Escape, NONE, Key::Escape, "Close what is open"),
+        (Add, NONE, Key::A, text("action-add")),
+        (Connect, NONE, Key::W, text("action-connect")),
+        (Find, CTRL, Key::F, text("action-find")),
+        (Delete, NONE, Key::Delete, text("action-delete")),
+        (Duplicate, CTRL, Key::D, text("action-duplicate")),
+        (Bypass, NONE, Key::B, text("action-bypass")),
+        (Undo, CTRL, Key::Z, text("action-undo")),
+        (Redo, SHIFT, Key::Z, text("action-redo")),
+        (Save, CTRL, Key::S, text("action-save")),
+        (View, NONE, Key::V, text("action-view")),
+        (Compare, NONE, Key::C, text("action-compare")),
+        (Fit, NONE, Key::F, text("action-fit")),
+        (ZoomIn, NONE, Key::Plus, text("action-zoom-in")),
+        (ZoomOut, NONE, Key::Minus, text("action-zoom-out")),
+        (SelectAll, CTRL, Key::A, text("action-select-all")),
+        (Next, NONE, Key::N, text("action-next")),
+        (NextToo, Modifiers::SHIFT, Key::N, text("action-next-too")),
+        (Frame, NONE, Key::G, text("action-frame")),
+        (Note, NONE, Key::O, text("action-note")),
+        (Align, NONE, Key::L, text("action-align")),
+        (OpenPart, NONE, Key::E, text("action-open-part")),
+        (MakePart, NONE, Key::K, text("action-make-part")),
+        (Dissolve, Modifiers::SHIFT, Key::K, text("action-dissolve")),
+        (Arguments, NONE, Key::I, text("action-arguments")),
+        (Heat, NONE, Key::H, text("action-heat")),
+        (Text, NONE, Key::T, text("action-text")),
+        (Plots, NONE, Key::P, text("action-plots")),
+        (History, NONE, Key::Y, text("action-history")),
+        (Back, NONE, Key::OpenBracket, text("action-back")),
+        (Forward, NONE, Key::CloseBracket, text("action-forward")),
+        (Sweep, NONE, Key::S, text("action-sweep")),
+        (States, NONE, Key::R, text("action-states")),
+        (Snapshot, Modifiers::SHIFT, Key::R, text("action-snapshot")),
+        (Problems, NONE, Key::M, text("action-problems")),
+        (Timeline, NONE, Key::J, text("action-timeline")),
+        (Play, NONE, Key::Q, text("action-play")),
+        (TickBack, NONE, Key::Comma, text("action-tick-back")),
+        (TickForward, NONE, Key::Period, text("action-tick-forward")),
+        (Trace, NONE, Key::D, text("action-trace")),
+        (NextProblem, NONE, Key::F8, text("action-next-problem")),
+        (PreviousProblem, Modifiers::SHIFT, Key::F8, text("action-previous-problem")),
+        (Plugins, NONE, Key::U, text("action-plugins")),
+        (Reload, CTRL, Key::R, text("action-reload")),
+        (Restart, SHIFT, Key::R, text("action-restart")),
+        (Theme, Modifiers::SHIFT, Key::T, text("action-theme")),
+        (Language, Modifiers::SHIFT, Key::L, text("action-language")),
+        (Commands, CTRL, Key::K, text("action-commands")),
+        (NodeHelp, Modifiers::SHIFT, Key::F1, text("action-node-help")),
+        (Source, NONE, Key::X, text("action-source")),
+        (NodePanel, Modifiers::SHIFT, Key::I, text("action-node-panel")),
+        (Overview, Modifiers::SHIFT, Key::O, text("action-overview")),
+        (ViewerBeside, Modifiers::SHIFT, Key::V, text("action-viewer-beside")),
+        (NextPanel, NONE, Key::F6, text("action-next-panel")),
+        (PreviousPanel, Modifiers::SHIFT, Key::F6, text("action-previous-panel")),
+        (PanelLeft, ALT, Key::ArrowLeft, text("action-panel-left")),
+        (PanelRight, ALT, Key::ArrowRight, text("action-panel-right")),
+        (PanelAbove, ALT, Key::ArrowUp, text("action-panel-above")),
+        (PanelBelow, ALT, Key::ArrowDown, text("action-panel-below")),
+        (PanelLarger, ALT, Key::Plus, text("action-panel-larger")),
+        (PanelSmaller, ALT, Key::Minus, text("action-panel-smaller")),
+        (TearOff, ALT, Key::Enter, text("action-tear-off")),
+        (ClosePanel, CTRL, Key::W, text("action-close-panel")),
+        (ResetLayout, ALT, Key::Num0, text("action-reset-layout")),
+        (Guide, CTRL, Key::F1, text("action-guide")),
+        (Help, NONE, Key::F1, text("action-help")),
+        (Escape, NONE, Key::Escape, text("action-escape")),
     ]
 };
 
@@ -272,6 +282,6 @@ pub fn key_name(action: Action) -> String {
 
 /// The description of an action with its key, for tooltips.
 pub fn hint(action: Action) -> String {
-    let description = ALL.iter().find(|(a, ..)| *a == action).map_or("", |(.., description)| description);
+    let description = ALL.iter().find(|(a, ..)| *a == action).map_or("", |(.., name)| texts::plain(name));
     format!("{description} ({})", key_name(action))
 }

@@ -44,7 +44,9 @@ panoscope_engine::guard_exits!();
 fn main() {
     panoscope_engine::heap::keep_large_blocks_apart();
     window::listen_to_signals();
-    let code = run(&window::parse());
+    let arguments: Arguments = window::parse();
+    arguments.window.apply_language();
+    let code = run(&arguments);
     window::leave(code)
 }
 

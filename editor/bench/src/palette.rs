@@ -6,6 +6,8 @@ use eframe::egui::{
     Align, Align2, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, TextWrapMode, Ui,
     WidgetInfo, WidgetType, vec2,
 };
+use panoscope_editor_texts as texts;
+use panoscope_editor_texts::text;
 use panoscope_graph::NodeType;
 use panoscope_loader::Loader;
 
@@ -82,8 +84,8 @@ impl Types {
 
 /// All actions.
 fn commands() -> impl Iterator<Item = Entry> {
-    actions::ALL.iter().filter(|(action, ..)| *action != Action::Commands).map(|(action, _, _, description)| Entry {
-        name: (*description).to_owned(),
+    actions::ALL.iter().filter(|(action, ..)| *action != Action::Commands).map(|(action, _, _, name)| Entry {
+        name: texts::plain(name).to_owned(),
         side: actions::key_name(*action),
         doc: format!("Command {action:?}"),
         color: theme::accent(),
@@ -167,7 +169,7 @@ impl Palette {
                 let pairs = inputs
                     .flat_map(|port| candidates(document, index, &port.name).into_iter().map(move |from| (port, from)));
                 let entry = |(port, from): (&panoscope_graph::Port, Output)| Entry {
-                    name: format!("{} from {from}", port.name),
+                    name: text!("palette-from", input = &port.name, output = from.to_string()),
                     side: port.packet.name.clone(),
                     doc: port.doc.lines().next().unwrap_or_default().to_owned(),
                     color: theme::packet(&port.packet.name),
@@ -182,11 +184,11 @@ impl Palette {
 
     fn hint(&self) -> &'static str {
         match &self.purpose {
-            Purpose::Add { pending: None, .. } => "Add a node: type, family or what it does",
-            Purpose::Add { .. } => "Add a node for this wire",
-            Purpose::Connect { .. } => "Connect: name of an input or output",
-            Purpose::Find => "Find a node",
-            Purpose::Command => "A command, a node, or a parameter of the graph",
+            Purpose::Add { pending: None, .. } => text!("palette-add"),
+            Purpose::Add { .. } => text!("palette-add-to-wire"),
+            Purpose::Connect { .. } => text!("palette-connect"),
+            Purpose::Find => text!("palette-find"),
+            Purpose::Command => text!("palette-command"),
         }
     }
 
@@ -215,7 +217,7 @@ impl Palette {
             .show(ctx, |ui| {
                 ui.set_width(520.0);
                 let hint = self.hint();
-                if search::field(ui, &mut self.typed, &mut self.fresh, hint, "Palette") {
+                if search::field(ui, &mut self.typed, &mut self.fresh, hint, text!("palette-name")) {
                     self.chosen = 0;
                 }
                 ui.add_space(theme::STEP);
@@ -230,7 +232,7 @@ impl Palette {
                         }
                         if order.is_empty() {
                             let reading = matches!(self.purpose, Purpose::Add { .. }) && types.get().is_none();
-                            let message = if reading { "loading the plugins" } else { "no match" };
+                            let message = if reading { text!("palette-loading") } else { text!("palette-no-match") };
                             ui.label(RichText::new(message).color(theme::muted()));
                         }
                     },
@@ -243,7 +245,9 @@ impl Palette {
 /// Draws one row; returns whether it was clicked.
 fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
     let (rect, row) = ui.allocate_exact_size(vec2(ui.available_width(), 44.0), Sense::click());
-    row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, format!("Pick {}", entry.name)));
+    row.widget_info(|| {
+        WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, text!("palette-pick", name = &entry.name))
+    });
     if !ui.is_rect_visible(rect) && !chosen {
         return row.clicked();
     }

@@ -4,6 +4,7 @@ use eframe::egui::{
     Align2, Button, Color32, EventFilter, FontId, Id, Key, Modifiers, Pos2, Rect, RichText, Sense, Stroke, StrokeKind,
     Ui, UiBuilder, Vec2, WidgetInfo, WidgetType, vec2,
 };
+use panoscope_editor_texts::text;
 use panoscope_graph::Pick;
 
 use panoscope_editor_model::document::Document;
@@ -143,7 +144,7 @@ impl Picker {
         let scale = inner.width() / size_px.x.max(1.0);
         let map = PixelMap { inner, scale, origin, size_px };
         let ground = ui.interact(inner, Id::new("pick"), Sense::click_and_drag());
-        let label = format!("Pick {}.{} here", self.node, self.param);
+        let label = text!("pick-here", param = format!("{}.{}", self.node, self.param));
         ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, label.clone()));
         if self.kind == Pick::Points {
             if ground.clicked()
@@ -215,11 +216,15 @@ impl Picker {
     }
 
     /// One handle at a position in the window; returns by how many px it was moved.
-    fn handle(&mut self, ui: &mut Ui, map: &PixelMap, at: Pos2, index: usize, part: &str) -> [f64; 2] {
-        let id = Id::new(("pick", index, part.to_owned()));
+    fn handle(&mut self, ui: &mut Ui, map: &PixelMap, at: Pos2, index: usize, corner: Option<u8>) -> [f64; 2] {
+        let id = Id::new(("pick", index, corner));
         let grip = ui.interact(Rect::from_center_size(at, Vec2::splat(2.0 * REACH)), id, Sense::click_and_drag());
-        let thing = if self.kind == Pick::Points { "Point" } else { "Rectangle" };
-        let label = format!("{thing} {}{part} of {}.{}", index + 1, self.node, self.param);
+        let param = format!("{}.{}", self.node, self.param);
+        let label = match (self.kind, corner) {
+            (Pick::Points, _) => text!("pick-point", number = index + 1, param = param),
+            (_, None) => text!("pick-rectangle", number = index + 1, param = param),
+            (_, Some(corner)) => text!("pick-corner", number = index + 1, corner = corner, param = param),
+        };
         grip.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label.clone()));
         if self.focus == Some(index) {
             self.focus = None;
@@ -258,7 +263,7 @@ impl Picker {
     fn point(&mut self, ui: &mut Ui, map: &PixelMap, values: &mut [f64], index: usize) {
         let value = [values[2 * index], values[2 * index + 1]];
         let at = map.at(value);
-        let by = self.handle(ui, map, at, index, "");
+        let by = self.handle(ui, map, at, index, None);
         let moved = map.inside([value[0] + by[0], value[1] + by[1]]);
         if by != [0.0; 2] {
             values[2 * index..2 * index + 2].copy_from_slice(&moved);
@@ -282,9 +287,9 @@ impl Picker {
         let rect = Rect::from_two_pos(map.at([x, y]), map.at([x + w, y + h]));
         ui.painter().rect_stroke(rect, 0.0, Stroke::new(3.5, Color32::from_black_alpha(150)), StrokeKind::Middle);
         ui.painter().rect_stroke(rect, 0.0, Stroke::new(1.5, theme::accent()), StrokeKind::Middle);
-        let first = self.handle(ui, map, rect.min, index, " corner 1");
-        let second = self.handle(ui, map, rect.max, index, " corner 2");
-        let middle = self.handle(ui, map, rect.center(), index, "");
+        let first = self.handle(ui, map, rect.min, index, Some(1));
+        let second = self.handle(ui, map, rect.max, index, Some(2));
+        let middle = self.handle(ui, map, rect.center(), index, None);
         if [first, second, middle].iter().all(|by| *by == [0.0; 2]) {
             return;
         }
@@ -307,12 +312,9 @@ impl Picker {
             ui.horizontal(|ui| {
                 let points = self.kind == Pick::Points;
                 ui.label(RichText::new(format!("{}.{}", self.node, self.param)).color(theme::accent()));
-                let thing = if points { "point" } else { "rectangle" };
-                let add = ui.add_enabled(self.may_add(values), Button::new(format!("Add a {thing}")));
-                if add
-                    .on_hover_text("In the middle of the image; arrow keys move it by 1 px, with Shift by 10 px")
-                    .clicked()
-                {
+                let caption = if points { text!("pick-add-point") } else { text!("pick-add-rectangle") };
+                let add = ui.add_enabled(self.may_add(values), Button::new(caption));
+                if add.on_hover_text(text!("pick-add-hint")).clicked() {
                     let [x, y] = map.px(map.inner.center());
                     let (w, h) = (f64::from(map.size_px.x), f64::from(map.size_px.y));
                     match points {
@@ -328,17 +330,17 @@ impl Picker {
                     self.focus = Some(self.touched);
                 }
                 if ui
-                    .add_enabled(!values.is_empty(), Button::new("Remove"))
-                    .on_hover_text("The last one touched (Delete)")
+                    .add_enabled(!values.is_empty(), Button::new(text!("pick-remove")))
+                    .on_hover_text(text!("pick-remove.hint"))
                     .clicked()
                 {
                     self.remove(values);
                 }
-                if ui.add_enabled(!values.is_empty(), Button::new("Clear")).clicked() {
+                if ui.add_enabled(!values.is_empty(), Button::new(text!("pick-clear"))).clicked() {
                     values.clear();
                 }
-                done = ui.button("Done").on_hover_text("Escape").clicked();
-                let hint = if points { "click to add, drag to move" } else { "drag to draw, handles to change" };
+                done = ui.button(text!("pick-done")).on_hover_text(text!("key-escape")).clicked();
+                let hint = if points { text!("pick-points-hint") } else { text!("pick-rectangles-hint") };
                 ui.label(RichText::new(hint).color(theme::muted()));
             });
         });

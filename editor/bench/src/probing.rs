@@ -7,6 +7,7 @@ use eframe::egui::{
 
 use panoscope_editor_model::picture::short;
 use panoscope_editor_model::probe::{Histogram, Probe, ProbeRequest, Profile};
+use panoscope_editor_texts::{decimal, text, with_decimal_sign};
 use panoscope_editor_widgets::crosshair::Crosshair;
 use panoscope_editor_widgets::theme;
 
@@ -109,7 +110,7 @@ impl Probing {
         painter.rect_filled(shown, 4.0, Color32::from_black_alpha(190));
         painter.galley(shown.min + vec2(6.0, 3.0), galley, Color32::WHITE);
         let label = ui.interact(shown, ui.id().with("probe"), Sense::hover());
-        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("Value at {words}")));
+        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, text!("probe-at", found = &words)));
     }
 }
 
@@ -127,7 +128,8 @@ fn color_of(probe: &Probe, channel: usize) -> Color32 {
 }
 
 fn with_unit(value: f32, unit: &str) -> String {
-    if unit.is_empty() { short(value.into()) } else { format!("{} {unit}", short(value.into())) }
+    let number = with_decimal_sign(&short(value.into()));
+    if unit.is_empty() { number } else { format!("{number} {unit}") }
 }
 
 /// Shows the histogram of a picture: how often each value occurs, with range, mean, and the share of unknown pixels.
@@ -146,15 +148,20 @@ pub fn histogram(ui: &mut Ui, probe: &Probe) {
     }
     let unknown = probe.histograms.iter().map(|h| h.unknown).fold(0.0, f32::max);
     let means: Vec<String> = probe.histograms.iter().map(|h| with_unit(h.mean, probe.unit)).collect();
-    let mut words =
-        format!("{} to {}, mean {}", with_unit(low, probe.unit), with_unit(high, probe.unit), means.join(", "));
+    let mut words = text!(
+        "probe-mean",
+        low = with_unit(low, probe.unit),
+        high = with_unit(high, probe.unit),
+        mean = means.join(", ")
+    );
     if unknown > 0.0 {
-        words += &format!(", {:.0} % unknown", (unknown * 100.0).max(1.0));
+        let percent = decimal(f64::from((unknown * 100.0).max(1.0)), 0);
+        words += &format!(", {}", text!("probe-unknown", percent = percent));
     }
     if probe.is_thinned {
-        words += ", thinned on the way";
+        words += &format!(", {}", text!("probe-thinned"));
     }
-    response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Histogram: {words}")));
+    response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, text!("probe-histogram", found = &words)));
     ui.label(eframe::egui::RichText::new(words).size(11.0).color(theme::muted()));
 }
 
@@ -180,10 +187,10 @@ pub fn profile(ui: &mut Ui, rect: Rect, probe: &Probe) {
     let known = || profile.values.iter().flatten().copied().filter(|value| value.is_finite());
     let (low, high) = (known().fold(f32::INFINITY, f32::min), known().fold(f32::NEG_INFINITY, f32::max));
     let words = match low <= high {
-        true => format!("{} to {}", with_unit(low, probe.unit), with_unit(high, probe.unit)),
-        false => "nothing known".to_owned(),
+        true => text!("probe-range", low = with_unit(low, probe.unit), high = with_unit(high, probe.unit)),
+        false => text!("probe-nothing").to_owned(),
     };
-    let words = format!("Profile over {} px: {words}", short(profile.length_px.into()));
+    let words = text!("probe-profile", length = with_decimal_sign(&short(profile.length_px.into())), found = words);
     let response = ui.interact(rect, ui.id().with("profile"), Sense::hover());
     response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, words.clone()));
     let font = FontId::proportional(12.0);

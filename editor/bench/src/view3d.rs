@@ -3,15 +3,16 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use eframe::egui::{
-    Align2, Color32, DragValue, FontId, Painter, Pos2, Rect, RichText, Sense, Stroke, Ui, WidgetInfo, WidgetType, pos2,
-    vec2,
+    Align2, Color32, FontId, Painter, Pos2, Rect, RichText, Sense, Stroke, Ui, WidgetInfo, WidgetType, pos2, vec2,
 };
 
 use panoscope_editor_model::content::{Content, moved, moved_back};
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::surface::{DepthBuffer, Viewpoint, distance_mm};
+use panoscope_editor_texts::{number, text};
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::crosshair::Crosshair;
+use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_editor_widgets::surface::{steer, steer_by_key, zoom_by};
 use panoscope_editor_widgets::theme;
 
@@ -131,7 +132,9 @@ impl View3d {
     pub fn show(&mut self, ui: &mut Ui, rect: Rect, shown: &OutputCache, output: &Output, trajectories: &[Output]) {
         self.follow(shown, trajectories);
         let response = ui.interact(rect, ui.id().with("space"), Sense::click_and_drag());
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Surface of {output}")));
+        response.widget_info(|| {
+            WidgetInfo::labeled(WidgetType::Image, true, text!("surface-name", output = output.to_string()))
+        });
         steer(ui, &response, &mut self.viewpoint, TURN);
         let points = ui.ctx().pixels_per_point();
         let size = [rect.width(), rect.height()].map(|n| ((n * points) as usize / 16 * 16).clamp(160, 1280));
@@ -141,7 +144,7 @@ impl View3d {
             painter.text(
                 rect.center(),
                 Align2::CENTER_CENTER,
-                "nothing yet",
+                text!("viewer-nothing"),
                 FontId::proportional(16.0),
                 theme::muted(),
             );
@@ -152,7 +155,7 @@ impl View3d {
         let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
         painter.image(texture, inner, uv, Color32::WHITE);
         let Some(depth_buffer) = packet.depth_buffer.clone() else {
-            let caption = "the cloud has no points in the chosen depth range";
+            let caption = text!("surface-no-points");
             painter.text(rect.center(), Align2::CENTER_CENTER, caption, FontId::proportional(15.0), theme::muted());
             return;
         };
@@ -200,7 +203,7 @@ impl View3d {
                 painter.circle(at, 3.5, theme::sunk(), Stroke::new(1.5, theme::family("arm")));
             }
             if let Some(at) = here.first().and_then(|foot| view.at(*foot)) {
-                let caption = format!("{} (foot)", output.node);
+                let caption = text!("surface-foot", node = &output.node);
                 let at = at + vec2(8.0, -8.0);
                 painter.text(at, Align2::LEFT_BOTTOM, caption, FontId::proportional(12.0), theme::family("arm"));
             }
@@ -256,7 +259,7 @@ impl View3d {
                 painter.text(
                     middle,
                     Align2::LEFT_TOP,
-                    format!("{mm:.2} mm"),
+                    format!("{} mm", number(mm.into(), 2)),
                     FontId::proportional(16.0),
                     theme::accent(),
                 );
@@ -269,19 +272,19 @@ impl View3d {
 
     /// The controls: measuring and the depth range.
     pub fn controls(&mut self, ui: &mut Ui) {
-        let caption = if self.measuring { "Measuring: click two points" } else { "Measure" };
+        let caption = if self.measuring { text!("surface-measuring") } else { text!("surface-measure") };
         let button = ui.add(eframe::egui::Button::new(caption).selected(self.measuring));
-        if button.on_hover_text("Distance of two points in mm: click them, or use arrow keys and Enter").clicked() {
+        if button.on_hover_text(text!("surface-measure.hint")).clicked() {
             self.toggle_measuring();
         }
-        ui.label(RichText::new("depth from").color(theme::muted()));
+        ui.label(RichText::new(text!("surface-depth-from")).color(theme::muted()));
         let [near, far] = &mut self.viewpoint.clip_mm;
-        let first = ui.add(DragValue::new(near).range(0.0..=*far - 1.0).speed(0.5).suffix(" mm").max_decimals(0));
-        ui.ctx().accesskit_node_builder(first.id, |n| n.set_label("Nearest depth shown"));
-        ui.label(RichText::new("to").color(theme::muted()));
+        let first = ui.add(drag_value(near).range(0.0..=*far - 1.0).speed(0.5).suffix(" mm").max_decimals(0));
+        ui.ctx().accesskit_node_builder(first.id, |n| n.set_label(text!("surface-depth-from.name")));
+        ui.label(RichText::new(text!("surface-depth-to")).color(theme::muted()));
         let second =
-            ui.add(DragValue::new(far).range(*near + 1.0..=Viewpoint::FAR_MM).speed(0.5).suffix(" mm").max_decimals(0));
-        ui.ctx().accesskit_node_builder(second.id, |n| n.set_label("Farthest depth shown"));
+            ui.add(drag_value(far).range(*near + 1.0..=Viewpoint::FAR_MM).speed(0.5).suffix(" mm").max_decimals(0));
+        ui.ctx().accesskit_node_builder(second.id, |n| n.set_label(text!("surface-depth-to.name")));
     }
 }
 

@@ -12,6 +12,7 @@ use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::probe::{Probe, ProbeRequest};
 use panoscope_editor_model::surface::Viewpoint;
+use panoscope_editor_texts::{decimal, text};
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{OutputCache, image_of};
 
@@ -164,7 +165,9 @@ impl Viewer {
             return None;
         }
         let ground = ui.interact(rect, Id::new("viewer"), Sense::click_and_drag());
-        ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Viewer of {}", a.output)));
+        ground.widget_info(|| {
+            WidgetInfo::labeled(WidgetType::Image, true, text!("viewer-name", output = a.output.to_string()))
+        });
         let painter = ui.painter_at(rect);
         painter.rect_filled(rect, 0.0, theme::sunk());
         let mut room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
@@ -179,7 +182,7 @@ impl Viewer {
         let image_rect = shown.texture(&a.output).map(|(_, size)| fit(room, size));
         match (shown.texture(&a.output), b) {
             (None, _) => {
-                let caption = shown.text(&a.output).unwrap_or("nothing yet").to_owned();
+                let caption = shown.text(&a.output).unwrap_or(text!("viewer-nothing")).to_owned();
                 painter.text(room.center(), Align2::CENTER_CENTER, caption, FontId::monospace(16.0), theme::text());
             }
             (Some((texture, size)), None) => {
@@ -208,7 +211,7 @@ impl Viewer {
         }
         if let Some(age) = shown.stale(&a.output) {
             let at = room.center_top() + vec2(0.0, 16.0);
-            let caption = format!("no new packet for {} s", age.as_secs());
+            let caption = text!("viewer-stale", seconds = age.as_secs());
             painter.text(at, Align2::CENTER_TOP, caption, FontId::proportional(18.0), theme::warn());
         }
         self.bar(ui, rect, shown, &a, others);
@@ -261,7 +264,7 @@ impl Viewer {
             Compare::Difference => {
                 if let Some((texture, mean)) = self.difference(ui.ctx(), shown, &a.0.output, &b.output) {
                     picture(painter, texture, inner, Color32::WHITE);
-                    let caption = format!("mean difference {mean:.1} of 255, amplified four times");
+                    let caption = text!("viewer-difference-is", mean = decimal(mean.into(), 1));
                     tag(painter, inner.left_top() + vec2(8.0, 8.0), Align2::LEFT_TOP, caption);
                 }
             }
@@ -299,27 +302,32 @@ impl Viewer {
                 }
                 ui.label(RichText::new(about).color(theme::muted()));
                 ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                    if ui.button("Close").on_hover_text("Escape").clicked() {
+                    if ui.button(text!("viewer-close")).on_hover_text(text!("key-escape")).clicked() {
                         self.close();
                     }
                     if a.packet == "cloud" && self.b.is_none() && !self.picking {
-                        let button = Button::new("Surface").selected(!self.flat);
-                        if ui.add(button).on_hover_text("Switches between a surface and the camera's view").clicked() {
+                        let button = Button::new(text!("viewer-surface")).selected(!self.flat);
+                        if ui.add(button).on_hover_text(text!("viewer-surface.hint")).clicked() {
                             self.flat ^= true;
                         }
                     }
                     if self.b.is_some() {
-                        for (mode, caption) in
-                            [(Compare::Difference, "Difference"), (Compare::Blink, "Blink"), (Compare::Wipe, "Wipe")]
-                        {
+                        for (mode, caption) in [
+                            (Compare::Difference, text!("viewer-difference")),
+                            (Compare::Blink, text!("viewer-blink")),
+                            (Compare::Wipe, text!("viewer-wipe")),
+                        ] {
                             if ui.add(Button::new(caption).selected(self.compare == mode)).clicked() {
                                 self.compare = mode;
                             }
                         }
                     }
-                    let now = self.b.as_ref().map_or_else(|| "with nothing".to_owned(), |b| b.output.to_string());
+                    let now = self
+                        .b
+                        .as_ref()
+                        .map_or_else(|| text!("viewer-with-nothing").to_owned(), |b| b.output.to_string());
                     let combo = ComboBox::from_id_salt("compare").selected_text(now).width(180.0).show_ui(ui, |ui| {
-                        if ui.selectable_label(self.b.is_none(), "with nothing").clicked() {
+                        if ui.selectable_label(self.b.is_none(), text!("viewer-with-nothing")).clicked() {
                             self.compare(None);
                         }
                         for other in others.iter().filter(|o| *o != a) {
@@ -329,8 +337,8 @@ impl Viewer {
                         }
                     });
                     let id = combo.response.id;
-                    ui.ctx().accesskit_node_builder(id, |n| n.set_label("Compare with"));
-                    ui.label(RichText::new("compare").color(theme::muted()));
+                    ui.ctx().accesskit_node_builder(id, |n| n.set_label(text!("viewer-compare.name")));
+                    ui.label(RichText::new(text!("viewer-compare")).color(theme::muted()));
                 });
             });
         });

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use eframe::egui::{self, Context, Frame, Key, Margin, RichText};
+use panoscope_editor_texts::text;
 use panoscope_loader::Loader;
 
 use super::App;
@@ -26,7 +27,7 @@ impl App {
     pub(super) fn show_arguments(&mut self) {
         let form = form(&self.document, &self.session.loader(), self.config.as_deref());
         match form.is_empty() {
-            true => self.notify("the graph declares no arguments, and no overlay fits it", false),
+            true => self.notify(text!("args-none"), false),
             false => self.arguments = Some(form),
         }
     }
@@ -44,16 +45,17 @@ impl App {
         let starts = !self.document.missing_args().is_empty();
         let shown = modal.frame(frame).show(ctx, |ui| {
             ui.set_width(520.0);
-            ui.label(RichText::new(format!("Arguments of {}", self.document.view().name)).size(18.0));
-            let hint = if starts {
-                "The graph runs once it has what it requires. Files can be dropped here."
-            } else {
-                "Values apply to the running graph."
-            };
+            ui.label(RichText::new(text!("args-heading", graph = &self.document.view().name)).size(18.0));
+            let hint = if starts { text!("args-starts") } else { text!("args-applies") };
             ui.label(RichText::new(hint).size(12.0).color(theme::muted()));
             ui.add_space(2.0 * theme::STEP);
             let height = (ctx.content_rect().height() - 320.0).max(160.0);
-            let style = FormStyle { apply: if starts { "Start" } else { "Apply" }, browse: true, size: 13.5, height };
+            let style = FormStyle {
+                apply: if starts { text!("args-start") } else { text!("args-apply") },
+                browse: true,
+                size: 13.5,
+                height,
+            };
             arguments_form::show(ui, &mut form, style)
         });
         let on_top = self.files.is_none();
@@ -78,7 +80,7 @@ impl App {
             Ok(given) => {
                 let remembered = self.config.as_deref().map(|c| arguments::remember(c, self.document.path(), &given));
                 if let Some(Err(error)) = remembered {
-                    self.notify(format!("the values were not remembered: {error}"), true);
+                    self.notify(text!("args-not-kept", reason = error.to_string()), true);
                 }
                 self.document.set_given(given);
             }
@@ -91,7 +93,7 @@ impl App {
         let Some(form) = &mut self.arguments else { return files };
         let left = form.drop_files(files);
         if let Some(file) = left.first() {
-            self.notify(format!("no argument without a value takes {}", file.display()), true);
+            self.notify(text!("args-no-place", file = file.display().to_string()), true);
         }
         Vec::new()
     }

@@ -8,6 +8,7 @@ use panoscope_attach::{Attachment, Clock, Contact, State};
 use panoscope_editor_model::disk;
 use panoscope_editor_model::history::Origin;
 use panoscope_editor_model::session::Session;
+use panoscope_editor_texts::{decimal, text, with_decimal_sign};
 use panoscope_editor_widgets::theme;
 
 use super::{App, OpenError, Options};
@@ -56,14 +57,14 @@ impl App {
         }
         self.document.set_text_by(Origin::File, &opened.text, "not changed", None);
         self.requested_revision = self.document.revision();
-        self.notify(format!("`{name}` lets this window only read; nothing was changed"), true);
+        self.notify(text!("machine-read-only", machine = name), true);
         false
     }
 
     pub(super) fn notify_of_change(&mut self) {
         let Some((name, State { opened: Some(opened), .. })) = self.machine() else { return };
-        let by = if opened.changed_by.is_empty() { "there" } else { &opened.changed_by };
-        self.notify(format!("the graph of `{name}` was changed by {by}"), false);
+        let by = if opened.changed_by.is_empty() { text!("machine-changed.there") } else { &opened.changed_by };
+        self.notify(text!("machine-changed", machine = name, who = by), false);
     }
 
     /// Applies the choice of a conflict with the machine.
@@ -79,7 +80,7 @@ impl App {
         let path = self.document.path().to_owned();
         let result = disk::save(&path, self.document.text());
         if self.try_edit(result).is_some() {
-            self.notify(format!("a copy is saved here: {}", path.display()), false);
+            self.notify(text!("machine-copy", file = path.display().to_string()), false);
         }
     }
 
@@ -100,28 +101,28 @@ impl App {
 fn words(name: &str, state: &State) -> (String, bool) {
     let problem = |why: &str| if state.problem.is_empty() { why.to_owned() } else { state.problem.clone() };
     match &state.contact {
-        Contact::None => (format!("{name} is not reached: {}", state.problem), true),
+        Contact::None => (text!("machine-unreached", machine = name, reason = &state.problem), true),
         Contact::Lost(why) => {
             let seconds = state.since.map_or(0, |since| since.elapsed().as_secs());
-            (
-                format!("{name} is not reached for {seconds} s: {}; pictures are old, it is tried again", problem(why)),
-                true,
-            )
+            (text!("machine-lost", machine = name, seconds = seconds, reason = problem(why)), true)
         }
-        Contact::Ended(why) => (format!("{name}: {why}"), true),
+        Contact::Ended(why) => (text!("machine-ended", machine = name, reason = why), true),
         Contact::Attached => {
             let may = state.opened.as_ref().is_some_and(|opened| opened.may_edit);
-            let may = if may { "this window edits it" } else { "this window only reads" };
-            let clock = state.clock.map_or_else(String::new, |Clock { offset_ns, error_ns, round_trip_ns }| {
-                let ms = |ns: f64| ns / 1e6;
-                format!(
-                    ", ages are right to {:.1} ms (clock {:+.1} ms, there and back in {:.1} ms)",
-                    ms(error_ns as f64),
-                    ms(offset_ns as f64),
-                    ms(round_trip_ns as f64)
-                )
-            });
-            (format!("Runs on {name}: {may}{clock}. No emergency stop from here"), false)
+            let may = if may { text!("machine-edits") } else { text!("machine-reads") };
+            let Some(Clock { offset_ns, error_ns, round_trip_ns }) = state.clock else {
+                return (text!("machine-runs", machine = name, may = may), false);
+            };
+            let ms = |ns: f64| ns / 1e6;
+            let words = text!(
+                "machine-runs-clock",
+                machine = name,
+                may = may,
+                error = decimal(ms(error_ns as f64), 1),
+                offset = with_decimal_sign(&format!("{:+.1}", ms(offset_ns as f64))),
+                reach = decimal(ms(round_trip_ns as f64), 1)
+            );
+            (words, false)
         }
     }
 }

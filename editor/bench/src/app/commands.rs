@@ -1,6 +1,7 @@
 //! Performs what the user asks for: by key, button, canvas or panel.
 
 use eframe::egui::{Context, Event, Modifiers, Vec2, vec2};
+use panoscope_editor_texts::{language, set_language, text};
 use panoscope_eval::sweep::can_sweep;
 
 use super::App;
@@ -170,12 +171,12 @@ impl App {
             Action::Arguments => self.show_arguments(),
             Action::Undo => {
                 if let Some(label) = self.document.undo() {
-                    self.notify(format!("undone: {label}"), false);
+                    self.notify(text!("done-undone", step = label), false);
                 }
             }
             Action::Redo => {
                 if let Some(label) = self.document.redo() {
-                    self.notify(format!("done again: {label}"), false);
+                    self.notify(text!("done-redone", step = label), false);
                 }
             }
             Action::Save => self.save(),
@@ -204,7 +205,7 @@ impl App {
                     let result = ops::move_nodes(&mut self.document, &places);
                     self.try_edit(result);
                 } else {
-                    self.notify("select at least two nodes to align", true);
+                    self.notify(text!("need-two-nodes"), true);
                 }
             }
             Action::View => self.view(),
@@ -225,7 +226,7 @@ impl App {
             Action::Play | Action::TickBack | Action::TickForward => match &self.timeline {
                 Some(timeline) if action == Action::Play => timeline.play(!timeline.position().plays),
                 Some(timeline) => timeline.step(if action == Action::TickBack { -1 } else { 1 }),
-                None => self.notify("open a recording first: J shows the timeline", true),
+                None => self.notify(text!("need-recording"), true),
             },
             Action::Trace => _ = self.docks.toggle(Panel::Trace),
             Action::NextProblem => self.step_problem(false),
@@ -247,10 +248,14 @@ impl App {
             }
             Action::Connect => match self.selected() {
                 Some(node) => self.open_palette(Purpose::Connect { node }),
-                None => self.notify("select one node to connect", true),
+                None => self.notify(text!("need-one-node"), true),
             },
             Action::Find => self.open_palette(Purpose::Find),
             Action::Theme => self.change_theme = true,
+            Action::Language => {
+                set_language(language().next());
+                self.notify(text!("language-now"), false);
+            }
             Action::Commands => self.open_palette(Purpose::Command),
             Action::Help => self.help = true,
             Action::Guide => self.start_guide(),
@@ -475,7 +480,7 @@ impl App {
             }
             let result = ops::bypass(&mut self.document, &id);
             if let Some(detours) = self.try_edit(result) {
-                self.notify(format!("{id} is bypassed"), false);
+                self.notify(text!("done-bypassed", node = &id), false);
                 self.detours.insert(id, detours);
             }
         }

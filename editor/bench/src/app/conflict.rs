@@ -6,6 +6,7 @@ use std::sync::Arc;
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{Color32, FontId, Label, RichText, ScrollArea, Ui, WidgetInfo, WidgetType};
 use panoscope_editor_model::difference::{self, Line};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Equal lines shown before and after a change.
@@ -48,7 +49,9 @@ impl Conflict {
                 Line::Same(text) => line(&format!("  {text}"), theme::muted()),
                 Line::Ours(text) => line(&format!("- {text}"), theme::fault()),
                 Line::Theirs(text) => line(&format!("+ {text}"), theme::live()),
-                Line::Skipped(lines) => line(&format!("  ... {lines} equal lines"), theme::muted()),
+                Line::Skipped(lines) => {
+                    line(&format!("  ... {}", text!("conflict-equal", count = *lines)), theme::muted())
+                }
             }
         }
         for entry in lines {
@@ -56,13 +59,13 @@ impl Conflict {
             count[1] += usize::from(matches!(entry, Line::Theirs(_)));
         }
         if lines.len() > MOST_LINES {
-            line(&format!("  ... {} more lines", lines.len() - MOST_LINES), theme::muted());
+            line(&format!("  ... {}", text!("conflict-more", count = lines.len() - MOST_LINES)), theme::muted());
         }
-        let caption = format!("Difference: {} in this window (-), {} in the file (+)", count[0], count[1]);
+        let caption = text!("conflict-difference", ours = count[0], theirs = count[1]);
         ui.label(RichText::new(&caption).size(12.0));
         ScrollArea::both().max_height(180.0).auto_shrink([false, true]).id_salt("difference").show(ui, |ui| {
             let shown = ui.add(Label::new(job).extend());
-            shown.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, "Text of the difference"));
+            shown.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, text!("conflict-difference.name")));
         });
     }
 }

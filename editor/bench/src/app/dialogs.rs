@@ -5,6 +5,8 @@ use eframe::egui::{self, Context, Frame, Margin, RichText};
 use super::{App, NOTE};
 use crate::actions;
 use crate::panels::plugins;
+use panoscope_editor_texts as texts;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 impl App {
@@ -34,18 +36,18 @@ impl App {
             let modal = egui::Modal::new("help".into()).backdrop_color(theme::sunk().gamma_multiply(0.5));
             let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
             let shown = modal.frame(frame).show(ctx, |ui| {
-                ui.label(RichText::new("Keys").size(16.0));
+                ui.label(RichText::new(text!("keys-heading")).size(16.0));
                 ui.add_space(2.0 * theme::STEP);
                 let keys =
-                    actions::ALL.iter().map(|(action, .., description)| (actions::key_name(*action), *description));
+                    actions::ALL.iter().map(|(action, .., name)| (actions::key_name(*action), texts::plain(name)));
                 let more = [
-                    ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
-                    ("1 to 9", "Show a recently viewed output"),
-                    ("Ctrl and +, -, 0", "Scale of the window"),
-                    ("Arrows", "Move the view; in the viewer: turn a surface, move the wipe"),
-                    ("Shift and arrows", "Move the selected nodes"),
-                    ("Shift and drag", "Select with a frame"),
-                    ("Double click", "Add a node there"),
+                    ("Ctrl+C, X, V", text!("keys-clipboard")),
+                    (text!("key-digits"), text!("keys-recent")),
+                    (text!("key-scale"), text!("keys-scale")),
+                    (text!("key-arrows"), text!("keys-move")),
+                    (text!("key-shift-arrows"), text!("keys-move-nodes")),
+                    (text!("key-shift-drag"), text!("keys-select")),
+                    (text!("key-double-click"), text!("keys-add")),
                 ];
                 let all: Vec<_> = keys.chain(more.map(|(key, description)| (key.to_owned(), description))).collect();
                 ui.horizontal_top(|ui| {

@@ -6,6 +6,7 @@ use eframe::egui::{
     Context, Rect, Sense, Ui, UiBuilder, Vec2, ViewportBuilder, ViewportClass, ViewportId, WidgetInfo, WidgetType, vec2,
 };
 use panoscope_editor_model::docks::{Layout, Panel, Side};
+use panoscope_editor_texts::text;
 
 use super::App;
 use crate::actions::{self, Action};
@@ -80,7 +81,7 @@ impl App {
         let mut titles = HashMap::new();
         let wrong = self.document.view().diagnostics.len();
         if wrong > 0 {
-            titles.insert(Panel::Problems, format!("Problems {wrong}"));
+            titles.insert(Panel::Problems, text!("panel-problems.count", count = wrong));
         }
         titles
     }
@@ -89,13 +90,13 @@ impl App {
         if self.docks.layout.tear_off(panel, at) {
             self.docks.focus(panel);
         } else if panel == Panel::Graph {
-            self.notify("the graph stays in this window: tear the other panels off", true);
+            self.notify(text!("dock-graph-stays"), true);
         }
     }
 
     fn close_panel(&mut self, panel: Panel) {
         match panel {
-            Panel::Graph => self.notify("the graph stays open", true),
+            Panel::Graph => self.notify(text!("dock-graph-open"), true),
             Panel::Source => self.close_source(),
             Panel::Help => self.node_help = None,
             Panel::Viewer => {
@@ -114,17 +115,20 @@ impl App {
             Action::NextPanel | Action::PreviousPanel => {
                 self.docks.focus_next(action == Action::PreviousPanel);
                 let now = title(self.docks.focused());
-                return self.notify(format!("the keys for panels act on: {now}"), false);
+                return self.notify(text!("dock-keys", panel = now), false);
             }
             Action::ResetLayout => {
                 let open = self.docks.layout.open.clone();
                 self.docks.layout = Layout { open, ..Layout::default() };
-                return self.notify("the panels are arranged as at first", false);
+                return self.notify(text!("dock-reset"), false);
             }
             Action::ViewerBeside => {
                 self.docks.layout.viewer_beside ^= true;
-                let words = if self.docks.layout.viewer_beside { "beside the graph" } else { "over the graph" };
-                return self.notify(format!("the viewer opens {words}"), false);
+                let words = match self.docks.layout.viewer_beside {
+                    true => text!("dock-viewer-beside"),
+                    false => text!("dock-viewer-over"),
+                };
+                return self.notify(words, false);
             }
             Action::ClosePanel => return self.close_panel(panel),
             Action::TearOff => {
@@ -144,8 +148,8 @@ impl App {
         };
         if !done {
             let words = match panel {
-                Panel::Graph => "choose another panel first, by F6 or a click: the graph keeps its place".to_owned(),
-                _ => format!("{name} is there already"),
+                Panel::Graph => text!("dock-choose").to_owned(),
+                _ => text!("dock-already", panel = name),
             };
             self.notify(words, true);
         }
@@ -206,12 +210,18 @@ impl App {
                 let name = title(panel);
                 let button = |ui: &mut Ui, caption: &str, action: Action| {
                     let button = ui.button(caption).on_hover_text(actions::hint(action));
-                    let label = || WidgetInfo::labeled(WidgetType::Button, true, format!("{caption}: {name}"));
+                    let label = || {
+                        WidgetInfo::labeled(
+                            WidgetType::Button,
+                            true,
+                            text!("panel-button", button = caption, panel = name),
+                        )
+                    };
                     button.widget_info(label);
                     button.clicked()
                 };
-                back = button(ui, "Dock", Action::TearOff);
-                close = button(ui, "Close", Action::ClosePanel);
+                back = button(ui, text!("panel-dock"), Action::TearOff);
+                close = button(ui, text!("panel-shut"), Action::ClosePanel);
             });
         });
         self.show_panel(ui, panel, rect.with_min_y(bar.bottom()), status, counters);

@@ -9,10 +9,11 @@ use eframe::egui::{
 };
 
 use super::App;
-use crate::actions::key_name;
+use crate::actions::{Action, key_name};
 use panoscope_editor_model::disk;
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::numbered::create_folder;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// How long a stop lasts if nothing is done.
@@ -39,44 +40,59 @@ enum Until {
     Nothing,
 }
 
-/// Heading, words, target and end of each stop; `{ACTION}` stands for the key of an action.
-const STOPS: &[(&str, &str, Target, Until)] = &[
-    (
-        "It runs already",
-        "Each box is a node of the graph, with a live picture of what it makes, its time and its rate.",
-        Target::Canvas,
-        Until::Nothing,
-    ),
-    (
-        "Look at a node",
-        "Click a node. The panel at the right shows what it reads, its values and its times. {NodeHelp} shows its help.",
-        Target::Node,
-        Until::Selected,
-    ),
-    (
-        "Change a value",
-        "Move a slider: the value takes effect between two frames, and no frame is lost. {Undo} takes it back.",
-        Target::Side,
-        Until::Changed,
-    ),
-    (
-        "Look closely",
-        "{View} opens the picture large: point at it for values, drag a line for a profile, {Compare} compares it with another one.",
-        Target::Canvas,
-        Until::Nothing,
-    ),
-    (
-        "Wire while it runs",
-        "{Add} adds a node, dragging from port to port wires it. What does not fit is refused, with the reason.",
-        Target::Canvas,
-        Until::Nothing,
-    ),
-    (
-        "Find everything",
-        "{Commands} finds every command, node and value. {NextProblem} leads through problems, {Help} lists the keys. {Save} saves.",
-        Target::Top,
-        Until::Nothing,
-    ),
+/// A stop of the tour.
+struct Stop {
+    heading: fn() -> &'static str,
+    words: fn() -> String,
+    target: Target,
+    until: Until,
+}
+
+const STOPS: &[Stop] = &[
+    Stop {
+        heading: || text!("guide-runs"),
+        words: || text!("guide-runs.words").to_owned(),
+        target: Target::Canvas,
+        until: Until::Nothing,
+    },
+    Stop {
+        heading: || text!("guide-look"),
+        words: || text!("guide-look.words", help = key_name(Action::NodeHelp)),
+        target: Target::Node,
+        until: Until::Selected,
+    },
+    Stop {
+        heading: || text!("guide-change"),
+        words: || text!("guide-change.words", undo = key_name(Action::Undo)),
+        target: Target::Side,
+        until: Until::Changed,
+    },
+    Stop {
+        heading: || text!("guide-closely"),
+        words: || text!("guide-closely.words", view = key_name(Action::View), compare = key_name(Action::Compare)),
+        target: Target::Canvas,
+        until: Until::Nothing,
+    },
+    Stop {
+        heading: || text!("guide-wire"),
+        words: || text!("guide-wire.words", add = key_name(Action::Add)),
+        target: Target::Canvas,
+        until: Until::Nothing,
+    },
+    Stop {
+        heading: || text!("guide-find"),
+        words: || {
+            text!(
+                "guide-find.words",
+                commands = key_name(Action::Commands),
+                problem = key_name(Action::NextProblem),
+                help = key_name(Action::Help),
+                save = key_name(Action::Save)
+            )
+        },
+        target: Target::Top,
+        until: Until::Nothing,
+    },
 ];
 
 /// The tour while it is shown.
@@ -97,15 +113,6 @@ pub(super) fn is_first_start(config: Option<&Path>) -> bool {
     config.is_some_and(|config| !seen_file(config).exists())
 }
 
-/// The words of a stop with the keys of the actions that they name.
-fn with_keys(words: &str) -> String {
-    let mut out = words.to_owned();
-    for (action, ..) in crate::actions::ALL {
-        out = out.replace(&format!("{{{action:?}}}"), &key_name(*action));
-    }
-    out
-}
-
 impl App {
     /// Starts the tour.
     pub(super) fn start_guide(&mut self) {
@@ -120,7 +127,7 @@ impl App {
         if let Some(config) = self.config.clone() {
             let written = create_folder(&config).is_ok() && disk::replace(&seen_file(&config), b"", None).is_ok();
             if !written {
-                self.notify(format!("{} cannot be written: the tour comes again", config.display()), true);
+                self.notify(text!("guide-not-kept", folder = config.display().to_string()), true);
             }
         }
         true
@@ -159,7 +166,8 @@ impl App {
     /// Draws the tour, if it is shown.
     pub(super) fn show_guide(&mut self, ctx: &Context) {
         let Some(guide) = self.guide.clone() else { return };
-        let (heading, words, target, until) = STOPS[guide.at];
+        let Stop { heading, words, target, until } = &STOPS[guide.at];
+        let heading = heading();
         let done = match until {
             Until::Selected => !self.canvas.selected.is_empty(),
             Until::Changed => self.document.steps() > guide.steps,
@@ -170,7 +178,7 @@ impl App {
         }
         ctx.request_repaint_after(Duration::from_millis(100));
         let whole = ctx.content_rect();
-        let spot = self.target(target, whole);
+        let spot = self.target(*target, whole);
         let painter = ctx.layer_painter(egui::LayerId::new(Order::Middle, "guide".into()));
         // The rest is darker; nothing takes the pointer.
         let dark = Color32::from_black_alpha(96);
@@ -192,17 +200,17 @@ impl App {
                 frame.show(ui, |ui| {
                     ui.set_width(WIDTH);
                     let title = ui.label(RichText::new(heading).size(17.0));
-                    let name = format!("Tour {} of {}: {heading}", guide.at + 1, STOPS.len());
+                    let name = text!("guide-name", at = guide.at + 1, count = STOPS.len(), heading = heading);
                     title.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, name.clone()));
-                    ui.label(RichText::new(with_keys(words)).size(13.5));
+                    ui.label(RichText::new(words()).size(13.5));
                     ui.add_space(theme::STEP);
                     let share = (guide.at as f32 + guide.since.elapsed().as_secs_f32() / STOP.as_secs_f32())
                         / STOPS.len() as f32;
                     ui.add(ProgressBar::new(share).desired_height(4.0));
                     ui.add_space(theme::STEP);
                     ui.horizontal(|ui| {
-                        next = ui.button("Next stop").clicked();
-                        skip = ui.button("Skip the tour").on_hover_text("Escape").clicked();
+                        next = ui.button(text!("guide-next")).clicked();
+                        skip = ui.button(text!("guide-skip")).on_hover_text(text!("key-escape")).clicked();
                     });
                 });
             },
@@ -217,14 +225,19 @@ impl App {
 
 #[cfg(test)]
 mod tests {
+    use panoscope_editor_texts::{Language, set_language};
+
     use super::*;
 
     #[test]
     fn the_tour_takes_a_minute_and_names_keys_that_exist() {
         assert_eq!(STOP * STOPS.len() as u32, Duration::from_secs(60));
-        for (_, words, ..) in STOPS {
-            let words = with_keys(words);
-            assert!(!words.contains(['{', '}']), "{words}");
+        for language in Language::ALL {
+            set_language(language);
+            for stop in STOPS {
+                let words = (stop.words)();
+                assert!(!words.contains(['{', '}']) && !(stop.heading)().is_empty(), "{words}");
+            }
         }
         assert!(!is_first_start(None));
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use eframe::egui::Ui;
 use panoscope_editor_model::docks::Panel;
+use panoscope_editor_texts::text;
 use panoscope_graph::NodeType;
 
 use super::App;
@@ -28,7 +29,7 @@ impl App {
     /// Shows the help of a node's type.
     pub(super) fn show_node_help(&mut self, node: Option<&str>) {
         let Some(node_type) = node.and_then(|node| self.type_of(node)) else {
-            return self.notify("select one node of a known type for its help", true);
+            return self.notify(text!("learn-select"), true);
         };
         let path = self.document.path();
         let examples = examples::of_type(&node_type.name, &examples::folders(path), path);
@@ -70,8 +71,11 @@ impl App {
         let program = self.opener.clone().map_or_else(std::env::current_exe, Ok);
         let opened = program.and_then(|program| std::process::Command::new(program).arg(graph).spawn());
         match opened {
-            Ok(_) => self.notify(format!("{} opens in its own window", graph.display()), false),
-            Err(error) => self.notify(format!("{} could not be opened: {error}", graph.display()), true),
+            Ok(_) => self.notify(text!("learn-opens", file = graph.display().to_string()), false),
+            Err(error) => self.notify(
+                text!("learn-not-opened", file = graph.display().to_string(), reason = error.to_string()),
+                true,
+            ),
         }
     }
 
@@ -89,11 +93,11 @@ impl App {
     /// Opens the source of a node written in Python beside the graph.
     pub(super) fn open_source(&mut self, node: Option<&str>) {
         if let Some(machine) = self.session.attachment().map(|machine| machine.target().name.clone()) {
-            let words = format!("the source of nodes is on `{machine}`, where the graph runs: edit it there");
+            let words = text!("learn-source-elsewhere", machine = machine);
             return self.notify(words, true);
         }
         let Some(file) = node.and_then(|node| self.python_file(node)) else {
-            return self.notify("select one node that is written in Python to see its source", true);
+            return self.notify(text!("learn-no-source"), true);
         };
         match SourceFile::open(&file) {
             Ok(source) => {
@@ -118,7 +122,7 @@ impl App {
                 Ok(()) => {
                     let path = source.path.display().to_string();
                     self.session.reload_plugins();
-                    self.notify(format!("{path} is saved and swapped in"), false);
+                    self.notify(text!("learn-source-swapped", file = path), false);
                 }
                 Err(reason) => self.notify(reason, true),
             },
@@ -131,7 +135,7 @@ impl App {
     pub(super) fn close_source(&mut self) {
         if self.source.as_ref().is_some_and(SourceFile::is_changed) && !self.discards_source {
             self.discards_source = true;
-            return self.notify("the source is not saved: close it once more to lose the changes", true);
+            return self.notify(text!("learn-source-unsaved"), true);
         }
         self.discards_source = false;
         self.source = None;

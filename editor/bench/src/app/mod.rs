@@ -24,6 +24,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, Ui};
+use panoscope_editor_texts::text;
 use panoscope_graph::edit::EditError;
 use panoscope_graph::{GraphOptions, GraphText, installed};
 
@@ -268,7 +269,7 @@ impl App {
             session,
         };
         if let Some(broken) = broken {
-            app.notify(format!("{broken}; the panels are arranged as at first"), true);
+            app.notify(text!("layout-unused", reason = broken.to_string()), true);
         }
         // A form or templates come first; the next start with a graph that runs shows the tour.
         if is_new && app.arguments.is_none() && app.document.view().valid {
@@ -488,8 +489,8 @@ impl App {
             Ok(file)
         };
         match write() {
-            Ok(file) => self.notify(format!("written: {}", file.display()), false),
-            Err(error) => self.notify(format!("the curves were not written: {error}"), true),
+            Ok(file) => self.notify(text!("done-written", file = file.display().to_string()), false),
+            Err(error) => self.notify(text!("done-not-written", reason = error.to_string()), true),
         }
     }
 

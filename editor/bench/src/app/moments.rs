@@ -9,6 +9,7 @@ use super::App;
 use crate::panels::timeline::TimelineRequest;
 use crate::viewer::Source;
 use panoscope_editor_model::timeline::{Timeline, second};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::OutputCache;
 
 impl App {
@@ -49,7 +50,7 @@ impl App {
             Ok(timeline) => {
                 let recorded = |node: &str| timeline.ports().iter().any(|port| port.starts_with(&format!("{node}.")));
                 if !self.document.view().flat().nodes.iter().any(|node| recorded(node.id())) {
-                    self.notify("no node of this graph is in the recording: open the graph that was recorded", true);
+                    self.notify(text!("need-recorded-graph"), true);
                 }
                 self.shown = OutputCache::default();
                 self.timeline = Some(timeline);

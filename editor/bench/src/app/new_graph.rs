@@ -4,17 +4,26 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use eframe::egui::{self, Context, Frame, Margin, RichText, WidgetInfo, WidgetType, vec2};
+use panoscope_editor_texts::text;
 use panoscope_graph::edit::{EditError, GraphEdit};
 
 use super::App;
 use panoscope_editor_widgets::theme;
 
-/// Name, description and text of each template.
-const TEMPLATES: [(&str, &str, &str); 4] = [
-    ("Two cameras", "Two cameras, videos or images side by side.", include_str!("../../templates/two_cameras.toml")),
-    ("Panorama", "Two rendered views become one wide picture.", include_str!("../../templates/panorama.toml")),
-    ("Depth", "Two rendered views become a surface in mm.", include_str!("../../templates/depth.toml")),
-    ("Empty", "An empty graph; press A to add nodes.", include_str!("../../templates/empty.toml")),
+/// Name in English, names of the texts for name and description, and text of each template.
+const TEMPLATES: [(&str, fn() -> [&'static str; 2], &str); 4] = [
+    (
+        "Two cameras",
+        || [text!("template-cameras"), text!("template-cameras.about")],
+        include_str!("../../templates/two_cameras.toml"),
+    ),
+    (
+        "Panorama",
+        || [text!("template-panorama"), text!("template-panorama.about")],
+        include_str!("../../templates/panorama.toml"),
+    ),
+    ("Depth", || [text!("template-depth"), text!("template-depth.about")], include_str!("../../templates/depth.toml")),
+    ("Empty", || [text!("template-empty"), text!("template-empty.about")], include_str!("../../templates/empty.toml")),
 ];
 
 /// Names and texts of the templates.
@@ -60,16 +69,18 @@ impl App {
         let mut chosen = None;
         modal.frame(frame).show(ctx, |ui| {
             ui.set_width(420.0);
-            ui.label(RichText::new("A new graph").size(18.0));
+            ui.label(RichText::new(text!("new-heading")).size(18.0));
             let name = self.document.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
-            ui.label(RichText::new(format!("{name} is written when you save")).color(theme::muted()));
+            ui.label(RichText::new(text!("new-written", file = name)).color(theme::muted()));
             ui.add_space(2.0 * theme::STEP);
-            for (name, description, text) in TEMPLATES {
+            for (english, words, text) in TEMPLATES {
+                let [name, description] = words();
                 let button = egui::Button::new(RichText::new(name).size(14.0)).min_size(vec2(420.0, 34.0));
                 let response = ui.add(button).on_hover_text(description);
-                response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Template {name}")));
+                response
+                    .widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, text!("new-template", name = name)));
                 if response.clicked() {
-                    chosen = Some((name, text));
+                    chosen = Some((english, text));
                 }
                 ui.label(RichText::new(description).size(12.0).color(theme::muted()));
                 ui.add_space(theme::STEP);
@@ -107,10 +118,10 @@ impl App {
                 self.canvas.select_only(&id);
             }
         } else if pictures.len() > 2 {
-            self.notify("drop one file, or one for each of the two sides", true);
+            self.notify(text!("new-drop"), true);
         }
         if let Some(file) = unknown.first() {
-            self.notify(format!("{} is not a graph, image or video", file.display()), true);
+            self.notify(text!("new-unknown", file = file.display().to_string()), true);
         }
     }
 }

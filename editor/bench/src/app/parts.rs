@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use eframe::egui::{self, Context, Frame, Key, Margin, RichText, TextEdit};
+use panoscope_editor_texts::text;
 use panoscope_graph::edit::EditError;
 
 use super::App;
@@ -42,7 +43,7 @@ impl App {
             Some(part) => Some((part.id.clone(), !part.open)),
             None => around(&id),
         });
-        let Some((part, open)) = chosen else { return self.notify("select a part to open it", true) };
+        let Some((part, open)) = chosen else { return self.notify(text!("part-select-open"), true) };
         let result = ops::set_open(&mut self.document, &part, open);
         if self.try_edit(result).is_some() {
             self.canvas.select_only(&part);
@@ -68,7 +69,7 @@ impl App {
     /// Asks for the name of a part of the selected nodes.
     pub(super) fn name_part(&mut self) {
         match self.canvas.selected.is_empty() {
-            true => self.notify("select the nodes of the part first", true),
+            true => self.notify(text!("part-select-nodes"), true),
             false => self.part_name = Some((ops::free_name(self.document.view(), "", "part"), false)),
         }
     }
@@ -81,21 +82,22 @@ impl App {
         let (mut done, mut cancel) = (false, false);
         let answer = modal.frame(frame).show(ctx, |ui| {
             ui.set_width(420.0);
-            ui.label(RichText::new(format!("A part of {} nodes", self.canvas.selected.len())).size(18.0));
+            ui.label(RichText::new(text!("part-heading", count = self.canvas.selected.len())).size(18.0));
             ui.add_space(theme::STEP);
-            let field = ui.add(TextEdit::singleline(&mut name).desired_width(f32::INFINITY).hint_text("name"));
-            ui.ctx().accesskit_node_builder(field.id, |node| node.set_label("Name of the part"));
+            let field =
+                ui.add(TextEdit::singleline(&mut name).desired_width(f32::INFINITY).hint_text(text!("part-name.hint")));
+            ui.ctx().accesskit_node_builder(field.id, |node| node.set_label(text!("part-name")));
             if !shown {
                 field.request_focus();
             }
             done |= field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter));
             let file = ops::part_file(&self.document, &name);
-            let caption = format!("Saving writes {}", file.display());
+            let caption = text!("part-writes", file = file.display().to_string());
             ui.label(RichText::new(caption).size(12.0).color(theme::muted()));
             ui.add_space(theme::STEP);
             ui.horizontal(|ui| {
-                done |= ui.button("Make the part").clicked();
-                cancel |= ui.button("Cancel").clicked();
+                done |= ui.button(text!("part-make")).clicked();
+                cancel |= ui.button(text!("part-cancel")).clicked();
             });
         });
         if done {
@@ -115,10 +117,10 @@ impl App {
     /// Puts the nodes of the selected part in its place.
     pub(super) fn dissolve(&mut self) {
         let part = self.selected().filter(|id| self.document.view().part(id).is_some());
-        let Some(part) = part else { return self.notify("select a part to dissolve it", true) };
+        let Some(part) = part else { return self.notify(text!("part-select-dissolve"), true) };
         let result = ops::dissolve(&mut self.document, &part);
         if let Some(nodes) = self.try_edit(result) {
-            self.notify(format!("{part} is dissolved; its file stays as it is"), false);
+            self.notify(text!("part-dissolved", part = part), false);
             self.canvas.selected = nodes.into_iter().collect();
         }
     }
@@ -141,14 +143,14 @@ impl App {
         let (mut yes, mut no) = (false, false);
         let answer = modal.frame(frame).show(ctx, |ui| {
             ui.set_width(460.0);
-            ui.label(RichText::new(format!("{name} is used {count} times in this graph")).size(18.0));
-            ui.label(format!("The change applies to each of them: {users}."));
-            let others = "Other graphs that use the file change too. Saving writes it.";
+            ui.label(RichText::new(text!("part-used", part = name, count = count)).size(18.0));
+            ui.label(text!("part-applies", users = users));
+            let others = text!("part-others");
             ui.label(RichText::new(others).size(12.0).color(theme::muted()));
             ui.add_space(theme::STEP);
             ui.horizontal(|ui| {
-                yes = ui.button(format!("Change all {count}")).clicked();
-                no = ui.button("Cancel").clicked();
+                yes = ui.button(text!("part-change-all", count = count)).clicked();
+                no = ui.button(text!("part-cancel")).clicked();
             });
         });
         if yes {

@@ -11,6 +11,7 @@ use crate::picker::{self, Picker};
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::ops;
 use panoscope_editor_model::sweeping::Progress;
+use panoscope_editor_texts::text;
 
 impl App {
     /// Starts picking points or rectangles of a parameter on the image that they refer to.
@@ -21,7 +22,7 @@ impl App {
                 self.viewer.set_picking(true);
                 self.picker = Some(picker);
             }
-            None => self.notify(format!("{node} has no image input yet: connect one, then pick"), true),
+            None => self.notify(text!("need-image", node = node), true),
         }
     }
 
@@ -100,11 +101,7 @@ impl App {
     pub(super) fn step_to(&mut self, at: usize) {
         let (now, all) = (self.document.history().at(), self.document.history().changes().len());
         if at == now || at > all {
-            let message = if at > now {
-                "this is the newest value in the history"
-            } else {
-                "this is the oldest value in the history"
-            };
+            let message = if at > now { text!("done-newest") } else { text!("done-oldest") };
             return self.notify(message, false);
         }
         let result = ops::step_to(&mut self.document, at);

@@ -10,10 +10,10 @@ use super::conflict::Conflict;
 use panoscope_editor_model::copying;
 use panoscope_editor_model::disk::{self, DiskWatch};
 use panoscope_editor_model::history::Origin;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// The message when a save is refused because it would lose another program's text.
-const NOT_SAVED: &str = "not saved: the file was also changed on disk; choose in the bar above which text to keep";
 
 impl App {
     /// Handles a new text of the file that another program wrote.
@@ -33,7 +33,7 @@ impl App {
         if self.is_attached() {
             return self.notify_of_change();
         }
-        self.notify("the file changed on disk and was reloaded; undo restores the old text", false);
+        self.notify(text!("save-reloaded"), false);
     }
 
     /// Handles new texts of part and overlay files that other programs wrote.
@@ -61,7 +61,7 @@ impl App {
         }
         self.forget_conflict(path);
         self.document.file_changed_on_disk(path, text, true);
-        self.notify(format!("{} changed on disk and was reloaded; undo restores the old text", path.display()), false);
+        self.notify(text!("save-reloaded-file", file = path.display().to_string()), false);
     }
 
     fn add_conflict(&mut self, path: PathBuf, theirs: String, refused: bool) {
@@ -84,16 +84,11 @@ impl App {
             None => "".into(),
         };
         let what = match is_root {
-            true if self.session.attachment().is_some() => {
-                "The graph was changed on its machine, and in this window too. Choose which text to keep:".to_owned()
-            }
-            true => {
-                "The file was changed on disk, and the graph in this window was changed too. Choose which text to keep:"
-                    .to_owned()
-            }
+            true if self.session.attachment().is_some() => text!("conflict-machine").to_owned(),
+            true => text!("conflict-file").to_owned(),
             false => {
                 let name = conflict.path.file_name().unwrap_or_default().to_string_lossy();
-                format!("{name} was changed on disk, and in this window too. Choose which text to keep:")
+                text!("conflict-part", file = name)
             }
         };
         let fill = if conflict.refused_save { theme::fault() } else { theme::warn() };
@@ -103,13 +98,11 @@ impl App {
         Panel::top("conflict").frame(frame).show(ui, |ui| {
             ui.horizontal(|ui| {
                 if conflict.refused_save {
-                    ui.label(RichText::new("Not saved.").color(theme::fault()).strong());
+                    ui.label(RichText::new(text!("conflict-unsaved")).color(theme::fault()).strong());
                 }
                 ui.label(what);
-                let theirs = ui.button("Take the file's").on_hover_text("Undo restores the graph of this window");
-                let ours = ui
-                    .button("Keep this one")
-                    .on_hover_text("The next save replaces the file and keeps its text as a backup");
+                let theirs = ui.button(text!("conflict-theirs")).on_hover_text(text!("conflict-theirs.hint"));
+                let ours = ui.button(text!("conflict-ours")).on_hover_text(text!("conflict-ours.hint"));
                 take = if theirs.clicked() { Some(true) } else { ours.clicked().then_some(false) };
             });
             conflict.show_difference(ui, &ours);
@@ -134,7 +127,7 @@ impl App {
             return self.after_conflict(take);
         }
         if !take {
-            self.notify("kept; the next save replaces the file and keeps its text as a backup", false);
+            self.notify(text!("conflict-kept"), false);
         }
     }
 
@@ -144,10 +137,7 @@ impl App {
         let result = copying::save_as(&mut self.document, &copy);
         if self.try_edit(result).is_some() {
             self.disk = DiskWatch::new(&copy);
-            self.notify(
-                format!("saved as a copy, because the original belongs to the installation: {}", copy.display()),
-                false,
-            );
+            self.notify(text!("save-copy", file = copy.display().to_string()), false);
         }
         true
     }
@@ -179,7 +169,7 @@ impl App {
         }
         if !theirs.is_empty() {
             theirs.into_iter().for_each(|(path, text)| self.add_conflict(path, text, true));
-            self.notify(NOT_SAVED, true);
+            self.notify(text!("save-refused"), true);
             return;
         }
         self.conflicts.clear();
@@ -189,7 +179,8 @@ impl App {
             // The folder of a new part.
             let folder = path.parent().filter(|folder| !is_root && !folder.as_os_str().is_empty());
             let result = folder.map_or(Ok(()), std::fs::create_dir_all);
-            let result = result.map_err(|error| format!("{} was not saved: {error}", path.display()));
+            let result = result
+                .map_err(|error| text!("save-failed", file = path.display().to_string(), reason = error.to_string()));
             let result = result.and_then(|()| disk::save(&path, &text).map_err(|error| error.to_string()));
             if self.try_edit(result).is_none() {
                 return;
@@ -204,6 +195,6 @@ impl App {
                 self.document.file_now_saved(&path);
             }
         }
-        self.notify(if count > 1 { format!("saved {count} files") } else { "saved".to_owned() }, false);
+        self.notify(text!("save-done", count = count), false);
     }
 }

@@ -8,6 +8,7 @@ use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::presets::{self, Changes};
 use panoscope_editor_model::snapshots;
+use panoscope_editor_texts::text;
 
 impl App {
     /// Shows or hides the panel of presets and snapshots; reads their files when it opens.
@@ -24,7 +25,7 @@ impl App {
             StateRequest::Store(name) => {
                 let result = self.states.presets.store(&name, self.document.view());
                 match result {
-                    Ok(()) => self.notify(format!("stored: preset {}", name.trim()), false),
+                    Ok(()) => self.notify(text!("done-preset", name = name.trim()), false),
                     Err(error) => self.notify(error.to_string(), true),
                 }
             }
@@ -54,15 +55,15 @@ impl App {
                 Ok(number) => {
                     let picture = self.picture_of_now().and_then(|output| self.shown.pixels(&output)).cloned();
                     self.states.store_picture(number, picture.as_ref());
-                    self.notify(format!("snapshot {number} is taken"), false);
+                    self.notify(text!("done-snapshot", number = number), false);
                 }
                 Err(error) => self.notify(error.to_string(), true),
             },
             StateRequest::Restore(number) => {
                 let Some(snapshot) = self.states.snapshots.get(number).cloned() else { return };
                 match snapshots::restore(&mut self.document, &snapshot) {
-                    true => self.notify(format!("the graph is as in snapshot {number}; Ctrl+Z goes back"), false),
-                    false => self.notify(format!("the graph is as in snapshot {number} already"), false),
+                    true => self.notify(text!("done-restored", number = number), false),
+                    false => self.notify(text!("done-restored-already", number = number), false),
                 }
             }
             StateRequest::Drop(number) => {
@@ -82,8 +83,11 @@ impl App {
         let result = presets::apply(&mut self.document, label, merge, changes);
         if self.try_edit(result).is_some() && !changes.skipped.is_empty() {
             let (count, first) = (changes.skipped.len(), &changes.skipped[0]);
-            let more = if count > 1 { format!(" and {} more", count - 1) } else { String::new() };
-            self.notify(format!("{label}: left out {first}{more}"), true);
+            let words = match count {
+                1 => text!("done-left-out", step = label, first = first),
+                count => text!("done-left-out-more", step = label, first = first, count = count - 1),
+            };
+            self.notify(words, true);
         }
     }
 

@@ -6,6 +6,7 @@ use super::App;
 use crate::actions::{Action, hint};
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::problems::{self, Problem};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Width of the tour's window, points.
@@ -31,7 +32,7 @@ impl App {
         let all = self.problems();
         if all.is_empty() {
             self.tour = ProblemTour::default();
-            return self.notify("nothing is wrong: no mistakes, faults, idle nodes or lost ticks", false);
+            return self.notify(text!("tour-nothing"), false);
         }
         let known = self.tour.shown.as_ref().map(|shown| {
             // Words such as counts change; the place stays.
@@ -79,21 +80,30 @@ impl App {
             frame.show(ui, |ui| {
                 ui.set_width(WIDTH.min(self.canvas.rect.width() - 64.0).max(240.0));
                 let color = if problem.is_error { theme::fault() } else { theme::warn() };
-                let heading = format!("{} of {}  ·  {}", self.tour.at + 1, count.max(self.tour.at + 1), problem.place);
+                let heading = text!(
+                    "tour-heading",
+                    at = self.tour.at + 1,
+                    count = count.max(self.tour.at + 1),
+                    place = &problem.place
+                );
                 let title = ui.label(RichText::new(&heading).size(15.0).color(color));
-                title.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("Problem {heading}")));
+                title.widget_info(|| {
+                    WidgetInfo::labeled(WidgetType::Label, true, text!("tour-name", heading = &heading))
+                });
                 ui.label(RichText::new(&problem.cause).size(13.0));
                 ui.add_space(theme::STEP / 2.0);
-                ui.label(RichText::new(format!("What to do: {}", problem.remedy)).size(13.0).color(theme::muted()));
+                ui.label(
+                    RichText::new(text!("tour-remedy", remedy = &problem.remedy)).size(13.0).color(theme::muted()),
+                );
                 ui.add_space(theme::STEP);
                 ui.horizontal(|ui| {
-                    if ui.button("Previous problem").on_hover_text(hint(Action::PreviousProblem)).clicked() {
+                    if ui.button(text!("tour-previous")).on_hover_text(hint(Action::PreviousProblem)).clicked() {
                         step = Some(true);
                     }
-                    if ui.button("Next problem").on_hover_text(hint(Action::NextProblem)).clicked() {
+                    if ui.button(text!("tour-next")).on_hover_text(hint(Action::NextProblem)).clicked() {
                         step = Some(false);
                     }
-                    close = ui.button("End the tour").on_hover_text("Escape").clicked();
+                    close = ui.button(text!("tour-end")).on_hover_text(text!("key-escape")).clicked();
                 });
             });
         });

@@ -8,6 +8,7 @@ use super::interaction::CanvasRequest;
 use super::paint::LEAST_TEXT;
 use super::{Canvas, Scene};
 use panoscope_editor_model::folding::parent;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Height of a frame's title, in points at zoom 1.
@@ -59,8 +60,10 @@ impl Canvas {
         let title = Rect::from_min_size(rect.min, vec2(rect.width(), TITLE * scale));
         let body = ui.interact(title, Id::new(("part", &part.id)), Sense::click_and_drag());
         let selected = self.selected.contains(&part.id);
-        let label = format!("Part {}", part.id);
-        body.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, label.clone()));
+        body.widget_info(|| {
+            let label = text!("canvas-part", part = &part.id);
+            WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, label)
+        });
         let edge = if selected { theme::accent() } else { theme::family("part").gamma_multiply(0.8) };
         let radius = CornerRadius::same((10.0 * scale).clamp(2.0, 12.0) as u8);
         let painter = ui.painter();
@@ -69,7 +72,10 @@ impl Canvas {
         let font = |size: f32| FontId::proportional((size * scale).max(LEAST_TEXT));
         let middle = title.left_center() + vec2(12.0 * scale, 0.0);
         let name = painter.text(middle, Align2::LEFT_CENTER, &part.id, font(15.0), theme::text());
-        let users = if part.users.len() > 1 { format!("  ·  used {} times", part.users.len()) } else { String::new() };
+        let users = match part.users.len() {
+            0 | 1 => String::new(),
+            count => format!("  ·  {}", text!("part-users", count = count)),
+        };
         let room = rect.right() - name.right() - (FOLD + 24.0) * scale;
         let caption = painter.layout_no_wrap(format!("{}{users}", part.file), font(11.5), theme::muted());
         if caption.size().x < room {
@@ -78,9 +84,9 @@ impl Canvas {
         }
         let button = Rect::from_min_max(pos2(title.right() - FOLD * scale, title.top()), title.max);
         let fold = ui.interact(button, Id::new(("fold part", &part.id)), Sense::click());
-        fold.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Fold {}", part.id)));
+        fold.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, text!("canvas-fold.name", part = &part.id)));
         let color = if fold.hovered() { theme::text() } else { theme::accent() };
-        ui.painter().text(button.center(), Align2::CENTER_CENTER, "fold", font(11.5), color);
+        ui.painter().text(button.center(), Align2::CENTER_CENTER, text!("canvas-fold"), font(11.5), color);
         if fold.clicked() || body.double_clicked() {
             requests.push(CanvasRequest::Open { part: part.id.clone(), open: false });
         }

@@ -9,6 +9,7 @@ use super::shape::{DETAIL, PORTS};
 use super::{Canvas, Mark, Scene};
 use panoscope_editor_model::graph_view::{GraphView, WireError};
 use panoscope_editor_model::observe::Output;
+use panoscope_editor_texts::text;
 
 /// Distance within which a dragged wire snaps to a pin, in points of the window.
 const SNAP: f32 = 18.0;
@@ -172,7 +173,7 @@ impl Canvas {
         }
         let body = ui.interact(rect, Id::new(("node", id)), Sense::click_and_drag());
         body.widget_info(|| {
-            let label = format!("Node {id}");
+            let label = text!("canvas-node", node = id);
             WidgetInfo::selected(WidgetType::SelectableLabel, true, self.selected.contains(id), label)
         });
         self.paint_node(ui, scene, node, rect, body.hovered(), far);
@@ -215,7 +216,9 @@ impl Canvas {
                 let at = Rect::from_min_size(position, vec2(super::shape::WIDTH, super::shape::HEADER));
                 let header = transform * at.with_min_x(at.right() - super::shape::OPEN);
                 let open = ui.interact(header, Id::new(("open part", id)), Sense::click());
-                open.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Open {id}")));
+                open.widget_info(|| {
+                    WidgetInfo::labeled(WidgetType::Button, true, text!("canvas-open.name", node = id))
+                });
                 let on_header = body.interact_pointer_pos().is_some_and(|p| (transform * at).contains(p));
                 if open.clicked() || (body.double_clicked() && on_header) {
                     requests.push(CanvasRequest::Open { part: id.to_owned(), open: true });
@@ -224,7 +227,9 @@ impl Canvas {
             if let Some(fold) = shape.fold.filter(|_| transform.scaling >= PORTS) {
                 let rect = transform * fold.translate(position.to_vec2());
                 let button = ui.interact(rect, Id::new(("fold", id)), Sense::click());
-                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("All ports of {id}")));
+                button.widget_info(|| {
+                    WidgetInfo::labeled(WidgetType::Button, true, text!("canvas-all-ports", node = id))
+                });
                 if button.clicked() {
                     if !self.unfolded.remove(id) {
                         self.unfolded.insert(id.to_owned());
@@ -277,11 +282,17 @@ impl Canvas {
         requests: &mut Vec<CanvasRequest>,
     ) {
         let id = scene.view.nodes[node].id();
-        let side = if pin.input { "Input" } else { "Output" };
         let reach = vec2(18.0, 16.0) * self.scale().clamp(0.6, 1.2);
         let response =
             ui.interact(Rect::from_center_size(at, reach), Id::new(("pin", id, &pin.name, pin.input)), Sense::drag());
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Other, true, format!("{side} {id}.{}", pin.name)));
+        response.widget_info(|| {
+            let port = format!("{id}.{}", pin.name);
+            let name = match pin.input {
+                true => text!("canvas-input", port = port),
+                false => text!("canvas-output", port = port),
+            };
+            WidgetInfo::labeled(WidgetType::Other, true, name)
+        });
         let end = End { node: id.to_owned(), port: pin.name.clone(), input: pin.input };
         if !pin.input && response.hovered() {
             self.under_pointer = Some(scene.view.running_output(id, &pin.name));

@@ -9,6 +9,7 @@ use super::interaction::CanvasRequest;
 use super::paint::LEAST_TEXT;
 use super::{Canvas, Scene};
 use panoscope_editor_model::Mark;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Height of a frame's title, in points at zoom 1.
@@ -25,8 +26,11 @@ fn rect_of(mark: &Mark) -> Rect {
     Rect::from_min_size(pos2(mark.at.0, mark.at.1), vec2(w, h))
 }
 
-fn kind_of(mark: &Mark) -> &'static str {
-    if mark.size.is_some() { "Frame" } else { "Note" }
+fn name_of(mark: &Mark) -> String {
+    match mark.size {
+        Some(_) => text!("canvas-frame.name", text = &mark.text),
+        None => text!("canvas-note.name", text = &mark.text),
+    }
 }
 
 /// The user's current manipulation of a mark.
@@ -60,13 +64,17 @@ impl Canvas {
             rects.reduce(|a, b| a.union(b)).unwrap_or(Rect::from_center_size(self.middle(), vec2(400.0, 240.0)));
         let rect = Rect::from_min_max(around.min - vec2(ROOM, ROOM + TITLE), around.max + vec2(ROOM, ROOM));
         let size = Some((on_grid(rect.width()), on_grid(rect.height())));
-        self.add_mark(Mark { text: "Frame".to_owned(), at: (on_grid(rect.left()), on_grid(rect.top())), size })
+        self.add_mark(Mark {
+            text: text!("canvas-frame").to_owned(),
+            at: (on_grid(rect.left()), on_grid(rect.top())),
+            size,
+        })
     }
 
     /// Adds a note in the middle of the view and starts editing it. Returns all marks.
     pub fn add_note(&mut self) -> Vec<Mark> {
         let at = self.middle();
-        self.add_mark(Mark { text: "Note".to_owned(), at: (at.x, at.y), size: None })
+        self.add_mark(Mark { text: text!("canvas-note").to_owned(), at: (at.x, at.y), size: None })
     }
 
     fn add_mark(&mut self, mark: Mark) -> Vec<Mark> {
@@ -128,9 +136,8 @@ impl Canvas {
         }
         let handle = if framed { Rect::from_min_size(rect.min, vec2(rect.width(), TITLE * scale)) } else { rect };
         let body = ui.interact(handle, Id::new(("mark", mark)), Sense::click_and_drag());
-        let label = format!("{} {}", kind_of(&this), this.text);
         let selected = self.selected_mark == Some(mark);
-        body.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, label.clone()));
+        body.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, name_of(&this)));
         let edge = if selected { theme::accent() } else { theme::line() };
         let painter = ui.painter();
         let radius = CornerRadius::same((10.0 * scale).clamp(2.0, 12.0) as u8);
@@ -156,7 +163,9 @@ impl Canvas {
         if framed {
             let corner = Rect::from_min_max(rect.max - Vec2::splat(CORNER * scale), rect.max);
             let pull = ui.interact(corner, Id::new(("mark corner", mark)), Sense::drag());
-            pull.widget_info(|| WidgetInfo::labeled(WidgetType::Other, true, format!("Size of {label}")));
+            pull.widget_info(|| {
+                WidgetInfo::labeled(WidgetType::Other, true, text!("canvas-frame.size", text = &this.text))
+            });
             if pull.hovered() || pull.dragged() {
                 let at = Align2::RIGHT_BOTTOM;
                 ui.painter().text(rect.max - vec2(4.0, 2.0), at, "◢", FontId::proportional(12.0), theme::muted());
@@ -233,7 +242,7 @@ impl Canvas {
             ui.add(edit.id(Id::new(("mark text", mark))).desired_width(rect.width().max(120.0)))
         });
         let response = scope.inner;
-        ui.ctx().accesskit_node_builder(response.id, |n| n.set_label("Text of the mark"));
+        ui.ctx().accesskit_node_builder(response.id, |n| n.set_label(text!("canvas-mark-text")));
         if !begun {
             response.request_focus();
             self.mark_edit = MarkEdit::Text { mark, begun: true };

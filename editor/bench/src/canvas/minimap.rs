@@ -3,6 +3,7 @@
 use eframe::egui::{Id, Mesh, Pos2, Rect, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo, WidgetType, vec2};
 
 use super::{Canvas, Scene};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Greatest size of the map, in points of the window.
@@ -29,7 +30,7 @@ impl Canvas {
         let to_map = |at: Pos2| map.min + Vec2::splat(PAD) + (at - whole.min) * scale;
         let rect_of = |rect: Rect| Rect::from_min_max(to_map(rect.min), to_map(rect.max));
         let response = ui.interact(map, Id::new("minimap"), Sense::click_and_drag());
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Other, true, "Map of the graph"));
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Other, true, text!("canvas-map")));
         let painter = ui.painter();
         painter.rect(
             map,

@@ -22,6 +22,7 @@ use eframe::egui::{Mesh, Pos2, Rect, Sense, Ui, Vec2, WidgetInfo, WidgetType, po
 use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::layout;
 use panoscope_editor_model::observe::{Counters, Output};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::OutputCache;
 
 pub use interaction::{CanvasRequest, End};
@@ -376,7 +377,7 @@ impl Canvas {
         let mut requests = Vec::new();
         ui.set_clip_rect(rect.intersect(ui.clip_rect()));
         let ground = ui.allocate_rect(rect, Sense::click_and_drag());
-        ground.widget_info(|| WidgetInfo::labeled(WidgetType::Panel, true, "Graph"));
+        ground.widget_info(|| WidgetInfo::labeled(WidgetType::Panel, true, text!("canvas-name")));
         self.touch_ground(ui, &ground, scene, &mut requests);
         let painter = ui.painter().clone();
         self.paint_ground(&painter);

@@ -13,6 +13,7 @@ use super::paint::LEAST_TEXT;
 use super::shape::{DETAIL, HEADER, PAD, PICTURES, PORTS, Pin};
 use super::{Canvas, Scene};
 use panoscope_editor_model::content::{Content, DetectedBox};
+use panoscope_editor_texts::{decimal, text};
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme::{self, PinShape};
 use panoscope_engine::fault::{Cause, Fault};
@@ -93,7 +94,7 @@ impl Canvas {
                 // Clear of the ring of a fault.
                 pos2(light.x - (12.0 * scale).max(10.0), line),
                 Align2::RIGHT_CENTER,
-                "open",
+                text!("canvas-open"),
                 self.font(11.0),
                 theme::accent(),
             );
@@ -154,7 +155,10 @@ impl Canvas {
         }
         if let Some(fold) = shape.fold.filter(|_| near) {
             let rect = transform * fold.translate(position.to_vec2());
-            let caption = if shape.folded > 0 { format!("{} more", shape.folded) } else { "fewer".to_owned() };
+            let caption = match shape.folded {
+                0 => text!("canvas-fewer").to_owned(),
+                count => text!("canvas-more", count = count),
+            };
             let at = rect.right_center() - vec2(2.0 * scale, 0.0);
             painter.text(at, Align2::RIGHT_CENTER, caption, self.font(11.0), theme::accent());
         }
@@ -203,7 +207,7 @@ impl Canvas {
                     paint_boxes(painter, inner, found, (scale >= PORTS).then(|| self.font(11.0)));
                 }
                 if let Some(age) = stale.filter(|_| scene.running && scale >= DETAIL) {
-                    let caption = format!("{} s old", age.as_secs());
+                    let caption = text!("canvas-old", seconds = age.as_secs());
                     painter.text(frame.center(), Align2::CENTER_CENTER, caption, self.font(13.0), theme::warn());
                 }
             }
@@ -276,18 +280,15 @@ impl Canvas {
         let mut right = LayoutJob::default();
         let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
         if let Some(fault) = scene.counters.faults.get(this.id()) {
-            let (count, word) = (c.faults.max(1), fault_name(fault));
-            let plural = if count > 1 { "s" } else { "" };
-            right.append(&format!("{count} {word}{plural}  "), 0.0, plain(fault_color(fault)));
+            right.append(&format!("{}  ", faults_in_words(fault, c.faults.max(1))), 0.0, plain(fault_color(fault)));
         }
         if c.dropped > 0 {
-            let plural = if c.dropped > 1 { "s" } else { "" };
-            right.append(&format!("{} drop{plural}  ", c.dropped), 0.0, plain(theme::warn()));
+            right.append(&format!("{}  ", text!("state-drops", count = c.dropped)), 0.0, plain(theme::warn()));
         }
         if let Some(age) = c.age_p50_ms.filter(|a| *a > 0.0) {
-            right.append(&format!("age {}  ", format_time(age)), 0.0, plain(theme::muted()));
+            right.append(&format!("{}  ", text!("canvas-age", age = format_time(age))), 0.0, plain(theme::muted()));
         }
-        right.append(&format!("{:.0} fps", c.fps), 0.0, plain(theme::text()));
+        right.append(&text!("canvas-rate", rate = decimal(c.fps, 0)), 0.0, plain(theme::text()));
         let right = painter.layout_job(right);
         let middle = rect.center().y;
         painter.galley(
@@ -298,8 +299,8 @@ impl Canvas {
         // The longest text that fits.
         let p50 = format_time(c.p50_ms);
         let lefts = match c.fps > 0.0 {
-            true => vec![format!("{p50} · p99 {}", format_time(c.p99_ms)), p50],
-            false => vec!["at rest".to_owned()],
+            true => vec![text!("canvas-median", median = &p50, slow = format_time(c.p99_ms)), p50],
+            false => vec![text!("canvas-rest").to_owned()],
         };
         let room = rect.width() - right.size().x - 8.0 * self.scale();
         let galleys = lefts.into_iter().map(|caption| painter.layout_no_wrap(caption, font.clone(), theme::muted()));
@@ -323,13 +324,13 @@ fn fault_color(fault: &Fault) -> Color32 {
     if now.saturating_sub(fault.unix_ms) < NEW_FAULT_MS { theme::fault() } else { theme::warn() }
 }
 
-fn fault_name(fault: &Fault) -> &'static str {
+fn faults_in_words(fault: &Fault, count: u64) -> String {
     match fault.cause {
-        Cause::Panic => "panic",
-        Cause::Hang => "hang",
-        Cause::Slow => "slow call",
-        Cause::Leak => "leak",
-        _ => "fault",
+        Cause::Panic => text!("canvas-panics", count = count),
+        Cause::Hang => text!("canvas-hangs", count = count),
+        Cause::Slow => text!("canvas-slow", count = count),
+        Cause::Leak => text!("canvas-leaks", count = count),
+        _ => text!("canvas-faults", count = count),
     }
 }
 

@@ -53,9 +53,9 @@ impl Canvas {
                 let Some((start, packet)) = self.pin_at(node, &from.port, from.input) else { return };
                 let over = self.pin_near(scene.view, from, pointer);
                 let verdict = over.as_ref().map(|end| check_wire(scene.view, from, end));
-                let end = over.as_ref().and_then(|end| {
-                    Some(self.pin_at(scene.view.node(&end.node)?, &end.port, end.input)?.0)
-                });
+                let end = over
+                    .as_ref()
+                    .and_then(|end| Some(self.pin_at(scene.view.node(&end.node)?, &end.port, end.input)?.0));
                 let color = match verdict {
                     Some(Err(_)) => theme::fault(),
                     Some(Ok(())) => theme::accent(),

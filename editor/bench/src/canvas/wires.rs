@@ -8,6 +8,7 @@ use super::paths::Path;
 use super::shape::{HEADER, PICTURES};
 use super::{Canvas, Scene};
 use panoscope_editor_model::graph_view::{GraphView, Wire};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Distance between a backward wire and the nodes above it, points at zoom 1.
@@ -136,9 +137,8 @@ impl Canvas {
         let is_selected = |node: usize| selected.get(node).copied().unwrap_or_default();
         for (wire, path) in view.wires.iter().zip(&self.paths.wires).filter(|(_, path)| path.bounds.intersects(seen)) {
             let to = view.nodes[wire.to].id();
-            if pulled.is_some_and(|(input, index)| {
-                input.node == to && input.port == wire.input && index == wire.index
-            }) {
+            if pulled.is_some_and(|(input, index)| input.node == to && input.port == wire.input && index == wire.index)
+            {
                 continue;
             }
             let packet = view.packet(wire.from, &wire.output).map_or("", |p| p.name.as_str());
@@ -185,7 +185,7 @@ impl Canvas {
         let more = names.len().saturating_sub(NAMED);
         let mut text = names[..names.len() - more].join("\n");
         if more > 0 {
-            text += &format!("\nand {more} more");
+            text += &format!("\n{}", text!("canvas-wires-more", count = more));
         }
         ground.clone().on_hover_text_at_pointer(text);
     }
@@ -200,8 +200,9 @@ impl Canvas {
         let name = |wire: &Wire| {
             let (from, to) = (view.nodes[wire.from].id(), view.nodes[wire.to].id());
             let packet = view.packet(wire.from, &wire.output).map_or_else(String::new, |p| format!("  ({})", p.name));
-            let delayed = if wire.delayed { ", previous value" } else { "" };
-            format!("{from}.{} to {to}.{}{packet}{delayed}", wire.output, wire.input)
+            let output = format!("{from}.{}", wire.output);
+            let name = text!("canvas-wire", output = output, input = format!("{to}.{}{packet}", wire.input));
+            if wire.delayed { text!("canvas-wire-delayed", wire = name) } else { name }
         };
         let wires = view.wires.iter().zip(&self.paths.wires);
         wires.filter(|(_, path)| is_near(path)).map(|(wire, _)| name(wire)).collect()

@@ -6,6 +6,7 @@ use eframe::egui::{
     Align2, Color32, CursorIcon, FontId, Id, Rect, Sense, Stroke, Ui, WidgetInfo, WidgetType, pos2, vec2,
 };
 use panoscope_editor_model::docks::Panel;
+use panoscope_editor_texts::text;
 
 use super::arrange::{BAR, Group};
 use super::drag::Drag;
@@ -43,7 +44,12 @@ impl Docks {
                 left += width;
                 let response = ui.interact(rect, Id::new(("tab", panel)), Sense::click_and_drag());
                 response.widget_info(|| {
-                    WidgetInfo::selected(WidgetType::SelectableLabel, true, front, format!("Panel {}", title(panel)))
+                    WidgetInfo::selected(
+                        WidgetType::SelectableLabel,
+                        true,
+                        front,
+                        text!("panel-name", panel = title(panel)),
+                    )
                 });
                 let painter = ui.painter_at(rect);
                 if response.hovered() && !front {
@@ -89,10 +95,10 @@ impl Docks {
 /// Shows the buttons that close the shown panel and put it into a window of its own.
 fn buttons_of(ui: &mut Ui, group: &Group, rect: Rect) -> Option<DockRequest> {
     let panel = group.front;
-    let button = |n: f32, action: Action, name: &str, lines: &[[[f32; 2]; 2]]| {
+    let button = |n: f32, action: Action, name: String, lines: &[[[f32; 2]; 2]]| {
         let at = Rect::from_min_size(pos2(rect.left() + n * BUTTON, rect.top()), vec2(BUTTON, BAR));
-        let response = ui.interact(at, Id::new((name, panel)), Sense::click());
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("{name} {}", title(panel))));
+        let response = ui.interact(at, Id::new((action, panel)), Sense::click());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, name.clone()));
         let lit = response.hovered() || response.has_focus();
         let color: Color32 = if lit { theme::text() } else { theme::muted() };
         let point = |[x, y]: [f32; 2]| at.center() + vec2(x, y);
@@ -111,8 +117,8 @@ fn buttons_of(ui: &mut Ui, group: &Group, rect: Rect) -> Option<DockRequest> {
         [[1.5, -4.5], [4.5, -4.5]],
     ];
     const CROSS: [[[f32; 2]; 2]; 2] = [[[-4.0, -4.0], [4.0, 4.0]], [[-4.0, 4.0], [4.0, -4.0]]];
-    let torn = button(0.0, Action::TearOff, "Tear off", &LEAVE);
-    let closed = button(1.0, Action::ClosePanel, "Close panel", &CROSS);
+    let torn = button(0.0, Action::TearOff, text!("panel-tear-off.name", panel = title(panel)), &LEAVE);
+    let closed = button(1.0, Action::ClosePanel, text!("panel-close.name", panel = title(panel)), &CROSS);
     let at = [group.outer.left() as i32, group.outer.top() as i32];
     match (torn, closed) {
         (true, _) => Some(DockRequest::TearOff(panel, at)),

@@ -1,11 +1,10 @@
 //! The borders between parts: dragged, or moved by arrow keys.
 
-use eframe::egui::{
-    CursorIcon, EventFilter, Id, Key, Modifiers, Sense, Ui, WidgetInfo, WidgetType, vec2,
-};
+use eframe::egui::{CursorIcon, EventFilter, Id, Key, Modifiers, Sense, Ui, WidgetInfo, WidgetType, vec2};
 
 use super::{Docks, STEP, title};
 use crate::docks::arrange::Border;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Distance from the line within which the pointer takes it, points.
@@ -23,7 +22,9 @@ impl Docks {
             let cursor = if border.row { CursorIcon::ResizeHorizontal } else { CursorIcon::ResizeVertical };
             let response = response.on_hover_and_drag_cursor(cursor);
             let [a, b] = border.panels.map(title);
-            response.widget_info(|| WidgetInfo::labeled(WidgetType::Slider, true, format!("Border between {a} and {b}")));
+            response.widget_info(|| {
+                WidgetInfo::labeled(WidgetType::Slider, true, text!("panel-border", first = a, second = b))
+            });
             let color = match (response.dragged() || response.has_focus(), response.hovered()) {
                 (true, _) => theme::accent(),
                 (_, true) => theme::muted(),
@@ -32,7 +33,11 @@ impl Docks {
             ui.painter().rect_filled(border.line, 0.0, color);
             let mut by = if border.row { response.drag_delta().x } else { response.drag_delta().y };
             if response.has_focus() {
-                let filter = EventFilter { horizontal_arrows: border.row, vertical_arrows: !border.row, ..EventFilter::default() };
+                let filter = EventFilter {
+                    horizontal_arrows: border.row,
+                    vertical_arrows: !border.row,
+                    ..EventFilter::default()
+                };
                 ui.memory_mut(|memory| memory.set_focus_lock_filter(id, filter));
                 let keys = if border.row { [Key::ArrowRight, Key::ArrowLeft] } else { [Key::ArrowDown, Key::ArrowUp] };
                 let count = |key| ui.input_mut(|input| input.count_and_consume_key(Modifiers::NONE, key)) as f32;

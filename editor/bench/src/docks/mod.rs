@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::{Pos2, Rect, Ui, Vec2};
 use panoscope_editor_model::docks::{self, BrokenLayout, Layout, Panel, Window};
+use panoscope_editor_texts::text;
 
 use arrange::{Border, Group};
 
@@ -26,20 +27,20 @@ pub const STEP: f32 = 32.0;
 /// The name of a panel, on its tab.
 pub fn title(panel: Panel) -> &'static str {
     match panel {
-        Panel::Graph => "Graph",
-        Panel::Node => "Node",
-        Panel::Overview => "Overview",
-        Panel::Text => "Text",
-        Panel::Source => "Source",
-        Panel::Help => "Help",
-        Panel::Viewer => "Viewer",
-        Panel::Problems => "Problems",
-        Panel::History => "History",
-        Panel::Timeline => "Recording",
-        Panel::Trace => "Ticks",
-        Panel::States => "Presets",
-        Panel::Sweep => "Sweep",
-        Panel::Plots => "Plots",
+        Panel::Graph => text!("panel-graph"),
+        Panel::Node => text!("panel-node"),
+        Panel::Overview => text!("panel-overview"),
+        Panel::Text => text!("panel-text"),
+        Panel::Source => text!("panel-source"),
+        Panel::Help => text!("panel-help"),
+        Panel::Viewer => text!("panel-viewer"),
+        Panel::Problems => text!("panel-problems"),
+        Panel::History => text!("panel-history"),
+        Panel::Timeline => text!("panel-timeline"),
+        Panel::Trace => text!("panel-trace"),
+        Panel::States => text!("panel-states"),
+        Panel::Sweep => text!("panel-sweep"),
+        Panel::Plots => text!("panel-plots"),
     }
 }
 

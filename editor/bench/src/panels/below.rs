@@ -5,6 +5,7 @@ use eframe::egui::{
     Align, Color32, FontId, Label, Rect, RichText, ScrollArea, Sense, TextFormat, Ui, WidgetInfo, WidgetType, pos2,
     vec2,
 };
+use panoscope_editor_texts::{decimal, text};
 use panoscope_graph::Severity;
 
 use super::inspector::section;
@@ -28,7 +29,7 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
     let mut go = None;
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         if let Some(problem) = &status.problem {
-            let place = problem.node.clone().unwrap_or_else(|| "change not applied".to_owned());
+            let place = problem.node.clone().unwrap_or_else(|| text!("mistakes-change").to_owned());
             if row(ui, theme::fault(), &place, &problem.message) {
                 go = Some(Spot { node: problem.node.clone(), line: None });
             }
@@ -37,8 +38,8 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
             let node = view.node_of(d, document.text());
             let color = if d.severity == Severity::Error { theme::fault() } else { theme::warn() };
             let place = match d.file == view.file {
-                true => format!("line {}", d.line),
-                false => format!("{}, line {}", d.file, d.line),
+                true => text!("problem-line", line = d.line),
+                false => text!("problem-line-of", file = &d.file, line = d.line),
             };
             let mut message = d.message.clone();
             for more in [&d.label, &d.help] {
@@ -51,13 +52,13 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
             }
         }
         if view.diagnostics.is_empty() && status.problem.is_none() {
-            ui.label(RichText::new("The file has no mistakes.").color(theme::muted()));
+            ui.label(RichText::new(text!("mistakes-none")).color(theme::muted()));
         }
         if !counters.fault_list.is_empty() {
-            section(ui, "Faults, newest first");
+            section(ui, text!("mistakes-faults"));
         }
         for fault in counters.fault_list.iter().rev().take(100) {
-            let place = format!("{:.1} s  {}", fault.run_ms / 1e3, fault.node);
+            let place = text!("mistakes-at", seconds = decimal(fault.run_ms / 1e3, 1), node = &fault.node);
             let message = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
             if row(ui, theme::warn(), &place, &message) {
                 go = Some(Spot { node: Some(fault.node.clone()), line: None });
@@ -123,7 +124,7 @@ pub fn text(ui: &mut Ui, document: &Document, marked: &[String], reading: &mut R
             job.append("\n", 0.0, plain(theme::text()));
         }
         let label = ui.add(Label::new(job).extend());
-        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, "Text of the file"));
+        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, text!("text-name")));
         if let Some(line) = reading.line.filter(|_| std::mem::take(&mut reading.go)) {
             // All lines have the same height; the text ends with an empty line.
             let height = label.rect.height() / (document.text().lines().count() + 1) as f32;

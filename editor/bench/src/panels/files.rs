@@ -8,6 +8,7 @@ use eframe::egui::{
 };
 
 use crate::search;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Maximum number of entries of a folder.
@@ -85,7 +86,13 @@ impl Files {
                 self.entries.extend(list.flatten().filter_map(entry).take(MAX_ENTRIES));
                 self.entries.sort_by(|a, b| (!a.folder, &a.name).cmp(&(!b.folder, &b.name)));
             }
-            Err(error) => self.wrong = Some(format!("{} cannot be read: {error}", self.folder.display())),
+            Err(error) => {
+                self.wrong = Some(text!(
+                    "files-unreadable",
+                    folder = self.folder.display().to_string(),
+                    reason = error.to_string()
+                ))
+            }
         }
     }
 
@@ -138,12 +145,12 @@ impl Files {
             .show(ctx, |ui| {
                 ui.set_width(560.0);
                 ui.horizontal(|ui| {
-                    go_up |= ui.button("Up").on_hover_text("Parent folder (Backspace)").clicked();
+                    go_up |= ui.button(text!("files-up")).on_hover_text(text!("files-up.hint")).clicked();
                     let caption = RichText::new(self.folder.display().to_string()).size(12.0).color(theme::muted());
                     ui.add(Label::new(caption).truncate());
                 });
-                let hint = "Type a part of the name, or a new name";
-                if search::field(ui, &mut self.typed, &mut self.fresh, hint, "File name") {
+                let hint = text!("files-name.hint");
+                if search::field(ui, &mut self.typed, &mut self.fresh, hint, text!("files-name")) {
                     self.chosen = 0;
                 }
                 ui.add_space(theme::STEP);
@@ -156,8 +163,8 @@ impl Files {
                     }
                     let caption = match (&self.wrong, order.is_empty(), self.typed.is_empty()) {
                         (Some(why), ..) => why.clone(),
-                        (_, true, true) => "the folder is empty".to_owned(),
-                        (_, true, false) => "no file has this name; Enter uses it for a new file".to_owned(),
+                        (_, true, true) => text!("files-empty").to_owned(),
+                        (_, true, false) => text!("files-new").to_owned(),
                         _ => String::new(),
                     };
                     if !caption.is_empty() {
@@ -184,8 +191,10 @@ impl Files {
 /// Draws one row; returns whether it was clicked.
 fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
     let (rect, row) = ui.allocate_exact_size(vec2(ui.available_width(), 26.0), Sense::click());
-    let kind = if entry.folder { "Folder" } else { "File" };
-    let caption = format!("{kind} {}", entry.name);
+    let caption = match entry.folder {
+        true => text!("files-folder", name = &entry.name),
+        false => text!("files-file", name = &entry.name),
+    };
     row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, caption.clone()));
     search::mark_row(ui, rect, &row, chosen);
     let name = if entry.folder { format!("{}/", entry.name) } else { entry.name.clone() };

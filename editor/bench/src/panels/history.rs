@@ -6,6 +6,7 @@ use toml::Value;
 use crate::actions::{self, Action};
 use panoscope_editor_model::document::{Document, default_value};
 use panoscope_editor_model::picture::short;
+use panoscope_editor_texts::{text, with_decimal_sign};
 use panoscope_editor_widgets::theme;
 
 /// Maximum number of rows.
@@ -19,14 +20,17 @@ fn format_value(document: &Document, node: &str, param: &str, value: Option<&Val
         node_type.params.iter().find(|p| p.name == param).map(|p| default_value(&p.kind))
     };
     let shown = |value: &Value| match value {
-        Value::Float(number) => short(*number),
-        Value::String(text) if text.is_empty() => "empty".to_owned(),
+        Value::Float(number) => with_decimal_sign(&short(*number)),
+        Value::String(text) if text.is_empty() => text!("history-empty").to_owned(),
         Value::String(text) => text.clone(),
         other => other.to_string(),
     };
     match value {
         Some(value) => shown(value),
-        None => declared().map_or_else(|| "default".to_owned(), |value| format!("{} (default)", shown(&value))),
+        None => match declared() {
+            Some(value) => text!("history-default-is", value = shown(&value)),
+            None => text!("history-default").to_owned(),
+        },
     }
 }
 
@@ -36,14 +40,15 @@ pub fn show(ui: &mut Ui, document: &Document) -> Option<usize> {
     let (count, at) = (history.changes().len(), history.at());
     let mut go = None;
     ui.horizontal(|ui| {
-        let back = ui.add_enabled(at > 0, Button::new("Back")).on_hover_text(actions::hint(Action::Back));
-        let forth = ui.add_enabled(at < count, Button::new("Forward")).on_hover_text(actions::hint(Action::Forward));
+        let back =
+            ui.add_enabled(at > 0, Button::new(text!("history-back"))).on_hover_text(actions::hint(Action::Back));
+        let forth = ui
+            .add_enabled(at < count, Button::new(text!("history-forward")))
+            .on_hover_text(actions::hint(Action::Forward));
         go = (back.clicked().then(|| at.saturating_sub(1))).or(forth.clicked().then_some(at + 1));
         let summary = match count {
-            0 => "No value was changed yet.".to_owned(),
-            _ if at < count => format!("{at} of {count} changes are applied"),
-            1 => "1 change".to_owned(),
-            _ => format!("{count} changes"),
+            _ if at < count => text!("history-applied", at = at, count = count),
+            _ => text!("history-count", count = count),
         };
         ui.label(RichText::new(summary).color(theme::muted()));
     });
@@ -56,19 +61,21 @@ pub fn show(ui: &mut Ui, document: &Document) -> Option<usize> {
                     [&change.from, &change.to].map(|v| format_value(document, &change.node, &change.param, v.as_ref()));
                 let name = format!("{}.{}", change.node, change.param);
                 let color = if applied { theme::text() } else { theme::muted() };
-                let tick = change.tick.map_or_else(|| "waits".to_owned(), |tick| format!("tick {tick}"));
+                let tick = match change.tick {
+                    Some(tick) => text!("history-tick", tick = tick),
+                    None => text!("history-waits").to_owned(),
+                };
                 ui.label(RichText::new(tick).size(12.0).color(theme::muted()));
                 ui.label(RichText::new(change.by.word()).size(12.0).color(theme::muted()));
                 let last = applied && number + 1 == at;
                 let button = Button::new(RichText::new(&name).size(12.5).color(color)).selected(last);
-                let row =
-                    ui.add(button.frame_when_inactive(last)).on_hover_text("Restores the values after this change");
-                let description = format!("Change {}: {name} from {from} to {to}", number + 1);
+                let row = ui.add(button.frame_when_inactive(last)).on_hover_text(text!("history-restore"));
+                let description = text!("history-change", number = number + 1, param = &name, from = &from, to = &to);
                 row.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, last, description.clone()));
                 if row.clicked() {
                     go = Some(number + 1);
                 }
-                ui.label(RichText::new(format!("{from}  to  {to}")).size(12.5).color(color));
+                ui.label(RichText::new(text!("history-from-to", from = from, to = to)).size(12.5).color(color));
                 ui.end_row();
             }
         });

@@ -6,6 +6,7 @@ use eframe::egui::{
     Align, Button, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
 };
 
+use panoscope_editor_texts::{decimal, text, with_decimal_sign};
 use panoscope_eval::sweep::can_sweep;
 
 use super::params;
@@ -84,15 +85,15 @@ pub fn show(
         numbers(ui, counters, this, &mut requests);
         let node_type = this.node_type.as_ref();
         if node_type.is_some_and(|t| !t.inputs.is_empty()) {
-            section(ui, "Inputs");
+            section(ui, text!("node-inputs"));
             inputs(ui, document, node, &mut requests);
         }
         if node_type.is_some_and(|t| !t.params.is_empty()) {
-            section(ui, "Parameters");
+            section(ui, text!("node-parameters"));
             if node_type.is_some_and(|t| t.params.iter().any(|p| can_sweep(&p.kind))) {
-                let button = Button::new(RichText::new("sweep one over a range").size(11.0).color(theme::accent()));
+                let button = Button::new(RichText::new(text!("node-sweep")).size(11.0).color(theme::accent()));
                 let sweep = ui.add(button.frame(false)).on_hover_text(actions::hint(Action::Sweep));
-                sweep.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Sweep a parameter"));
+                sweep.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, text!("node-sweep.name")));
                 if sweep.clicked() {
                     requests.push(InspectorRequest::Sweep);
                 }
@@ -123,8 +124,8 @@ fn title(ui: &mut Ui, this: &NodeView, is_python: bool, requests: &mut Vec<Inspe
             .font(eframe::egui::TextStyle::Heading)
             .frame(eframe::egui::Frame::NONE)
             .desired_width(f32::INFINITY);
-        let response = ui.add(field).on_hover_text("Name; Enter renames the node everywhere");
-        response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Name"));
+        let response = ui.add(field).on_hover_text(text!("node-name.hint"));
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label(text!("node-name")));
         if response.has_focus() {
             ui.data_mut(|d| d.insert_temp(id, name));
         } else {
@@ -136,7 +137,7 @@ fn title(ui: &mut Ui, this: &NodeView, is_python: bool, requests: &mut Vec<Inspe
     });
     let caption = match &this.node_type {
         Some(t) => format!("{} · {}", t.name, t.plugin),
-        None => format!("{} · not known", this.outline.type_name),
+        None => text!("node-unknown", type = &this.outline.type_name),
     };
     ui.horizontal(|ui| {
         ui.label(RichText::new(caption).size(11.5).color(theme::muted()));
@@ -149,10 +150,10 @@ fn title(ui: &mut Ui, this: &NodeView, is_python: bool, requests: &mut Vec<Inspe
             }
         };
         if this.node_type.is_some() && !this.is_part {
-            link("help", "Help of the node", Action::NodeHelp, InspectorRequest::Help);
+            link(text!("node-help"), text!("node-help.name"), Action::NodeHelp, InspectorRequest::Help);
         }
         if is_python {
-            link("source", "Source of the node", Action::Source, InspectorRequest::Source);
+            link(text!("node-source"), text!("node-source.name"), Action::Source, InspectorRequest::Source);
         }
     });
     if let Some(line) = this.node_type.as_ref().and_then(|t| t.doc.lines().next()) {
@@ -164,14 +165,14 @@ fn title(ui: &mut Ui, this: &NodeView, is_python: bool, requests: &mut Vec<Inspe
 /// Shows what can be done with a part, and how often its file is used.
 fn part_buttons(ui: &mut Ui, part: &PartView, requests: &mut Vec<InspectorRequest>) {
     ui.horizontal(|ui| {
-        if ui.button("Open").on_hover_text(actions::hint(Action::OpenPart)).clicked() {
+        if ui.button(text!("part-open")).on_hover_text(actions::hint(Action::OpenPart)).clicked() {
             requests.push(InspectorRequest::Open);
         }
-        if ui.button("Dissolve").on_hover_text(actions::hint(Action::Dissolve)).clicked() {
+        if ui.button(text!("part-dissolve")).on_hover_text(actions::hint(Action::Dissolve)).clicked() {
             requests.push(InspectorRequest::Dissolve);
         }
         if part.users.len() > 1 {
-            let caption = format!("used {} times", part.users.len());
+            let caption = text!("part-users", count = part.users.len());
             ui.label(RichText::new(caption).size(12.0).color(theme::warn())).on_hover_text(part.users.join(", "));
         }
     });
@@ -191,8 +192,8 @@ fn picture(
     if let Some((texture, size)) = shown.texture(&output) {
         let fit = (width / size.x).min(240.0 / size.y);
         let image = Image::new((texture, size * fit)).corner_radius(4.0).sense(Sense::click());
-        let response = ui.add(image).on_hover_text("Click to open it in the viewer (V)");
-        let caption = format!("Show {output} large");
+        let response = ui.add(image).on_hover_text(text!("node-picture.hint"));
+        let caption = text!("node-picture", output = output.to_string());
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
         if let Some(at) = response.hover_pos() {
             let share = (at - response.rect.min) / response.rect.size();
@@ -203,7 +204,7 @@ fn picture(
         }
         if let Some(probe) = probes.get(&output) {
             // The line is always there, so that nothing moves under the pointer.
-            let words = probe.words().unwrap_or_else(|| "point at the picture for a value".to_owned());
+            let words = probe.words().unwrap_or_else(|| text!("node-picture.probe").to_owned());
             let color = if probe.at.is_some() { theme::text() } else { theme::muted() };
             ui.label(RichText::new(words).size(12.0).color(color));
             probing::histogram(ui, probe);
@@ -224,7 +225,7 @@ fn picture(
             }
         });
         let id = response.response.id;
-        ui.ctx().accesskit_node_builder(id, |node| node.set_label("Shown output"));
+        ui.ctx().accesskit_node_builder(id, |node| node.set_label(text!("node-output")));
     }
 }
 
@@ -239,11 +240,11 @@ fn why_idle(
         return;
     }
     let Some(reason) = idle::reason(view, counters, status, this.id()) else { return };
-    section(ui, "Why it is idle");
+    section(ui, text!("node-idle"));
     let caption = RichText::new(&reason.words).size(12.0).color(theme::warn());
     ui.add(Label::new(caption).wrap());
     if let Some(cause) = reason.cause
-        && ui.small_button(format!("Go to {cause}")).clicked()
+        && ui.small_button(text!("go-to", node = &cause)).clicked()
     {
         requests.push(InspectorRequest::Go(cause));
     }
@@ -253,15 +254,15 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView, requests: &mut Vec
     let Some(c) = counters.nodes.get(this.id()) else { return };
     ui.add_space(theme::STEP);
     let mut rows: Vec<(&str, String)> = vec![
-        ("rate", format!("{:.1} fps", c.fps)),
-        ("time", format!("{}  ·  p99 {}", format_time(c.p50_ms), format_time(c.p99_ms))),
+        (text!("node-rate"), text!("node-rate-is", rate = decimal(c.fps, 1))),
+        (text!("node-time"), text!("node-median", median = format_time(c.p50_ms), slow = format_time(c.p99_ms))),
     ];
     if let (Some(p50), Some(p99)) = (c.age_p50_ms, c.age_p99_ms) {
-        rows.push(("age", format!("{}  ·  p99 {}", format_time(p50), format_time(p99))));
+        rows.push((text!("node-age"), text!("node-median", median = format_time(p50), slow = format_time(p99))));
     }
-    rows.push(("ticks", format!("{}  ·  {} dropped", c.count, c.dropped)));
+    rows.push((text!("node-ticks"), text!("node-ticks-are", count = c.count, dropped = c.dropped)));
     for (name, value) in c.metrics.iter().take(8) {
-        rows.push((name, panoscope_editor_model::picture::short(*value)));
+        rows.push((name, with_decimal_sign(&panoscope_editor_model::picture::short(*value))));
     }
     Grid::new("numbers").num_columns(2).spacing([16.0, 4.0]).show(ui, |ui| {
         for (name, value) in rows {
@@ -271,18 +272,23 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView, requests: &mut Vec
         }
     });
     if c.dropped > 0 && !this.is_part {
-        let button = Button::new(RichText::new("why ticks are dropped").size(11.0).color(theme::accent())).frame(false);
+        let button = Button::new(RichText::new(text!("node-trace")).size(11.0).color(theme::accent())).frame(false);
         let button = ui.add(button).on_hover_text(actions::hint(Action::Trace));
-        button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Why ticks are dropped"));
+        button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, text!("node-trace.name")));
         if button.clicked() {
             requests.push(InspectorRequest::Trace);
         }
     }
     if let Some(fault) = counters.faults.get(this.id()) {
-        section(ui, "Last fault");
+        section(ui, text!("node-fault"));
         let done = format!("{:?}", fault.done).to_lowercase();
         ui.label(RichText::new(&fault.words).size(12.0).color(theme::warn()));
-        let caption = format!("{:?}, {} so far; then: {done}", fault.cause, c.faults.max(fault.count));
+        let caption = text!(
+            "node-fault-is",
+            cause = format!("{:?}", fault.cause),
+            count = c.faults.max(fault.count),
+            done = done
+        );
         ui.label(RichText::new(caption).size(11.5).color(theme::muted()));
     }
 }
@@ -306,11 +312,11 @@ fn inputs(ui: &mut Ui, document: &Document, node: usize, requests: &mut Vec<Insp
                     let label = ui.add(Label::new(label).truncate());
                     label.on_hover_text(format!("{} ({})", port.doc, port.packet.name));
                 });
-                let now = from.as_ref().map_or_else(|| "not connected".to_owned(), Output::to_string);
+                let now = from.as_ref().map_or_else(|| text!("node-not-connected").to_owned(), Output::to_string);
                 let combo =
                     ComboBox::from_id_salt((&port.name, index)).selected_text(now).width(ui.available_width() - 8.0);
                 let response = combo.show_ui(ui, |ui| {
-                    if from.is_some() && ui.selectable_label(false, "not connected").clicked() {
+                    if from.is_some() && ui.selectable_label(false, text!("node-not-connected")).clicked() {
                         requests.push(InspectorRequest::Input { input: port.name.clone(), index, from: None });
                     }
                     for output in candidates(document, node, &port.name) {
@@ -325,7 +331,9 @@ fn inputs(ui: &mut Ui, document: &Document, node: usize, requests: &mut Vec<Insp
                     }
                 });
                 let id = response.response.id;
-                ui.ctx().accesskit_node_builder(id, |n| n.set_label(format!("Input {}.{name}", this.id())));
+                ui.ctx().accesskit_node_builder(id, |n| {
+                    n.set_label(text!("node-input", input = format!("{}.{name}", this.id())))
+                });
             });
         }
     }

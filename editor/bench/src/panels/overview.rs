@@ -1,16 +1,22 @@
 //! The panel of the whole graph, shown while not exactly one node is selected.
 
-use eframe::egui::{Grid, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2};
+use eframe::egui::{
+    Align2, Color32, FontId, Rect, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, pos2, vec2,
+};
 
 use super::inspector::section;
 use super::params;
 use crate::actions::{self, Action};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::folding::opening;
-use panoscope_editor_model::graph_view::NodeView;
+use panoscope_editor_model::graph_view::{GraphView, NodeView};
 use panoscope_editor_model::observe::Counters;
+use panoscope_editor_texts::{decimal, text};
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme;
+
+/// Maximum number of rows of a list.
+const MAX_ROWS: usize = 24;
 
 /// A request of this panel.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,8 +35,8 @@ pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usi
     let mut requests = Vec::new();
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         if selected > 1 {
-            ui.label(RichText::new(format!("{selected} nodes selected")).size(15.0));
-            if ui.button("Make a part").on_hover_text(actions::hint(Action::MakePart)).clicked() {
+            ui.label(RichText::new(text!("overview-selected", count = selected)).size(15.0));
+            if ui.button(text!("overview-make-part")).on_hover_text(actions::hint(Action::MakePart)).clicked() {
                 requests.push(OverviewRequest::Perform(Action::MakePart));
             }
         } else {
@@ -38,7 +44,7 @@ pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usi
             ui.label(RichText::new(opening(document.text())).size(12.0).color(theme::muted()));
         }
         if document.pins().next().is_some() {
-            section(ui, "Preset");
+            section(ui, text!("overview-preset"));
         }
         for (node, param, label) in document.pins() {
             let all = if view.node(node).is_some() { view } else { view.flat() };
@@ -51,8 +57,9 @@ pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usi
                 });
             }
         }
-        section(ui, "Where time goes");
+        section(ui, text!("overview-time"));
         shares(ui, &view.nodes, counters, &mut requests);
+        ages(ui, view, counters, &mut requests);
     });
     requests
 }
@@ -65,35 +72,61 @@ fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, requests: &mut V
         .collect();
     rows.sort_by(|a, b| b.2.total_cmp(&a.2));
     if rows.is_empty() {
-        ui.label(RichText::new("nothing runs").color(theme::muted()));
+        ui.label(RichText::new(text!("overview-nothing")).color(theme::muted()));
         return;
     }
     let most = rows.first().map_or(1.0, |r| r.2.max(1e-6));
-    let width = ui.available_width();
-    Grid::new("shares").num_columns(1).spacing([0.0, 2.0]).show(ui, |ui| {
-        for (node, p50_ms, share) in rows.into_iter().take(24) {
-            let (rect, row) = ui.allocate_exact_size(vec2(width, 24.0), Sense::click());
-            row.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, format!("Go to {}", node.id())));
-            let painter = ui.painter();
-            if row.hovered() {
-                painter.rect_filled(rect, 4.0, theme::raised());
-            }
-            let bar = eframe::egui::Rect::from_min_size(
-                rect.left_bottom() - vec2(0.0, 3.0),
-                vec2(width * (share / most) as f32, 2.0),
-            );
-            painter.rect_filled(bar, 1.0, theme::family(node.family()));
-            let font = eframe::egui::FontId::proportional(12.0);
-            let middle = rect.center().y - 1.0;
-            let at = |x| eframe::egui::pos2(x, middle);
-            use eframe::egui::Align2;
-            painter.text(at(rect.left()), Align2::LEFT_CENTER, node.id(), font.clone(), theme::text());
-            let caption = format!("{}   {:.0} %", format_time(p50_ms), share * 100.0);
-            painter.text(at(rect.right()), Align2::RIGHT_CENTER, caption, font, theme::muted());
-            if row.clicked() {
-                requests.push(OverviewRequest::Go(node.id().to_owned()));
-            }
-            ui.end_row();
+    for (node, p50_ms, share) in rows.into_iter().take(MAX_ROWS) {
+        let caption = text!("overview-share", time = format_time(p50_ms), percent = decimal(share * 100.0, 0));
+        let bar = Some(((share / most) as f32, theme::family(node.family())));
+        if row(ui, node.id(), &caption, bar, text!("go-to", node = node.id())) {
+            requests.push(OverviewRequest::Go(node.id().to_owned()));
         }
+    }
+}
+
+/// Shows how old the packets are at the end of each path.
+fn ages(ui: &mut Ui, view: &GraphView, counters: &Counters, requests: &mut Vec<OverviewRequest>) {
+    let mut ends = vec![true; view.nodes.len()];
+    view.wires.iter().filter(|wire| !wire.delayed).for_each(|wire| ends[wire.from] = false);
+    let last = view.nodes.iter().zip(ends).filter(|(_, end)| *end).map(|(node, _)| node);
+    let aged = last.filter_map(|node| {
+        let counts = counters.nodes.get(node.id())?;
+        Some((node.id(), counts.age_p50_ms.filter(|age| *age > 0.0)?, counts.age_p99_ms?))
     });
+    let aged: Vec<(&str, f64, f64)> = aged.take(MAX_ROWS).collect();
+    if aged.is_empty() {
+        return;
+    }
+    section(ui, text!("overview-ages"));
+    for (id, p50_ms, p99_ms) in aged {
+        let caption = text!("overview-age", median = format_time(p50_ms), slow = format_time(p99_ms));
+        if row(ui, id, &caption, None, text!("go-to-end", node = id)) {
+            requests.push(OverviewRequest::Go(id.to_owned()));
+        }
+    }
+}
+
+/// Shows a row: a name, a caption at the right, and a bar of this share and colour; returns whether it was clicked.
+fn row(ui: &mut Ui, name: &str, caption: &str, bar: Option<(f32, Color32)>, label: String) -> bool {
+    ui.spacing_mut().item_spacing.y = 2.0;
+    let width = ui.available_width();
+    let (rect, row) = ui.allocate_exact_size(vec2(width, 24.0), Sense::click());
+    row.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, label.clone()));
+    if !ui.is_rect_visible(rect) {
+        return row.clicked();
+    }
+    let painter = ui.painter();
+    if row.hovered() || row.has_focus() {
+        painter.rect_filled(rect, 4.0, theme::raised());
+    }
+    if let Some((share, color)) = bar {
+        let bar = Rect::from_min_size(rect.left_bottom() - vec2(0.0, 3.0), vec2(width * share, 2.0));
+        painter.rect_filled(bar, 1.0, color);
+    }
+    let font = FontId::proportional(12.0);
+    let middle = rect.center().y - 1.0;
+    painter.text(pos2(rect.left(), middle), Align2::LEFT_CENTER, name, font.clone(), theme::text());
+    painter.text(pos2(rect.right(), middle), Align2::RIGHT_CENTER, caption, font, theme::muted());
+    row.clicked()
 }

@@ -1,9 +1,11 @@
 //! Widgets for parameters, made from their declarations: unit, step, range, default.
 
 use eframe::egui::{
-    Align, Button, ComboBox, Context, DragValue, Id, Layout, Response, RichText, Sense, Slider, SliderClamping,
-    TextEdit, Ui, UiBuilder, WidgetInfo, WidgetType, vec2,
+    Align, Button, ComboBox, Context, Id, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
+    UiBuilder, WidgetInfo, WidgetType, vec2,
 };
+use panoscope_editor_texts::text;
+use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_graph::{Param, ParamKind, Pick};
 
 use panoscope_editor_model::document::{Document, default_value};
@@ -62,14 +64,17 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
     ui.horizontal(|ui| {
         ui.spacing_mut().interact_size.y = 18.0;
         let color = if differs { theme::accent() } else { theme::text() };
-        let reopens = if param.reopen { "\nA change reopens the node." } else { "" };
-        ui.label(RichText::new(title).color(color).size(12.5)).on_hover_text(format!("{}{reopens}", param.doc));
+        let hint = match param.reopen {
+            true => format!("{}\n{}", param.doc, text!("param-reopens")),
+            false => param.doc.clone(),
+        };
+        ui.label(RichText::new(title).color(color).size(12.5)).on_hover_text(hint);
         if differs {
             let (rect, dot) = ui.allocate_exact_size(vec2(8.0, 8.0), Sense::hover());
             ui.painter().circle_filled(rect.center(), 3.0, theme::accent());
-            let caption = format!("{} differs from the file", param.name);
+            let caption = text!("param-differs", param = &param.name);
             dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, caption.clone()));
-            dot.on_hover_text("Differs from the file");
+            dot.on_hover_text(text!("param-differs.hint"));
         }
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             let mut new = None;
@@ -80,24 +85,28 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
                 new = response.changed().then(|| on.into());
             }
             if given.is_some() {
-                let reset = Button::new(RichText::new("reset").size(11.0).color(theme::muted())).frame(false);
-                let reset = ui.add(reset).on_hover_text("Removes it from the file, so that the default applies");
-                let caption = format!("Reset {}", param.name);
+                let reset =
+                    Button::new(RichText::new(text!("param-reset")).size(11.0).color(theme::muted())).frame(false);
+                let reset = ui.add(reset).on_hover_text(text!("param-reset.hint"));
+                let caption = text!("param-reset.name", param = &param.name);
                 reset.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
                 if reset.clicked() {
                     change = Some(Change { param: param.name.clone(), value: None });
                 }
             }
-            let (pick, text, hint) = match param.pick {
-                Pick::Points => ("Pick", "on image", "On the image: click to add, drag to move"),
-                Pick::Rectangles => ("Pick", "on image", "On the image: drag to draw, use the handles to change"),
-                Pick::File => ("Browse", "browse", "Files and folders"),
-                Pick::None => ("", "", ""),
+            let on_image = |hint| (text!("param-pick"), hint, text!("param-pick.name", param = &param.name));
+            let pick = match param.pick {
+                Pick::Points => Some(on_image(text!("param-pick.points"))),
+                Pick::Rectangles => Some(on_image(text!("param-pick.rectangles"))),
+                Pick::File => {
+                    let caption = text!("param-browse.name", param = &param.name);
+                    Some((text!("param-browse"), text!("param-browse.hint"), caption))
+                }
+                Pick::None => None,
             };
-            if !text.is_empty() {
-                let button = Button::new(RichText::new(text).size(11.0).color(theme::accent())).frame(false);
+            if let Some((words, hint, caption)) = pick {
+                let button = Button::new(RichText::new(words).size(11.0).color(theme::accent())).frame(false);
                 let button = ui.add(button).on_hover_text(hint);
-                let caption = format!("{pick} {}", param.name);
                 button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
                 if button.clicked() {
                     let name = param.name.clone();
@@ -143,7 +152,7 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                         if steps != before {
                             number = min + steps * step;
                         }
-                        let typed = DragValue::new(&mut number).range(*min..=*max).clamp_existing_to_range(false);
+                        let typed = drag_value(&mut number).range(*min..=*max).clamp_existing_to_range(false);
                         let typed = ui.add(typed.speed(step as f64 / 8.0).suffix(unit));
                         if typed.changed() {
                             number = min + ((number - min) as f64 / step as f64).round() as i64 * step;
@@ -154,7 +163,7 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                 }
                 _ => {
                     let range = min.unwrap_or(i64::MIN)..=max.unwrap_or(i64::MAX);
-                    let drag = DragValue::new(&mut number).range(range).clamp_existing_to_range(false).suffix(unit);
+                    let drag = drag_value(&mut number).range(range).clamp_existing_to_range(false).suffix(unit);
                     let drag = ui.add(drag);
                     name(&drag, &label);
                     drag
@@ -178,7 +187,7 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                         }
                         let slider = ui.add(slider);
                         let speed = step.unwrap_or((max - min) / 500.0);
-                        let typed = DragValue::new(&mut number).range(*min..=*max).clamp_existing_to_range(false);
+                        let typed = drag_value(&mut number).range(*min..=*max).clamp_existing_to_range(false);
                         let typed = ui.add(typed.speed(speed).max_decimals(3).suffix(unit));
                         beside(slider, typed, &label)
                     })
@@ -187,7 +196,7 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                 _ => {
                     let range = min.unwrap_or(f64::MIN)..=max.unwrap_or(f64::MAX);
                     let speed = step.unwrap_or(0.1);
-                    let drag = DragValue::new(&mut number).range(range).clamp_existing_to_range(false);
+                    let drag = drag_value(&mut number).range(range).clamp_existing_to_range(false);
                     let drag = ui.add(drag.speed(speed).suffix(unit));
                     name(&drag, &label);
                     drag
@@ -234,7 +243,7 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
 
 /// Labels a slider and the number field beside it; a change of either counts.
 fn beside(slider: Response, typed: Response, label: &str) -> Response {
-    name(&typed, &format!("{label} value"));
+    name(&typed, &text!("param-value", param = label));
     name(&slider, label);
     slider.union(typed)
 }

@@ -10,6 +10,7 @@ use super::cutout::Cutout;
 use panoscope_editor_model::content::Content;
 use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::observe::{Counters, Output, Point};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 
@@ -39,19 +40,29 @@ impl Kind {
 
     fn label(self) -> &'static str {
         match self {
-            Self::Times => "Median time",
-            Self::Slowest => "99 % time",
-            Self::Rate => "Rate",
-            Self::Queues => "Queues",
-            Self::Values => "Values",
+            Self::Times => text!("plot-times"),
+            Self::Slowest => text!("plot-slowest"),
+            Self::Rate => text!("plot-rate"),
+            Self::Queues => text!("plot-queues"),
+            Self::Values => text!("plot-values"),
         }
     }
 
     fn axis(self) -> &'static str {
         match self {
-            Self::Times | Self::Slowest => "ms per call",
-            Self::Rate => "calls per second",
-            Self::Queues => "packets waiting",
+            Self::Times | Self::Slowest => text!("plot-times.axis"),
+            Self::Rate => text!("plot-rate.axis"),
+            Self::Queues => text!("plot-queues.axis"),
+            Self::Values => text!("plot-values.axis"),
+        }
+    }
+
+    /// The name of the values in a file, in every language.
+    fn column(self) -> &'static str {
+        match self {
+            Self::Times | Self::Slowest => "ms_per_call",
+            Self::Rate => "calls_per_second",
+            Self::Queues => "packets_waiting",
             Self::Values => "value",
         }
     }
@@ -164,8 +175,8 @@ impl Plots {
                 }
             }
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                requested = ui.button("PNG").on_hover_text("Writes an image of the plot to out/").clicked();
-                if ui.button("CSV").on_hover_text("Writes all points of the curves to out/").clicked() {
+                requested = ui.button("PNG").on_hover_text(text!("export-png-hint")).clicked();
+                if ui.button("CSV").on_hover_text(text!("export-curves-hint")).clicked() {
                     export = Some(Export::Csv(csv(self.kind, &curves)));
                 }
             });
@@ -189,15 +200,15 @@ impl Plots {
                 plot.line(Line::new(name, points).color(theme::class(k as u32)).width(1.8));
             }
         });
-        shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Times"));
+        shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, text!("plot-name")));
         if requested {
             self.cutout.request(ui.ctx(), shown.response.rect);
         }
         if empty {
             let caption = match self.kind {
-                Kind::Queues => "all queues are empty: every node keeps up",
-                Kind::Values => "no scalar or table was received yet",
-                _ => "nothing runs",
+                Kind::Queues => text!("plot-queues.none"),
+                Kind::Values => text!("plot-values.none"),
+                _ => text!("overview-nothing"),
             };
             let font = FontId::proportional(13.0);
             ui.painter().text(shown.response.rect.center(), Align2::CENTER_CENTER, caption, font, theme::muted());
@@ -208,7 +219,7 @@ impl Plots {
 
 /// All points as CSV, one per line.
 fn csv(kind: Kind, curves: &[Curve]) -> String {
-    let mut out = format!("curve,time_s,{}\n", kind.axis().replace(' ', "_"));
+    let mut out = format!("curve,time_s,{}\n", kind.column());
     for (name, points) in curves {
         let quoted = name.replace('"', "\"\"");
         for [x, y] in points {

@@ -2,6 +2,7 @@
 
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{CollapsingHeader, Context, FontId, Frame, Margin, Modal, RichText, ScrollArea};
+use panoscope_editor_texts::text;
 use panoscope_graph::Catalog;
 use panoscope_loader::Loader;
 
@@ -27,8 +28,8 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Plugins
     let shown = modal.frame(frame).show(ctx, |ui| {
         ui.set_width(560.0);
         ui.horizontal(|ui| {
-            ui.label(RichText::new("Plugins").size(16.0));
-            if ui.button("Reload").on_hover_text("Swaps rebuilt plugins into the running graph").clicked() {
+            ui.label(RichText::new(text!("plugins-heading")).size(16.0));
+            if ui.button(text!("plugins-heading.reload")).on_hover_text(text!("plugins-heading.hint")).clicked() {
                 request = Some(PluginsRequest::Reload);
             }
         });
@@ -59,7 +60,9 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Plugins
                         ui.label(RichText::new(&node_type.doc).size(12.0));
                     }
                     if !used {
-                        ui.label(RichText::new(format!("nodes: {}", found.note.node_types.join(", "))).size(12.0));
+                        ui.label(
+                            RichText::new(text!("plugins-nodes", nodes = found.note.node_types.join(", "))).size(12.0),
+                        );
                     }
                 });
             }

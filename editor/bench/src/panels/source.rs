@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use eframe::egui::{Button, FontId, RichText, ScrollArea, TextEdit, TextStyle, Ui};
 
 use panoscope_editor_model::disk;
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Maximum size of a source file, bytes.
@@ -36,9 +37,11 @@ impl SourceFile {
     /// # Errors
     /// Why it cannot be read, in words.
     pub fn open(path: &Path) -> Result<Self, String> {
-        let fail = |error: std::io::Error| format!("{} cannot be read: {error}", path.display());
+        let fail = |error: std::io::Error| {
+            text!("source-unreadable", file = path.display().to_string(), reason = error.to_string())
+        };
         let text = disk::read_text(path, MAX_BYTES).map_err(fail)?;
-        let text = text.ok_or_else(|| format!("{} has more than 1 MiB", path.display()))?;
+        let text = text.ok_or_else(|| text!("source-too-long", file = path.display().to_string()))?;
         Ok(Self { path: path.to_owned(), saved: text.clone(), text })
     }
 
@@ -54,7 +57,7 @@ impl SourceFile {
     pub fn save(&mut self) -> Result<(), String> {
         if std::fs::read_to_string(&self.path).is_ok_and(|now| now != self.saved) {
             let path = self.path.display();
-            return Err(format!("{path} was changed by another program: close the source and open it again"));
+            return Err(text!("source-replaced", file = path.to_string()));
         }
         disk::save(&self.path, &self.text).map_err(|error| error.to_string())?;
         self.saved.clone_from(&self.text);
@@ -68,14 +71,18 @@ pub fn show(ui: &mut Ui, source: &mut SourceFile, problem: Option<&str>) -> Opti
     ui.horizontal(|ui| {
         let name = source.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         ui.label(RichText::new(name).size(15.0)).on_hover_text(source.path.display().to_string());
-        if ui.add_enabled(source.is_changed(), Button::new("Save and swap")).on_hover_text("Ctrl+Enter").clicked() {
+        if ui
+            .add_enabled(source.is_changed(), Button::new(text!("source-save")))
+            .on_hover_text(text!("source-save.hint"))
+            .clicked()
+        {
             request = Some(SourceRequest::Save);
         }
-        if ui.button("Close source").clicked() {
+        if ui.button(text!("source-close")).clicked() {
             request = Some(SourceRequest::Close);
         }
         if source.is_changed() {
-            ui.label(RichText::new("changed").size(11.5).color(theme::accent()));
+            ui.label(RichText::new(text!("source-changed")).size(11.5).color(theme::accent()));
         }
     });
     if let Some(problem) = problem {
@@ -90,7 +97,7 @@ pub fn show(ui: &mut Ui, source: &mut SourceFile, problem: Option<&str>) -> Opti
         let rows = (ui.available_height() / 16.0) as usize;
         let field = TextEdit::multiline(&mut source.text).code_editor().desired_rows(rows.max(8));
         let field = ui.add(field.desired_width(f32::INFINITY));
-        ui.ctx().accesskit_node_builder(field.id, |node| node.set_label("Source"));
+        ui.ctx().accesskit_node_builder(field.id, |node| node.set_label(text!("source-name")));
     });
     request
 }

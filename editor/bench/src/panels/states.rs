@@ -13,6 +13,8 @@ use super::inspector::section;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::presets::Presets;
 use panoscope_editor_model::snapshots::{Snapshot, Snapshots};
+use panoscope_editor_texts::text;
+use panoscope_editor_widgets::numbers;
 use panoscope_editor_widgets::{image_of, theme};
 
 /// Size of a thumbnail, points.
@@ -79,18 +81,18 @@ impl States {
     }
 
     fn presets(&mut self, ui: &mut Ui, requests: &mut Vec<StateRequest>) {
-        section(ui, "Presets");
+        section(ui, text!("presets-heading"));
         if let Some(problem) = &self.problem {
             ui.label(RichText::new(problem).color(theme::fault()));
             return;
         }
         ui.horizontal(|ui| {
             let field =
-                TextEdit::singleline(&mut self.name).hint_text("name of the values as they are").desired_width(200.0);
+                TextEdit::singleline(&mut self.name).hint_text(text!("presets-heading.hint")).desired_width(200.0);
             let field = ui.add(field);
-            ui.ctx().accesskit_node_builder(field.id, |node| node.set_label("Name of the preset"));
+            ui.ctx().accesskit_node_builder(field.id, |node| node.set_label(text!("presets-heading.name")));
             let entered = field.lost_focus() && ui.input(|i| i.key_pressed(eframe::egui::Key::Enter));
-            let store = ui.add_enabled(!self.name.trim().is_empty(), Button::new("Store preset"));
+            let store = ui.add_enabled(!self.name.trim().is_empty(), Button::new(text!("presets-heading.store")));
             if store.clicked() || (entered && !self.name.trim().is_empty()) {
                 requests.push(StateRequest::Store(std::mem::take(&mut self.name)));
             }
@@ -99,14 +101,14 @@ impl States {
         self.morph(ui, &names, requests);
         ScrollArea::vertical().id_salt("list").auto_shrink([false, false]).show(ui, |ui| {
             if names.is_empty() {
-                ui.label(RichText::new("No presets yet: each keeps the values of all nodes.").color(theme::muted()));
+                ui.label(RichText::new(text!("presets-heading.none")).color(theme::muted()));
             }
             for name in &names {
                 ui.horizontal(|ui| {
-                    if named(ui, name, &format!("Apply preset {name}")) {
+                    if named(ui, name, &text!("preset-apply", name = name)) {
                         requests.push(StateRequest::Apply(name.clone()));
                     }
-                    if small(ui, "remove", &format!("Remove preset {name}")) {
+                    if small(ui, text!("state-remove"), &text!("preset-remove", name = name)) {
                         requests.push(StateRequest::Remove(name.clone()));
                     }
                 });
@@ -125,7 +127,7 @@ impl States {
             }
         }
         ui.horizontal(|ui| {
-            for (end, label) in self.morph.iter_mut().zip(["Morph from", "Morph to"]) {
+            for (end, label) in self.morph.iter_mut().zip([text!("morph-name.from"), text!("morph-name.to")]) {
                 let combo = ComboBox::from_id_salt(label).selected_text(end.as_str()).width(110.0).show_ui(ui, |ui| {
                     for name in names {
                         ui.selectable_value(end, name.clone(), name);
@@ -135,8 +137,9 @@ impl States {
             }
             ui.spacing_mut().slider_width = (ui.available_width() - 64.0).max(80.0);
             let mut percent = self.share * 100.0;
-            let slider = ui.add(Slider::new(&mut percent, 0.0..=100.0).step_by(1.0).suffix(" %"));
-            ui.ctx().accesskit_node_builder(slider.id, |node| node.set_label("Morph"));
+            let slider =
+                ui.add(Slider::new(&mut percent, 0.0..=100.0).custom_parser(numbers::parse).step_by(1.0).suffix(" %"));
+            ui.ctx().accesskit_node_builder(slider.id, |node| node.set_label(text!("morph-name")));
             if slider.changed() {
                 self.share = percent / 100.0;
                 let [from, to] = self.morph.clone();
@@ -146,8 +149,8 @@ impl States {
     }
 
     fn snapshots(&mut self, ui: &mut Ui, requests: &mut Vec<StateRequest>) {
-        section(ui, "Snapshots");
-        if ui.horizontal(|ui| ui.button("Take a snapshot").clicked()).inner {
+        section(ui, text!("snapshots-heading"));
+        if ui.horizontal(|ui| ui.button(text!("snapshots-heading.take")).clicked()).inner {
             requests.push(StateRequest::Take);
         }
         for refused in self.snapshots.refused() {
@@ -166,7 +169,7 @@ impl States {
                     ui.vertical(|ui| snapshot_of(ui, snapshot, picture.as_ref(), now_s, requests));
                 }
                 if self.snapshots.list().is_empty() {
-                    let caption = "No snapshots yet: each keeps the whole graph, to go back to.";
+                    let caption = text!("snapshots-heading.none");
                     ui.label(RichText::new(caption).color(theme::muted()));
                 }
             });
@@ -214,7 +217,7 @@ fn snapshot_of(
     requests: &mut Vec<StateRequest>,
 ) {
     let number = snapshot.number;
-    let caption = format!("Go back to snapshot {number}");
+    let caption = text!("snapshot-restore", number = number);
     let room = vec2(THUMBNAIL[0], THUMBNAIL[1]);
     let clicked = match picture {
         Some(texture) => {
@@ -225,7 +228,7 @@ fn snapshot_of(
             button.clicked()
         }
         None => {
-            let button = ui.add_sized(room, Button::new(format!("{number}: no picture")));
+            let button = ui.add_sized(room, Button::new(text!("snapshot-blank", number = number)));
             button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
             button.clicked()
         }
@@ -236,7 +239,7 @@ fn snapshot_of(
     ui.horizontal(|ui| {
         let age = now_s.saturating_sub(snapshot.taken_s);
         ui.label(RichText::new(format!("{number}  ·  {}", age_words(age))).size(11.5).color(theme::muted()));
-        if small(ui, "remove", &format!("Remove snapshot {number}")) {
+        if small(ui, text!("state-remove"), &text!("snapshot-remove", number = number)) {
             requests.push(StateRequest::Drop(number));
         }
     });
@@ -244,10 +247,10 @@ fn snapshot_of(
 
 fn age_words(seconds: u64) -> String {
     match seconds {
-        0..60 => "just now".to_owned(),
-        60..3600 => format!("{} min ago", seconds / 60),
-        3600..86_400 => format!("{} h ago", seconds / 3600),
-        _ => format!("{} d ago", seconds / 86_400),
+        0..60 => text!("age-now").to_owned(),
+        60..3600 => text!("age-minutes", count = seconds / 60),
+        3600..86_400 => text!("age-hours", count = seconds / 3600),
+        _ => text!("age-days", count = seconds / 86_400),
     }
 }
 

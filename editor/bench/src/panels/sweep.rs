@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eframe::egui::{
-    Align, Button, ComboBox, DragValue, Id, Label, Layout, ProgressBar, Response, RichText, ScrollArea, TextEdit, Ui,
-    WidgetInfo, WidgetType, vec2,
+    Align, Button, ComboBox, Id, Label, Layout, ProgressBar, Response, RichText, ScrollArea, TextEdit, Ui, WidgetInfo,
+    WidgetType, vec2,
 };
 use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
 use panoscope_base::packet::has_numbers;
+use panoscope_editor_texts::text;
+use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_eval::sweep::{COUNTERS, MOST_STEPS, Point, Request, can_sweep, csv};
 use panoscope_graph::ParamKind;
 use panoscope_loader::Loader;
@@ -89,7 +91,7 @@ impl SweepPanel {
         self.job = None;
         match Job::start(request, recording, loader, wake) {
             Ok(job) => (self.job, self.wrong) = (Some(job), None),
-            Err(error) => self.wrong = Some(format!("no thread could be started: {error}")),
+            Err(error) => self.wrong = Some(text!("sweep-no-thread", reason = error.to_string())),
         }
     }
 
@@ -176,7 +178,7 @@ impl SweepPanel {
         let mut request = None;
         let runs = progress.is_some_and(|p| !p.done);
         ui.spacing_mut().item_spacing.y = theme::STEP;
-        row(ui, "parameter", |ui| {
+        row(ui, text!("sweep-parameter"), |ui| {
             let combo =
                 ComboBox::from_id_salt("sweep param").selected_text(&self.param).width(ui.available_width() - 8.0);
             let response = combo.show_ui(ui, |ui| {
@@ -188,29 +190,36 @@ impl SweepPanel {
                     }
                 }
             });
-            name(ui, response.response.id, "Swept parameter");
+            name(ui, response.response.id, text!("sweep-parameter.name"));
         });
         let (numbers, unit, step) = kind_of(document, &self.param);
         if numbers {
-            row(ui, "from, to", |ui| {
+            row(ui, text!("sweep-range"), |ui| {
                 let speed = step.unwrap_or((self.to - self.from).abs() / 100.0).max(1e-6);
-                for (value, label) in [(&mut self.from, "Sweep from"), (&mut self.to, "Sweep to")] {
-                    let drag = ui.add(DragValue::new(value).speed(speed).max_decimals(4).suffix(&unit));
+                for (value, label) in
+                    [(&mut self.from, text!("sweep-range.from")), (&mut self.to, text!("sweep-range.to"))]
+                {
+                    let drag = ui.add(drag_value(value).speed(speed).max_decimals(4).suffix(&unit));
                     name(ui, drag.id, label);
                 }
-                let steps = ui.add(DragValue::new(&mut self.steps).range(2..=MOST_STEPS).suffix(" steps"));
-                name(ui, steps.id, "Sweep steps");
+                let steps = ui.add(
+                    drag_value(&mut self.steps)
+                        .range(2..=MOST_STEPS)
+                        .suffix(format!(" {}", text!("sweep-steps.suffix"))),
+                );
+                name(ui, steps.id, text!("sweep-steps"));
             });
         }
-        row(ui, "measure", |ui| {
+        row(ui, text!("sweep-measure"), |ui| {
             let width = ui.available_width() - 8.0;
             let field =
                 ui.add(TextEdit::singleline(&mut self.measure).hint_text("node.port.column").desired_width(width));
-            name(ui, field.id, "Sweep measure");
+            name(ui, field.id, text!("sweep-measure.name"));
         });
         row(ui, "", |ui| {
-            let combo =
-                ComboBox::from_id_salt("sweep measures").selected_text("choose").width(ui.available_width() - 8.0);
+            let combo = ComboBox::from_id_salt("sweep measures")
+                .selected_text(text!("sweep-measures"))
+                .width(ui.available_width() - 8.0);
             let response = combo.show_ui(ui, |ui| {
                 for measure in measures(document, counters, shown) {
                     if ui.selectable_label(measure == self.measure, &measure).clicked() {
@@ -218,32 +227,34 @@ impl SweepPanel {
                     }
                 }
             });
-            name(ui, response.response.id, "Known measures");
+            name(ui, response.response.id, text!("sweep-measures.name"));
         });
-        row(ui, "pictures", |ui| {
+        row(ui, text!("sweep-pictures"), |ui| {
             let width = ui.available_width() - 72.0;
-            let hint = "the graph's own sources";
+            let hint = text!("sweep-pictures.hint");
             let field = ui.add(TextEdit::singleline(&mut self.recording).hint_text(hint).desired_width(width));
-            name(ui, field.id, "Recording to sweep over");
-            if ui.button("File").on_hover_text("A recording (.mcap) that replaces the graph's sources").clicked() {
+            name(ui, field.id, text!("sweep-pictures.name"));
+            if ui.button(text!("sweep-pictures.file")).on_hover_text(text!("sweep-pictures.file-hint")).clicked() {
                 request = Some(SweepRequest::Browse);
             }
         });
-        row(ui, "of each", |ui| {
-            let frames = ui.add(DragValue::new(&mut self.frames).range(1..=1_000_000).suffix(" frames"));
-            name(ui, frames.id, "Frames per value");
+        row(ui, text!("sweep-frames"), |ui| {
+            let frames = ui.add(
+                drag_value(&mut self.frames).range(1..=1_000_000).suffix(format!(" {}", text!("sweep-frames.suffix"))),
+            );
+            name(ui, frames.id, text!("sweep-frames.name"));
         });
         row(ui, "", |ui| {
             if runs {
-                if ui.button("Cancel").on_hover_text("The values measured so far stay").clicked()
+                if ui.button(text!("sweep-cancel")).on_hover_text(text!("sweep-cancel.hint")).clicked()
                     && let Some(job) = &self.job
                 {
                     job.cancel();
                 }
             } else if ui
-                .add_enabled(!self.param.is_empty() && !self.measure.is_empty(), Button::new("Start the sweep"))
-                .on_hover_text("Runs beside the graph in batch mode, without nodes that have side effects")
-                .on_disabled_hover_text("Choose a parameter and a measure first")
+                .add_enabled(!self.param.is_empty() && !self.measure.is_empty(), Button::new(text!("sweep-start")))
+                .on_hover_text(text!("sweep-start.hint"))
+                .on_disabled_hover_text(text!("sweep-start.disabled"))
                 .clicked()
             {
                 request = Some(self.request(document, path));
@@ -281,30 +292,30 @@ impl SweepPanel {
     /// Shows the progress and the plot; returns what to export.
     fn result(&mut self, ui: &mut Ui, progress: Option<&Progress>) -> Option<Export> {
         let Some(progress) = progress else {
-            let caption = "Runs the graph once per value on the same frames. The graph in this window keeps running.";
+            let caption = text!("sweep-about");
             ui.label(RichText::new(caption).color(theme::muted()));
             return None;
         };
         let mut export = None;
         let mut requested = false;
         ui.horizontal(|ui| {
-            ui.label(format!("{} over {}", progress.measure, progress.param));
+            ui.label(text!("sweep-title", measure = &progress.measure, param = &progress.param));
             let caption = match (progress.total, progress.points.len()) {
-                _ if progress.failed.is_some() => "did not start".to_owned(),
-                (0, _) => "preparing".to_owned(),
-                (total, done) if progress.cancelled => format!("cancelled after {done} of {total}"),
-                (total, done) if progress.done => format!("{done} of {total} values"),
+                _ if progress.failed.is_some() => text!("sweep-not-started").to_owned(),
+                (0, _) => text!("sweep-preparing").to_owned(),
+                (total, done) if progress.cancelled => text!("sweep-cancelled", count = done, total = total),
+                (total, done) if progress.done => text!("sweep-done", count = done, total = total),
                 (total, done) => {
                     ui.add(ProgressBar::new(done as f32 / total as f32).desired_width(120.0));
-                    format!("{done} of {total}")
+                    text!("sweep-progress", count = done, total = total)
                 }
             };
             ui.label(RichText::new(caption).color(theme::muted()));
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 let some = !progress.points.is_empty();
-                let png = ui.add_enabled(some, Button::new("PNG")).on_hover_text("Writes an image of the plot to out/");
+                let png = ui.add_enabled(some, Button::new("PNG")).on_hover_text(text!("export-png-hint"));
                 requested = png.clicked();
-                let table = ui.add_enabled(some, Button::new("CSV")).on_hover_text("Writes all values to out/");
+                let table = ui.add_enabled(some, Button::new("CSV")).on_hover_text(text!("export-csv-hint"));
                 if table.clicked() {
                     export = Some(Export::Csv(csv(&progress.param, &progress.measure, &progress.points)));
                 }
@@ -312,7 +323,11 @@ impl SweepPanel {
         });
         let failed = progress.points.iter().find_map(|p| Some((&p.value, p.result.as_ref().err()?)));
         if let Some((value, why)) = failed {
-            let caption = format!("at {value}: {}", why.reason.lines().next().unwrap_or_default());
+            let caption = text!(
+                "sweep-failed",
+                value = value.to_string(),
+                reason = why.reason.lines().next().unwrap_or_default()
+            );
             ui.add(Label::new(RichText::new(caption).size(12.0).color(theme::fault())).truncate());
         }
         let response = plot(ui, progress);
@@ -349,14 +364,14 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         .show(ui, |plot| {
             for (at, s) in &known {
                 let ends: PlotPoints<'_> = vec![[*at, s.min], [*at, s.max]].into();
-                plot.line(Line::new("smallest to largest", ends).color(theme::class(1).gamma_multiply(0.7)).width(2.0));
+                plot.line(Line::new(text!("sweep-ends"), ends).color(theme::class(1).gamma_multiply(0.7)).width(2.0));
             }
             let means: PlotPoints<'_> = known.iter().map(|(at, s)| [*at, s.mean]).collect();
             if !is_text {
-                plot.line(Line::new("mean", means).color(theme::class(0)).width(1.8));
+                plot.line(Line::new(text!("sweep-mean"), means).color(theme::class(0)).width(1.8));
             }
             let dots: PlotPoints<'_> = known.iter().map(|(at, s)| [*at, s.mean]).collect();
-            plot.points(Points::new("mean", dots).color(theme::class(0)).radius(3.0));
+            plot.points(Points::new(text!("sweep-mean"), dots).color(theme::class(0)).radius(3.0));
         });
     let place = |at: f64| {
         let word = progress.points.iter().find(|p| is_text && p.at == at);
@@ -364,7 +379,9 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
     };
     let description =
         known.iter().map(|(at, s)| format!("{}: {}", place(*at), short(s.mean))).collect::<Vec<_>>().join(", ");
-    shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Sweep: {description}")));
+    shown
+        .response
+        .widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, text!("sweep-name", values = &description)));
     shown.response
 }
 

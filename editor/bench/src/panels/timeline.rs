@@ -2,10 +2,12 @@
 
 use std::path::PathBuf;
 
-use eframe::egui::{Button, DragValue, Id, Key, Modifiers, RichText, Slider, TextEdit, Ui, WidgetInfo, WidgetType};
+use eframe::egui::{Button, Id, Key, Modifiers, RichText, Slider, TextEdit, Ui, WidgetInfo, WidgetType};
 
 use crate::actions::{self, Action};
 use panoscope_editor_model::timeline::Timeline;
+use panoscope_editor_texts::{decimal, text};
+use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_editor_widgets::theme;
 
 /// A request of this panel.
@@ -36,88 +38,92 @@ impl TimelinePanel {
     /// Shows the panel; returns the user's requests.
     pub fn show(&mut self, ui: &mut Ui, timeline: Option<&Timeline>) -> Option<TimelineRequest> {
         let Some(timeline) = timeline else {
-            ui.label(
-                RichText::new(
-                    "A recording (`panoscope record`) shows its pictures on the nodes; the graph keeps running.",
-                )
-                .color(theme::muted()),
-            );
-            return file_row(ui, &mut self.file, "Recording", "Open recording").map(TimelineRequest::Open);
+            ui.label(RichText::new(text!("timeline-about")).color(theme::muted()));
+            return file_row(ui, &mut self.file, text!("timeline-file"), text!("timeline-file.open"))
+                .map(TimelineRequest::Open);
         };
         let mut request = None;
         let position = timeline.position();
         let (tick, count) = timeline.tick();
         ui.horizontal(|ui| {
             let name = timeline.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let title =
-                ui.label(RichText::new(format!("Pictures of the recording {name}")).size(14.0).color(theme::warn()));
-            title.on_hover_text("The graph keeps running; its own pictures come back when the recording is closed");
-            if ui.button("Close recording").clicked() {
+            let title = ui.label(RichText::new(text!("timeline-title", file = name)).size(14.0).color(theme::warn()));
+            title.on_hover_text(text!("timeline-title.hint"));
+            if ui.button(text!("timeline-close")).clicked() {
                 request = Some(TimelineRequest::Close);
             }
         });
         ui.horizontal(|ui| {
-            if ui.button("Step back").on_hover_text(actions::hint(Action::TickBack)).clicked() {
+            if ui.button(text!("timeline-back")).on_hover_text(actions::hint(Action::TickBack)).clicked() {
                 timeline.step(-1);
             }
-            let caption = if position.plays { "Pause" } else { "Play" };
+            let caption = if position.plays { text!("timeline-pause") } else { text!("timeline-play") };
             if ui.button(caption).on_hover_text(actions::hint(Action::Play)).clicked() {
                 timeline.play(!position.plays);
             }
-            if ui.button("Step forward").on_hover_text(actions::hint(Action::TickForward)).clicked() {
+            if ui.button(text!("timeline-forward")).on_hover_text(actions::hint(Action::TickForward)).clicked() {
                 timeline.step(1);
             }
             let mut speed = position.speed;
-            let drag = ui.add(DragValue::new(&mut speed).range(0.05..=20.0).speed(0.02).suffix(" x"));
-            ui.ctx().accesskit_node_builder(drag.id, |node| node.set_label("Speed"));
+            let drag = ui.add(drag_value(&mut speed).range(0.05..=20.0).speed(0.02).suffix(" x"));
+            ui.ctx().accesskit_node_builder(drag.id, |node| node.set_label(text!("timeline-speed")));
             if drag.changed() {
                 timeline.set_speed(speed);
             }
-            if ui.button("Loop from here").clicked() {
+            if ui.button(text!("timeline-loop-from")).clicked() {
                 self.from_s = Some(position.at_s);
                 timeline.set_range(None);
             }
             let from_s = self.from_s.filter(|from| *from < position.at_s);
-            if ui.add_enabled(from_s.is_some(), Button::new("Loop to here")).clicked() {
+            if ui.add_enabled(from_s.is_some(), Button::new(text!("timeline-loop-to"))).clicked() {
                 timeline.set_range(from_s.map(|from| (from, position.at_s)));
                 self.from_s = None;
                 timeline.play(true);
             }
             if let Some((from, to)) = position.range_s {
-                if ui.button("End loop").clicked() {
+                if ui.button(text!("timeline-loop-end")).clicked() {
                     timeline.set_range(None);
                 }
-                ui.label(RichText::new(format!("{from:.2} to {to:.2} s")).size(12.0).color(theme::muted()));
+                ui.label(
+                    RichText::new(text!("timeline-range", from = decimal(from, 2), to = decimal(to, 2)))
+                        .size(12.0)
+                        .color(theme::muted()),
+                );
             }
         });
         self.step_by_keys(ui, timeline);
         let mut at_s = timeline.position().at_s;
         ui.spacing_mut().slider_width = (ui.available_width() - 24.0).max(120.0);
         let slider = ui.add(Slider::new(&mut at_s, 0.0..=timeline.length_s().max(1e-3)).show_value(false));
-        ui.ctx().accesskit_node_builder(slider.id, |node| node.set_label("Moment of the recording"));
+        ui.ctx().accesskit_node_builder(slider.id, |node| node.set_label(text!("timeline-moment")));
         self.slider = Some(slider.id);
         if slider.changed() {
             timeline.play(false);
             timeline.seek(at_s);
         }
-        let words = format!("{:.3} of {:.3} s  ·  tick {tick} of {count}", position.at_s, timeline.length_s());
+        let words = text!(
+            "timeline-at",
+            at = decimal(position.at_s, 3),
+            length = decimal(timeline.length_s(), 3),
+            tick = tick,
+            count = count
+        );
         let label = ui.label(RichText::new(&words).size(12.0).color(theme::muted()));
-        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("Recording at {words}")));
+        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, text!("timeline-at-name", moment = &words)));
         if let Some(problem) = timeline.problem() {
             ui.label(RichText::new(problem).color(theme::fault()));
         }
         ui.horizontal(|ui| match timeline.second_path() {
             Some(path) => {
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                let caption =
-                    format!("Beside it: {name}; V shows an output large, C compares it with that of the second run.");
+                let caption = text!("timeline-beside", file = name);
                 ui.label(RichText::new(caption).size(12.0).color(theme::muted()));
-                if ui.button("End the comparison").clicked() {
+                if ui.button(text!("timeline-compare-end")).clicked() {
                     request = Some(TimelineRequest::EndCompare);
                 }
             }
             None => {
-                let path = file_row(ui, &mut self.second, "Second recording", "Compare with it");
+                let path = file_row(ui, &mut self.second, text!("timeline-second"), text!("timeline-second.open"));
                 request = request.take().or(path.map(TimelineRequest::Compare));
             }
         });

@@ -8,6 +8,7 @@ use eframe::egui::{Align2, Button, FontId, Rect, RichText, ScrollArea, Sense, Ui
 use super::inspector::section;
 use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::trace::{Path, Step, TickEntry, Trace};
+use panoscope_editor_texts::text;
 use panoscope_editor_widgets::{format_time, theme};
 
 /// Time between two readings of the list.
@@ -49,11 +50,8 @@ impl TracePanel {
     /// Shows the panel; returns the node that was clicked. `machine` is where the graph runs, if that is not here.
     pub fn show(&mut self, ui: &mut Ui, view: &GraphView, trace: &Arc<Trace>, machine: Option<&str>) -> Option<String> {
         if let Some(machine) = machine {
-            section(ui, "Dropped and late ticks");
-            let words = format!(
-                "The graph runs on {machine}, which sends no paths of ticks: open it there for them. Counts of dropped ticks and the times of \
-                 nodes are shown here too."
-            );
+            section(ui, text!("trace-heading"));
+            let words = text!("trace-elsewhere", machine = machine);
             ui.label(RichText::new(words).color(theme::muted()));
             return None;
         }
@@ -72,10 +70,10 @@ impl TracePanel {
         ui.horizontal_top(|ui| {
             ui.vertical(|ui| {
                 ui.set_width(LIST_WIDTH);
-                section(ui, "Dropped and late ticks");
+                section(ui, text!("trace-heading"));
                 ScrollArea::vertical().id_salt("ticks").auto_shrink([false, false]).show(ui, |ui| {
                     if self.list.is_empty() {
-                        ui.label(RichText::new("No tick has come through yet.").color(theme::muted()));
+                        ui.label(RichText::new(text!("trace-heading.none")).color(theme::muted()));
                     }
                     for entry in self.list.clone() {
                         if entry_row(ui, &entry, self.chosen.as_ref().is_some_and(|(chosen, _)| *chosen == entry)) {
@@ -87,8 +85,8 @@ impl TracePanel {
             ui.vertical(|ui| match &self.chosen {
                 Some((entry, path)) => go = path_of(ui, view, entry, path),
                 None => {
-                    section(ui, "Path");
-                    let caption = "Choose a tick: its way through the graph, with the time of each node and its wait.";
+                    section(ui, text!("trace-path"));
+                    let caption = text!("trace-path.about");
                     ui.label(RichText::new(caption).color(theme::muted()));
                 }
             });
@@ -107,10 +105,13 @@ impl TracePanel {
 fn words_of(entry: &TickEntry) -> String {
     match &entry.dropped {
         Some(reason) => {
-            let at = if reason.at.is_empty() { "its way".to_owned() } else { reason.at.join(", ") };
-            format!("Tick {} of {} was dropped: {} was still at {at}", entry.seq, entry.source, reason.behind)
+            let at = match reason.at.is_empty() {
+                true => text!("trace-on-its-way").to_owned(),
+                false => reason.at.join(", "),
+            };
+            text!("trace-dropped", tick = entry.seq, source = &entry.source, behind = reason.behind, nodes = at)
         }
-        None => format!("Tick {} of {}: {}", entry.seq, entry.source, format_time(entry.total_ms)),
+        None => text!("trace-late", tick = entry.seq, source = &entry.source, time = format_time(entry.total_ms)),
     }
 }
 
@@ -126,13 +127,19 @@ fn entry_row(ui: &mut Ui, entry: &TickEntry, chosen: bool) -> bool {
 /// Draws the path of a tick; returns the node that was clicked.
 fn path_of(ui: &mut Ui, view: &GraphView, entry: &TickEntry, path: &Path) -> Option<String> {
     let heading = match &entry.dropped {
-        Some(_) => format!("Tick {} of {}, which was in the way of tick {}", path.seq, path.source, entry.seq),
-        None => format!("Path of tick {} of {}", path.seq, path.source),
+        Some(_) => text!("trace-in-the-way", tick = path.seq, source = &path.source, dropped = entry.seq),
+        None => text!("trace-path-of", tick = path.seq, source = &path.source),
     };
     section(ui, &heading);
     if let Some(longest) = path.longest() {
         let label = ui.label(RichText::new(&longest).size(13.0).color(theme::warn()));
-        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("{heading}: {longest}")));
+        label.widget_info(|| {
+            WidgetInfo::labeled(
+                WidgetType::Label,
+                true,
+                text!("trace-path-name", heading = &heading, longest = &longest),
+            )
+        });
     }
     let from = path.steps.iter().map(|step| step.start_ms.min(step.ready_ms)).fold(0.0, f64::min);
     let to = path.steps.iter().map(|step| step.end_ms).fold(0.1, f64::max);
@@ -152,13 +159,16 @@ fn step_row(ui: &mut Ui, view: &GraphView, step: &Step, (from, to): (f64, f64)) 
     let (rect, row) = ui.allocate_exact_size(vec2(ui.available_width(), ROW), Sense::click());
     let mut words = format_time(step.work_ms());
     if !step.made {
-        words = "no output".to_owned();
+        words = text!("trace-no-output").to_owned();
     }
     if step.wait_ms() >= 0.05 {
-        let after = step.after.as_ref().map_or_else(String::new, |after| format!(" after {after}"));
-        words += &format!(", waited {}{after}", format_time(step.wait_ms()));
+        let time = format_time(step.wait_ms());
+        words = match &step.after {
+            Some(after) => text!("trace-waited-after", work = words, time = time, node = after),
+            None => text!("trace-waited", work = words, time = time),
+        };
     }
-    let name = format!("Step {}: {words}", step.node);
+    let name = text!("trace-step", node = &step.node, found = &words);
     row.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, name.clone()));
     let painter = ui.painter_at(rect);
     if row.hovered() {
