@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 use fluent_bundle::concurrent::FluentBundle;
 use fluent_bundle::types::{FluentNumber, FluentNumberOptions};
 use fluent_bundle::{FluentArgs, FluentResource, FluentValue};
+use fluent_syntax::ast::{Attribute, Entry, Expression, InlineExpression, Pattern, PatternElement};
 use unic_langid::LanguageIdentifier;
 
 use crate::{DECLARED, FILES, Language, Value, number};
@@ -15,6 +16,42 @@ struct Catalog {
     bundle: FluentBundle<FluentResource>,
     /// Texts without variables, which are shown again and again.
     plain: OnceLock<HashMap<&'static str, &'static str>>,
+    /// Texts that only put values between words: they need no evaluation, and most texts of a frame are of this kind.
+    simple: OnceLock<HashMap<String, Vec<Piece>>>,
+}
+
+/// A part of a simple text.
+enum Piece {
+    Words(&'static str),
+    Variable(&'static str),
+}
+
+/// The parts of a simple text; `None` for one that chooses between words.
+fn pieces(pattern: &Pattern<&'static str>) -> Option<Vec<Piece>> {
+    let piece = |element: &PatternElement<&'static str>| match element {
+        PatternElement::TextElement { value } => Some(Piece::Words(value)),
+        PatternElement::Placeable { expression: Expression::Inline(InlineExpression::VariableReference { id }) } => {
+            Some(Piece::Variable(id.name))
+        }
+        PatternElement::Placeable { .. } => None,
+    };
+    pattern.elements.iter().map(piece).collect()
+}
+
+/// The simple texts of a language.
+fn simple_texts(language: Language) -> HashMap<String, Vec<Piece>> {
+    let mut all = HashMap::new();
+    for (_, _, text) in FILES.iter().filter(|(code, ..)| *code == language.code()) {
+        let resource = fluent_syntax::parser::parse(*text).unwrap_or_else(|(usable, _)| usable);
+        for entry in &resource.body {
+            let Entry::Message(message) = entry else { continue };
+            let own = message.value.iter().map(|value| (message.id.name.to_owned(), value));
+            let attribute = |one: &'_ Attribute<&'static str>| format!("{}.{}", message.id.name, one.id.name);
+            let attributes = message.attributes.iter().map(|one| (attribute(one), &one.value));
+            all.extend(own.chain(attributes).filter_map(|(name, pattern)| Some((name, pieces(pattern)?))));
+        }
+    }
+    all
 }
 
 /// In the order of [`Language::ALL`], which is that of their declaration.
@@ -31,7 +68,7 @@ impl Catalog {
             let resource = FluentResource::try_new(text.to_owned()).unwrap_or_else(|(usable, _)| usable);
             let _ = bundle.add_resource(resource);
         }
-        Self { bundle, plain: OnceLock::new() }
+        Self { bundle, plain: OnceLock::new(), simple: OnceLock::new() }
     }
 
     fn embedded(language: Language) -> Self {
@@ -54,6 +91,27 @@ impl Catalog {
         let mut errors = Vec::new();
         let text = self.bundle.format_pattern(pattern, values, &mut errors).into_owned();
         Some((text, errors.is_empty()))
+    }
+
+    /// A simple text; `None` where it is not simple, or a variable has no value.
+    fn simple<'a>(
+        &self,
+        language: Language,
+        id: &str,
+        values: impl Iterator<Item = (&'a str, &'a Value)> + Clone,
+    ) -> Option<String> {
+        let pieces = self.simple.get_or_init(|| simple_texts(language)).get(id)?;
+        let mut out = String::with_capacity(64);
+        for piece in pieces {
+            match piece {
+                Piece::Words(words) => out.push_str(words),
+                Piece::Variable(name) => {
+                    let (_, value) = values.clone().find(|(known, _)| known == name)?;
+                    value.write(language, &mut out);
+                }
+            }
+        }
+        Some(out)
     }
 
     fn plain(&'static self) -> &'static HashMap<&'static str, &'static str> {
@@ -81,6 +139,9 @@ pub(crate) fn filled<'a>(
     id: &str,
     values: impl Iterator<Item = (&'a str, &'a Value)> + Clone,
 ) -> String {
+    if let Some(text) = Catalog::of(language).simple(language, id, values.clone()) {
+        return text;
+    }
     let of = |of: Language| {
         let mut args = FluentArgs::new();
         for (name, value) in values.clone() {
@@ -117,6 +178,25 @@ fn fluent(language: Language, value: &Value) -> FluentValue<'static> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn simple_texts_are_as_fluent_writes_them() {
+        let number = |value, places| Value::Number { value, places };
+        let samples = [number(1234.0, 0), number(-0.25, 2), number(1e15, 0), Value::Text("a {b} ß".to_owned())];
+        let mut count = 0;
+        for language in Language::ALL {
+            for (id, variables) in DECLARED.iter().filter(|(_, variables)| !variables.is_empty()) {
+                let values = || variables.iter().zip(samples.iter().cycle()).map(|(name, value)| (*name, value));
+                let mut args = FluentArgs::new();
+                values().for_each(|(name, value)| args.set(name, fluent(language, value)));
+                let catalog = Catalog::of(language);
+                let Some(simple) = catalog.simple(language, id, values()) else { continue };
+                count += 1;
+                assert_eq!(catalog.text(id, Some(&args)), Some((simple, true)), "{id}");
+            }
+        }
+        assert!(count > 200, "most texts are simple: {count}");
+    }
 
     #[test]
     fn a_text_is_never_lacking() {

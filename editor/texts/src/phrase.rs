@@ -5,6 +5,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::number::written;
 use crate::{Language, catalog, language};
 
 /// The value of a variable in a text.
@@ -21,6 +22,18 @@ pub enum Value {
     },
     /// A text of its own.
     Phrase(Box<Phrase>),
+}
+
+impl Value {
+    /// Adds it as a language writes it.
+    pub(crate) fn write(&self, language: Language, out: &mut String) {
+        match self {
+            Self::Text(text) => out.push_str(text),
+            Self::Number { value, places: 0 } if value.fract() == 0.0 => out.push_str(&value.to_string()),
+            Self::Number { value, places } => out.push_str(&written(language, *value, *places)),
+            Self::Phrase(phrase) => out.push_str(&phrase.in_language(language)),
+        }
+    }
 }
 
 impl PartialEq for Value {
