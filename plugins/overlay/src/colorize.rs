@@ -3,7 +3,7 @@
 use panoscope_imaging::draw::{self, Colormap, ScaleBar};
 use panoscope_node::{
     Bgr8, Choice, Confidence, Context, Depth, Disparity, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
-    Slot, Validation, View,
+    Slot, Validation, View, ViewMut,
 };
 
 use crate::fit::usual_range;
@@ -62,7 +62,15 @@ pub struct Settings {
     /// Draws the colour scale with its values.
     #[param(default = true)]
     pub scale_bar: bool,
+    /// Puts the scale in a strip to the right of the map instead of onto it: the picture is wider, and its coordinates stay.
+    #[param(default = false)]
+    pub scale_beside: bool,
 }
+
+/// Width of the strip for the scale in units of the scale of its text: the bar, and labels such as `100 mm`.
+const STRIP: f32 = 50.0;
+/// Colour of that strip: that of a screen.
+const GROUND: u8 = 16;
 
 /// A range that follows the pictures without flicker.
 #[derive(Clone, Debug, Default)]
@@ -131,16 +139,27 @@ impl Node for Colorize {
         } else {
             self.auto.follow(&plane)
         };
-        let mut picture = out.image.alloc(plane.width, plane.height)?;
-        draw::colorize(&plane, low, high, params.colors.into(), &mut picture);
+        let (width, height) = (plane.width as i32, plane.height as i32);
+        let is_beside = params.scale_bar && params.scale_beside;
+        // Beside the map there is room, so that it can be read on a screen on which the map is small.
+        let text_scale = if is_beside { height as f32 / 180.0 } else { (height as f32 / 320.0).clamp(1.0, 3.0) };
+        let strip_px = if is_beside { (STRIP * text_scale) as usize } else { 0 };
+        let mut picture = out.image.alloc(plane.width + strip_px, plane.height)?;
+        let (stride, columns) = (picture.stride, plane.width * 3);
+        let mut map = ViewMut::with_stride(&mut *picture.data, plane.width, plane.height, 3, stride);
+        draw::colorize(&plane, low, high, params.colors.into(), &mut map);
         if params.scale_bar {
-            let (width, height) = (plane.width as i32, plane.height as i32);
-            let text_scale = (height as f32 / 320.0).clamp(1.0, 3.0);
+            (0..plane.height).for_each(|y| picture.row_mut(y)[columns..].fill(GROUND));
+            let (x, high_px) = if is_beside {
+                (width + 2 + (3.0 * text_scale) as i32, height * 3 / 4)
+            } else {
+                (width / 40 + 4, height / 2)
+            };
             let bar = ScaleBar {
-                x: width / 40 + 4,
-                y: height / 12 + 4,
-                width_px: (width / 50).max(6),
-                height_px: height / 2,
+                x,
+                y: if is_beside { height / 8 } else { height / 12 + 4 },
+                width_px: if is_beside { (5.0 * text_scale) as i32 } else { (width / 50).max(6) },
+                height_px: high_px,
                 low,
                 high,
                 unit,

@@ -28,6 +28,8 @@ pub struct Frame {
     pub height: usize,
     /// Margin around pictures.
     pub gap: usize,
+    /// Height of the strip above each picture, for its title.
+    pub caption: usize,
     /// Width of the column as a share of the screen's; 0 finds the best arrangement.
     pub side_share: f32,
 }
@@ -46,7 +48,8 @@ fn aspect(size: Size) -> f64 {
     size.0.max(1) as f64 / size.1.max(1) as f64
 }
 
-/// The cells of the main picture and of the smaller ones, each with its picture's proportions, inside the frame and apart from each other.
+/// The cells of the main picture and of the smaller ones, each with its picture's proportions below a strip for its title, inside the frame and
+/// apart from each other.
 /// Earlier pictures come first: down the column, then along the row.
 pub fn arrange(frame: &Frame, main: Size, sides: &[Size], cells: &mut Vec<Cell>) {
     let mut best = (f64::NEG_INFINITY, Plan { main_px: 0.0, in_column: sides.len() });
@@ -103,7 +106,7 @@ struct Plan {
 impl Plan {
     fn place(&self, frame: &Frame, main: Size, sides: &[Size], cells: &mut Vec<Cell>) {
         cells.clear();
-        let gap = frame.gap as f64;
+        let (gap, caption) = (frame.gap as f64, frame.caption as f64);
         let (width, height) = frame.room();
         let (column, row) = sides.split_at(self.in_column);
         let column_px = if column.is_empty() { 0.0 } else { (width - self.main_px - gap).max(0.0) };
@@ -111,32 +114,34 @@ impl Plan {
         // The row is as high as its pictures need to fill the width, and the main picture leaves it room.
         let aspects: f64 = row.iter().map(|size| aspect(*size)).sum();
         let wide = left_px.min(self.main_px);
-        let main_height = (wide / aspect(main)).min(height);
+        let main_height = (wide / aspect(main) + caption).min(height);
         let (main_height, row_height) = if row.is_empty() {
             (main_height, 0.0)
         } else {
-            let full = ((left_px - gap * (row.len() - 1) as f64) / aspects).max(0.0);
+            let full = ((left_px - gap * (row.len() - 1) as f64) / aspects + caption).max(0.0);
             (main_height, full.min((height - main_height - gap).max(0.0)))
         };
-        let main_width = main_height * aspect(main);
+        let main_width = (main_height - caption).max(0.0) * aspect(main);
         // What is left over lies around the pictures evenly.
         let used = main_height + if row.is_empty() { 0.0 } else { row_height + gap };
         let top = gap + (height - used).max(0.0) / 2.0;
         cells.push(frame.cell(gap + (left_px - main_width).max(0.0) / 2.0, top, main_width, main_height));
         let upright: f64 = column.iter().map(|size| 1.0 / aspect(*size)).sum();
-        let room = (height - gap * column.len().saturating_sub(1) as f64).max(0.0);
+        let strips = caption * column.len() as f64;
+        let room = (height - gap * column.len().saturating_sub(1) as f64 - strips).max(0.0);
         let column_width = if column.is_empty() { 0.0 } else { column_px.min(room / upright) };
         let spare = (room - column_width * upright).max(0.0) / column.len().max(1) as f64;
         let mut y = gap + spare / 2.0;
         for size in column {
-            let tall = column_width / aspect(*size);
+            let tall = column_width / aspect(*size) + caption;
             cells.push(frame.cell(gap + left_px + gap + (column_px - column_width) / 2.0, y, column_width, tall));
             y += tall + gap + spare;
         }
-        let row_width = row_height * aspects + gap * row.len().saturating_sub(1) as f64;
+        let row_picture = (row_height - caption).max(0.0);
+        let row_width = row_picture * aspects + gap * row.len().saturating_sub(1) as f64;
         let mut x = gap + (left_px - row_width).max(0.0) / 2.0;
         for size in row {
-            let long = row_height * aspect(*size);
+            let long = row_picture * aspect(*size);
             cells.push(frame.cell(x, top + main_height + gap, long, row_height));
             x += long + gap;
         }
@@ -157,7 +162,7 @@ impl Frame {
 mod tests {
     use super::*;
 
-    const FULL: Frame = Frame { width: 1280, height: 720, gap: 8, side_share: 0.0 };
+    const FULL: Frame = Frame { width: 1280, height: 720, gap: 8, caption: 0, side_share: 0.0 };
 
     fn arranged(frame: &Frame, main: Size, sides: &[Size]) -> Vec<Cell> {
         let mut cells = Vec::new();
@@ -205,10 +210,25 @@ mod tests {
     }
 
     #[test]
+    fn pictures_keep_their_proportions_below_their_titles() {
+        let frame = Frame { caption: 20, ..FULL };
+        for count in 0..=5 {
+            let sizes = vec![(640, 480); count];
+            let cells = arranged(&frame, (870, 553), &sizes);
+            for (cell, size) in cells.iter().zip(std::iter::once(&(870, 553)).chain(&sizes)) {
+                let high = (cell.height - frame.caption) as f64;
+                assert!((high * aspect(*size) - cell.width as f64).abs() < 4.0, "{count}: {cell:?} of {size:?}");
+            }
+            assert!(used(&frame, &cells) > 0.5, "{count}");
+        }
+    }
+
+    #[test]
     fn screens_that_are_too_small_overlap_nothing() {
         for (width, height) in [(64, 64), (64, 400), (400, 64)] {
-            arranged(&Frame { width, height, gap: 8, side_share: 0.0 }, (640, 480), &[(640, 480); 4]);
-            arranged(&Frame { width, height, gap: 64, side_share: 0.5 }, (640, 480), &[(640, 480); 4]);
+            let frame = Frame { width, height, gap: 8, caption: 20, side_share: 0.0 };
+            arranged(&frame, (640, 480), &[(640, 480); 4]);
+            arranged(&Frame { gap: 64, side_share: 0.5, ..frame }, (640, 480), &[(640, 480); 4]);
         }
     }
 }

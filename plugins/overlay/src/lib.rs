@@ -5,12 +5,14 @@
 
 #![forbid(unsafe_code)]
 
+pub mod bar;
 pub mod colorize;
 pub mod fit;
 pub mod layout;
 pub mod marks;
 pub mod nearness;
 pub mod overlay;
+pub mod quantity;
 pub mod screen;
 pub mod side_by_side;
 pub mod trajectory;

@@ -6,6 +6,9 @@ use panoscope_imaging::draw::{self, Area, Color, Labels};
 use panoscope_node::abi::{self, Homography, Roi, Tip};
 use panoscope_node::{Detections, Instances, ViewMut};
 
+use crate::bar::{self, Bar, Key, MOST_DOTS};
+use crate::overlay::Words;
+
 /// How marks are drawn.
 #[derive(Clone, Copy, Debug)]
 pub struct Pen {
@@ -19,6 +22,16 @@ pub struct Pen {
     pub alpha: f32,
     /// Lowest score of boxes and masks that are drawn.
     pub min_score: f32,
+    /// Where words stand.
+    pub words: Words,
+}
+
+/// Name of the class of an instrument whose kind a detector does not know.
+const UNKNOWN: &str = "unknown";
+
+/// Colour of a box of a class: gray where the kind is unknown.
+fn color_of_class(detections: &Detections<'_>, class_index: u32) -> Color {
+    if detections.label(class_index) == UNKNOWN { [190; 3] } else { color_of(u64::from(class_index)) }
 }
 
 /// Colour of class or track `index`; neighbours differ clearly.
@@ -63,7 +76,7 @@ impl Pen {
 pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen) {
     for item in detections.items().iter().filter(|item| item.score >= pen.min_score) {
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
-        let color = color_of(u64::from(item.class_index));
+        let color = color_of_class(detections, item.class_index);
         draw::rectangle(out, x, y, item.width_px, item.height_px, pen.line_px, color);
     }
 }
@@ -91,8 +104,40 @@ pub fn box_labels(
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
         let anchor = Area { x, y, width: item.width_px, height: item.height_px };
         if let Some(at) = labels.place(anchor, pen.text_size(words)) {
-            pen.write(out, at, words, color_of(u64::from(item.class_index)));
+            pen.write(out, at, words, color_of_class(detections, item.class_index));
         }
+    }
+}
+
+/// Dots in the upper left corner of each rectangle, and a plate with the same dots, class and score in the bar. The order is that of the track
+/// numbers, so that dots and plates stay with an instrument while others come and go behind it.
+pub fn box_keys(
+    out: &mut ViewMut<'_, u8>,
+    detections: &Detections<'_>,
+    pen: &Pen,
+    order: &mut Vec<usize>,
+    words: &mut String,
+    bar: &mut Bar,
+) {
+    let items = detections.items();
+    order.clear();
+    order.extend((0..items.len()).filter(|index| items[*index].score >= pen.min_score));
+    order.sort_by_key(|index| items[*index].track_id);
+    for (number, item) in order.iter().map(|index| &items[*index]).enumerate() {
+        let key = Key { color: color_of_class(detections, item.class_index), dots: (number + 1).min(MOST_DOTS) };
+        let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
+        // Inside the picture even where the box begins at its edge.
+        let inset = 2.0 * pen.text_scale + pen.line_px;
+        bar::dots(out, (x.max(0.0) + inset, y.max(0.0) + inset), key, pen.text_scale);
+        words.clear();
+        let label = detections.label(item.class_index);
+        if label.is_empty() {
+            let _ = write!(words, "class {}", item.class_index);
+        } else {
+            label.split('_').for_each(|part| words.extend([part, " "]));
+        }
+        let _ = write!(words, "{}{:.0} %", if label.is_empty() { " " } else { "" }, item.score * 100.0);
+        bar.add(words, Some(key));
     }
 }
 
@@ -152,7 +197,8 @@ pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, 
     let color = [60, 220, 255];
     draw::circle(out, x, y, pen.reach_px() / 1.5, pen.line_px, color);
     draw::cross(out, x, y, pen.reach_px(), pen.line_px, color);
-    if tip.xyz_valid == 1 {
+    // A position without its error is nothing for a plate that people rely on.
+    if tip.xyz_valid == 1 && pen.words == Words::Picture {
         words.clear();
         let [x_mm, y_mm, z_mm] = tip.xyz_mm;
         let _ = write!(words, "{x_mm:.1} {y_mm:.1} {z_mm:.1} mm");

@@ -5,7 +5,10 @@ use std::fmt::Write;
 use panoscope_imaging::draw::{self, Color};
 use panoscope_node::{Table, ViewMut};
 
+use crate::bar::{Bar, Key};
 use crate::marks::Pen;
+use crate::overlay::Words;
+use crate::quantity::write_with_error;
 
 const CLEAR: Color = [80, 220, 80];
 const NEAR: Color = [0, 190, 255];
@@ -16,14 +19,16 @@ const UNKNOWN: Color = [170, 170, 170];
 const COLUMNS: [&str; 8] =
     ["u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
 
-/// Draws a row per tip; nothing of a table without these columns.
-pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut String) {
+/// Draws a row per tip; nothing of a table without these columns. Words go to the bar where the pen says so, with the error that a column
+/// `tissue_error_mm` holds.
+pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut String, bar: &mut Bar) {
     let mut places = [0; COLUMNS.len()];
     for (place, name) in places.iter_mut().zip(COLUMNS) {
         let Some(found) = table.names().position(|n| n == name) else { return };
         *place = found;
     }
-    for row in table.rows() {
+    let error_at = table.names().position(|n| n == "tissue_error_mm");
+    for (number, row) in table.rows().enumerate() {
         let [u, v, tissue_u, tissue_v, tissue_mm, state, tip_mm, tip_state] = places.map(|place| row[place]);
         let at = |u: f64, v: f64| (u as f32 + pen.offset.0, v as f32 + pen.offset.1);
         let (x, y) = at(u, v);
@@ -45,6 +50,17 @@ pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut
             draw::fill_circle(out, to.0, to.1, 1.5 * line_px, color, 1.0);
         }
         draw::circle(out, x, y, radius, line_px, color);
+        if tip_state > 0.5 {
+            draw::circle(out, x, y, radius + 2.5 * line_px, 1.6 * pen.line_px, NEAR);
+        }
+        if pen.words != Words::Picture {
+            let key = Key { color, dots: number + 1 };
+            if pen.words == Words::Below {
+                crate::bar::dots(out, (x + radius + 3.0 * pen.text_scale, y), key, pen.text_scale);
+                plate(bar, row, [tissue_mm, state, tip_mm, tip_state], error_at, key, words);
+            }
+            continue;
+        }
         words.clear();
         let _ = match state {
             s if s < 0.0 => write!(words, "?"),
@@ -53,11 +69,32 @@ pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut
         };
         draw::text(out, x + radius + 3.0, y + 3.0, words, pen.text_scale, color);
         if tip_state > 0.5 {
-            draw::circle(out, x, y, radius + 2.5 * line_px, 1.6 * pen.line_px, NEAR);
             words.clear();
             let _ = write!(words, "tips {tip_mm:.1} mm");
             let below = y + 3.0 + draw::text_size(words, pen.text_scale).1 + 2.0 * pen.text_scale;
             draw::text(out, x + radius + 3.0, below, words, pen.text_scale, NEAR);
         }
     }
+}
+
+/// The plate of a tip: how far tissue is, and another tip where it is near.
+fn plate(
+    bar: &mut Bar,
+    row: &[f64],
+    [tissue_mm, state, tip_mm, tip_state]: [f64; 4],
+    error_at: Option<usize>,
+    key: Key,
+    words: &mut String,
+) {
+    words.clear();
+    words.push_str(if state > 1.5 { "contact " } else { "tissue " });
+    match state {
+        s if s < 0.0 => words.push('?'),
+        _ => write_with_error(words, tissue_mm, error_at.map_or(f64::NAN, |at| row[at]), "mm"),
+    }
+    if tip_state > 0.5 {
+        words.push_str(", tips ");
+        write_with_error(words, tip_mm, f64::NAN, "mm");
+    }
+    bar.add(words, Some(key));
 }

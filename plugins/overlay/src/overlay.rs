@@ -9,10 +9,12 @@ use panoscope_node::{
     Params, Ports, Result, Slot, Table, Text, Validation, Value, View, ViewMut,
 };
 
+use crate::bar::{self, Bar};
 use crate::colorize::{AutoRange, Colors};
 use crate::fit::{Fit, fitted_size};
 use crate::marks::{self, Pen};
 use crate::nearness;
+use crate::quantity::{error_column, write_with_error};
 
 /// Corner of the picture.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +42,18 @@ impl Corner {
         };
         (x.max(0.0), y.max(0.0))
     }
+}
+
+/// Where words stand.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Words {
+    /// On the picture: beside what they belong to, and in a corner.
+    Picture,
+    /// On plates in a bar below the picture, which keeps its coordinates; dots in the object's colour say which box a plate belongs to. Marks and
+    /// words grow with the picture's width: sizes are those at 640 px.
+    Below,
+    /// Nowhere.
+    Nowhere,
 }
 
 /// Inputs.
@@ -107,13 +121,19 @@ pub struct Settings {
     /// Writes table, scalar and text.
     #[param(default = true)]
     pub show_numbers: bool,
-    /// Columns of the table that are written, separated by commas; empty writes all. The unit follows the number: `distance_mm` is written as
-    /// `distance 12.34 mm`.
+    /// Columns of the table that are written, separated by commas; empty writes all. The unit follows the number, and the 95 % error bound where the
+    /// next column holds it: `distance_mm` with `error_mm` is written as `distance 12.3 ± 1.2 mm`.
     #[param(default = "")]
     pub columns: String,
     /// Shows the disparity or depth map as an inset.
     #[param(default = true)]
     pub show_inset: bool,
+    /// Where words stand: on the picture, or below it where they cover nothing.
+    #[param(default = "picture")]
+    pub words: Words,
+    /// Lines of the bar below the picture.
+    #[param(default = 2, range = 1..=8)]
+    pub bar_lines: usize,
     /// Text that is always written in the corner.
     #[param(default = "")]
     pub label: String,
@@ -146,6 +166,11 @@ pub struct Settings {
 /// Width of text in a corner, as a share of the picture's: longer lines are wrapped and leave the middle free.
 const WORDS_SHARE: f32 = 0.45;
 
+/// Width of a picture at which marks and words have the size of the parameters where words stand below it.
+const USUAL_WIDTH: f32 = 640.0;
+/// Least size of words below a picture, as a share of the parameter's.
+const LEAST_SCALE: f32 = 0.5;
+
 /// Breaks lines that are wider than `width_px` at spaces.
 fn wrap(words: &mut String, width_px: f32, scale: f32) {
     let mut start = 0;
@@ -174,6 +199,9 @@ pub struct Overlay {
     inset: Vec<u8>,
     fit: Fit,
     labels: Labels,
+    bar: Bar,
+    /// Indices of the boxes that are shown, in the order of their tracks.
+    shown: Vec<usize>,
 }
 
 impl Overlay {
@@ -201,13 +229,21 @@ impl Overlay {
         if let Some(table) = &input.table
             && let Some(row) = table.rows().next()
         {
-            for (name, value) in table.names().zip(row) {
+            for (index, (name, value)) in table.names().zip(row).enumerate() {
                 if params.columns.is_empty() {
                     let _ = writeln!(words, "{name} {value:.2}");
                 } else if params.columns.split(',').any(|wanted| wanted.trim() == name) {
                     let (what, unit) = name.rsplit_once('_').unwrap_or((name, ""));
                     what.split('_').for_each(|word| words.extend([word, " "]));
-                    let _ = if value.is_finite() { writeln!(words, "{value:.2} {unit}") } else { writeln!(words, "-") };
+                    let bound = error_column(table.names(), index).and_then(|at| row.get(at));
+                    match bound {
+                        Some(bound) => write_with_error(words, *value, *bound, unit),
+                        None if value.is_finite() => {
+                            let _ = write!(words, "{value:.2} {unit}");
+                        }
+                        None => words.push('-'),
+                    }
+                    words.push('\n');
                 }
             }
         }
@@ -224,6 +260,9 @@ impl Overlay {
         let (x, y) = params.inset_corner.at(frame, (size.0 as f32, size.1 as f32), 6.0);
         draw::fill_rectangle(picture, x as i32 - 1, y as i32 - 1, size.0 as i32 + 2, size.1 as i32 + 2, [0; 3], 1.0);
         self.fit.place(picture, &colored.as_view(), (x as usize, y as usize), size);
+        if params.words != Words::Picture {
+            return;
+        }
         self.item.clear();
         let _ = write!(self.item, "{low:.0}..{high:.0}");
         let scale = (params.text_scale * 0.75).max(1.0);
@@ -268,8 +307,14 @@ impl Node for Overlay {
         let tip = input.tip.filter(|_| params.show_tip);
         let nearness = input.nearness.filter(|_| params.show_tip);
         let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view())).filter(|_| params.show_inset);
-        self.write_words(&input, params);
-        wrap(&mut self.words, frame.0 as f32 * WORDS_SHARE, params.text_scale);
+        self.words.clear();
+        if params.words != Words::Nowhere {
+            self.write_words(&input, params);
+        }
+        let is_below = params.words == Words::Below;
+        if !is_below {
+            wrap(&mut self.words, frame.0 as f32 * WORDS_SHARE, params.text_scale);
+        }
         let is_sure = |item: &Detection| item.score >= params.min_score;
         let something = homography.is_some_and(|_| params.show_outline)
             || roi.is_some()
@@ -280,18 +325,36 @@ impl Node for Overlay {
             || nearness.is_some()
             || map.is_some()
             || !self.words.is_empty();
-        if !something {
-            return out.image.forward(input.image.frame());
-        }
-        let mut picture = out.image.alloc_copy(&input.image)?;
-        let pen = Pen {
+        let mut pen = Pen {
             line_px: params.line_px,
             text_scale: params.text_scale,
             offset,
             alpha: params.mask_alpha,
             min_score: params.min_score,
+            words: params.words,
         };
-        let words = self.words.trim_end();
+        // A bar comes and goes with the parameter only: the picture keeps its size.
+        if !something && !is_below {
+            return out.image.forward(input.image.frame());
+        }
+        let mut whole;
+        let mut picture;
+        let mut below = None;
+        if is_below {
+            let scale = (frame.0 as f32 / USUAL_WIDTH).max(LEAST_SCALE);
+            (pen.line_px, pen.text_scale) = (pen.line_px * scale.max(1.0), pen.text_scale * scale);
+            let bar_px = bar::height_px(params.bar_lines, pen.text_scale);
+            whole = out.image.alloc(frame.0, frame.1 + bar_px)?;
+            let from = input.image.view();
+            (0..frame.1).for_each(|y| whole.row_mut(y).copy_from_slice(from.row(y)));
+            let (width, stride) = (whole.width, whole.stride);
+            let (upper, lower) = whole.data.split_at_mut(frame.1 * stride);
+            picture = ViewMut::with_stride(upper, width, frame.1, 3, stride);
+            below = Some(ViewMut::with_stride(lower, width, bar_px, 3, stride));
+        } else {
+            picture = out.image.alloc_copy(&input.image)?;
+        }
+        let words = if is_below { "" } else { self.words.trim_end() };
         let size = draw::text_size(words, params.text_scale);
         let corner = params.label_corner.at(frame, size, 4.0 * params.text_scale);
         // Lines and bright tissue stay away from the letters.
@@ -325,15 +388,27 @@ impl Node for Overlay {
         if let Some(boxes) = &boxes {
             marks::boxes(&mut picture, boxes, &pen);
         }
+        self.bar.clear();
         // The tip's words belong to a point, so they take their room before those of the boxes.
         if let Some(tip) = &tip {
             marks::tip(&mut picture, tip, &pen, &mut self.item, &mut self.labels);
         }
         if let Some(boxes) = &boxes {
-            marks::box_labels(&mut picture, boxes, &pen, &mut self.item, &mut self.labels);
+            match params.words {
+                Words::Picture => marks::box_labels(&mut picture, boxes, &pen, &mut self.item, &mut self.labels),
+                Words::Below => {
+                    marks::box_keys(&mut picture, boxes, &pen, &mut self.shown, &mut self.item, &mut self.bar);
+                }
+                Words::Nowhere => {}
+            }
         }
         if let Some(table) = &nearness {
-            nearness::draw(&mut picture, table, &pen, &mut self.item);
+            nearness::draw(&mut picture, table, &pen, &mut self.item, &mut self.bar);
+        }
+        if let Some(mut below) = below {
+            self.bar.add(&self.words, None);
+            self.bar.draw(&mut below, params.bar_lines, pen.text_scale);
+            return Ok(());
         }
         let words = self.words.trim_end();
         if !words.is_empty() {

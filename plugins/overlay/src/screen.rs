@@ -40,7 +40,7 @@ pub struct Settings {
     /// Margin around pictures.
     #[param(default = 8, range = 0..=64, unit = "px")]
     pub gap_px: usize,
-    /// Titles separated by semicolons, the large picture's first.
+    /// Titles separated by semicolons, the large picture's first. Each stands in a strip above its picture; without titles there are no strips.
     #[param(default = "")]
     pub titles: String,
     /// Size of the titles: capital letters are six times as many px high.
@@ -49,6 +49,8 @@ pub struct Settings {
 }
 
 const BACKGROUND: u8 = 16;
+/// Height of the strip for a title, in units of the scale of text: letters, descenders and their outline.
+const STRIP: f32 = 12.0;
 
 /// Proportions of a smaller picture that has not arrived.
 const USUAL: Size = (4, 3);
@@ -67,8 +69,13 @@ pub struct Screen {
 impl Screen {
     /// Arranges the cells anew when frame or pictures have changed.
     fn arrange(&mut self, params: &Settings, input: &In<'_>) {
-        let frame =
-            Frame { width: params.width, height: params.height, gap: params.gap_px, side_share: params.side_share };
+        let frame = Frame {
+            width: params.width,
+            height: params.height,
+            gap: params.gap_px,
+            caption: caption_px(params),
+            side_share: params.side_share,
+        };
         let sides = input.side.as_ref().map_or(0, List::len);
         let held = self.arranged.take().filter(|(old, sizes)| *old == frame && sizes.len() == sides + 1);
         let (is_new, mut sizes) = match held {
@@ -93,19 +100,27 @@ impl Screen {
     }
 }
 
-/// Draws a picture in the middle of its cell; returns the rectangle that it covers.
+/// Height of the strips for titles, px.
+fn caption_px(params: &Settings) -> usize {
+    let has_title = params.titles.split(';').any(|title| !title.trim().is_empty());
+    if has_title { (STRIP * params.text_scale).ceil() as usize } else { 0 }
+}
+
+/// Draws a picture in the middle of its cell, below the strip of `caption` px; returns the rectangle that it covers.
 fn show(
     fit: &mut Fit,
     screen: &mut ViewMut<'_, u8>,
     picture: &AnyImage<'_>,
     cell: Cell,
+    caption: usize,
     name: std::fmt::Arguments<'_>,
 ) -> Result<Cell> {
     let Some(pixels) = bytes(picture) else {
         return Err(NodeError::new(format!("{name} holds no 8-bit picture: put a `colorize` node in front")));
     };
-    let size = fitted_size((pixels.width, pixels.height), (cell.width, cell.height));
-    let (x, y) = (cell.x + (cell.width - size.0) / 2, cell.y + (cell.height - size.1) / 2);
+    let (top, height) = (cell.y + caption.min(cell.height), cell.height.saturating_sub(caption));
+    let size = fitted_size((pixels.width, pixels.height), (cell.width, height));
+    let (x, y) = (cell.x + cell.width.saturating_sub(size.0) / 2, top + height.saturating_sub(size.1) / 2);
     fit.place(screen, &pixels, (x, y), size);
     Ok(Cell { x, y, width: size.0, height: size.1 })
 }
@@ -125,26 +140,26 @@ impl Node for Screen {
         self.arrange(params, &input);
         let mut screen = out.image.alloc(params.width, params.height)?;
         (0..params.height).for_each(|y| screen.row_mut(y).fill(BACKGROUND));
+        let caption = caption_px(params);
         let mut titles = params.titles.split(';').map(str::trim);
-        let mut title = |screen: &mut ViewMut<'_, u8>, cell: Cell| {
+        // Right above the picture, so that no word lies on it.
+        let mut title = |screen: &mut ViewMut<'_, u8>, shown: Cell| {
             if let Some(words) = titles.next().filter(|t| !t.is_empty()) {
-                // Upper right: words, insets and rulers of the pictures themselves stand elsewhere.
-                let (width, _) = draw::text_size(words, params.text_scale);
-                let x = (cell.x + cell.width) as f32 - width - 3.0 * params.text_scale;
-                let y = cell.y as f32 + 2.0 * params.text_scale;
-                draw::text(screen, x.max(0.0), y, words, params.text_scale, [255; 3]);
+                let (x, y) = (shown.x as f32 + params.text_scale, shown.y as f32 - (STRIP - 2.0) * params.text_scale);
+                draw::text(screen, x, y, words, params.text_scale, [255; 3]);
             }
         };
         let mut cells = self.cells.iter().copied();
         let cell = cells.next().unwrap_or_default();
-        let shown = show(&mut self.fit, &mut screen, &input.main, cell, format_args!("`main`"))?;
+        let shown = show(&mut self.fit, &mut screen, &input.main, cell, caption, format_args!("`main`"))?;
         title(&mut screen, shown);
         for ((index, picture), cell) in input.side.iter().flat_map(List::iter).enumerate().zip(cells) {
             let shown = match picture {
                 Some(picture) => {
-                    show(&mut self.fit, &mut screen, &picture, cell, format_args!("picture {index} of `side`"))?
+                    let name = format_args!("picture {index} of `side`");
+                    show(&mut self.fit, &mut screen, &picture, cell, caption, name)?
                 }
-                None => cell,
+                None => Cell { y: cell.y + caption, ..cell },
             };
             title(&mut screen, shown);
         }

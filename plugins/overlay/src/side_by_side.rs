@@ -34,13 +34,16 @@ pub struct Settings {
     /// Gap between pictures.
     #[param(default = 4, range = 0..=256, unit = "px")]
     pub gap_px: usize,
-    /// Titles in the order of the pictures, separated by semicolons.
+    /// Titles in the order of the pictures, separated by semicolons. Each stands in a strip below its picture; without titles there are no strips.
     #[param(default = "")]
     pub titles: String,
     /// Size of the titles: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
 }
+
+/// Height of the strip for a title, in units of the scale of text: letters, descenders and their outline.
+const STRIP: f32 = 12.0;
 
 /// Composes pictures in a grid. A picture that is missing in a tick leaves its cell dark.
 #[derive(Default)]
@@ -74,13 +77,15 @@ impl Node for SideBySide {
         };
         let rows = count.div_ceil(columns);
         let gap = params.gap_px;
+        let has_title = params.titles.split(';').any(|title| !title.trim().is_empty());
+        let strip = if has_title { (STRIP * params.text_scale).ceil() as usize } else { 0 };
         let width = columns * cell.0 + (columns - 1) * gap;
-        let height = rows * cell.1 + (rows - 1) * gap;
+        let height = rows * (cell.1 + strip) + (rows - 1) * gap;
         let mut picture = out.image.alloc(width, height)?;
         (0..height).for_each(|y| picture.row_mut(y).fill(24));
         let mut titles = params.titles.split(';');
         for (index, view) in input.views.iter().enumerate() {
-            let (x, y) = (index % columns * (cell.0 + gap), index / columns * (cell.1 + gap));
+            let (x, y) = (index % columns * (cell.0 + gap), index / columns * (cell.1 + strip + gap));
             if let Some(view) = view {
                 let Some(pixels) = bytes(&view) else {
                     return Err(NodeError::new(format!(
@@ -92,10 +97,7 @@ impl Node for SideBySide {
                 self.fit.place(&mut picture, &pixels, (left, top), size);
             }
             if let Some(title) = titles.next().map(str::trim).filter(|t| !t.is_empty()) {
-                let margin = 3.0 * params.text_scale;
-                // At the bottom: an overlay's own words stand at the top.
-                let (_, height) = draw::text_size(title, params.text_scale);
-                let (x, y) = (x as f32 + margin, (y + cell.1) as f32 - margin - height);
+                let (x, y) = (x as f32 + params.text_scale, (y + cell.1) as f32 + 2.0 * params.text_scale);
                 draw::text(&mut picture, x, y, title, params.text_scale, [255, 255, 255]);
             }
         }

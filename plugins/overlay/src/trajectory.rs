@@ -6,7 +6,8 @@ use std::fmt::Write;
 use panoscope_imaging::draw::{self, Area, Color};
 use panoscope_node::abi::{Calibration, Pose, Tip};
 use panoscope_node::{
-    Bgr8, Context, Detections, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, ViewMut, error,
+    Bgr8, Context, Detections, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TextPacket, Value, ViewMut,
+    error,
 };
 
 /// Inputs.
@@ -29,6 +30,8 @@ pub struct In<'f> {
 pub struct Out<'f> {
     /// The picture with the trajectory drawn.
     image: Slot<'f, Bgr8>,
+    /// Size of the box in words. Where this is connected, they are not drawn on the picture.
+    text: Slot<'f, TextPacket>,
 }
 
 /// Parameters.
@@ -46,7 +49,7 @@ pub struct Settings {
     /// Width of the box, as a share of the picture's width.
     #[param(default = 0.3, range = 0.1..=1.0, step = 0.05, unit = "ratio")]
     box_share: f32,
-    /// Width of lines.
+    /// Width of lines in pictures up to 640 px wide; in wider ones they grow with the picture.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5, unit = "px")]
     line_px: f32,
     /// Size of text: capital letters are six times as many px high.
@@ -67,6 +70,10 @@ pub struct Trajectory {
 
 /// Corners in which the box may stand, best first: whether it stands right, and below. Words stand in the others.
 const CORNERS: [(bool, bool); 3] = [(true, true), (false, true), (true, false)];
+/// Width of a box in a picture of 640 px.
+const USUAL_BOX_PX: f32 = 192.0;
+/// Width of pictures in which lines have the width of the parameter.
+const USUAL_WIDTH: f32 = 640.0;
 /// Distance that a tip keeps from the box, px.
 const TIP_ROOM_PX: f32 = 24.0;
 
@@ -147,7 +154,11 @@ impl Trajectory {
     }
 
     /// The trajectory in a box of whole centimetres, seen from above and from the side, with its shadow on the floor.
-    fn draw_box(&mut self, out: &mut ViewMut<'_, u8>, settings: &Settings) {
+    /// Leaves its size in `words`, empty where there is no box; writes it into the box where `with_words`.
+    fn draw_box(&mut self, out: &mut ViewMut<'_, u8>, settings: &Settings, with_words: bool) {
+        self.words.clear();
+        let size = out.width as f32 * settings.box_share;
+        let (left, top) = place_of(self.corner, (out.width as f32, out.height as f32), size);
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for p in self.positions.iter().flatten() {
             (0..3).for_each(|k| (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k])));
@@ -158,12 +169,11 @@ impl Trajectory {
         let side_mm = (0..3).map(|k| high[k] - low[k]).fold(10.0, f64::max);
         let side_mm = (side_mm / 10.0).ceil() * 10.0;
         let middle: Point = std::array::from_fn(|k| (low[k] + high[k]) / 2.0);
-        let size = out.width as f32 * settings.box_share;
-        let (left, top) = place_of(self.corner, (out.width as f32, out.height as f32), size);
         if top < 0.0 || left < 0.0 {
             return;
         }
         draw::fill_rectangle(out, left as i32, top as i32, size as i32, size as i32, [0; 3], 0.55);
+        let grown = (size / USUAL_BOX_PX).max(1.0);
         // Cabinet view: x to the right, y (down in the picture) down, z away, to the upper right.
         let place = |p: Point| {
             let n: [f32; 3] = std::array::from_fn(|k| ((p[k] - middle[k]) / side_mm) as f32);
@@ -176,17 +186,19 @@ impl Trajectory {
         };
         for bits in 0..8usize {
             for axis in (0..3).filter(|axis| bits >> axis & 1 == 0) {
-                draw::line(out, place(corner(bits)), place(corner(bits | 1 << axis)), 1.0, [110; 3]);
+                draw::line(out, place(corner(bits)), place(corner(bits | 1 << axis)), grown, [110; 3]);
             }
         }
         for (a, b, age) in self.steps() {
             let floor = |p: Point| [p[0], middle[1] + half, p[2]];
-            draw::line(out, place(floor(a)), place(floor(b)), 1.0, [90; 3]);
-            draw::line(out, place(a), place(b), settings.line_px * 0.75, color(age));
+            draw::line(out, place(floor(a)), place(floor(b)), grown, [90; 3]);
+            draw::line(out, place(a), place(b), settings.line_px * 0.75 * grown, color(age));
         }
-        self.words.clear();
-        let _ = write!(self.words, "{side_mm:.0} mm");
-        draw::text(out, left + 5.0, top + 5.0, &self.words, settings.text_scale, [220; 3]);
+        let _ = write!(self.words, "box {side_mm:.0} mm");
+        if with_words {
+            let room = 5.0 * grown;
+            draw::text(out, left + room, top + room, &self.words, settings.text_scale * grown, [220; 3]);
+        }
     }
 }
 
@@ -212,12 +224,14 @@ impl Node for Trajectory {
         }
         self.positions.push_back(tip.map(|tip| frame.outward(tip.xyz_mm)));
         let mut picture = out.image.alloc_copy(&input.image)?;
+        let grown = (picture.width as f32 / USUAL_WIDTH).max(1.0);
+        let line_px = settings.line_px * grown;
         if let Some(calibration) = &input.calibration {
             let projection = &calibration.left_projection;
             for (a, b, age) in self.steps() {
                 let ends = pixel(projection, frame.inward(a)).zip(pixel(projection, frame.inward(b)));
                 if let Some((a, b)) = ends {
-                    draw::line(&mut picture, a, b, settings.line_px, color(age));
+                    draw::line(&mut picture, a, b, line_px, color(age));
                 }
             }
             let x = calibration.baseline_mm / 2.0;
@@ -225,10 +239,12 @@ impl Node for Trajectory {
             if settings.goal_mm > 0.0
                 && let Some((u, v)) = pixel(projection, goal)
             {
-                draw::circle(&mut picture, u, v, 14.0, settings.line_px, [255, 255, 255]);
-                draw::cross(&mut picture, u, v, 6.0, 1.0, [255, 255, 255]);
+                draw::circle(&mut picture, u, v, 14.0 * grown, line_px, [255, 255, 255]);
+                draw::cross(&mut picture, u, v, 6.0 * grown, grown, [255, 255, 255]);
             }
         }
+        self.words.clear();
+        let is_elsewhere = out.text.is_read();
         if settings.show_box {
             let mut taken = [Area::default(); 17];
             let mut count = 0;
@@ -245,7 +261,10 @@ impl Node for Trajectory {
             }
             let frame = (picture.width as f32, picture.height as f32);
             self.choose_corner(frame, frame.0 * settings.box_share, &taken[..count]);
-            self.draw_box(&mut picture, settings);
+            self.draw_box(&mut picture, settings, !is_elsewhere);
+        }
+        if is_elsewhere {
+            out.text.set_text(&self.words)?;
         }
         Ok(())
     }

@@ -10,6 +10,7 @@ use panoscope_overlay::marks::color_of;
 use panoscope_overlay::overlay::Overlay;
 use panoscope_overlay::screen::Screen;
 use panoscope_overlay::side_by_side::SideBySide;
+use panoscope_overlay::trajectory::Trajectory;
 
 const SIZE: (usize, usize) = (320, 240);
 
@@ -189,6 +190,147 @@ fn long_words_leave_the_middle_free() {
     assert!(changed(&out.plane::<Bgr8>("image").unwrap()).unwrap().2 > SIZE.0 / 2);
 }
 
+/// Everything that could write words, with words below the picture.
+fn all_words_below(params: &str, text: &str, score: f32, labels: &str) -> Harness<Overlay> {
+    let mut node = overlay(&format!("words = \"below\", {params}"));
+    let tip = Tip {
+        u_px: 200.0,
+        v_px: 100.0,
+        xyz_mm: [1.5, -2.5, 66.0],
+        score: 0.5,
+        class_index: 0,
+        xyz_valid: 1,
+        track_id: 1,
+    };
+    let names =
+        ["track_id", "u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
+    node.input_detections("detections", &[Detection { score, ..detection(30.0, 150.0) }], labels, SIZE)
+        .input_value("tip", tip)
+        .input_value("homography", shift(150.0, STATE_LOST))
+        .input_text("text", text)
+        .input_table("table", &["distance_mm", "error_mm"], &[26.834, 1.21])
+        .input_table("nearness", &names, &[1.0, 100.0, 80.0, 160.0, 80.0, 3.2, 2.0, 6.0, 1.0])
+        .input_image::<Depth>("depth", 32, 24, &[50.0; 32 * 24]);
+    node
+}
+
+#[test]
+fn words_below_a_picture_leave_no_letter_on_it() {
+    let columns = "columns = \"distance_mm\"";
+    let out = all_words_below(columns, "the arm follows the tip", 0.93, "a\ngrasper").process().unwrap();
+    let with_words = out.plane::<Bgr8>("image").unwrap();
+    let picture = |view: &View<'_, u8>| (0..SIZE.1).flat_map(|y| view.row(y).to_vec()).collect::<Vec<_>>();
+    let below = with_words.height - SIZE.1;
+    assert_eq!(with_words.width, SIZE.0);
+    assert!((20..60).contains(&below), "a bar of {below} px");
+    assert!((SIZE.1..with_words.height).any(|y| with_words.row(y).iter().any(|v| *v > 240)), "the bar has words");
+    // The same marks with other words: the picture is the same to the last pixel, the bar is not.
+    let labelled = format!("{columns}, label = \"other words\"");
+    let out = all_words_below(&labelled, "the arm is stopped", 0.41, "a\nscissors").process().unwrap();
+    let with_others = out.plane::<Bgr8>("image").unwrap();
+    assert_eq!(with_others.height, with_words.height);
+    assert!(picture(&with_words) == picture(&with_others), "words lie on the picture");
+    assert_ne!(with_words.data, with_others.data);
+    // Nothing written is there with words nowhere, and the picture keeps its size.
+    let mut none = overlay("words = \"nowhere\"");
+    let out = none.input_text("text", "the arm follows").process().unwrap();
+    assert_eq!(out.plane::<Bgr8>("image").unwrap().data, flat(100));
+    // The bar stays while there is nothing to say: the picture's size does not jump.
+    let out = overlay("words = \"below\"").process().unwrap();
+    assert_eq!(out.plane::<Bgr8>("image").unwrap().height, with_words.height);
+}
+
+#[test]
+fn boxes_and_their_plates_have_the_same_dots() {
+    let boxes = [
+        Detection { track_id: 9, ..detection(30.0, 40.0) },
+        Detection { track_id: 4, class_index: 2, ..detection(200.0, 100.0) },
+    ];
+    let mut node = overlay("words = \"below\", text_scale = 4.0");
+    let out = node.input_detections("detections", &boxes, "a\ngrasper\nspecimen_bag", SIZE).process().unwrap();
+    let view = out.plane::<Bgr8>("image").unwrap();
+    // Pixels of a class's colour that are no lines: the rectangles' lines are horizontal or vertical runs on their edges.
+    let inked = |color: [u8; 3], rows: std::ops::Range<usize>, columns: std::ops::Range<usize>| {
+        rows.map(|y| columns.clone().filter(|x| view.row(y)[3 * x..3 * x + 3] == color).count()).sum::<usize>()
+    };
+    // Inside the corners of the boxes, off their lines. The box with the lower track number has one dot, the other two.
+    let (one, two) = (inked(color_of(2), 103..116, 203..240), inked(color_of(1), 43..56, 33..70));
+    assert!(one > 8 && (two as f32 / one as f32 - 2.0).abs() < 0.5, "{one} and {two} pixels");
+    let below = |class| inked(color_of(class), SIZE.1..view.height, 0..SIZE.0);
+    assert!((below(1) as f32 / below(2) as f32 - 2.0).abs() < 0.5, "{} and {}", below(1), below(2));
+}
+
+#[test]
+fn a_distance_is_written_with_its_error() {
+    let bar = |values: &[f64], columns: &[&str]| {
+        let mut node = overlay("words = \"below\", columns = \"distance_mm\"");
+        let out = node.input_table("table", columns, values).process().unwrap();
+        let view = out.plane::<Bgr8>("image").unwrap();
+        (SIZE.1..view.height).flat_map(|y| view.row(y).to_vec()).collect::<Vec<_>>()
+    };
+    let text = |words: &str| {
+        let out = overlay("words = \"below\"").input_text("text", words).process().unwrap();
+        let view = out.plane::<Bgr8>("image").unwrap();
+        (SIZE.1..view.height).flat_map(|y| view.row(y).to_vec()).collect::<Vec<_>>()
+    };
+    let columns = ["distance_mm", "error_mm"];
+    assert!(bar(&[26.834, 1.2], &columns) == text("distance 26.8 ± 1.2 mm"));
+    assert!(bar(&[26.834, 0.118], &columns) == text("distance 26.83 ± 0.12 mm"));
+    assert!(bar(&[26.834, f64::NAN], &columns) == text("distance 26.8 mm, error unknown"));
+    assert!(bar(&[f64::NAN, f64::NAN], &columns) == text("distance -"));
+    assert!(bar(&[26.834], &["distance_mm"]) == text("distance 26.83 mm"), "no column of errors");
+}
+
+#[test]
+fn titles_of_a_screen_stand_above_its_pictures() {
+    // No gray, which the rims of letters have.
+    const MAIN: [u8; 3] = [200, 30, 90];
+    const SIDE: [u8; 3] = [20, 130, 10];
+    let pixels = |titles: &str| {
+        let params = format!(r#"params = {{ width = 320, height = 200, gap_px = 4, titles = "{titles}" }}"#);
+        let mut node = Harness::<Screen>::from_toml(&params).unwrap();
+        node.input_image::<Bgr8>("main", 160, 120, &MAIN.repeat(160 * 120));
+        let out = node.input_image::<Bgr8>("side", 160, 120, &SIDE.repeat(160 * 120)).process().unwrap();
+        out.plane::<Bgr8>("image").unwrap().data.to_vec()
+    };
+    let (a, b) = (pixels("panorama; depth"), pixels("wide; mm"));
+    assert_ne!(a, b);
+    for (one, two) in a.as_chunks::<3>().0.iter().zip(b.as_chunks::<3>().0) {
+        // Where a picture is in one, it is in the other, untouched.
+        assert_eq!([MAIN, SIDE].contains(one), [MAIN, SIDE].contains(two), "{one:?} {two:?}");
+    }
+    let shown = a.as_chunks::<3>().0.iter().filter(|p| **p == MAIN).count();
+    assert!(shown > 15_000, "the main picture is large: {shown} px");
+}
+
+#[test]
+fn a_trajectory_writes_on_the_picture_only_where_nobody_else_does() {
+    let run = |read: &[&str], show_box: bool| {
+        let setup = Setup::new(&format!("params = {{ show_box = {show_box}, text_scale = 3.0 }}")).read_only(read);
+        let mut node = Harness::<Trajectory>::open(setup).unwrap();
+        let tip = |x_mm: f64| Tip {
+            u_px: 10.0,
+            v_px: 10.0,
+            xyz_mm: [x_mm, 0.0, 60.0],
+            score: 0.9,
+            class_index: 0,
+            xyz_valid: 1,
+            track_id: 1,
+        };
+        node.input_image::<Bgr8>("image", SIZE.0, SIZE.1, &flat(100)).input_value("tip", tip(0.0)).process().unwrap();
+        node.input_image::<Bgr8>("image", SIZE.0, SIZE.1, &flat(100)).input_value("tip", tip(12.0));
+        let out = node.process().unwrap();
+        let words = (!out.is_empty("text").unwrap()).then(|| out.text("text").unwrap().to_owned());
+        let view = out.plane::<Bgr8>("image").unwrap();
+        (view.data.as_chunks::<3>().0.iter().filter(|p| **p == [220; 3]).count(), view.data != flat(100), words)
+    };
+    let (inked, has_box, words) = run(&["image", "text"], true);
+    assert_eq!((inked, has_box, words.as_deref()), (0, true, Some("box 20 mm")));
+    let (inked, has_box, words) = run(&["image"], true);
+    assert!(inked > 20 && has_box && words.is_none(), "{inked}");
+    assert_eq!(run(&["image", "text"], false), (0, false, Some(String::new())));
+}
+
 #[test]
 fn words_stand_in_their_corner() {
     let scalar = Scalar { value: 12.5, name: name32("distance"), unit: name16("mm") };
@@ -224,6 +366,18 @@ fn maps_get_colours_and_unknown_places_are_gray() {
     assert_eq!(out.plane::<Bgr8>("image").unwrap().width, 64);
     node.input_image::<Depth>("depth", 64, 48, &map).input_image::<Disparity>("disparity", 64, 48, &map);
     assert!(node.process().err().unwrap().to_string().contains("one map at a time"));
+    // The scale beside the map leaves the map as it is.
+    let picture = |params: &str| {
+        let mut node =
+            Harness::<Colorize>::from_toml(&format!("params = {{ low = 0.0, high = 63.0, {params} }}")).unwrap();
+        let out = node.input_image::<Depth>("depth", 64, 48, &map).process().unwrap();
+        let view = out.plane::<Bgr8>("image").unwrap();
+        let rows = (0..48).flat_map(|y| view.row(y)[..64 * 3].to_vec()).collect::<Vec<_>>();
+        (view.width, rows)
+    };
+    let (plain, beside) = (picture("scale_bar = false"), picture("scale_beside = true"));
+    assert!(plain.0 == 64 && beside.0 > 70 && plain.1 == beside.1, "{} and {}", plain.0, beside.0);
+    assert_ne!(picture("").1, plain.1, "on the map it covers some of it");
     // Nothing known at all.
     let out = node.input_image::<Disparity>("disparity", 2, 2, &[f32::NAN; 4]).process().unwrap();
     assert!(!out.is_empty("image").unwrap());
@@ -236,9 +390,10 @@ fn a_grid_keeps_its_size() {
     node.input_image::<Gray8>("views", 4, 3, &[77; 12]);
     let out = node.process().unwrap();
     let view = out.plane::<Bgr8>("image").unwrap();
-    assert_eq!((view.width, view.height), (82, 62));
+    // Two rows of 30 px, each with a strip of 24 px for its titles, and a gap.
+    assert_eq!((view.width, view.height), (82, 110));
     // The narrow one stands in the middle of its cell, the small one is enlarged.
-    assert_eq!((view.row(28)[43 * 3], view.row(28)[62 * 3], view.row(50)[20 * 3]), (24, 200, 77));
+    assert_eq!((view.row(28)[43 * 3], view.row(28)[62 * 3], view.row(72)[20 * 3]), (24, 200, 77));
     node.input_empty("views").input_image::<Gray8>("views", 40, 60, &[200; 2400]).input_empty("views");
     let out = node.process().unwrap();
     assert_eq!(out.plane::<Bgr8>("image").unwrap().width, 82);
@@ -314,7 +469,7 @@ fn a_full_picture() {
         .process()
         .unwrap();
     let view = all.plane::<Bgr8>("image").unwrap();
-    assert_eq!((view.width, view.height), (2 * width + 4, 2 * height + 4));
+    assert_eq!((view.width, view.height), (2 * width + 4, 2 * (height + 24) + 4));
     if let Some(folder) = std::env::var_os("PANOSCOPE_SHOW") {
         let rgb: Vec<u8> = view.data.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]).collect();
         let path = Path::new(&folder).join("overlay.png");
