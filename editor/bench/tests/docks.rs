@@ -5,6 +5,7 @@ mod common;
 use std::path::Path;
 
 use common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
+use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers, Pos2, Rect, pos2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
@@ -80,7 +81,8 @@ fn tabs_are_dragged_to_all_places_while_frames_flow() {
     assert_eq!(rect(&window, Panel::Plots).width(), node.width());
 
     // Edge of the window: above everything.
-    drag_tab(&mut window, "History", pos2(600.0, rect(&window, Panel::Graph).top() + 3.0));
+    let edge = pos2(600.0, rect(&window, Panel::Graph).top() + 3.0);
+    drag_tab(&mut window, "History", edge);
     let top = rect(&window, Panel::History);
     assert!(top.bottom() < rect(&window, Panel::Graph).top() && top.bottom() < rect(&window, Panel::Node).top());
     assert!(top.width() > 1300.0, "{top:?}");
@@ -116,7 +118,8 @@ fn a_tab_that_is_dropped_outside_becomes_a_window() {
     assert!(rect(&window, Panel::Graph).width() > 1400.0);
     // Its contents are in the window of its own, and work there.
     window.select("mean");
-    window.until_shown("past_weight");
+    window.steps(3);
+    window.harness.get_by_role_and_label(Role::Slider, "past_weight");
     window.harness.get_by_label("Dock: Node").click();
     window.steps(3);
     assert!(!window.app().docks().layout.is_torn(Panel::Node));

@@ -133,7 +133,7 @@ impl Bench<'_> {
     }
 
     /// What the window reports of a run.
-    fn with(&self, graph: &Path, actions: &[&str]) -> Result<Value> {
+    fn with(&self, graph: &Path, arguments: &[&str]) -> Result<Value> {
         let editor = &self.options.editor;
         if !editor.is_file() {
             let reason = format!("{} is missing; `cargo xtask build` builds it", editor.display());
@@ -142,10 +142,7 @@ impl Bench<'_> {
         let file = self.folder.join("with.json");
         let mut command = Command::new(editor);
         command.arg(graph).arg("--measure").arg(&file).args(["--after", &self.seconds.to_string()]);
-        actions.iter().for_each(|action| {
-            command.args(["--do", action]);
-        });
-        command.env("DISPLAY", &self.screen.display).env("LIBGL_ALWAYS_SOFTWARE", "1");
+        command.args(arguments).env("DISPLAY", &self.screen.display).env("LIBGL_ALWAYS_SOFTWARE", "1");
         if !command.env_remove("WAYLAND_DISPLAY").status()?.success() {
             return Err(EvalError::Peer { reason: "the editor did not run".to_owned() });
         }
@@ -184,14 +181,18 @@ fn all(bench: &Bench<'_>, [graph, many, most]: [&Path; 3], rounds: usize) -> Res
         ui_ms = ui_ms.min(number(&window, "ui_ms"));
         cpu_pct = cpu_pct.min(number(&window, "ui_cpu_pct"));
     }
-    let pan = bench.with(many, &["pan"])?;
+    let pan = bench.with(many, &["--do", "pan"])?;
     let whole = "300 nodes, all in view, moved with every frame";
-    let pan_most = bench.with(most, &["pan"])?;
+    let pan_most = bench.with(most, &["--do", "pan"])?;
     let whole_most = "1,013 nodes, all in view, moved with every frame";
+    // The run ends after a second; the second half of the time is measured.
+    let idle = bench.with(graph, &["--frames", "10"])?;
+    let at_rest = "panorama, all threads of the editor, after the end of the run";
     let mut figures = vec![
         Figure::new("editor_cost_pct", (with / without - 1.0) * 100.0, "%", INPUT),
         Figure::new("ui_ms", ui_ms, "ms", INPUT),
         Figure::new("ui_ms/share_of_a_core", cpu_pct, "%", INPUT),
+        Figure::new("ui_ms/idle_share_of_a_core", number(&idle, "process_cpu_pct"), "%", at_rest),
         Figure::new("ui_ms/pan_300", number(&pan, "ui_ms"), "ms", whole),
         Figure::new("ui_ms/pan_300_fps", number(&pan, "ui_fps"), "fps", whole),
         Figure::new("ui_ms/pan_1000", number(&pan_most, "ui_ms"), "ms", whole_most),

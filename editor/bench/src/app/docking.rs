@@ -3,9 +3,10 @@
 use std::collections::HashMap;
 
 use eframe::egui::{
-    Context, Rect, Sense, Ui, UiBuilder, Vec2, ViewportBuilder, ViewportClass, ViewportId, WidgetInfo, WidgetType, vec2,
+    Context, Rect, RichText, Sense, Ui, UiBuilder, Vec2, ViewportBuilder, ViewportClass, ViewportId, WidgetInfo,
+    WidgetType, vec2,
 };
-use panoscope_editor_model::docks::{Layout, Panel, Side};
+use panoscope_editor_model::docks::{Layout, Panel, Side, Window};
 use panoscope_editor_texts::text;
 
 use super::App;
@@ -79,6 +80,9 @@ impl App {
     /// Names on tabs that say more than the panel's own name.
     fn titles(&self) -> HashMap<Panel, String> {
         let mut titles = HashMap::new();
+        if self.selected().is_none() && !self.docks.is_shown(Panel::Overview) {
+            titles.insert(Panel::Node, title(Panel::Overview).to_owned());
+        }
         let wrong = self.document.view().diagnostics.len();
         if wrong > 0 {
             titles.insert(Panel::Problems, text!("panel-problems.count", count = wrong));
@@ -156,8 +160,10 @@ impl App {
     }
 
     /// Draws the panels that have windows of their own.
-    pub(super) fn show_windows(&mut self, ctx: &Context, status: &Status, counters: &Counters) {
-        for window in self.docks.windows() {
+    ///
+    /// `windows` are those at the beginning of the frame: a panel is drawn once in a frame.
+    pub(super) fn show_windows(&mut self, ctx: &Context, windows: &[Window], status: &Status, counters: &Counters) {
+        for window in windows {
             let panel = window.panel;
             let name = format!("{} - {}", title(panel), self.document.view().name);
             let builder = ViewportBuilder::default()
@@ -324,6 +330,13 @@ impl App {
     fn node_panel(&mut self, ui: &mut Ui, status: &Status, counters: &Counters) {
         let view = self.document.view().clone();
         let Some(node) = self.selected().and_then(|id| view.node(&id)) else {
+            if self.docks.is_shown(Panel::Overview) {
+                ui.label(
+                    RichText::new("Select a node to see what it reads, its values and its times.")
+                        .color(theme::muted()),
+                );
+                return;
+            }
             return self.overview_panel(ui, counters);
         };
         let id = view.nodes[node].id().to_owned();
@@ -337,7 +350,9 @@ impl App {
     }
 
     fn overview_panel(&mut self, ui: &mut Ui, counters: &Counters) {
-        for request in overview::show(ui, &self.document, counters, self.canvas.selected.len()) {
+        let selected = self.selected().filter(|_| self.docks.is_shown(Panel::Node));
+        let count = self.canvas.selected.len();
+        for request in overview::show(ui, &self.document, counters, count, selected.as_deref()) {
             match request {
                 overview::OverviewRequest::Go(id) => self.canvas.show_node(&self.document.view().clone(), &id),
                 overview::OverviewRequest::Perform(action) => self.perform(action),

@@ -471,9 +471,9 @@ impl App {
         actions.inner.into_iter().for_each(|action| self.perform(action));
         self.machine_bar(ui);
         self.conflict_bar(ui);
-        let whole = CentralPanel::no_frame();
-        whole.show(ui, |ui| self.show_docks(ui, status, &counters));
-        self.show_windows(ui.ctx(), status, &counters);
+        let windows = self.docks.windows();
+        CentralPanel::no_frame().show(ui, |ui| self.show_docks(ui, status, &counters));
+        self.show_windows(ui.ctx(), &windows, status, &counters);
         self.show_tour(ui.ctx());
     }
 

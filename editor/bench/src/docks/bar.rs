@@ -65,7 +65,7 @@ impl Docks {
                     response.request_focus();
                     self.take_keys = None;
                 }
-                if response.clicked() || response.has_focus() && self.focused != panel {
+                if response.clicked() || response.gained_focus() {
                     self.focused = panel;
                 }
                 if response.clicked()

@@ -180,6 +180,12 @@ impl Docks {
         (self.groups, self.borders) = (groups, borders);
         let mut requests = Vec::new();
         self.show_bars(ui, titles, &mut requests);
+        // The graph alone has no tab that could have the keys of the window.
+        if self.take_keys.take().is_some()
+            && let Some(id) = ui.memory(|memory| memory.focused())
+        {
+            ui.memory_mut(|memory| memory.surrender_focus(id));
+        }
         let pressed = ui.input(|i| i.pointer.any_pressed().then(|| i.pointer.interact_pos()).flatten());
         if let Some(at) = pressed
             && let Some(group) = self.groups.iter().find(|group| group.outer.contains(at))

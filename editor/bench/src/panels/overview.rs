@@ -29,8 +29,15 @@ pub enum OverviewRequest {
     Param(String, params::ParamRequest),
 }
 
-/// Shows the panel; returns the user's requests.
-pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usize) -> Vec<OverviewRequest> {
+/// Shows the panel; returns the user's requests. Settings of the node `elsewhere` are left out: the panel of the node has them, and a widget can be
+/// at one place only.
+pub fn show(
+    ui: &mut Ui,
+    document: &Document,
+    counters: &Counters,
+    selected: usize,
+    elsewhere: Option<&str>,
+) -> Vec<OverviewRequest> {
     let view = document.view();
     let mut requests = Vec::new();
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
@@ -43,10 +50,11 @@ pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usi
             ui.label(RichText::new(&view.name).size(16.0));
             ui.label(RichText::new(opening(document.text())).size(12.0).color(theme::muted()));
         }
-        if document.pins().next().is_some() {
+        let mut pins = document.pins().filter(|(node, ..)| Some(*node) != elsewhere).peekable();
+        if pins.peek().is_some() {
             section(ui, text!("overview-preset"));
         }
-        for (node, param, label) in document.pins() {
+        for (node, param, label) in pins {
             let all = if view.node(node).is_some() { view } else { view.flat() };
             let this = all.node(node).map(|n| &all.nodes[n]);
             let declared = this.and_then(|n| n.node_type.as_ref()?.params.iter().find(|p| p.name == param));
