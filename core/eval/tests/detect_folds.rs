@@ -200,6 +200,42 @@ fn one_fold_can_be_scored_before_the_others_are_trained() {
 }
 
 #[test]
+fn scores_are_judged_and_a_calibration_is_written() {
+    let mut case = Case::new();
+    // Boxes of 0.9 and 0.8 are all right: scores are too low by 0.1 and 0.2. A grasper of 0.7 with an objectness of 0.9 is right too.
+    let row = |class: u32, score: f64, left: f64, objectness: f64| {
+        json!([class, score, left, 10.0, left + 20.0, 30.0, objectness])
+    };
+    case.set("1", "a_000100", &[row(1, 0.9, 10.0, 0.95)]);
+    case.set("1", "b_000100", &[row(1, 0.8, 10.0, 0.9), row(0, 0.6, 70.0, 0.7)]);
+    case.set("2", "c_000100", &[row(1, 0.9, 10.0, 0.95), row(0, 0.03, 10.0, 0.95)]);
+    // The hook of the second is taken for a grasper: wrong, and on an instrument.
+    case.set("2", "c_000350", &[row(0, 0.5, 10.0, 0.9), row(0, 0.7, 60.0, 0.9)]);
+    let file = case.root().join("calibration.json");
+    let options = Options { calibration: Some(file.clone()), precision: 0.6, ..case.options() };
+    let figures = judge(&Silent, &options).unwrap_or_else(|e| panic!("{}", chain(&e)));
+    // Hooks: 0.9 twice and 0.8, all right: two bins of 0.8 to 0.9 and 0.9 to 1.
+    near(&figures, "calibration_error/hook", (2.0 * 0.1 + 0.2) / 3.0);
+    // Graspers: 0.5 wrong, 0.6 wrong, 0.7 right, each in a bin of its own.
+    near(&figures, "calibration_error/grasper", (0.5 + 0.6 + 0.3) / 3.0);
+    near(&figures, "unknown_below_0.00/right", 4.0);
+    let stored: Value = serde_json::from_str(&std::fs::read_to_string(&file).expect("written")).expect("JSON");
+    assert_eq!(stored["format"], "panoscope-calibration-1");
+    let classes: Vec<&str> = stored["classes"].as_array().expect("a list").iter().filter_map(Value::as_str).collect();
+    assert_eq!(classes, ["hook", "grasper"]);
+    assert_eq!(stored["limits"].as_array().map(Vec::len), Some(2));
+    for curve in ["score", "objectness"] {
+        assert!(stored[curve]["temperature"].as_f64().expect("a number") > 0.0, "{stored}");
+    }
+    // Without objectness there is no curve of it.
+    let case = Case::new();
+    let figures = judge(&Silent, &Options { calibration: Some(file.clone()), ..case.options() }).expect("scored");
+    assert!(!figures.iter().any(|f| f.name.starts_with("unknown_below")));
+    let stored: Value = serde_json::from_str(&std::fs::read_to_string(&file).expect("written")).expect("JSON");
+    assert!(stored["objectness"].is_null());
+}
+
+#[test]
 fn curves_confusions_and_misses_of_each_fold_are_drawn() {
     let mut case = Case::new();
     case.set("2", "c_000350", &[find(1, 0.8, 10.0), find(1, 0.7, 60.0)]);
@@ -217,6 +253,8 @@ fn curves_confusions_and_misses_of_each_fold_are_drawn() {
             assert!(width > 300 && height > 200, "{fold} {what}: {width}x{height}");
         }
     }
+    let (width, height) = image::image_dimensions(pictures.join("reliability.png")).expect("drawn");
+    assert!(width > 600 && height > 300, "{width}x{height}");
 }
 
 /// A change of the predictions of fold 1.
@@ -224,7 +262,7 @@ type Change = fn(&mut Value);
 
 #[test]
 fn wrong_predictions_are_refused_with_file_and_remedy() {
-    let changes: [(Change, &[&str]); 12] = [
+    let changes: [(Change, &[&str]); 14] = [
         (|f| f["frames"]["c_000100"] = json!([]), &["c_000100", "operation c", "learned from", "a, b"]),
         (|f| f["frames"]["a_999999"] = json!([]), &["no frame a_999999", "other data"]),
         (|f| f["frames"] = json!({"a_000100": []}), &["1 of 2 frames are missing", "b_000100", "--resume"]),
@@ -236,6 +274,11 @@ fn wrong_predictions_are_refused_with_file_and_remedy() {
         (|f| f["frames"]["a_000100"] = json!([find(2, 0.5, 0.0)]), &["a_000100", "row 1", "class 2 of 2"]),
         (|f| f["frames"]["a_000100"] = json!([find(0, 1.5, 0.0)]), &["a_000100", "row 1", "score 1.5"]),
         (|f| f["frames"]["a_000100"] = json!([[0, 0.5, 9.0, 9.0, 3.0, 12.0]]), &["upper left corner comes first"]),
+        (|f| f["frames"]["a_000100"] = json!([[0, 0.5, 9.0]]), &["a_000100", "row 1", "3 numbers; 6 or 7"]),
+        (
+            |f| f["frames"]["a_000100"] = json!([[0, 0.5, 9.0, 9.0, 10.0, 12.0, 1.5]]),
+            &["a_000100", "row 1", "objectness 1.5"],
+        ),
         (|f| f["frames"] = json!(3), &["holds no predictions of a fold"]),
     ];
     for (change, parts) in changes {

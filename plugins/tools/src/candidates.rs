@@ -59,6 +59,8 @@ pub struct Candidate {
     pub corners: [f32; 4],
     /// Confidence, 0 to 1.
     pub score: f32,
+    /// Confidence that something is there at all, 0 to 1; the score where the family has no such output.
+    pub objectness: f32,
     /// Index of the class.
     pub class_index: u32,
     /// Row of the network's output.
@@ -81,7 +83,8 @@ impl Candidate {
         let corners = [x0.clamp(0.0, w), y0.clamp(0.0, h), x1.clamp(0.0, w), y1.clamp(0.0, h)];
         let is_box =
             [x0, y0, x1, y1].iter().all(|v| v.is_finite()) && corners[2] > corners[0] && corners[3] > corners[1];
-        is_box.then(|| Self { corners, score: score.min(1.0), class_index, row: row as u32 })
+        let score = score.min(1.0);
+        is_box.then_some(Self { corners, score, objectness: score, class_index, row: row as u32 })
     }
 }
 
@@ -109,6 +112,8 @@ pub struct Decoder<'a> {
     pub picture: (usize, usize),
     /// Lowest score that is retained.
     pub min_score: f32,
+    /// Lowest objectness that is retained whatever the score; infinite: none. Families without it have none.
+    pub min_objectness: f32,
     /// The candidates.
     pub out: &'a mut Vec<Candidate>,
 }
@@ -126,6 +131,16 @@ impl Decoder<'_> {
             class_index,
             row,
         );
+    }
+
+    /// A row of objectness, then classes: kept by its score or by its objectness.
+    fn push_object(&mut self, b: [f32; 4], objectness: f32, class: u32, p: f32, row: usize) {
+        let score = objectness * p;
+        if score > self.min_score || objectness > self.min_objectness {
+            let before = self.out.len();
+            self.push_centre(b, score, class, row);
+            self.out[before..].iter_mut().for_each(|c| c.objectness = objectness.min(1.0));
+        }
     }
 
     /// Decodes `outputs`. Checks shapes again, because a network of free size may change them.
@@ -152,6 +167,7 @@ impl Decoder<'_> {
             let (width, height) = self.input;
             return Err(DecodeError::YoloxRows { rows, values: len, width, height });
         }
+        let least = self.min_score.min(self.min_objectness);
         let mut row = 0;
         for stride in STRIDES {
             let (columns, lines) = (self.input.0 / stride, self.input.1 / stride);
@@ -160,12 +176,11 @@ impl Decoder<'_> {
                 for x in 0..columns {
                     let v = &values[row * len..(row + 1) * len];
                     // Exports carry sigmoid inside (all scores within 0..1); raw logits are not offered by the tools.
-                    if v[4] > self.min_score {
+                    if v[4] > least {
                         let (class, p) = best(v[5..].iter().copied());
-                        let score = v[4] * p;
-                        if score > self.min_score {
+                        if v[4] * p > self.min_score || v[4] > self.min_objectness {
                             let b = [(v[0] + x as f32) * s, (v[1] + y as f32) * s, v[2].exp() * s, v[3].exp() * s];
-                            self.push_centre(b, score, class, row);
+                            self.push_object(b, v[4], class, p, row);
                         }
                     }
                     row += 1;
@@ -181,11 +196,9 @@ impl Decoder<'_> {
             return Err(DecodeError::Rows { kind: "YOLOv5", rows, values: len });
         }
         for (row, v) in values.chunks_exact(len).enumerate() {
-            if v[4] > self.min_score {
+            if v[4] > self.min_score.min(self.min_objectness) {
                 let (class, p) = best(v[5..].iter().copied());
-                if v[4] * p > self.min_score {
-                    self.push_centre([v[0], v[1], v[2], v[3]], v[4] * p, class, row);
-                }
+                self.push_object([v[0], v[1], v[2], v[3]], v[4], class, p, row);
             }
         }
         Ok(())
@@ -252,25 +265,67 @@ pub fn iou(a: &[f32; 4], b: &[f32; 4]) -> f32 {
     if union > 0.0 { w * h / union } else { 0.0 }
 }
 
-/// Non-maximum suppression: retains the best of overlapping boxes, highest score first, `max` at most. With `agnostic`, boxes of different classes
-/// suppress each other. Ties go to the earlier row, so that the result does not depend on the sort.
-pub fn suppress(candidates: &mut Vec<Candidate>, iou_limit: f32, agnostic: bool, max: usize) {
-    candidates.sort_unstable_by(|a, b| b.score.total_cmp(&a.score).then(a.row.cmp(&b.row)));
-    // A bad network returns thousands of boxes: the best of them are enough to find `max`.
+/// How overlapping boxes suppress each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Suppression {
+    /// Overlap (intersection over union) above which the worse box is dropped.
+    pub max_overlap: f32,
+    /// Boxes of different classes suppress each other too.
+    pub is_agnostic: bool,
+    /// Largest number of boxes.
+    pub max_boxes: usize,
+    /// Class of boxes whose kind is unknown: any other box suppresses them, whatever its score, and they suppress no other.
+    pub unknown: Option<u32>,
+}
+
+/// Non-maximum suppression: retains the best of overlapping boxes, highest score first. Ties go to the earlier row, so that the result does not depend
+/// on the sort.
+pub fn suppress(candidates: &mut Vec<Candidate>, rule: &Suppression) {
+    let is_unknown = |c: &Candidate| Some(c.class_index) == rule.unknown;
+    let best_first = |a: &Candidate, b: &Candidate| b.score.total_cmp(&a.score).then(a.row.cmp(&b.row));
+    candidates.sort_unstable_by(|a, b| is_unknown(a).cmp(&is_unknown(b)).then(best_first(a, b)));
+    // A bad network returns thousands of boxes: the best of them are enough to find `max_boxes`.
     candidates.truncate(3000);
     let mut retained = 0;
     for i in 0..candidates.len() {
         let c = candidates[i];
+        let any = rule.is_agnostic || is_unknown(&c);
         let free = candidates[..retained]
             .iter()
-            .all(|k| (!agnostic && k.class_index != c.class_index) || iou(&k.corners, &c.corners) <= iou_limit);
+            .all(|k| (!any && k.class_index != c.class_index) || iou(&k.corners, &c.corners) <= rule.max_overlap);
         if free {
             candidates[retained] = c;
             retained += 1;
-            if retained == max {
+            if retained == rule.max_boxes {
                 break;
             }
         }
     }
     candidates.truncate(retained);
+    candidates.sort_unstable_by(best_first);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x: f32, score: f32, class_index: u32) -> Candidate {
+        Candidate { corners: [x, 0.0, x + 10.0, 10.0], score, objectness: score, class_index, row: x as u32 }
+    }
+
+    #[test]
+    fn a_box_of_unknown_class_gives_way_to_any_named_one() {
+        let rule = Suppression { max_overlap: 0.5, is_agnostic: false, max_boxes: 9, unknown: Some(7) };
+        let left = |mut list: Vec<Candidate>, rule: &Suppression| {
+            suppress(&mut list, rule);
+            list.iter().map(|c| (c.corners[0] as i32, c.class_index)).collect::<Vec<_>>()
+        };
+        // On the named one, though it is surer; beside it it stays, and stands first by its score.
+        assert_eq!(left(vec![at(0.0, 0.4, 1), at(1.0, 0.9, 7)], &rule), [(0, 1)]);
+        assert_eq!(left(vec![at(0.0, 0.4, 1), at(20.0, 0.9, 7), at(21.0, 0.8, 7)], &rule), [(20, 7), (0, 1)]);
+        // Other classes stand on each other as before.
+        assert_eq!(left(vec![at(0.0, 0.4, 1), at(1.0, 0.9, 2)], &rule), [(1, 2), (0, 1)]);
+        let none = Suppression { unknown: None, ..rule };
+        assert_eq!(left(vec![at(0.0, 0.4, 1), at(1.0, 0.9, 7)], &none), [(1, 7), (0, 1)]);
+    }
 }

@@ -4,6 +4,8 @@ use panoscope_imaging::detect::{Find, Object, Tally, normal_name};
 use panoscope_node::abi::Scalar;
 use panoscope_node::{Context, Detections, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Validation};
 
+use crate::yolo::UNKNOWN;
+
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
@@ -107,7 +109,12 @@ impl Node for EvaluateDetections {
         }
         if let Some(detections) = &input.detections {
             for item in detections.items() {
-                let class = self.class(detections.label(item.class_index));
+                let label = detections.label(item.class_index);
+                // An instrument whose kind is not sure is neither a right nor a wrong find of any class.
+                if label == UNKNOWN && !self.names.iter().any(|name| name == UNKNOWN) {
+                    continue;
+                }
+                let class = self.class(label);
                 finds.push(Find { class, bbox: bounds(item), mask: None, score: f64::from(item.score) });
             }
         }
@@ -157,6 +164,15 @@ mod tests {
         let rows: Vec<Vec<f64>> = out.table("table")?.rows().map(<[f64]>::to_vec).collect();
         assert_eq!(rows[0][..6], [0.0, 1.0, 2.0, 1.0, 50.0, 100.0]);
         assert_eq!((rows[1][..4].to_vec(), rows[1][5]), (vec![1.0, 1.0, 0.0, 0.0], 0.0));
+        // Of an unknown kind: neither right nor wrong, and no class of its own.
+        let (precision, classes) = (number("precision_pct")?, rows.len());
+        node.input_detections("truth", &[], labels, (100, 50));
+        let unknown = [at(60.0, 2, 0.9)];
+        let out = node.input_detections("detections", &unknown, "hook\ngrasper\nunknown", (100, 50)).process()?;
+        assert_eq!(
+            (out.value::<Scalar>("precision_pct")?.value, out.table("table")?.rows().count()),
+            (precision, classes)
+        );
         // Nothing is found in the second picture; an object that is too difficult does not count.
         node.input_detections("truth", &[at(0.0, 0, 1.0), at(30.0, 0, 0.0)], labels, (100, 50));
         let out = node.process_empty(&["detections"])?;

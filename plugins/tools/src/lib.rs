@@ -4,6 +4,7 @@
 //! finds the tip of the instrument in what they found, `tip_track` follows it over time. `skill` measures how skilfully tips are moved, `proximity` how
 //! near they are to tissue and to each other; `evaluate_proximity` judges its warnings, `evaluate_detections` boxes.
 
+pub mod calibration;
 pub mod candidates;
 pub mod evaluate_detections;
 pub mod evaluate_proximity;
@@ -15,6 +16,7 @@ pub mod letterbox;
 pub mod mask_rcnn;
 pub mod model;
 pub mod onnx_file;
+pub mod pictures;
 pub mod proximity;
 pub mod runtime_library;
 pub mod second_view;

@@ -11,7 +11,7 @@ use panoscope_node::{
     Validation, error,
 };
 
-use crate::candidates::{Candidate, Decoder, suppress};
+use crate::candidates::{Candidate, Decoder, Suppression, suppress};
 use crate::export_kind::ExportKind;
 use crate::finite::{Rows, count_bad};
 use crate::letterbox::{Fit, PixelForm, Placement};
@@ -329,6 +329,12 @@ impl Node for MaskRcnn {
         let net = self.network.model.input_size();
         let placement = self.network.letterbox.fit(picture, net, &pixel_form(self.family), cx.pool());
         let family = self.family;
+        let suppression = Suppression {
+            max_overlap: params.max_overlap,
+            is_agnostic: false,
+            max_boxes: params.max_instances,
+            unknown: None,
+        };
         let Self { network: Network { model, letterbox, damage, .. }, path, candidates, maps, map_size, .. } = self;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
             let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg))?;
@@ -341,9 +347,17 @@ impl Node for MaskRcnn {
                     return Err(error!("prototypes are {:?}, expected 1xMxHxW", prototypes.shape));
                 };
                 let kind = ExportKind::YoloV8 { masks };
-                Decoder { kind, input: net, placement, picture: size, min_score: params.min_score, out: candidates }
-                    .decode(outputs)?;
-                suppress(candidates, params.max_overlap, false, params.max_instances);
+                let mut decoder = Decoder {
+                    kind,
+                    input: net,
+                    placement,
+                    picture: size,
+                    min_score: params.min_score,
+                    min_objectness: f32::INFINITY,
+                    out: candidates,
+                };
+                decoder.decode(outputs)?;
+                suppress(candidates, &suppression);
                 let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
                     return Err(error!("boxes and prototypes are f32"));
                 };
@@ -372,7 +386,7 @@ impl Node for MaskRcnn {
                     candidates.extend(Candidate::placed(&placement, size, corners, score, class as u32, row));
                 }
             }
-            suppress(candidates, params.max_overlap, false, params.max_instances);
+            suppress(candidates, &suppression);
             *map_size = answer.map_size;
             let area = answer.map_size.0 * answer.map_size.1;
             for c in candidates.iter() {
@@ -383,7 +397,7 @@ impl Node for MaskRcnn {
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {
-            self.tracker.follow(&mut self.items, cx.tick().capture_ns, params.vote_s);
+            self.tracker.follow(&mut self.items, cx.tick().capture_ns, params.vote_s, None);
         }
         self.paint(covers, size, params.mask_threshold, cx.pool());
         out.instances.set_instances(&self.items, &self.network.labels, size, &self.bits)

@@ -8,7 +8,7 @@ use panoscope_node::abi::{Calibration, Pose, Tip};
 use panoscope_node::{Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error};
 use panoscope_tracking::kalman::Model;
 use panoscope_tracking::real_time::RealTime;
-use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
+use panoscope_tracking::tracker::{Known, Report, Rules, Tracker, UNKNOWN_CLASS};
 
 /// Inputs.
 #[derive(Ports)]
@@ -27,7 +27,8 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The leading tip in the left camera's frame, mm. The score of a predicted tip falls with the time since it was last seen. Empty when lost.
+    /// The leading tip in the left camera's frame, mm. The score of a predicted tip falls with the time since it was last seen. A tip of unknown class
+    /// gets the class that its tool had most often. Empty when lost.
     tip: Slot<'f, Tip>,
     /// One row per tick while the tip is known: position in the camera's frame and in the scene (mm), velocity (mm/s), standard deviation (mm), time
     /// since it was seen (ms), score, number of the tool.
@@ -227,6 +228,10 @@ impl Node for TipTrack {
         let at = room_from_camera.inverse_transform_point(&Point3::from(room)).coords;
         tip.xyz_mm = [at.x, at.y, at.z];
         tip.score *= fade;
+        // A tool that was named before keeps its name while its kind is not sure.
+        if tip.class_index == UNKNOWN_CLASS {
+            tip.class_index = self.tracker.class_index();
+        }
         if let Some(p) = lens.filter(|_| at.z > 0.0) {
             (tip.u_px, tip.v_px) = (p[0] * at.x / at.z + p[2], p[5] * at.y / at.z + p[6]);
         }

@@ -10,12 +10,14 @@ use panoscope_node::{
 };
 
 use panoscope_tracking::real_time::RealTime;
+use panoscope_tracking::tracker::UNKNOWN_CLASS;
 
 use crate::candidates::iou;
 use crate::hidden_jaw::{HiddenJaw, KnownEnd, Lens, Pixels};
 use crate::second_view::SecondView;
 use crate::shaft::{End, Mask, TipFinder, TipPixel, tip_of_box};
 use crate::silhouette::{Cues, Silhouette};
+use crate::yolo::UNKNOWN;
 
 /// Inputs.
 #[derive(Ports)]
@@ -345,6 +347,9 @@ impl Node for ToolTip {
             ));
         }
         let items = found.items();
+        let class_of = |d: &Detection| {
+            if found.label(d.class_index) == UNKNOWN { UNKNOWN_CLASS } else { d.class_index }
+        };
         let is_wanted = |d: &Detection| params.class.is_empty() || found.label(d.class_index) == params.class;
         let score = |d: &Detection| if params.class.is_empty() { sureness(d, items) } else { d.score };
         let leading = self.leading.take().filter(|leading| leading.missed <= MEMORY_TICKS);
@@ -425,6 +430,7 @@ impl Node for ToolTip {
             self.kept = kept;
             return Ok(());
         };
+        let class_index = class_of(&item);
         let is_same = leading.as_ref().is_some_and(|leading| leading.claims(&item) > 0);
         let called = leading.as_ref().filter(|_| is_same).map_or(item.track_id, |l| l.called);
         let box_score = if is_found { score(&item) } else { 0.0 };
@@ -528,7 +534,7 @@ impl Node for ToolTip {
                     v_px,
                     xyz_mm,
                     score: f64::from(sure),
-                    class_index: item.class_index,
+                    class_index,
                     xyz_valid: 0,
                     track_id: called,
                 });
@@ -564,7 +570,7 @@ impl Node for ToolTip {
             v_px,
             xyz_mm,
             score: f64::from(sure),
-            class_index: item.class_index,
+            class_index,
             xyz_valid: u32::from(valid),
             track_id: called,
         })

@@ -15,9 +15,13 @@ impl Votes {
         Self(votes)
     }
 
-    /// Adds a vote; earlier ones weigh `fade` times as much as before.
-    fn add(&mut self, class_index: u32, score: f32, fade: f32) {
-        self.0.iter_mut().for_each(|(_, weight)| *weight *= fade);
+    /// Makes all votes weigh `share` times as much as before.
+    fn fade(&mut self, share: f32) {
+        self.0.iter_mut().for_each(|(_, weight)| *weight *= share);
+    }
+
+    /// Adds a vote.
+    fn add(&mut self, class_index: u32, score: f32) {
         match self.0.iter_mut().find(|(class, weight)| *class == class_index && *weight > 0.0) {
             Some((_, weight)) => *weight += score,
             None => {
@@ -80,7 +84,10 @@ impl Tracker {
     ///
     /// With `vote_s` above 0 a track also follows a box that the detector gives another class, and each item gets the class that has most votes
     /// on its track, by more than one vote; votes weigh as much as their score, and half as much after `vote_s`. With 0 a box of another class is another object.
-    pub fn follow(&mut self, items: &mut [Detection], capture_ns: i64, vote_s: f32) {
+    ///
+    /// `unknown` is the class of boxes whose kind the detector does not know: such a box may be any object, and votes for no class.
+    pub fn follow(&mut self, items: &mut [Detection], capture_ns: i64, vote_s: f32, unknown: Option<u32>) {
+        let is_unknown = |class_index: u32| Some(class_index) == unknown;
         let dt_s = self.last_ns.replace(capture_ns).map_or(0.0, |last| capture_ns.saturating_sub(last) as f32 * 1e-9);
         if dt_s < 0.0 {
             // The source begins anew: where things were says nothing about where they are.
@@ -95,7 +102,9 @@ impl Tracker {
                 if item.class_index == track.class_index && overlap >= MIN_IOU {
                     // Above every box of another class.
                     self.pairs.push((1.0 + overlap, t, d));
-                } else if vote_s > 0.0 && overlap >= MIN_IOU_OF_OTHER_CLASS {
+                } else if vote_s > 0.0 && overlap >= MIN_IOU_OF_OTHER_CLASS
+                    || (is_unknown(item.class_index) || is_unknown(track.class_index)) && overlap >= MIN_IOU
+                {
                     self.pairs.push((overlap, t, d));
                 }
             }
@@ -111,9 +120,16 @@ impl Tracker {
             if track.missed > 0 && item.track_id < 0 {
                 let seen = corners_of(item);
                 if vote_s > 0.0 {
-                    track.votes.add(item.class_index, item.score, 0.5f32.powf(track.unseen_s / vote_s));
-                    track.class_index = track.votes.winner(track.class_index, item.score);
+                    track.votes.fade(0.5f32.powf(track.unseen_s / vote_s));
+                    if !is_unknown(item.class_index) {
+                        track.votes.add(item.class_index, item.score);
+                        // The first name wins over none.
+                        let margin = if is_unknown(track.class_index) { 0.0 } else { item.score };
+                        track.class_index = track.votes.winner(track.class_index, margin);
+                    }
                     item.class_index = track.class_index;
+                } else if is_unknown(track.class_index) {
+                    track.class_index = item.class_index;
                 }
                 if track.unseen_s > 0.0 {
                     // Half of the surprise becomes velocity.
@@ -132,7 +148,7 @@ impl Tracker {
             self.tracks.push(Track {
                 id: self.next_id,
                 class_index,
-                votes: Votes::new(class_index, item.score),
+                votes: Votes::new(class_index, if is_unknown(class_index) { 0.0 } else { item.score }),
                 corners,
                 velocity: [0.0; 4],
                 unseen_s: 0.0,
@@ -153,7 +169,7 @@ mod tests {
 
     fn step(tracker: &mut Tracker, ms: i64, boxes: &[f32]) -> Vec<i64> {
         let mut items: Vec<Detection> = boxes.iter().map(|x| at(*x)).collect();
-        tracker.follow(&mut items, ms * 1_000_000, 0.0);
+        tracker.follow(&mut items, ms * 1_000_000, 0.0, None);
         items.iter().map(|i| i.track_id).collect()
     }
 
@@ -202,7 +218,7 @@ mod tests {
         let one = |(tick, class_index): (usize, &u32)| {
             let tick = first_tick + tick as i64;
             let mut items = [Detection { class_index: *class_index, ..at(tick as f32) }];
-            tracker.follow(&mut items, tick * 33_000_000, vote_s);
+            tracker.follow(&mut items, tick * 33_000_000, vote_s, Some(7));
             (items[0].class_index, items[0].track_id)
         };
         classes.iter().enumerate().map(one).collect()
@@ -230,6 +246,20 @@ mod tests {
     }
 
     #[test]
+    fn a_box_of_unknown_class_keeps_the_number_and_votes_for_no_class() {
+        // 7 is unknown. With votes it gets the track's name; without, it stays unknown, and the object is the same.
+        let seen = voted(&mut Tracker::default(), 0, &[3, 3, 7, 7, 7, 7, 3], 1.0);
+        assert!(seen.iter().all(|s| *s == (3, 0)), "{seen:?}");
+        let seen = voted(&mut Tracker::default(), 0, &[3, 7, 3], 0.0);
+        assert_eq!(seen, [(3, 0), (7, 0), (3, 0)]);
+        // Any number of unknown boxes weighs nothing against two votes.
+        let seen = voted(&mut Tracker::default(), 0, &[7, 7, 7, 7, 7, 7, 7, 7, 2, 7, 2], 1.0);
+        assert_eq!((seen[7], seen[8], seen[9], seen[10]), ((7, 0), (2, 0), (2, 0), (2, 0)), "{seen:?}");
+        // An object first seen as unknown takes its first name without votes too.
+        assert_eq!(voted(&mut Tracker::default(), 0, &[7, 2, 2], 0.0), [(7, 0), (2, 0), (2, 0)]);
+    }
+
+    #[test]
     fn a_fifth_class_takes_the_place_of_the_weakest() {
         let seen = voted(&mut Tracker::default(), 0, &[9, 9, 9, 1, 2, 3, 4, 9, 4, 4, 4, 4, 4], 100.0);
         assert!(seen[..8].iter().all(|s| s.0 == 9), "{seen:?}");
@@ -242,7 +272,7 @@ mod tests {
         for tick in 0..40i64 {
             let (left, right) = (at(tick as f32), Detection { class_index: 3, ..at(40.0 - tick as f32) });
             let mut items = [left, right];
-            tracker.follow(&mut items, tick * 33_000_000, 1.0);
+            tracker.follow(&mut items, tick * 33_000_000, 1.0, None);
             let got = items.map(|i| (i.class_index, i.track_id));
             assert_eq!(got, [(0, 0), (3, 1)], "tick {tick}");
         }

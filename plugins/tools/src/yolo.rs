@@ -2,18 +2,20 @@
 
 use std::path::PathBuf;
 
-use panoscope_node::abi::Detection;
+use panoscope_node::abi::{Detection, Scalar};
 use panoscope_node::{
     AnyImage, Bgr8, Choice, Context, Gray8, LabeledDetections, Node, NodeInfo, Open, Parallel, Params, Ports, Result,
     Slot, Validation, View, error,
 };
 
-use crate::candidates::{Candidate, Decoder, suppress};
+use crate::calibration::{Calibration, Rule};
+use crate::candidates::{Candidate, Decoder, Suppression, suppress};
 use crate::export_kind::{ExportKind, recognise};
 use crate::finite::count_bad;
 use crate::labels;
 use crate::letterbox::Letterbox;
 use crate::model::Model;
+use crate::pictures::{self, Monitor, Pictures};
 use crate::track::Tracker;
 
 /// Inputs.
@@ -26,8 +28,12 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Boxes in px of the picture, highest score first, with their labels.
+    /// Boxes in px of the picture, highest score first, with their labels. Where the model carries a calibration, scores are probabilities, and the
+    /// last label is `unknown`: an instrument whose kind is not sure.
     detections: Slot<'f, LabeledDetections>,
+    /// How unlike the pictures that the model learned from the last ones are, smoothed, as a share of the model's limit: from 1 on it knows little of
+    /// such pictures. Empty where the model carries no statistics of pictures. Metric `unlike` is 1 while it is above.
+    unlikeness: Slot<'f, Scalar>,
 }
 
 /// Families of exports.
@@ -76,6 +82,18 @@ pub struct YoloParams {
     /// Lowest score of a box.
     #[param(default = 0.3, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
+    /// Turns scores into the probability that a box and its class are right, where the model carries a calibration. Off: scores as the network gives
+    /// them, and no `unknown`.
+    #[param(default = true)]
+    calibrated: bool,
+    /// Least probability of a box's class, given that the box is on an instrument. Below it the class is reported as `unknown`, with the probability of
+    /// any instrument as score. 0 always names the likeliest class. Takes effect where the model's calibration includes objectness.
+    #[param(default = 0.5, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    unknown_below: f32,
+    /// Uses the lowest probability of each class that the model carries, at which the share of right boxes was as large as asked for at its export,
+    /// where it is above `min_score`.
+    #[param(default = false)]
+    class_limits: bool,
     /// Overlap (intersection over union) above which the box with the lower score is dropped.
     #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     max_overlap: f32,
@@ -101,10 +119,16 @@ pub struct YoloParams {
     /// own class. Best with boxes of one class per tool (`class_agnostic`).
     #[param(default = 0.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     vote_s: f32,
+    /// Time over which the deviation of the pictures from those learned from is smoothed.
+    #[param(default = 2.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
+    unlike_s: f32,
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
 }
+
+/// Label of an instrument whose kind is not sure.
+pub const UNKNOWN: &str = "unknown";
 
 /// What detectors and segmenters share: a model, its input, its labels.
 pub(crate) struct Network {
@@ -177,6 +201,12 @@ pub(crate) fn check_labels(check: &mut Validation<'_>, file: &std::path::Path) {
 pub struct Yolo {
     network: Network,
     kind: ExportKind,
+    calibration: Option<Calibration>,
+    /// Index of the class `unknown`, where the label table has it.
+    unknown: Option<u32>,
+    pictures: Option<Pictures>,
+    monitor: Monitor,
+    was_unlike: bool,
     candidates: Vec<Candidate>,
     items: Vec<Detection>,
     tracker: Tracker,
@@ -225,13 +255,36 @@ impl Node for Yolo {
         let path = network.model.path().to_owned();
         let end_to_end = network.model.metadata("end2end").is_some_and(|v| v.eq_ignore_ascii_case("true"));
         let chosen = params.layout.kind();
-        let (kind, classes) = network.model.run(&gray, |outputs| -> Result<_> {
+        let (kind, classes, channels) = network.model.run(&gray, |outputs| -> Result<_> {
+            let (outputs, features) = pictures::split(outputs);
             let kind = chosen.map_or_else(|| recognise(&path, (w, h), end_to_end, outputs), Ok)?;
             count_bad(&path, outputs, kind.rows())?;
-            Ok((kind, kind.classes(outputs)))
+            let channels = features.and_then(|tensor| tensor.shape.get(1).copied());
+            Ok((kind, kind.classes(outputs), channels))
         })??;
         network.name_classes(&params.labels, classes)?;
-        Ok(Self { network, kind, candidates: Vec::new(), items: Vec::new(), tracker: Tracker::default() })
+        let names = network.labels.lines().count();
+        let calibration = Calibration::read(classes.max(names), |key| network.model.metadata(key))
+            .map_err(|e| error!("{}: {e}", network.path.display()))?;
+        let pictures = Pictures::read(channels, |key| network.model.metadata(key))
+            .map_err(|e| error!("{}: {e}", network.path.display()))?;
+        let unknown = calibration.as_ref().filter(|c| c.objectness.is_some()).map(|_| names as u32);
+        if unknown.is_some() {
+            network.labels.push('\n');
+            network.labels.push_str(UNKNOWN);
+        }
+        Ok(Self {
+            network,
+            kind,
+            calibration,
+            unknown,
+            pictures,
+            monitor: Monitor::default(),
+            was_unlike: false,
+            candidates: Vec::new(),
+            items: Vec::new(),
+            tracker: Tracker::default(),
+        })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &YoloParams) -> Result<()> {
@@ -239,27 +292,61 @@ impl Node for Yolo {
         let size = self.network.model.input_size();
         let form = self.kind.pixel_form();
         let placement = self.network.letterbox.fit(picture, size, &form, cx.pool());
+        let rule = self.calibration.as_ref().filter(|_| params.calibrated).map(|calibration| Rule {
+            calibration,
+            min_score: params.min_score,
+            unknown_below: params.unknown_below,
+            unknown: self.unknown.unwrap_or(u32::MAX),
+            own_limits: params.class_limits,
+        });
+        let (min_score, min_objectness) = rule.map_or((params.min_score, f32::INFINITY), |rule| rule.floors());
         let mut decoder = Decoder {
             kind: self.kind,
             input: size,
             placement,
             picture: (picture.width, picture.height),
-            min_score: params.min_score,
+            min_score,
+            min_objectness,
             out: &mut self.candidates,
         };
         let Network { model, letterbox, labels, path, damage } = &mut self.network;
         let rows = self.kind.rows();
-        let bad = model.run(&letterbox.input, |outputs| -> Result<usize> {
+        let statistics = &mut self.pictures;
+        let (bad, unlikeness) = model.run(&letterbox.input, |outputs| -> Result<_> {
+            let (outputs, features) = pictures::split(outputs);
+            let unlikeness = statistics.as_mut().zip(features).and_then(|(s, f)| s.unlikeness(f, placement.size));
             let bad = count_bad(path, outputs, rows)?;
             decoder.decode(outputs)?;
-            Ok(bad)
+            Ok((bad, unlikeness))
         })??;
         damage.report(cx, path, bad);
-        suppress(&mut self.candidates, params.max_overlap, params.class_agnostic, params.max_boxes);
+        if let Some(unlikeness) = unlikeness {
+            let (smoothed, is_unlike) = self.monitor.add(unlikeness, cx.tick().capture_ns, params.unlike_s);
+            cx.metric("unlikeness", f64::from(smoothed));
+            cx.metric("unlike", f64::from(u8::from(is_unlike)));
+            if is_unlike && !self.was_unlike {
+                cx.warn(&format!(
+                    "pictures are unlike those that {} learned from ({smoothed:.1} times its limit): expect it to miss instruments and to name them wrongly",
+                    path.display()
+                ));
+            }
+            self.was_unlike = is_unlike;
+            out.unlikeness.set_scalar("unlikeness", f64::from(smoothed), "")?;
+        }
+        if let Some(rule) = &rule {
+            rule.apply(&mut self.candidates);
+        }
+        let suppression = Suppression {
+            max_overlap: params.max_overlap,
+            is_agnostic: params.class_agnostic,
+            max_boxes: params.max_boxes,
+            unknown: self.unknown,
+        };
+        suppress(&mut self.candidates, &suppression);
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {
-            self.tracker.follow(&mut self.items, cx.tick().capture_ns, params.vote_s);
+            self.tracker.follow(&mut self.items, cx.tick().capture_ns, params.vote_s, self.unknown);
         }
         out.detections.set_detections(&self.items, labels, (picture.width, picture.height))
     }

@@ -61,6 +61,101 @@ fn yolox_boxes_are_relative_to_the_grid() {
     near(&found[0].0, [40.0, 32.0, 72.0, 48.0]);
 }
 
+/// A model with three rows: a sure hook, an instrument of unsure kind, and a weak one.
+fn calibrated(folder_name: &str, more: &[(&'static str, &str)]) -> std::path::PathBuf {
+    let row =
+        |x: f32, objectness: f32, grasper: f32, hook: f32| vec![x, 0.5, 2f32.ln(), 0.0, objectness, grasper, hook];
+    let set = [(19, row(0.5, 0.9, 0.1, 0.8)), (3, row(0.5, 0.9, 0.3, 0.35)), (40, row(0.5, 0.2, 0.6, 0.1))];
+    let mut m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &set))]);
+    m.metadata.extend(more.iter().map(|(key, value)| (*key, (*value).to_owned())));
+    m.write(&folder(folder_name), "m.onnx")
+}
+
+fn summary(path: &Path, more: &str) -> Vec<(String, f32)> {
+    boxes(path, more).into_iter().map(|(d, label)| (label, (d.score * 1000.0).round() / 1000.0)).collect()
+}
+
+#[test]
+fn scores_of_a_calibrated_model_are_probabilities_and_an_unsure_kind_is_unknown() {
+    if !runtime_is_there() {
+        return;
+    }
+    let named = |name: &str, p: f32| (name.to_owned(), p);
+    // logit(0.72) = 0.9445, half of it is 0.4722: 0.616. logit(0.315) = -0.777, -0.388: 0.404; of 0.9: 2.197, 1.099: 0.750. 0.12 is 0.270, above
+    // the lowest score only as a probability.
+    let (sure, unsure, weak) = (named("hook", 0.616), named("hook", 0.404), named("grasper", 0.27));
+    let all = [sure.clone(), unsure, weak.clone()];
+    let both = [("calibration_score", "2 0"), ("calibration_objectness", "2 0")];
+    let path = calibrated("calibrated", &both);
+    assert_eq!(summary(&path, ", unknown_below = 0.6"), [named("unknown", 0.75), sure.clone(), weak.clone()]);
+    // 0.404 of 0.750 is above a half: it keeps the likelier name.
+    assert_eq!(summary(&path, ", unknown_below = 0.5"), all);
+    assert_eq!(summary(&path, ", unknown_below = 0.0"), all);
+    let raw = [named("hook", 0.72), named("hook", 0.315)];
+    assert_eq!(summary(&path, ", calibrated = false"), raw);
+    // Without a curve of objectness nothing is unknown.
+    let path = calibrated("calibrated-score", &both[..1]);
+    assert_eq!(summary(&path, ", unknown_below = 0.9"), all);
+    // A model's own limits, the second for hooks.
+    let path = calibrated("calibrated-limits", &[both[0], ("class_limits", "0.1 0.5")]);
+    assert_eq!(summary(&path, ", class_limits = true"), [sure, weak]);
+    assert_eq!(summary(&path, ""), all);
+    // A model without a calibration is as before, whatever is asked for.
+    let path = calibrated("not-calibrated", &[]);
+    assert_eq!(summary(&path, ", unknown_below = 1.0, class_limits = true"), raw);
+    let damaged = calibrated("damaged-calibration", &[("calibration_score", "two")]);
+    let error = open(&damaged, "").err().expect("refused").to_string();
+    assert!(
+        error.contains("m.onnx: `calibration_score`") && error.contains("`two`") && error.contains("export"),
+        "{error}"
+    );
+}
+
+#[test]
+fn pictures_unlike_those_learned_from_are_said_after_a_while() {
+    if !runtime_is_there() {
+        return;
+    }
+    let m = |limit: &str, statistics: &str| {
+        let mut m = model(vec![
+            ("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[])),
+            // Two channels of 2 x 2 cells; the picture of 128 x 96 fills 64 x 48 px of the input: the upper cells.
+            ("features", vec![1, 2, 2, 2], Fixed::Floats(vec![1.0, 3.0, 50.0, 50.0, 4.0, 4.0, 50.0, 50.0])),
+        ]);
+        m.metadata.push(("pictures", statistics.to_owned()));
+        m.metadata.push(("pictures_limit", limit.to_owned()));
+        m
+    };
+    // Means 2 and 4, less 1 and 2; whitened by ones: root of (1 + 4) / 2 = 1.5811.
+    let statistics = "panoscope-pictures-1 1 2 1 0 0 1";
+    let folder = folder("pictures");
+    let seen = |path: &Path| {
+        let mut node = open(path, "").expect("the model opens");
+        let mut last = (0.0, 0.0);
+        for tick in 0..60 {
+            node.at_tick(tick, tick as i64 * 100_000_000);
+            let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("it runs");
+            let value = out.value::<panoscope_node::abi::Scalar>("unlikeness").expect("a number").value;
+            last = (value, node.metric("unlike").expect("a metric"));
+        }
+        (last, node.logs().iter().filter(|line| line.message.contains("unlike those")).count())
+    };
+    let ((value, is_on), warnings) = seen(&m("1", statistics).write(&folder, "far.onnx"));
+    assert!((value - 1.5811).abs() < 0.05, "{value}");
+    assert_eq!((is_on, warnings), (1.0, 1), "said once");
+    let ((value, is_on), warnings) = seen(&m("3", statistics).write(&folder, "near.onnx"));
+    assert!((value - 1.5811 / 3.0).abs() < 0.02, "{value}");
+    assert_eq!((is_on, warnings), (0.0, 0));
+    let error = open(&m("1", "panoscope-pictures-1 1 2 3").write(&folder, "damaged.onnx"), "").err().expect("refused");
+    assert!(error.to_string().contains("3 numbers, 6 fit 2 channels"), "{error}");
+    // A model without statistics says nothing of its pictures.
+    let plain = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[]))]).write(&folder, "plain.onnx");
+    let mut node = open(&plain, "").expect("the model opens");
+    let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("it runs");
+    assert!(out.is_empty("unlikeness").expect("an output"));
+    assert_eq!(node.metric("unlike"), None);
+}
+
 #[test]
 fn a_network_that_answers_no_numbers_is_refused_and_single_ones_are_told() {
     if !runtime_is_there() {

@@ -2,16 +2,20 @@
 """Writes a trained detector (`weights.pt` of train_detector.py) as the ONNX file that the `yolo` node reads.
 
     python3 export_detector.py --weights run/weights.pt --out instruments.onnx [--half] [--data FOLDER] [--picture FRAME.jpg]
+    python3 export_detector.py --weights run/weights.pt --out instruments.onnx --calibration calibration.json --learned-from FOLDER
 
 The file answers one 1 x N x (5 + C) tensor: boxes relative to the grid, objectness and classes as probabilities. Decoding of the few boxes
 above the score limit is left to the reader: the network computes no exponential for the thousands below it. Batch normalisation is folded into
 the convolutions, and the slicing at its begin together with the first convolution becomes one convolution of 6 x 6 px, which gives the same
 numbers; of the lite networks the shift and scale of the picture go into the first convolution. Needs PyTorch and onnx; with onnxruntime it also
 compares the file's answers with PyTorch's, times it, and with --data scores it.
+With --calibration, a file of `panoscope eval detect --folds RUNS --calibration FILE`, the `yolo` node reports probabilities and says `unknown` where a
+class is not sure. With --learned-from, the folder of the frames that it learned from, it warns of pictures unlike them (needs onnxruntime).
 """
 
 import argparse
 import inspect
+import json
 import time
 import warnings
 from pathlib import Path
@@ -19,22 +23,40 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from instruments.data import CLASSES, letterbox, read
+from instruments import pictures
+from instruments.data import CLASSES, letterbox, normal_name, read
 from instruments.networks import DESCRIPTIONS, NANO, SOURCES, Exported, build
 from instruments.onnx_store import store_half, write, write_card
 from instruments.score import average_precision, rows_of
 
+CALIBRATION = "panoscope-calibration-1"
 DATA = "m2cai16-tool-locations (Jin et al. 2018)"
 LICENCE = "research use: the training frames state no licence; no medical device"
 
 
-def export(model, kind, path, width, height, half, classes):
+def calibration_metadata(path, classes):
+    """Curves of scores and objectness and the limits of the classes, from a file of `panoscope eval detect --folds`."""
+    try:
+        stored = json.loads(Path(path).read_text())
+        if stored["format"] != CALIBRATION:
+            raise SystemExit(f"{path}: its format is `{stored['format']}`; this script reads `{CALIBRATION}`")
+        limits = dict(zip(map(normal_name, stored["classes"]), stored["limits"]))
+        curves = {"calibration_score": stored["score"], "calibration_objectness": stored["objectness"]}
+        metadata = {key: f"{curve['temperature']:.6g} {curve['bias']:.6g}" for key, curve in curves.items() if curve}
+        metadata["class_limits"] = " ".join(f"{limits[name]:.4f}" for name in classes)
+        metadata["class_limits_precision"] = f"{stored['precision']:g}"
+    except (KeyError, TypeError, ValueError) as wrong:
+        raise SystemExit(f"{path}: no calibration of these classes ({wrong}); `panoscope eval detect --folds RUNS --calibration {path}` writes one") from None
+    return metadata
+
+
+def export(model, kind, path, width, height, half, classes, calibration=None):
     x = torch.zeros(1, 3, height, width)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="The shape inference of prim::Constant")
         # PyTorch 2 has a second exporter, which needs another package; this one is in every version.
         other = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
-        torch.onnx.export(model, x, str(path), opset_version=13, input_names=["images"], output_names=["output"], **other)
+        torch.onnx.export(model, x, str(path), opset_version=13, input_names=["images"], output_names=["output", pictures.OUTPUT], **other)
     metadata = {
         "names": str(dict(enumerate(classes))),
         "task": "detect",
@@ -45,6 +67,7 @@ def export(model, kind, path, width, height, half, classes):
         "description": DESCRIPTIONS[kind],
         "source": f"{DATA}, {SOURCES[kind]}",
         "license": LICENCE,
+        **(calibration or {}),
     }
     write(path, metadata, store_half if half else None)
     return metadata
@@ -62,7 +85,49 @@ class Session:
         self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
     def __call__(self, x):
-        return self.session.run(None, {"images": x})[0]
+        return self.session.run(["output"], {"images": x})[0]
+
+    def features(self, x):
+        return self.session.run([pictures.OUTPUT], {"images": x})[0][0]
+
+
+def placed(frame, width, height):
+    """A picture as the `yolo` node gives it to the network, and the width and height that it has there."""
+    import cv2
+
+    h, w = frame.shape[:2]
+    scale = min(width / w, height / h)
+    size = (max(1, round(w * scale)), max(1, round(h * scale)))
+    out = np.full((height, width, 3), 114, np.float32)
+    out[: size[1], : size[0]] = cv2.resize(frame.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+    return out.transpose(2, 0, 1)[None], size
+
+
+def picture_features(session, frame, width, height):
+    """The numbers by which pictures are compared, of one picture."""
+    x, size = placed(frame, width, height)
+    return pictures.mean_features(session.features(x), size)
+
+
+def learned_from(path, folder, width, height, threads, most):
+    """Statistics of the pictures in `folder`, at most `most` of them, evenly taken; each operation counts alike."""
+    import cv2
+
+    found = {}
+    for split in ("trainval", "train", "val", "test"):
+        try:
+            found |= {f.path: f for f in read(folder, split)}
+        except FileNotFoundError:
+            continue
+    frames = [found[path] for path in sorted(found)]
+    if not frames:
+        raise SystemExit(f"{folder}: no frames of a split trainval, train, val or test")
+    frames = frames[:: -(-len(frames) // most)]
+    session = Session(path, threads)
+    rows = [picture_features(session, cv2.imread(str(f.path)), width, height) for f in frames]
+    statistics = pictures.Statistics.with_limit(rows, [f.group for f in frames])
+    print(f"{len(rows)} pictures of {len({f.group for f in frames})} operations; unlike them from {statistics.limit:.2f} on")
+    return statistics
 
 
 def compare(path, plain, width, height, picture, threads):
@@ -123,10 +188,14 @@ def main():
     p.add_argument("--only", default="", help="score on these operations only: v02,v08")
     p.add_argument("--picture", type=Path, help="picture for the comparison; left out, noise")
     p.add_argument("--card", type=Path, help="write a model card here")
+    p.add_argument("--calibration", type=Path, metavar="FILE.json", help="calibration of `panoscope eval detect --folds`")
+    p.add_argument("--learned-from", type=Path, metavar="FOLDER", help="frames it learned from, to warn of pictures unlike them")
+    p.add_argument("--most-pictures", type=int, default=1500, help="most frames of --learned-from that are looked at (default: %(default)s)")
     p.add_argument("--threads", type=int, default=2)
     a = p.parse_args()
     if a.width % 32 or a.height % 32:
         p.error("--width and --height are multiples of 32")
+    calibration = calibration_metadata(a.calibration, CLASSES) if a.calibration else None
     torch.manual_seed(1)
     torch.set_num_threads(a.threads)
     plain = build(a.network, len(CLASSES)).eval()
@@ -134,7 +203,13 @@ def main():
         state = torch.load(a.weights, map_location="cpu", weights_only=True)
         plain.load_state_dict(state.get("average", state))
     with torch.no_grad():
-        metadata = export(Exported(plain).eval(), a.network, a.out, a.width, a.height, a.half, CLASSES)
+        metadata = export(Exported(plain, features=True).eval(), a.network, a.out, a.width, a.height, a.half, CLASSES, calibration)
+    if a.learned_from:
+        try:
+            metadata |= learned_from(a.out, a.learned_from, a.width, a.height, a.threads, a.most_pictures).metadata()
+        except ModuleNotFoundError as missing:
+            raise SystemExit(f"--learned-from needs {missing.name}: pip install onnxruntime") from None
+        write(a.out, metadata)
     print(f"{a.out}: {a.out.stat().st_size / 1e6:.2f} MB, {a.width}x{a.height}, {'16' if a.half else '32'}-bit weights")
     measured = []
     try:

@@ -1,5 +1,6 @@
 """Networks, augmentation and the training loop; needs PyTorch, NumPy, OpenCV and onnx: python3 -m unittest test_training"""
 
+import importlib.util
 import json
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 import torch
 
-from instruments import augment, lite, networks
+from instruments import adaptation, augment, lite, networks, pictures, unlabelled
 from instruments.assign import loss
 from instruments.data import Frame
 from instruments.training import Checkpoint, Pause, Schedule
@@ -92,6 +93,199 @@ class Networks(unittest.TestCase):
         self.assertEqual([lite.same_padding(k, s) for k, s in ((3, 1), (3, 2), (5, 2), (1, 1))], [(1, 1, 1, 1), (0, 1, 0, 1), (1, 2, 1, 2), (0, 0, 0, 0)])
 
 
+class Exports(unittest.TestCase):
+    def export(self, folder, *more):
+        command = [sys.executable, "-B", HERE / "export_detector.py", "--out", folder / "m.onnx", "--width", "96", "--height", "64", "--threads", "1", *more]
+        return subprocess.run(command, capture_output=True, text=True)
+
+    def calibration(self, folder, **other):
+        value = {
+            "format": "panoscope-calibration-1", "precision": 0.9, "limits": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7],
+            # In another order than the network's.
+            "classes": ["SpecimenBag", "grasper", "bipolar", "hook", "scissors", "clipper", "irrigator"],
+            "score": {"temperature": 1.25, "bias": -0.5}, "objectness": {"temperature": 2.0, "bias": 0.125},
+        }  # fmt: skip
+        (folder / "c.json").write_text(json.dumps(value | other))
+        return folder / "c.json"
+
+    @unittest.skipUnless(importlib.util.find_spec("onnxruntime"), "no onnxruntime")
+    def test_calibration_and_statistics_of_pictures_go_into_the_file(self):
+        import onnx
+
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            tiny_data(folder / "data")
+            done = self.export(folder, "--calibration", self.calibration(folder), "--learned-from", folder / "data")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("11 pictures of 2 operations", done.stdout)
+            model = onnx.load(str(folder / "m.onnx"))
+            held = {p.key: p.value for p in model.metadata_props}
+            self.assertEqual((held["calibration_score"], held["calibration_objectness"]), ("1.25 -0.5", "2 0.125"))
+            self.assertEqual(held["class_limits"], "0.2000 0.3000 0.4000 0.5000 0.6000 0.7000 0.1000")
+            self.assertEqual(held["class_limits_precision"], "0.9")
+            self.assertEqual([o.name for o in model.graph.output], ["output", "features"])
+            channels = 64
+            self.assertEqual([d.dim_value for d in model.graph.output[1].type.tensor_type.shape.dim], [1, channels, 2, 3])
+            words = held["pictures"].split()
+            self.assertEqual((words[0], len(words) - 1), (pictures.FORMAT, channels * (channels + 1)))
+            self.assertGreater(float(held["pictures_limit"]), 0.5)
+
+    @unittest.skipUnless(importlib.util.find_spec("onnxruntime"), "no onnxruntime")
+    def test_a_file_learns_its_pictures_and_answers_as_before(self):
+        import onnxruntime
+
+        shipped = HERE.parent / "models" / "instruments.onnx"
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            tiny_data(folder / "data")
+            command = [sys.executable, "-B", HERE / "know_pictures.py", "--model", shipped, "--learned-from", folder / "data", "--threads", "1"]
+            command += ["--out", folder / "m.onnx", "--compare", folder / "data" / "images" / "train"]
+            done = subprocess.run(command, capture_output=True, text=True)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertRegex(done.stdout, r"train: 11 pictures, median 0\.\d+ of the limit")
+            answers = []
+            x = np.random.default_rng(1).integers(0, 256, (1, 3, 224, 384)).astype(np.float32)
+            for path in (shipped, folder / "m.onnx"):
+                session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+                answers.append(session.run(["output"], {"images": x})[0])
+            self.assertTrue((answers[0] == answers[1]).all(), "its boxes stay to the last bit")
+            again = subprocess.run(command, capture_output=True, text=True)
+            self.assertIn("is not overwritten", again.stderr)
+
+    def test_a_file_that_is_no_calibration_is_refused(self):
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            for other, part in (({"format": "x"}, "its format is `x`"), ({"classes": ["needle"] * 7}, "grasper"), ({"score": 3}, "c.json")):
+                done = self.export(folder, "--calibration", self.calibration(folder, **other))
+                self.assertNotEqual(done.returncode, 0)
+                self.assertIn(part, done.stderr)
+                self.assertFalse((folder / "m.onnx").exists())
+
+    def test_unlikeness_is_as_the_node_computes_it(self):
+        # The numbers of the test in src/pictures.rs.
+        features = np.array([[[3, 5, 99], [99, 99, 99]], [[4, 8, 99], [99, 99, 99]]], float)
+        row = pictures.mean_features(features, (70, 40))
+        np.testing.assert_allclose(row, [4, 6])
+        found = pictures.Statistics(np.array([1.0, 2.0]), np.array([[2.0, 0.0], [0.0, 0.5]]), 2.0)
+        np.testing.assert_allclose(found.unlikeness(row) / found.limit, 20**0.5 / 2)
+        self.assertEqual(found.metadata()["pictures"], "panoscope-pictures-1 1 2 2 0 0 0.5")
+
+    def test_pictures_of_another_world_are_above_the_limit_and_an_operation_left_out_is_not(self):
+        rng = np.random.default_rng(5)
+        # Five operations, each with its own shift along three of twenty directions.
+        world = rng.normal(size=(20, 20)) * 0.1
+        world[:3] *= 10
+        draw = lambda shift: shift + rng.normal(size=(200, 20)) @ world
+        operations = [rng.normal(size=20) @ world for _ in range(5)]
+        rows, groups = np.concatenate([draw(o) for o in operations]), np.repeat(np.arange(5), 200)
+        found = pictures.Statistics.with_limit(rows, groups)
+        self.assertLess(float((found.unlikeness(draw(rng.normal(size=20) @ world)) > found.limit).mean()), 0.1)
+        self.assertGreater(float((found.unlikeness(draw(rng.normal(size=20) * 3)) > found.limit).mean()), 0.95)
+
+
+def footage(folder, count=12):
+    """Frames of a bright bar that moves over noise, and a video of them."""
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(3)
+    video = cv2.VideoWriter(str(folder.parent / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (96, 54))
+    for i in range(count):
+        picture = rng.integers(0, 120, (54, 96, 3)).astype(np.uint8)
+        cv2.rectangle(picture, (5 * i, 20), (5 * i + 30, 40), (200, 200, 200), -1)
+        cv2.imwrite(str(folder / f"x_{i:03d}.png"), picture)
+        video.write(picture)
+    video.release()
+    # The same picture again shows nothing new.
+    cv2.imwrite(str(folder / f"x_{count:03d}.png"), picture)
+
+
+class Adapting(unittest.TestCase):
+    def adapt(self, folder, out, *more):
+        command = [sys.executable, "-B", HERE / "adapt_detector.py", "--frames", folder / "frames", "--out", out, "--width", "96", "--height", "64"]
+        command += ["--steps", "6", "--batch", "2", "--threads", "1", "--confidence", "0.02", "--unsure", "0.01", *more]
+        return subprocess.run(command, capture_output=True, text=True)
+
+    def test_an_adaptation_reports_what_changed_and_overwrites_nothing(self):
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            footage(folder / "frames")
+            tiny_data(folder / "data")
+            start = (HERE.parent / "models" / "instruments.onnx").read_bytes()
+            done = self.adapt(folder, folder / "out", "--source", folder / "data", "--source-split", "train", "--rate", "0.01", "--keep", "0.5")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("10 frames to adapt on, 2 for the report, 11 labelled", done.stdout)
+            report = json.loads((folder / "out" / "report.json").read_text())
+            self.assertEqual((report["frames"], report["steps"], set(report["source_map50"])), (2, 6, {"before", "after"}))
+            self.assertEqual(len(report["classes"]), 7)
+            for name in ("report.md", "changes.png", "adapted.onnx"):
+                self.assertTrue((folder / "out" / name).exists(), name)
+            self.assertIn("| grasper |", (folder / "out" / "report.md").read_text())
+            weights = torch.load(folder / "out" / "adapted.pt", weights_only=True)
+            fresh = networks.build("yolox-nano", 7)
+            networks.start(fresh, "yolox-nano", HERE.parent / "models" / "instruments.onnx")
+            moved = [k for k, v in fresh.state_dict().items() if not torch.equal(v, weights[k])]
+            self.assertTrue([k for k in moved if k.endswith("conv.weight")])
+            self.assertFalse([k for k in moved if "running" in k], "statistics of normalisations stay")
+            again = self.adapt(folder, folder / "out", "--resume")
+            self.assertIn("is not overwritten", again.stderr)
+            self.assertEqual((HERE.parent / "models" / "instruments.onnx").read_bytes(), start)
+
+    def test_one_that_was_interrupted_ends_as_one_that_was_not(self):
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            footage(folder / "frames")
+            self.assertEqual(self.adapt(folder, folder / "whole").returncode, 0)
+            self.assertIn("interrupted after step 2", self.adapt(folder, folder / "parts", "--stop-after", "2").stderr)
+            self.assertIn("--resume goes on with it", self.adapt(folder, folder / "parts").stderr)
+            self.assertIn("seed was 1, is 2", self.adapt(folder, folder / "parts", "--resume", "--seed", "2").stderr)
+            self.assertIn("goes on after step 2", self.adapt(folder, folder / "parts", "--resume").stdout)
+            states = [torch.load(folder / run / "adapted.pt", weights_only=True) for run in ("whole", "parts")]
+            for name, value in states[0].items():
+                self.assertTrue(torch.equal(value, states[1][name]), name)
+
+    def test_frames_come_from_folders_and_videos(self):
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            footage(folder / "frames")
+            found = unlabelled.read([folder / "frames", folder / "v.avi"], 48, every_s=0.08)
+            names = [f.name for f in found]
+            self.assertEqual(names[:12], [f"x_{i:03d}" for i in range(12)], "without the one that shows nothing new")
+            self.assertEqual(names[12:], [f"v_{i:06d}" for i in range(0, 12, 2)])
+            self.assertEqual((found[0].picture.shape, len({f.group for f in found})), ((27, 48, 3), 2))
+            learned, held = unlabelled.aside(list(range(100)), 0.2)
+            self.assertEqual((len(learned), held), (80, list(range(80, 100))))
+            self.assertEqual(unlabelled.aside(list(range(10)), 0.2)[1], [8, 9])
+            (folder / "no.avi").write_bytes(b"no video")
+            with self.assertRaisesRegex(SystemExit, "no.avi: neither"):
+                unlabelled.read([folder / "no.avi"], 48)
+
+    def test_half_believed_boxes_are_covered_and_sure_ones_learned(self):
+        row = lambda kind, p, x: [kind, p, x, 10, x + 20, 30, 1.0]
+        rows = np.array([row(2, 0.9, 10), row(1, 0.4, 12), row(3, 0.4, 60), row(4, 0.05, 30)], np.float32)
+        learn, hide = unlabelled.pseudo(rows, 0.7, 0.2)
+        np.testing.assert_allclose(learn, [[2, 10, 10, 30, 30]])
+        np.testing.assert_allclose(hide, [[60, 10, 80, 30]])
+        picture = np.random.default_rng(1).integers(0, 255, (54, 96, 3)).astype(np.uint8)
+        seen = unlabelled.covered(picture, hide, learn)
+        self.assertEqual(float(seen[10:30, 60:80].std(axis=(0, 1)).max()), 0.0)
+        self.assertTrue((seen[10:30, 10:30] == picture[10:30, 10:30]).all() and (seen[:, :60] == picture[:, :60]).all())
+
+    def test_a_curve_goes_both_ways(self):
+        curve = unlabelled.Curve(1.7, -0.4)
+        self.assertAlmostEqual(curve.score(float(curve.probability(0.3))), 0.3, places=6)
+
+    def test_reports_warn_of_changes_that_go_too_far(self):
+        row = lambda kind, p, x: np.array([[kind, p, x, 10, x + 20, 30, 1.0]], np.float32)
+        same = adaptation.summary([row(0, 0.9, 10)] * 20, [row(0, 0.85, 11)] * 20, ["a", "b"])
+        self.assertEqual((same["boxes"]["alike"], same["agreement"], adaptation.warnings(same)), (20, 1.0, []))
+        other = adaptation.summary([row(0, 0.9, 10)] * 20, [row(1, 0.5, 11)] * 20, ["a", "b"])
+        self.assertEqual(other["boxes"], {"alike": 0, "renamed": 20, "only_before": 0, "only_after": 0})
+        found = " ".join(adaptation.warnings(other, {"before": 0.8, "after": 0.6}))
+        for part in ("only 0 %", "a: 20 boxes before, 0 after", "b: 0 boxes", "0.90 to 0.50", "forgot"):
+            self.assertIn(part, found)
+        none = adaptation.summary([row(0, 0.9, 10)] * 3, [np.zeros((0, 7), np.float32)] * 3, ["a", "b"])
+        self.assertIn("nothing is found any more", adaptation.warnings(none))
+
+
 class Augmentation(unittest.TestCase):
     def test_changes_are_chosen_by_name(self):
         self.assertEqual(augment.chosen_changes("usual"), augment.USUAL)
@@ -167,6 +361,12 @@ class Loop(unittest.TestCase):
             written = [json.loads((run / "fold1.json").read_text()) for run in (whole, parts)]
             self.assertEqual(set(written[0]["frames"]), {f"b_{i}" for i in range(3)})
             self.assertEqual(written[0]["frames"], written[1]["frames"])
+            rows = [r for found in written[0]["frames"].values() for r in found]
+            self.assertTrue(rows and all(len(r) == 7 and r[1] <= r[6] <= 1 for r in rows), "with objectness")
+            # A training that has ended writes its predictions again.
+            (parts / "fold1.json").unlink()
+            self.assertEqual(train(folder, parts, "--resume").returncode, 0)
+            self.assertEqual(json.loads((parts / "fold1.json").read_text())["frames"], written[0]["frames"])
             states = [torch.load(run / "fold1" / "weights.pt", weights_only=True) for run in (whole, parts)]
             for name, value in states[0].items():
                 self.assertTrue(torch.equal(value, states[1][name]), name)

@@ -12,6 +12,7 @@ OUT/foldN.json at the end, for `panoscope eval detect --folds OUT`.
 Training starts from the detector that ships, unless --start names other weights: an ONNX file of export_detector.py or of YOLOX-nano, a checkpoint of
 this script, `imagenet` for the backbone of the lite networks, or `none` for random ones. The detector that ships has seen most frames of
 m2cai16-tool-locations: a score on those says little then, and --fold refuses it.
+With --resume, a training that has ended writes that file again, without learning.
 It is interrupted with SIGTERM or Ctrl-C: it writes a checkpoint first, and --resume goes on at the same sample.
 Needs PyTorch, NumPy, OpenCV and, to start from ONNX, onnx: pip install torch numpy opencv-python-headless onnx
 """
@@ -205,7 +206,7 @@ def main():
     print(f"{step} steps in {trained_s / 60:.1f} min  " + words(average_precision(test, found, len(CLASSES)), CLASSES, np), flush=True)
     if a.fold:
         # From the pictures as they were shrunk to those as they are stored.
-        frames = {f.name: [[r[0], r[1], *(r[2:] / f.scale)] for r in rows] for f, rows in zip(test, found)}
+        frames = {f.name: [[r[0], r[1], *(r[2:6] / f.scale), r[6]] for r in rows] for f, rows in zip(test, found)}
         network = {"steps": step, "trained_min": round(trained_s / 60, 1), **settings}
         path = fold_files.write_predictions(a.out, fold_files.read(a.folds), a.fold, CLASSES, network, frames)
         print(f"{path}: predictions on {len(frames)} frames", flush=True)

@@ -11,7 +11,7 @@ mod track;
 use nalgebra::{Isometry3, Vector3};
 
 use report::passed_s;
-pub use report::{Report, Rules};
+pub use report::{Report, Rules, UNKNOWN_CLASS};
 use track::{Observation, Track};
 
 /// State of the leading tip after a tick.
@@ -175,6 +175,11 @@ impl Tracker {
     /// Standard deviation of the position, mm; NaN while lost.
     pub fn deviation_mm(&self) -> f64 {
         self.leading().and_then(|track| track.filter).map_or(f64::NAN, |filter| filter.deviation_mm())
+    }
+
+    /// Class of the leading tip: that which most of its last reports have, or [`UNKNOWN_CLASS`].
+    pub fn class_index(&self) -> u32 {
+        self.leading().map_or(UNKNOWN_CLASS, Track::class_index)
     }
 
     /// Number of the leading tool; -1 where it has none.

@@ -25,6 +25,9 @@ pub struct Rules {
     pub switch_s: f64,
 }
 
+/// Class of a tool whose kind a detector does not know. It counts as no class: it neither speaks for nor against a track.
+pub const UNKNOWN_CLASS: u32 = u32::MAX;
+
 /// A tip as a detector reports it, in the left camera's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
@@ -34,7 +37,7 @@ pub struct Report {
     pub score: f64,
     /// Number of the tool where the detector gives one, else below 0.
     pub track_id: i64,
-    /// Class of the tool, by the detector's labels.
+    /// Class of the tool, by the detector's labels, or [`UNKNOWN_CLASS`].
     pub class_index: u32,
     /// Age of the picture in which it was seen, s. `xyz_mm` is relative to the camera of now, for a tip that stood still since.
     pub age_s: f64,

@@ -41,6 +41,33 @@ fn a_tip_that_hides_is_predicted_for_a_while_and_then_lost() {
 }
 
 #[test]
+fn a_report_of_unknown_class_votes_for_none() {
+    let of = |class_index: u32, tick: i64| Report { class_index, ..report(0.1 * tick as f64, -1) };
+    let mut tracker = Tracker::default();
+    assert_eq!(tracker.class_index(), UNKNOWN_CLASS);
+    // It begins unknown, is named by the first report that has a class, and keeps the name through any number of unknown ones.
+    step(&mut tracker, 0, &[of(UNKNOWN_CLASS, 0)]);
+    assert_eq!(tracker.class_index(), UNKNOWN_CLASS);
+    step(&mut tracker, 1, &[of(4, 1)]);
+    assert_eq!(tracker.class_index(), 4);
+    for tick in 2..90 {
+        assert_eq!(step(&mut tracker, tick, &[of(UNKNOWN_CLASS, tick)]), Known::Seen(0));
+        assert_eq!(tracker.class_index(), 4, "tick {tick}");
+    }
+    // One report was for 4: one for another class ends in a draw, which takes the newer one.
+    step(&mut tracker, 90, &[of(2, 90)]);
+    assert_eq!(tracker.class_index(), 2);
+    // Between two tips as near, the unknown one is not held to be another tool.
+    let mut known = Tracker::default();
+    (0..40).for_each(|tick| {
+        step(&mut known, tick, &[Report { class_index: 4, ..report(0.0, -1) }]);
+    });
+    let (near, far) =
+        (Report { class_index: UNKNOWN_CLASS, ..report(0.3, -1) }, Report { class_index: 4, ..report(2.9, -1) });
+    assert_eq!(step(&mut known, 40, &[far, near]), Known::Seen(1));
+}
+
+#[test]
 fn another_tool_leads_only_when_the_first_is_long_gone() {
     let mut tracker = Tracker::default();
     for tick in 0..20 {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
-use super::report::{Report, Rules, passed_s};
+use super::report::{Report, Rules, UNKNOWN_CLASS, passed_s};
 use crate::kalman::{Kalman, stereo_covariance};
 
 /// Largest distance of an observation from the predicted or last seen position, mm. The gate alone grows with the time that a tip is hidden, until
@@ -103,7 +103,7 @@ impl Track {
             off_axis: observation.off_axis,
             seen_mm: observation.at_mm,
             class_index: observation.report.class_index,
-            class_count: 1,
+            class_count: u32::from(observation.report.class_index != UNKNOWN_CLASS),
         })
     }
 
@@ -120,6 +120,11 @@ impl Track {
     /// Whether an observation has this tool's number.
     pub fn has_number(&self, observation: &Observation) -> bool {
         self.number >= 0 && observation.report.track_id == self.number
+    }
+
+    /// Class that most of the last observations have; [`UNKNOWN_CLASS`] where none has one.
+    pub fn class_index(&self) -> u32 {
+        self.class_index
     }
 
     /// Whether this is the tip of a tool, by its number, or by its class where it has none.
@@ -153,7 +158,7 @@ impl Track {
             }
             cost += SAME_NUMBER;
         }
-        if observation.report.class_index != self.class_index {
+        if ![self.class_index, UNKNOWN_CLASS].contains(&observation.report.class_index) {
             cost += OTHER_CLASS * f64::from(self.class_count) / f64::from(SUREST_CLASS);
         }
         cost
@@ -196,7 +201,9 @@ impl Track {
         if observation.report.track_id >= 0 {
             self.number = observation.report.track_id;
         }
-        if observation.report.class_index == self.class_index {
+        if observation.report.class_index == UNKNOWN_CLASS {
+            // No vote.
+        } else if observation.report.class_index == self.class_index {
             self.class_count = (self.class_count + 1).min(SUREST_CLASS);
         } else {
             self.class_count = self.class_count.saturating_sub(1);

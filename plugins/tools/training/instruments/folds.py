@@ -3,9 +3,9 @@
 Predictions of fold N lie in `foldN.json`, one object:
 
     {"format": "panoscope-predictions-1", "fold": "1", "held_out": ["v01", ...], "trained_on": ["v03", ...],
-     "classes": ["grasper", ...], "network": {...}, "frames": {"v01_002075": [[class, score, x0, y0, x1, y1], ...], ...}}
+     "classes": ["grasper", ...], "network": {...}, "frames": {"v01_002075": [[class, score, x0, y0, x1, y1, objectness], ...], ...}}
 
-Class is an index into `classes`, score 0..1, boxes in pixels of the stored picture. Every frame of the held-out operations is there, one in
+Class is an index into `classes`, score and objectness 0..1, boxes in pixels of the stored picture; older files have no objectness. Every frame of the held-out operations is there, one in
 which nothing was found with an empty list. `network` says how it was trained, for people.
 """
 
@@ -74,9 +74,11 @@ def read(path=SHIPPED):
 
 
 def write_predictions(folder, folds, fold, classes, network, frames):
-    """Writes `foldN.json` in `folder`; `frames` maps names to rows of class, score, x0, y0, x1, y1. Gives its path."""
+    """Writes `foldN.json` in `folder`; `frames` maps names to rows of class, score, x0, y0, x1, y1 and, where
+    it is known, objectness. Gives its path."""
     rows = {
-        name: [[int(r[0]), round(float(r[1]), 4), *(round(float(v), 1) for v in r[2:])] for r in found] for name, found in sorted(frames.items())
+        name: [[int(r[0]), round(float(r[1]), 4), *(round(float(v), 1) for v in r[2:6]), *(round(float(v), 4) for v in r[6:])] for r in found]
+        for name, found in sorted(frames.items())
     }
     value = {
         "format": FORMAT,

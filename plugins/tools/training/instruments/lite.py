@@ -167,7 +167,12 @@ class LiteDetector(nn.Module):
 
     def after_stem(self, x):
         """From the answer of the first convolution to the raw levels."""
-        return self.neck_and_heads(self.backbone.after_stem(x))
+        return self.fine_and_levels(x)[1]
+
+    def fine_and_levels(self, x):
+        """From the answer of the first convolution to the features of stride 8 and the raw levels."""
+        features = self.backbone.after_stem(x)
+        return features[0], self.neck_and_heads(features)
 
     def neck_and_heads(self, features):
         l3, l4, l5 = (lateral(f) for lateral, f in zip(self.laterals, features))

@@ -3,6 +3,7 @@
 import copy
 
 import torch
+import torch.nn.functional as F
 from torch import nn
 
 from .folding import fold_all, raw_stem, wide_stem
@@ -39,10 +40,13 @@ def start(model, kind, path):
 
 
 class Exported(nn.Module):
-    """The same network, folded, with one flat answer: 1 x N x (4 + 1 + C), boxes relative to the grid, scores as probabilities."""
+    """The same network, folded, with one flat answer: 1 x N x (4 + 1 + C), boxes relative to the grid, scores as probabilities.
 
-    def __init__(self, model):
+    With `features` a second one: the features of stride 8, averaged over cells of 32 x 32 px of the picture (see pictures.py)."""
+
+    def __init__(self, model, features=False):
         super().__init__()
+        self.features = features
         model = copy.deepcopy(model).eval()
         if isinstance(model, Yolox):
             fold_all(model)
@@ -55,6 +59,7 @@ class Exported(nn.Module):
         self.model = model
 
     def forward(self, x):
-        levels = self.model.after_stem(self.first(x))
+        fine, levels = self.model.fine_and_levels(self.first(x))
         rows = [torch.cat((level[:, :4], level[:, 4:].sigmoid()), 1).flatten(2) for level in levels]
-        return torch.cat(rows, 2).permute(0, 2, 1)
+        rows = torch.cat(rows, 2).permute(0, 2, 1)
+        return (rows, F.avg_pool2d(fine, 4)) if self.features else rows

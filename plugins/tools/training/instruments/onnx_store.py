@@ -4,6 +4,8 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
+from .pictures import OUTPUT as FEATURES
+
 
 def store_half(graph, least=64):
     """Turns f32 weights of at least `least` values into 16-bit floats, widened again by a Cast that the reader's runtime does once, at opening."""
@@ -23,9 +25,29 @@ def store_half(graph, least=64):
     graph.node.extend(casts + nodes)
 
 
+def add_features(graph):
+    """Adds the output `features` (see pictures.py): what the first convolution of stride 16 reads, averaged over 4 x 4 cells."""
+    if any(o.name == FEATURES for o in graph.output):
+        return
+    inferred = onnx.shape_inference.infer_shapes(helper.make_model(graph)).graph
+    sizes = {v.name: [d.dim_value for d in v.type.tensor_type.shape.dim] for v in (*inferred.value_info, *inferred.input, *inferred.output)}
+    height, width = sizes[graph.input[0].name][2:]
+    is_coarse = lambda name: sizes.get(name, [])[2:] == [height // 16, width // 16]
+    fine = next((n.input[0] for n in graph.node if n.op_type == "Conv" and is_coarse(n.output[0])), None)
+    channels, rows, columns = (sizes.get(fine) or [0] * 4)[1:]
+    if (rows, columns) != (height // 8, width // 8):
+        raise ValueError("the graph has no convolution from stride 8 to stride 16: it is no detector of the YOLOX family")
+    graph.node.append(helper.make_node("AveragePool", [fine], [FEATURES], kernel_shape=[4, 4], strides=[4, 4]))
+    graph.output.append(helper.make_tensor_value_info(FEATURES, onnx.TensorProto.FLOAT, [1, channels, rows // 4, columns // 4]))
+
+
 def write(path, metadata, change=None):
     """Adds `metadata` to the file at `path`, applies `change` to its graph, checks it and writes it again, without doc strings."""
-    model = onnx.load(str(path))
+    write_model(onnx.load(str(path)), path, metadata, change)
+
+
+def write_model(model, path, metadata, change=None):
+    """The same with a model that is loaded."""
     for node in model.graph.node:
         node.doc_string = ""
     if change:
@@ -38,7 +60,7 @@ def write(path, metadata, change=None):
 
 def write_card(path, title, metadata, measured):
     """A model card beside the file: what it is, what it learnt from, its licence note, what was measured, where it fails."""
-    facts = "\n".join(f"| {k} | {v} |" for k, v in metadata.items() if k not in ("description", "batch"))
+    facts = "\n".join(f"| {k} | {v} |" for k, v in metadata.items() if k not in ("description", "batch", "pictures"))
     scores = "\n".join(f"- {line}" for line in measured) or "- nothing yet: run `panoscope eval detect`"
     path.write_text(
         f"""# {title}

@@ -19,15 +19,16 @@ def suppress(boxes, scores, iou_limit):
     return keep
 
 
-def chosen(boxes, scores, scale, score_limit, iou_limit):
-    """Rows (class, score, x0, y0, x1, y1) of one picture from centre-size boxes in px of the input, class by class."""
+def chosen(boxes, objectness, kinds, scale, score_limit, iou_limit):
+    """Rows (class, score, x0, y0, x1, y1, objectness) of one picture from centre-size boxes in px of the input, class by class."""
+    scores = objectness[:, None] * kinds
     corners = np.concatenate((boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2), 1) / scale
     rows = []
     for kind in range(scores.shape[1]):
         good = scores[:, kind] > score_limit
-        b, s = corners[good], scores[good, kind]
-        rows += [[kind, s[j], *b[j]] for j in suppress(b, s, iou_limit)]
-    return np.array(rows, np.float32).reshape(-1, 6)
+        b, s, o = corners[good], scores[good, kind], objectness[good]
+        rows += [[kind, s[j], *b[j], o[j]] for j in suppress(b, s, iou_limit)]
+    return np.array(rows, np.float32).reshape(-1, 7)
 
 
 def rows_of(answer, width, height, scale, score_limit=0.01, iou_limit=0.65):
@@ -35,12 +36,12 @@ def rows_of(answer, width, height, scale, score_limit=0.01, iou_limit=0.65):
     answer = torch.from_numpy(answer)
     grid, stride = grid_of([(height // s, width // s) for s in STRIDES])
     boxes = decode(answer[:, :4], grid, stride).numpy()
-    return chosen(boxes, (answer[:, 4:5] * answer[:, 5:]).numpy(), scale, score_limit, iou_limit)
+    return chosen(boxes, answer[:, 4].numpy(), answer[:, 5:].numpy(), scale, score_limit, iou_limit)
 
 
 @torch.no_grad()
 def detect(model, frames, width, height, score_limit=0.01, iou_limit=0.65, batch=16):
-    """Per frame K x 6: class, score, x0, y0, x1, y1 in pixels of `frame.picture`."""
+    """Per frame K x 7: class, score, x0, y0, x1, y1 in pixels of `frame.picture`, objectness."""
     model.eval()
     found = []
     for start in range(0, len(frames), batch):
@@ -49,9 +50,9 @@ def detect(model, frames, width, height, score_limit=0.01, iou_limit=0.65, batch
         x = torch.from_numpy(np.stack([p for p, _, _ in fitted])).permute(0, 3, 1, 2).float()
         raw, grid, stride = flatten(model(x))
         boxes = decode(raw[..., :4], grid, stride).numpy()
-        scores = (raw[..., 4:5].sigmoid() * raw[..., 5:].sigmoid()).numpy()
+        objectness, kinds = raw[..., 4].sigmoid().numpy(), raw[..., 5:].sigmoid().numpy()
         for i, (_, _, scale) in enumerate(fitted):
-            found.append(chosen(boxes[i], scores[i], scale, score_limit, iou_limit))
+            found.append(chosen(boxes[i], objectness[i], kinds[i], scale, score_limit, iou_limit))
     return found
 
 
@@ -62,7 +63,7 @@ def average_precision(frames, found, classes, iou_limit=0.5):
         truth = [f.boxes[f.boxes[:, 0] == kind][:, 1:] for f in frames]
         total = sum(map(len, truth))
         taken = [np.zeros(len(t), bool) for t in truth]
-        rows = sorted(((r[1], i, r[2:]) for i, rows in enumerate(found) for r in rows if r[0] == kind), key=lambda r: -r[0])
+        rows = sorted(((r[1], i, r[2:6]) for i, rows in enumerate(found) for r in rows if r[0] == kind), key=lambda r: -r[0])
         hit = np.zeros(len(rows))
         for n, (_, i, box) in enumerate(rows):
             if len(truth[i]) == 0:

@@ -107,8 +107,12 @@ class Yolox(nn.Module):
 
     def after_stem(self, x):
         """From the answer of the first convolution to the raw levels."""
+        return self.fine_and_levels(x)[1]
+
+    def fine_and_levels(self, x):
+        """From the answer of the first convolution to the features of stride 8 and the raw levels."""
         c3 = self.dark3(self.dark2(x))
-        return self.neck_and_heads(c3, self.dark4(c3))
+        return c3, self.neck_and_heads(c3, self.dark4(c3))
 
     def neck_and_heads(self, c3, c4):
         """From the features of strides 8 and 16 to the raw levels."""

@@ -36,7 +36,7 @@ pub struct Arguments {
     #[arg(long, value_delimiter = ',', default_value = "v02,v08", value_name = "NAMES")]
     left_out: Vec<String>,
     /// Scores stored predictions instead of a model: a folder with `foldN.json` of each fold, as `train_detector.py --fold N` writes them.
-    /// Gives mAP at 0.5 on the operations that each training never saw, mean and worst fold, with intervals.
+    /// Gives mAP at 0.5 on the operations that each training never saw, mean and worst fold, with intervals, and how far scores are probabilities.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "model", "masks", "left_out_model", "split", "images", "set", "selfcheck", "tables"])]
     folds: Option<PathBuf>,
     /// A second folder of that kind; --folds is compared with it on the same frames.
@@ -48,6 +48,12 @@ pub struct Arguments {
     /// File of folds; else the one that ships.
     #[arg(long, value_name = "FILE.toml", requires = "folds")]
     fold_file: Option<PathBuf>,
+    /// Writes the calibration of the scores that --folds finds, for `export_detector.py --calibration`.
+    #[arg(long, value_name = "FILE.json", requires = "folds")]
+    calibration: Option<PathBuf>,
+    /// Share of right boxes that the limit of each class in that file holds.
+    #[arg(long, value_name = "SHARE", requires = "folds", default_value_t = 0.9, value_parser = share)]
+    precision: f64,
     /// Own truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
     #[arg(long, value_name = "PATH")]
     truth: Option<PathBuf>,
@@ -69,7 +75,7 @@ pub struct Arguments {
     /// Python of --selfcheck.
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     python: PathBuf,
-    /// Folder for pictures: curves, confusions, contact sheets of the worst misses.
+    /// Folder for pictures: curves, confusions, reliability diagrams, contact sheets of the worst misses.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Writes tables 5.1 to 5.5 of the thesis as Markdown; `-` shows them.
@@ -78,6 +84,11 @@ pub struct Arguments {
     /// Writes the figures as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
+    if value > 0.0 && value < 1.0 { Ok(value) } else { Err("above 0 and below 1 was expected".into()) }
 }
 
 impl Arguments {
@@ -111,6 +122,8 @@ pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>
             data: arguments.data.clone(),
             truth: arguments.truth.clone(),
             pictures: arguments.pictures.clone(),
+            calibration: arguments.calibration.clone(),
+            precision: arguments.precision,
         };
         return Ok(folds::judge(session, &options)?);
     }

@@ -46,12 +46,14 @@ pub struct Detections {
 
 /// Parameters as people measure AP: all but the weakest finds, class by class, a wide net against doubles. `settings` win.
 fn node_params(node: Node, model: &Path, settings: &[String]) -> String {
-    let most = match node {
-        Node::Yolo => "max_boxes = 100",
-        Node::MaskRcnn => "max_instances = 100",
+    // AP ranks every name that is thought possible: `unknown` would take the unsure ones away.
+    let own: &[&str] = match node {
+        Node::Yolo => &["max_boxes = 100", "unknown_below = 0.0"],
+        Node::MaskRcnn => &["max_instances = 100"],
     };
     let mut params = vec![format!("model = {}", quoted(model))];
-    params.extend(["min_score = 0.01", "max_overlap = 0.65", "track = false", most].map(str::to_owned));
+    params
+        .extend(["min_score = 0.01", "max_overlap = 0.65", "track = false"].iter().chain(own).map(|p| (*p).to_owned()));
     let name = |setting: &str| setting.split('=').next().unwrap_or("").trim().to_owned();
     params.retain(|p| !settings.iter().any(|s| name(s) == name(p)));
     params.extend(settings.iter().cloned());

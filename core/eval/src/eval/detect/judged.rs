@@ -1,6 +1,8 @@
 //! A model judged on a case.
 
 use super::find::Node;
+use super::folds;
+use super::reliability::Outcome;
 use super::truth::Truth;
 use panoscope_imaging::detect::{Find, Scores};
 
@@ -16,4 +18,21 @@ pub struct JudgeInputs {
     pub masks: Option<Scores>,
     /// Median time of the node.
     pub ms: f64,
+}
+
+impl JudgeInputs {
+    /// What came of each find that is not too weak, with its class.
+    pub fn outcomes(&self) -> Vec<(usize, Outcome)> {
+        let objects: Vec<_> = self.truth.pictures.iter().map(|p| p.objects.clone()).collect();
+        folds::outcomes(&objects, &self.finds)
+    }
+
+    /// The outcomes of one class, or of all.
+    pub fn of_class<'a>(
+        &self,
+        outcomes: &'a [(usize, Outcome)],
+        class: Option<usize>,
+    ) -> impl Iterator<Item = Outcome> + use<'a> {
+        outcomes.iter().filter(move |(k, _)| class.is_none_or(|c| c == *k)).map(|(_, outcome)| *outcome)
+    }
 }

@@ -7,6 +7,7 @@ pub mod folds;
 mod judged;
 mod phantom;
 mod picture;
+pub mod reliability;
 mod selfcheck;
 mod tables;
 #[doc(hidden)]
@@ -143,14 +144,38 @@ impl Judge<'_> {
         picture::curves(&file("curves"), &title, &j.truth.classes, scores)?;
         let counts = picture::confusion(&j.truth, &j.finds, shape);
         picture::confusion_picture(&file("confusion"), &title, &j.truth.classes, &counts)?;
+        if j.node == Node::Yolo {
+            let found = j.outcomes();
+            let series = |name: &str, class: Option<usize>| picture::Reliability {
+                name: name.to_owned(),
+                before: j.of_class(&found, class).collect(),
+                after: Vec::new(),
+            };
+            let classes = j.truth.classes.iter().enumerate().map(|(k, name)| series(name, Some(k)));
+            let all: Vec<_> = std::iter::once(series("all", None)).chain(classes).collect();
+            picture::reliability(&file("reliability"), &title, &all)?;
+        }
         picture::sheet(&file("misses"), &j.truth, &j.finds, shape, false)?;
         picture::sheet(&file("first"), &j.truth, &j.finds, shape, true)
     }
 
     /// Reports a table of classes and adds the figures.
     fn report(&mut self, j: &JudgeInputs, model: &Path) {
-        let words =
-            ["class", "truth", "found", "AP50", "AP", "AP50 VOC", "best F1", "at score", "mask AP50", "mask AP"];
+        let words = [
+            "class",
+            "truth",
+            "found",
+            "AP50",
+            "AP",
+            "AP50 VOC",
+            "best F1",
+            "at score",
+            "score error",
+            "mask AP50",
+            "mask AP",
+        ];
+        let outcomes = j.outcomes();
+        let error = |class| reliability::expected_error(j.of_class(&outcomes, class));
         let mut rows = vec![words.map(str::to_owned).to_vec()];
         let percent = |v: f64| if v.is_nan() { "-".to_owned() } else { format!("{:.1} %", v * 100.0) };
         for (k, (name, c)) in j.truth.classes.iter().zip(&j.boxes.classes).enumerate() {
@@ -164,6 +189,7 @@ impl Judge<'_> {
                 percent(c.voc),
                 percent(c.best_f1.0),
                 format!("{:.2}", c.best_f1.1),
+                percent(error(Some(k))),
                 m.map_or_else(String::new, |m| percent(m.ap[0])),
                 m.map_or_else(String::new, |m| percent(m.mean_ap())),
             ]);
@@ -177,6 +203,12 @@ impl Judge<'_> {
             j.ms
         );
         self.session.table(&table(&rows));
+        note!(
+            self.session,
+            "expected calibration error of boxes of {} and more, all classes: {}",
+            folds::FLOOR,
+            percent(error(None))
+        );
         let input =
             format!("{}, {} frames", model.file_name().unwrap_or_default().to_string_lossy(), j.truth.pictures.len());
         let mut figure = |name: String, value: f64| {
@@ -191,6 +223,7 @@ impl Judge<'_> {
             figure(name, j.boxes.ap_at(0));
             figure(format!("map50_voc/{case}"), j.boxes.voc());
             figure(format!("map/{case}"), j.boxes.ap());
+            figure(format!("calibration_error/{case}"), error(None));
             for (name, c) in j.truth.classes.iter().zip(&j.boxes.classes) {
                 figure(format!("ap50/{case}/{name}"), c.ap[0]);
             }

@@ -5,6 +5,7 @@ use std::path::Path;
 use panoscope_imaging::draw::{self, Color};
 use panoscope_imaging::{View, ViewMut};
 
+use super::reliability::{self, Outcome, expected_error};
 use super::truth::Truth;
 use crate::error::{Context, FileAction, OnFile, Result};
 use panoscope_imaging::detect::Mask;
@@ -86,6 +87,68 @@ pub fn curves(path: &Path, title: &str, classes: &[String], scores: &Scores) -> 
         line += 1.0;
     }
     canvas.text(left + side + 20.0, top + 22.0 * line + 8.0, &format!("mean AP50 {:.3}", scores.ap_at(0)), INK);
+    canvas.save(path)
+}
+
+/// Scores of one class beside what came of them; with a correction also the corrected ones.
+pub struct Reliability {
+    /// Name of the class.
+    pub name: String,
+    /// As the model gives them.
+    pub before: Vec<Outcome>,
+    /// Corrected; empty where there is no correction.
+    pub after: Vec<Outcome>,
+}
+
+/// Reliability diagrams: share of right finds over the mean score of each bin, red as the model gives them, blue corrected; on the diagonal scores are
+/// probabilities. Bars show how many finds a bin has.
+pub fn reliability(path: &Path, title: &str, classes: &[Reliability]) -> Result<()> {
+    const PANEL: (f32, f32, f32) = (290.0, 300.0, 210.0);
+    const BEFORE: Color = [60, 60, 220];
+    const AFTER: Color = [200, 110, 20];
+    let columns = classes.len().clamp(1, 4);
+    let rows = classes.len().div_ceil(columns).max(1);
+    let size = (columns as f32 * PANEL.0 + 20.0, rows as f32 * PANEL.1 + 60.0);
+    let mut canvas = Canvas::new(size.0 as usize, size.1 as usize, [255, 255, 255]);
+    canvas.text(16.0, 12.0, title, INK);
+    canvas.text(16.0, 34.0, "right over score; red: as the model gives it, blue: corrected", INK);
+    for (index, class) in classes.iter().enumerate() {
+        let (left, top) = ((index % columns) as f32 * PANEL.0 + 52.0, (index / columns) as f32 * PANEL.1 + 92.0);
+        let side = PANEL.2;
+        let percent = |outcomes: &[Outcome]| format!("{:.1} %", 100.0 * expected_error(outcomes.iter().copied()));
+        let error = match (class.before.is_empty(), class.after.is_empty()) {
+            (true, _) => "nothing found".to_owned(),
+            (false, true) => percent(&class.before),
+            (false, false) => format!("{}, then {}", percent(&class.before), percent(&class.after)),
+        };
+        canvas.text(left, top - 26.0, &format!("{}: {error}", class.name), INK);
+        for tick in [0.0, 0.5, 1.0] {
+            let (x, y) = (left + side * tick, top + side * (1.0 - tick));
+            draw::line(&mut canvas.view(), (left, y), (left + side, y), 1.0, GRID);
+            draw::line(&mut canvas.view(), (x, top), (x, top + side), 1.0, GRID);
+            canvas.text(left - 32.0, y - 5.0, &format!("{tick:.1}"), INK);
+            canvas.text(x - 10.0, top + side + 6.0, &format!("{tick:.1}"), INK);
+        }
+        draw::line(&mut canvas.view(), (left, top + side), (left + side, top), 1.0, INK);
+        let most = reliability::bins(class.before.iter().copied()).iter().map(|bin| bin.count).max().unwrap_or(0);
+        for (outcomes, color) in [(&class.before, BEFORE), (&class.after, AFTER)] {
+            let bins = reliability::bins(outcomes.iter().copied());
+            let seen = || bins.iter().enumerate().filter(|(_, bin)| bin.count > 0);
+            let at = |score: f64, right: f64| (left + side * score as f32, top + side * (1.0 - right as f32));
+            let points: Vec<(f32, f32)> = seen().map(|(_, bin)| at(bin.score, bin.right)).collect();
+            draw::polyline(&mut canvas.view(), &points, 2.0, color);
+            points.iter().for_each(|p| draw::fill_circle(&mut canvas.view(), p.0, p.1, 3.0, color, 1.0));
+            if color == BEFORE {
+                let width = side / reliability::BINS as f32;
+                for (k, bin) in seen() {
+                    let high = (40.0 * bin.count as f32 / most as f32).max(1.0);
+                    let (x, y) = (left + k as f32 * width + 2.0, top + side - high);
+                    let (w, h) = (width as i32 - 4, high as i32);
+                    draw::fill_rectangle(&mut canvas.view(), x as i32, y as i32, w, h, [150, 150, 150], 0.45);
+                }
+            }
+        }
+    }
     canvas.save(path)
 }
 

@@ -1,11 +1,13 @@
 //! A detector on whole operations that its training never saw, from stored predictions: mAP at 0.5 of each fold, their mean and the worst one.
 
+mod calibrate;
 mod file;
 mod predictions;
 mod resample;
 
 use std::path::{Path, PathBuf};
 
+pub(super) use self::calibrate::{FLOOR, outcomes};
 use self::file::Folds;
 use self::resample::{Blocks, RESAMPLES, interval, resampled};
 use super::picture;
@@ -17,7 +19,7 @@ use crate::text_table::table;
 use panoscope_imaging::detect::{Find, Ranking, Scores, Shape, mean, score};
 
 /// Options of [`judge`].
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Options {
     /// Folder with `foldN.json` of each fold.
     pub predictions: PathBuf,
@@ -31,8 +33,28 @@ pub struct Options {
     pub data: Vec<PathBuf>,
     /// The data set itself, instead of the one that the file of folds names.
     pub truth: Option<PathBuf>,
-    /// Folder for pictures of each fold: curves, class confusions, contact sheets of the worst misses.
+    /// Folder for pictures of each fold: curves, class confusions, contact sheets of the worst misses; and a reliability diagram of all.
     pub pictures: Option<PathBuf>,
+    /// File for the calibration of a model that is exported.
+    pub calibration: Option<PathBuf>,
+    /// Share of right boxes, 0 to 1, that the limits of the classes in that file hold.
+    pub precision: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            predictions: PathBuf::new(),
+            beside: None,
+            fold_file: None,
+            only: Vec::new(),
+            data: Vec::new(),
+            truth: None,
+            pictures: None,
+            calibration: None,
+            precision: 0.9,
+        }
+    }
 }
 
 /// A fold scored.
@@ -45,6 +67,8 @@ struct Fold {
     samples: Vec<Vec<f64>>,
     /// The same of the folder that it is compared with, on the same resamples, and its scores.
     beside: Option<(Scores, Vec<Vec<f64>>)>,
+    /// Boxes with their scores, for the calibration.
+    boxes: Vec<calibrate::Sample>,
 }
 
 /// Reads all splits of the data set.
@@ -93,15 +117,17 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
     }
     let objects: Vec<_> = truth.pictures.iter().map(|p| p.objects.clone()).collect();
     let classes = truth.classes.len();
-    let (mut scores, mut rankings) = (Vec::new(), Vec::new());
+    let (mut scores, mut rankings, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
     for folder in std::iter::once(&options.predictions).chain(&options.beside) {
-        let finds = predictions::read(folder, folds, name, &truth)?;
-        let scored = score(&objects, &finds, classes, Shape::Box);
-        if let Some(pictures) = options.pictures.as_ref().filter(|_| scores.is_empty()) {
-            draw(pictures, name, &truth, &finds, &scored)?;
+        let predicted = predictions::read(folder, folds, name, &truth)?;
+        let finds = &predicted.finds;
+        let scored = score(&objects, finds, classes, Shape::Box);
+        if scores.is_empty() {
+            boxes = calibrate::samples(&objects, &predicted);
+            options.pictures.as_ref().map_or(Ok(()), |folder| draw(folder, name, &truth, finds, &scored))?;
         }
         scores.push(scored);
-        rankings.push(Ranking::new(&objects, &finds, classes));
+        rankings.push(Ranking::new(&objects, finds, classes));
     }
     let blocks = Blocks::of(&truth.pictures, folds)?;
     let frames = truth.pictures.len();
@@ -110,7 +136,7 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
     let (Some(scores), Some(samples)) = (scores.pop(), samples.pop()) else {
         bail!("no predictions of fold {name}");
     };
-    Ok(Fold { name: name.to_owned(), frames, blocks: blocks.len(), scores, samples, beside })
+    Ok(Fold { name: name.to_owned(), frames, blocks: blocks.len(), scores, samples, beside, boxes })
 }
 
 /// Draws curves, confusions and contact sheets of a fold.
@@ -241,17 +267,35 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         }
         check_cancelled(session)?;
     }
-    Ok(report(session, &truth.classes, &folds, folds.len() == file.folds.len(), options))
+    let mut figures = report(session, &truth.classes, &folds, folds.len() == file.folds.len(), options);
+    let boxes: Vec<&[calibrate::Sample]> = folds.iter().map(|fold| fold.boxes.as_slice()).collect();
+    let wanted = calibrate::Wanted {
+        classes: &truth.classes,
+        input: &input_of(&folds, options),
+        precision: options.precision,
+        pictures: options.pictures.as_deref(),
+        file: options.calibration.as_deref(),
+    };
+    figures.extend(calibrate::report(session, &boxes, &wanted)?);
+    Ok(figures)
 }
 
-fn report(session: &dyn Session, classes: &[String], folds: &[Fold], is_whole: bool, options: &Options) -> Vec<Figure> {
-    let short = |folder: &Path| folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned();
-    let input = format!(
+/// What the figures are about.
+fn input_of(folds: &[Fold], options: &Options) -> String {
+    format!(
         "{}, {} frames in {} blocks",
         short(&options.predictions),
         folds.iter().map(|f| f.frames).sum::<usize>(),
         folds.iter().map(|f| f.blocks).sum::<usize>()
-    );
+    )
+}
+
+fn short(folder: &Path) -> String {
+    folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned()
+}
+
+fn report(session: &dyn Session, classes: &[String], folds: &[Fold], is_whole: bool, options: &Options) -> Vec<Figure> {
+    let input = input_of(folds, options);
     let mut report = Report { classes, folds, is_whole, input, figures: Vec::new() };
     let values: Vec<f64> = folds.iter().map(|f| f.scores.ap_at(0)).collect();
     let drawn: Vec<Vec<f64>> = folds.iter().map(|f| means(&f.samples)).collect();

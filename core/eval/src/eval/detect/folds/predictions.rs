@@ -1,8 +1,9 @@
 //! What a detector found in the operations that its training kept out, as the training script stores it.
 //!
 //! `foldN.json` of a folder: `{"format": "panoscope-predictions-1", "fold": "N", "held_out": [operations], "trained_on": [operations],
-//! "classes": [names], "network": {anything}, "frames": {"v01_002075": [[class, score, x0, y0, x1, y1], ...], ...}}`. Class is an index into
-//! `classes`, score 0..1, boxes in px of the stored picture. Each frame of the held-out operations is there.
+//! "classes": [names], "network": {anything}, "frames": {"v01_002075": [[class, score, x0, y0, x1, y1, objectness], ...], ...}}`. Class is an
+//! index into `classes`, score 0..1, boxes in px of the stored picture; objectness, 0..1, may be missing. Each frame of the held-out operations
+//! is there.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,7 +24,16 @@ struct File {
     held_out: Vec<String>,
     trained_on: Vec<String>,
     classes: Vec<String>,
-    frames: BTreeMap<String, Vec<[f64; 6]>>,
+    frames: BTreeMap<String, Vec<Vec<f64>>>,
+}
+
+/// What a file holds, picture by picture.
+#[derive(Clone, Debug)]
+pub struct Predicted {
+    /// Finds; class numbers are those of the truth.
+    pub finds: Vec<Vec<Find>>,
+    /// Probability that something is there at all, as the network gives it, for each find; NaN where it was not stored.
+    pub objectness: Vec<Vec<f64>>,
 }
 
 /// The file of a fold.
@@ -31,12 +41,12 @@ pub fn path_of(folder: &Path, fold: &str) -> PathBuf {
     folder.join(format!("fold{fold}.json"))
 }
 
-/// Finds in the pictures of `truth`, which are those of `fold`; class numbers are those of the truth.
+/// What was found in the pictures of `truth`, which are those of `fold`.
 ///
 /// # Errors
 /// The file is missing or damaged, belongs to another fold or to other folds, comes from a training that saw one of the operations,
 /// names a class that the truth does not have, or holds other frames than those of the fold.
-pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<Vec<Vec<Find>>> {
+pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<Predicted> {
     let path = path_of(folder, fold);
     let file = path.display();
     ensure!(
@@ -90,7 +100,8 @@ pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<V
             finds.len()
         );
     }
-    Ok(finds.into_iter().flatten().collect())
+    let (finds, objectness) = finds.into_iter().flatten().unzip();
+    Ok(Predicted { finds, objectness })
 }
 
 /// The training kept out what the file of folds says, and saw nothing of it.
@@ -115,19 +126,29 @@ fn check_operations(stored: &File, folds: &Folds, fold: &str, path: &Path) -> Re
     Ok(())
 }
 
-fn rows_of(rows: &[[f64; 6]], classes: &[usize]) -> Result<Vec<Find>> {
-    let find = |(number, &[class, score, x0, y0, x1, y1]): (usize, &[f64; 6])| {
+fn rows_of(rows: &[Vec<f64>], classes: &[usize]) -> Result<(Vec<Find>, Vec<f64>)> {
+    let find = |(number, row): (usize, &Vec<f64>)| {
+        let ([class, score, x0, y0, x1, y1], objectness) = match *row.as_slice() {
+            [class, score, x0, y0, x1, y1] => ([class, score, x0, y0, x1, y1], f64::NAN),
+            [class, score, x0, y0, x1, y1, objectness] => ([class, score, x0, y0, x1, y1], objectness),
+            _ => bail!("row {}: {} numbers; 6 or 7 were expected", number + 1, row.len()),
+        };
         let index = (class >= 0.0 && class.fract() == 0.0).then_some(class as usize);
         let Some(&class) = index.and_then(|c| classes.get(c)) else {
             bail!("row {}: class {class} of {} classes", number + 1, classes.len());
         };
         ensure!((0.0..=1.0).contains(&score), "row {}: score {score}; 0 to 1 was expected", number + 1);
         ensure!(
+            objectness.is_nan() || (0.0..=1.0).contains(&objectness),
+            "row {}: objectness {objectness}; 0 to 1 was expected",
+            number + 1
+        );
+        ensure!(
             x1 >= x0 && y1 >= y0,
             "row {}: a box from ({x0}, {y0}) to ({x1}, {y1}); the upper left corner comes first",
             number + 1
         );
-        Ok(Find { class, bbox: [x0, y0, x1 - x0, y1 - y0], mask: None, score })
+        Ok((Find { class, bbox: [x0, y0, x1 - x0, y1 - y0], mask: None, score }, objectness))
     };
     rows.iter().enumerate().map(find).collect()
 }

@@ -1,0 +1,199 @@
+//! How unlike the pictures that a model learned from a picture is, from the features that the model's own network computes anyway.
+//!
+//! `export_detector.py` gives a detector a second output, `features` (1 x C x rows x columns, means over cells of 32 x 32 px), and writes the mean and a
+//! whitening matrix of their picture means into the metadata (`training/instruments/pictures.py`).
+
+use crate::calibration::numbers;
+use crate::model::Tensor;
+
+/// Name of the output.
+const OUTPUT: &str = "features";
+/// First word of the metadata.
+const FORMAT: &str = "panoscope-pictures-1";
+/// Pixels of the network's input in a cell of the output.
+const CELL: usize = 32;
+/// Share of the limit below which a warning ends: it does not flicker about the limit.
+const END_SHARE: f32 = 0.85;
+/// Most that the first picture counts, as a share of the limit.
+const FIRST_MOST: f32 = 0.99;
+/// Largest gap in time that the smoothing bridges, s: after a longer one it begins anew.
+const LONGEST_GAP_S: f32 = 5.0;
+
+/// Statistics that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{key}` in the model's metadata does not fit the model: {reason}; export the model again")]
+pub struct PicturesError {
+    /// Key of the metadata.
+    pub key: &'static str,
+    /// What is wrong.
+    pub reason: String,
+}
+
+/// The outputs of a network without `features`, and `features`.
+pub fn split<'a, 'b>(outputs: &'b [Tensor<'a>]) -> (&'b [Tensor<'a>], Option<&'b Tensor<'a>>) {
+    match outputs.split_last() {
+        Some((last, rest)) if last.name == OUTPUT && !rest.is_empty() => (rest, Some(last)),
+        _ => (outputs, None),
+    }
+}
+
+/// Statistics of the pictures that a model learned from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pictures {
+    mean: Vec<f32>,
+    /// Row by row, as many rows and columns as `mean` has numbers.
+    whitening: Vec<f32>,
+    limit: f32,
+    /// The picture's numbers less the mean.
+    off: Vec<f32>,
+}
+
+impl Pictures {
+    /// Reads the statistics of a model whose `features` have `channels` channels (none: it has no such output); none where it carries none.
+    ///
+    /// # Errors
+    /// Numbers that are missing, not finite, or do not fit the output.
+    pub fn read<'a>(
+        channels: Option<usize>,
+        metadata: impl Fn(&str) -> Option<&'a str>,
+    ) -> Result<Option<Self>, PicturesError> {
+        let key = "pictures";
+        let Some(text) = metadata(key) else { return Ok(None) };
+        let wrong = |reason: String| PicturesError { key, reason };
+        let channels = channels.ok_or_else(|| wrong(format!("the model has no output `{OUTPUT}`")))?;
+        let text = text.strip_prefix(FORMAT).ok_or_else(|| wrong(format!("it does not begin with `{FORMAT}`")))?;
+        let all = numbers(text).ok_or_else(|| wrong("it holds what is no number".to_owned()))?;
+        let wanted = channels * (channels + 1);
+        if channels == 0 || all.len() != wanted {
+            return Err(wrong(format!("{} numbers, {wanted} fit {channels} channels", all.len())));
+        }
+        let limit = metadata("pictures_limit").and_then(|text| text.trim().parse::<f32>().ok());
+        let limit = limit.filter(|limit| limit.is_finite() && *limit > 0.0).ok_or_else(|| PicturesError {
+            key: "pictures_limit",
+            reason: "a number above 0 was expected".to_owned(),
+        })?;
+        let (mean, whitening) = all.split_at(channels);
+        Ok(Some(Self { mean: mean.to_vec(), whitening: whitening.to_vec(), limit, off: vec![0.0; channels] }))
+    }
+
+    /// Deviation of a picture from those learned from, as a share of the limit: above 1 it is unlike them. `size` is the picture's width and height in
+    /// the network's input, px. None where `features` have another form or are not finite.
+    pub fn unlikeness(&mut self, features: &Tensor<'_>, size: [usize; 2]) -> Option<f32> {
+        let [1, channels, rows, columns] = features.shape[..] else { return None };
+        let values = features.data.floats()?;
+        if channels != self.mean.len() || rows * columns == 0 || values.len() < channels * rows * columns {
+            return None;
+        }
+        let (across, down) = ((size[0] / CELL).clamp(1, columns), (size[1] / CELL).clamp(1, rows));
+        let share = 1.0 / (across * down) as f32;
+        for ((plane, mean), off) in values.chunks_exact(rows * columns).zip(&self.mean).zip(&mut self.off) {
+            let lines = plane.chunks_exact(columns).take(down);
+            *off = lines.map(|line| line[..across].iter().sum::<f32>()).sum::<f32>() * share - mean;
+        }
+        let along = |row: &[f32]| row.iter().zip(&self.off).map(|(w, v)| w * v).sum::<f32>().powi(2);
+        let sum: f32 = self.whitening.chunks_exact(channels).map(along).sum();
+        let value = (sum / channels as f32).sqrt() / self.limit;
+        value.is_finite().then_some(value)
+    }
+}
+
+/// The deviation over time, and whether it is said.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Monitor {
+    smoothed: Option<f32>,
+    last_ns: i64,
+    is_on: bool,
+}
+
+impl Monitor {
+    /// Adds a picture taken at `capture_ns`. Old pictures weigh `1/e` after `smooth_s`. Returns the smoothed deviation, and whether pictures are unlike
+    /// those learned from: from 1 on, until it falls below 0.85.
+    pub fn add(&mut self, unlikeness: f32, capture_ns: i64, smooth_s: f32) -> (f32, bool) {
+        let passed_s = capture_ns.saturating_sub(self.last_ns) as f32 * 1e-9;
+        self.last_ns = capture_ns;
+        // The first picture alone says little.
+        let first = unlikeness.min(FIRST_MOST);
+        let before = self.smoothed.filter(|_| (0.0..=LONGEST_GAP_S).contains(&passed_s));
+        let share = if smooth_s > 0.0 { 1.0 - (-passed_s / smooth_s).exp() } else { 1.0 };
+        let smoothed = match before {
+            _ if smooth_s <= 0.0 => unlikeness,
+            Some(before) => before + share * (unlikeness - before),
+            None => first,
+        };
+        self.smoothed = Some(smoothed);
+        self.is_on = smoothed >= if self.is_on { END_SHARE } else { 1.0 };
+        (smoothed, self.is_on)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Values;
+
+    fn read(
+        channels: Option<usize>,
+        text: &'static str,
+        limit: &'static str,
+    ) -> Result<Option<Pictures>, PicturesError> {
+        Pictures::read(channels, |key| match key {
+            "pictures" => Some(text),
+            "pictures_limit" => Some(limit),
+            _ => None,
+        })
+    }
+
+    #[test]
+    fn the_deviation_is_that_of_the_cells_which_the_picture_fills() {
+        let mut pictures = read(Some(2), "panoscope-pictures-1 1 2  2 0  0 0.5", "2").expect("fits").expect("is there");
+        // Three columns, two rows; the picture fills two columns and one row.
+        let values = [3.0, 5.0, 99.0, 99.0, 99.0, 99.0, 4.0, 8.0, 99.0, 99.0, 99.0, 99.0];
+        let features = |values| Tensor { name: OUTPUT, shape: vec![1, 2, 2, 3], data: Values::Float(values) };
+        // Means 4 and 6, less 1 and 2: 3 and 4, whitened 6 and 2; root of (36 + 4) / 2; half of it is the share of the limit.
+        let got = pictures.unlikeness(&features(&values), [70, 40]).expect("a number");
+        assert!((got - 20f32.sqrt() / 2.0).abs() < 1e-5, "{got}");
+        // Smaller than a cell: the first one.
+        assert!(pictures.unlikeness(&features(&values), [9, 9]).is_some());
+        assert_eq!(pictures.unlikeness(&features(&[f32::NAN; 12]), [70, 40]), None);
+        let other = Tensor { name: OUTPUT, shape: vec![1, 3, 2, 2], data: Values::Float(&values) };
+        assert_eq!(pictures.unlikeness(&other, [70, 40]), None);
+    }
+
+    #[test]
+    fn statistics_that_do_not_fit_are_refused_with_their_key() {
+        assert_eq!(Pictures::read(Some(2), |_| None), Ok(None));
+        for (channels, text, limit, part) in [
+            (None, "panoscope-pictures-1 1 1", "1", "no output `features`"),
+            (Some(1), "1 1", "1", "panoscope-pictures-1"),
+            (Some(1), "panoscope-pictures-1 1 x", "1", "no number"),
+            (Some(2), "panoscope-pictures-1 1 2 3", "1", "3 numbers, 6 fit 2 channels"),
+            (Some(1), "panoscope-pictures-1 1 1", "0", "`pictures_limit`"),
+            (Some(1), "panoscope-pictures-1 1 1", "nan", "`pictures_limit`"),
+        ] {
+            let error = read(channels, text, limit).expect_err(text).to_string();
+            assert!(error.contains(part) && error.contains("export"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_warning_comes_late_and_goes_late() {
+        let mut monitor = Monitor::default();
+        let at = |tick: i64| tick * 66_000_000;
+        // A single odd picture among usual ones says nothing.
+        for tick in 0..40 {
+            let value = if tick == 20 { 4.0 } else { 0.7 };
+            assert!(!monitor.add(value, at(tick), 2.0).1, "tick {tick}");
+        }
+        let begins = (40..200).find(|tick| monitor.add(1.6, at(*tick), 2.0).1).expect("it begins");
+        assert!((45..60).contains(&begins), "after {begins} ticks");
+        // Just below the limit it stays.
+        assert!((begins + 1..begins + 200).all(|tick| monitor.add(0.95, at(tick), 2.0).1));
+        let from = begins + 200;
+        let ends = (from..from + 200).find(|tick| !monitor.add(0.5, at(*tick), 2.0).1).expect("it ends");
+        assert!(ends > from + 5, "{ends}");
+        // After a gap, or when time goes back, it begins anew.
+        assert_eq!(monitor.add(0.2, at(ends) + 9_000_000_000, 2.0), (0.2, false));
+        assert_eq!(monitor.add(3.0, 0, 2.0), (0.99, false));
+        assert!(monitor.add(3.0, 66_000_000, 2.0).1);
+    }
+}
