@@ -1,0 +1,231 @@
+//! Words below a picture: plates on a dark bar, so that nothing is written on tissue.
+
+use panoscope_imaging::ViewMut;
+use panoscope_imaging::draw::{self, Color};
+
+/// Height of a plate in units of the scale of text: capitals, descenders and room above and below.
+const PLATE: f32 = 11.0;
+/// Room between plates and around them, in units of the scale of text.
+const GAP: f32 = 1.5;
+/// Room between a plate's edge and its words, in units of the scale of text.
+const ROOM: f32 = 2.0;
+/// Distance between two dots of a key, in units of the scale of text.
+const DOT_STEP: f32 = 4.0;
+/// Most dots of a key: more cannot be told apart at a glance.
+pub const MOST_DOTS: usize = 6;
+
+const GROUND: u8 = 16;
+const PLATE_COLOR: Color = [44, 42, 40];
+const INK: Color = [255; 3];
+
+/// What a plate belongs to in the picture: dots in a colour, drawn at the object too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Key {
+    /// Colour of the object's marks.
+    pub color: Color,
+    /// Number of dots, 1 to [`MOST_DOTS`].
+    pub dots: usize,
+}
+
+/// A plate: bytes of the words, and its key.
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    start: usize,
+    end: usize,
+    key: Option<Key>,
+}
+
+/// The words of one picture. Keeps its memory from one picture to the next.
+#[derive(Clone, Debug, Default)]
+pub struct Bar {
+    words: String,
+    entries: Vec<Entry>,
+}
+
+/// Height in px of a bar with `lines` lines of text.
+pub fn height_px(lines: usize, scale: f32) -> usize {
+    (scale * (lines as f32 * (PLATE + GAP) + GAP)).ceil() as usize
+}
+
+/// Draws the dots of a key from `(x, y)`, the middle of the first one, to the right.
+pub fn dots(out: &mut ViewMut<'_, u8>, (x, y): (f32, f32), key: Key, scale: f32) {
+    for k in 0..key.dots.min(MOST_DOTS) {
+        let x = x + k as f32 * DOT_STEP * scale;
+        // A dark rim, for bright tissue.
+        draw::fill_circle(out, x, y, 2.0 * scale, [0; 3], 0.8);
+        draw::fill_circle(out, x, y, 1.4 * scale, key.color, 1.0);
+    }
+}
+
+impl Bar {
+    /// Empties the bar.
+    pub fn clear(&mut self) {
+        self.words.clear();
+        self.entries.clear();
+    }
+
+    /// Adds a plate for each line of `words`; empty ones are left out. `key` belongs to the first line.
+    pub fn add(&mut self, words: &str, key: Option<Key>) {
+        let mut key = key;
+        for line in words.lines().map(str::trim).filter(|line| !line.is_empty()) {
+            let start = self.words.len();
+            self.words.push_str(line);
+            self.entries.push(Entry { start, end: self.words.len(), key: key.take() });
+        }
+    }
+
+    /// The words of all plates, for tests and logs.
+    pub fn plates(&self) -> impl Iterator<Item = (&str, Option<Key>)> {
+        self.entries.iter().map(|entry| (&self.words[entry.start..entry.end], entry.key))
+    }
+
+    /// Writes the plates from the upper left on, line by line. A plate wider than the bar is broken at spaces; what finds no room is counted in
+    /// the last line's end.
+    pub fn draw(&self, out: &mut ViewMut<'_, u8>, lines: usize, scale: f32) {
+        (0..out.height).for_each(|y| out.row_mut(y).fill(GROUND));
+        let mut pen = Pen { line: 0, x: GAP * scale, scale, lines, width: out.width as f32 };
+        for (index, (words, key)) in self.plates().enumerate() {
+            if !pen.place(out, words, key, self.entries.len() - index - 1) {
+                pen.count(out, self.entries.len() - index);
+                return;
+            }
+        }
+    }
+}
+
+/// Where the next plate goes.
+struct Pen {
+    line: usize,
+    x: f32,
+    scale: f32,
+    lines: usize,
+    width: f32,
+}
+
+impl Pen {
+    fn key_px(&self, key: Option<Key>) -> f32 {
+        key.map_or(0.0, |key| (key.dots.min(MOST_DOTS) as f32 * DOT_STEP + 1.0) * self.scale)
+    }
+
+    /// Width left in the present line, less what the count of `more` plates takes in the last one.
+    fn room(&self, more: usize) -> f32 {
+        let is_last = self.line + 1 >= self.lines;
+        let kept = if is_last && more > 0 { self.plate_px("+99", None) + GAP * self.scale } else { 0.0 };
+        self.width - GAP * self.scale - self.x - kept
+    }
+
+    fn plate_px(&self, words: &str, key: Option<Key>) -> f32 {
+        draw::text_size(words, self.scale).0 + self.key_px(key) + 2.0 * ROOM * self.scale
+    }
+
+    fn next_line(&mut self) -> bool {
+        (self.line, self.x) = (self.line + 1, GAP * self.scale);
+        self.line < self.lines
+    }
+
+    /// Whether the words found room.
+    fn place(&mut self, out: &mut ViewMut<'_, u8>, words: &str, key: Option<Key>, more: usize) -> bool {
+        if self.line >= self.lines {
+            return false;
+        }
+        if self.plate_px(words, key) <= self.room(more) {
+            self.plate(out, words, key);
+            return true;
+        }
+        if self.x > GAP * self.scale {
+            return self.next_line() && self.place(out, words, key, more);
+        }
+        // Wider than a line: as many words as fit, the rest below. A word without a space is cut by the edge.
+        let fits = |end: &usize| self.plate_px(&words[..*end], key) <= self.room(more);
+        match words.match_indices(' ').map(|(at, _)| at).take_while(fits).last() {
+            Some(end) if self.line + 1 < self.lines => {
+                self.plate(out, &words[..end], key);
+                self.next_line() && self.place(out, words[end..].trim_start(), None, more)
+            }
+            // Better cut than missing: the beginning says what it is about.
+            _ => {
+                self.plate(out, words, key);
+                true
+            }
+        }
+    }
+
+    fn plate(&mut self, out: &mut ViewMut<'_, u8>, words: &str, key: Option<Key>) {
+        let s = self.scale;
+        let (x, y) = (self.x, s * (GAP + self.line as f32 * (PLATE + GAP)));
+        let width = self.plate_px(words, key);
+        draw::fill_rectangle(out, x as i32, y as i32, width as i32, (PLATE * s) as i32, PLATE_COLOR, 1.0);
+        if let Some(key) = key {
+            dots(out, (x + (ROOM + 1.5) * s, y + PLATE * s / 2.0), key, s);
+        }
+        draw::text(out, x + ROOM * s + self.key_px(key), y + 2.5 * s, words, s, INK);
+        self.x += width + GAP * s;
+    }
+
+    /// Says how many plates are left out.
+    fn count(&mut self, out: &mut ViewMut<'_, u8>, left_out: usize) {
+        self.line = self.lines.saturating_sub(1);
+        let words = format!("+{left_out}");
+        self.x = self.width - GAP * self.scale - self.plate_px(&words, None);
+        self.plate(out, &words, None);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KEY: Key = Key { color: [60, 170, 255], dots: 2 };
+
+    fn drawn(bar: &Bar, width: usize, lines: usize, scale: f32) -> (Vec<u8>, usize) {
+        let height = height_px(lines, scale);
+        let mut data = vec![7; width * height * 3];
+        bar.draw(&mut ViewMut::new(&mut data, width, height, 3), lines, scale);
+        (data, height)
+    }
+
+    /// Rows of the bar that hold bright ink.
+    fn inked_rows(data: &[u8], width: usize) -> Vec<usize> {
+        let rows = data.chunks_exact(width * 3).enumerate();
+        rows.filter(|(_, row)| row.as_chunks::<3>().0.iter().any(|p| p.iter().all(|v| *v > 200))).map(|r| r.0).collect()
+    }
+
+    #[test]
+    fn plates_stand_beside_each_other_then_below() {
+        let mut bar = Bar::default();
+        bar.add("grasper 93 %", Some(KEY));
+        bar.add("hook 71 %", None);
+        let (data, _) = drawn(&bar, 480, 2, 2.0);
+        assert!(inked_rows(&data, 480).iter().all(|y| *y < 26), "both in the first line");
+        bar.add("the arm follows the tip at a distance of 66 mm", None);
+        let (data, height) = drawn(&bar, 480, 2, 2.0);
+        assert!(inked_rows(&data, 480).iter().any(|y| *y > 28) && height == 53, "{height}");
+        assert!(data.as_chunks::<3>().0.contains(&KEY.color), "the key has its colour");
+    }
+
+    #[test]
+    fn words_that_are_too_long_are_broken_and_what_is_too_much_is_counted() {
+        let mut bar = Bar::default();
+        bar.add("one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen", None);
+        let (data, _) = drawn(&bar, 320, 3, 2.0);
+        assert!(inked_rows(&data, 320).iter().any(|y| *y > 53), "it takes three lines");
+        bar.clear();
+        (0..12).for_each(|k| bar.add(&format!("instrument {k}"), None));
+        let (few, _) = drawn(&bar, 320, 1, 2.0);
+        bar.clear();
+        (0..2).for_each(|k| bar.add(&format!("instrument {k}"), None));
+        assert_ne!(few, drawn(&bar, 320, 1, 2.0).0, "the first is followed by a count");
+        // One line for two plates: the first, and `+1`.
+        let right = |data: &[u8]| data.chunks_exact(960).any(|row| row[900..].iter().any(|v| *v > 200));
+        assert!(right(&few));
+    }
+
+    #[test]
+    fn a_bar_without_words_is_dark_and_lines_are_plates_of_their_own() {
+        let mut bar = Bar::default();
+        let (data, _) = drawn(&bar, 100, 1, 2.0);
+        assert!(data.iter().all(|v| *v == GROUND));
+        bar.add("a\n\n b \n", Some(KEY));
+        assert_eq!(bar.plates().collect::<Vec<_>>(), [("a", Some(KEY)), ("b", None)]);
+    }
+}
