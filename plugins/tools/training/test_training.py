@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 import torch
 
-from instruments import adaptation, augment, lite, networks, pictures, unlabelled
+from instruments import adaptation, augment, folds, lite, networks, pictures, unlabelled
 from instruments.assign import loss
 from instruments.data import Frame
+from instruments.score import chosen
 from instruments.training import Checkpoint, Pause, Schedule
 
 HERE = Path(__file__).parent
@@ -198,6 +199,23 @@ def footage(folder, count=12):
     cv2.imwrite(str(folder / f"x_{count:03d}.png"), picture)
 
 
+class Predictions(unittest.TestCase):
+    def test_boxes_keep_their_objectness_in_the_file(self):
+        # Centre and size; the second box is the first one again, weaker, the third another tool of another class.
+        boxes = np.array([[50, 50, 20, 20], [51, 50, 20, 20], [100, 40, 30, 10]], np.float32)
+        objectness, kinds = np.array([0.9, 0.8, 0.5], np.float32), np.array([[0.8, 0.1], [0.7, 0.1], [0.004, 0.6]], np.float32)
+        rows = chosen(boxes, objectness, kinds, 2.0, 0.01, 0.5)
+        self.assertEqual(rows.shape, (3, 7))
+        np.testing.assert_allclose(rows[0], [0, 0.72, 20, 20, 30, 30, 0.9], rtol=1e-6)
+        # The weaker class of the first place is a row of its own; its objectness is the place's.
+        np.testing.assert_allclose(sorted(r[6] for r in rows if r[0] == 1), [0.5, 0.9], rtol=1e-6)
+        with tempfile.TemporaryDirectory() as folder:
+            (Path(folder) / "folds.toml").write_text(FOLDS)
+            path = folds.write_predictions(folder, folds.read(Path(folder) / "folds.toml"), 1, ["a", "b"], {}, {"b_0": rows, "b_1": []})
+            stored = json.loads(path.read_text())["frames"]
+        self.assertEqual((stored["b_0"][0], stored["b_1"]), ([0, 0.72, 20.0, 20.0, 30.0, 30.0, 0.9], []))
+
+
 class Adapting(unittest.TestCase):
     def adapt(self, folder, out, *more):
         command = [sys.executable, "-B", HERE / "adapt_detector.py", "--frames", folder / "frames", "--out", out, "--width", "96", "--height", "64"]
@@ -361,8 +379,6 @@ class Loop(unittest.TestCase):
             written = [json.loads((run / "fold1.json").read_text()) for run in (whole, parts)]
             self.assertEqual(set(written[0]["frames"]), {f"b_{i}" for i in range(3)})
             self.assertEqual(written[0]["frames"], written[1]["frames"])
-            rows = [r for found in written[0]["frames"].values() for r in found]
-            self.assertTrue(rows and all(len(r) == 7 and r[1] <= r[6] <= 1 for r in rows), "with objectness")
             # A training that has ended writes its predictions again.
             (parts / "fold1.json").unlink()
             self.assertEqual(train(folder, parts, "--resume").returncode, 0)
