@@ -75,6 +75,7 @@ alarms! {
     PEDAL = Warning, "alarm-pedal";
     DRIFTED = Warning, "alarm-drifted";
     ATTACHED = Note, "alarm-attached";
+    UNLIKE = Note, "alarm-unlike";
     UNLOCKED = Note, "alarm-unlocked";
     PUBLIC = Note, "alarm-public";
 }

@@ -76,6 +76,8 @@ pub struct Facts {
     pub recording: bool,
     /// Whether the calibration does not fit the views any more.
     pub drifted: bool,
+    /// Whether the pictures are unlike those that a detector learned from.
+    pub unlike: bool,
     /// Whether the left and right views are swapped.
     pub swapped: bool,
     /// The first difference from the lock, if the graph runs in spite of it.
@@ -193,6 +195,9 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     if facts.swapped {
         notify(alarms::SWAPPED, text!("alarm-swapped").to_owned());
     }
+    if facts.unlike {
+        notify(alarms::UNLIKE, text!("alarm-unlike").to_owned());
+    }
     if let Some(difference) = &facts.unlocked {
         notify(alarms::UNLOCKED, text!("alarm-unlocked", difference = difference));
     }
@@ -289,6 +294,10 @@ mod tests {
             assert!(message.iter().any(|w| w.contains(part)), "{part}: {message:?}");
         }
         assert!(message.last().is_some_and(|w| w.starts_with("Runs although")));
+        let unlike = Facts { unlike: true, ..Facts::default() };
+        let [notice] = notices(&unlike).try_into().expect("one notice");
+        assert_eq!(notice.urgency, Urgency::Note);
+        assert!(notice.message.contains("unlike those learned from") && notice.action.contains("do not rely"));
         let public = Facts { public: vec!["stream at 0.0.0.0:8554".to_owned()], ..Facts::default() };
         assert_eq!(self::message(&public), ["Other machines can reach this one: stream at 0.0.0.0:8554"]);
         let stopped = Facts { age_ms: Some(5000.0), stopped: vec!["Wide".to_owned()], ..Facts::default() };

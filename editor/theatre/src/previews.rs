@@ -142,6 +142,7 @@ impl Theatre {
             pedal_problem: self.pedal.problem.clone(),
             recording: self.clip.is_some(),
             drifted: calibrated("drifted"),
+            unlike: calibrated("unlike"),
             swapped: calibrated("views_swapped"),
             public: {
                 let public = self.plan.listening.iter().filter(|one| one.is_public);
