@@ -122,7 +122,8 @@ def main():
     learned, held = unlabelled.aside(frames, a.aside)
     source = [f.load(a.width * 5 // 4) for f in read(a.source, a.source_split)] if a.source else []
     a.out.mkdir(parents=True, exist_ok=True)
-    settings = {k: v if isinstance(v, (int, float, str, type(None))) else str(v) for k, v in vars(a).items() if k not in FREE}
+    plain = lambda v: " ".join(map(str, v)) if isinstance(v, list) else v if isinstance(v, (int, float, str, type(None))) else str(v)
+    settings = {k: plain(v) for k, v in vars(a).items() if k not in FREE}
     checkpoint = Checkpoint(a.out, settings)
     state = checkpoint.read(a.resume)
     print(f"{len(learned)} frames to adapt on, {len(held)} for the report, {len(source)} labelled" + (f"; goes on after step {state['step']}" if state else ""), flush=True)
