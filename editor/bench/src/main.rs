@@ -43,6 +43,7 @@ panoscope_engine::guard_exits!();
 
 fn main() {
     panoscope_engine::heap::keep_large_blocks_apart();
+    panoscope_engine::heap::keep_free(16 << 20);
     window::listen_to_signals();
     let arguments: Arguments = window::parse();
     arguments.window.apply_language();

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context};
@@ -26,8 +26,8 @@ pub struct Shot {
     /// Steps with the second at which each is due.
     script: VecDeque<(f64, String)>,
     start: Instant,
-    /// CPU time of the process in ms when the last part of the measurement began, and when that was.
-    last_part: Option<(f64, Instant)>,
+    /// Share of a core that the whole process takes in the last part of the measurement, %.
+    process_pct: Arc<Mutex<f64>>,
 }
 
 impl Default for Shot {
@@ -54,7 +54,11 @@ impl Shot {
                 None => steps.push_back((due, step.clone())),
             }
         }
-        Self { screenshot, film, measure, script: steps, start: Instant::now(), last_part: None }
+        let process_pct = Arc::new(Mutex::new(f64::NAN));
+        if let Some((_, after)) = &measure {
+            measure_process(*after, Arc::clone(&process_pct));
+        }
+        Self { screenshot, film, measure, script: steps, start: Instant::now(), process_pct }
     }
 
     /// Whether a screenshot or costs are written at the end, so that nobody is at the window.
@@ -80,15 +84,10 @@ impl Shot {
     pub fn measure_with(&mut self, ctx: &Context, costs: &Costs, report: impl FnOnce() -> Option<serde_json::Value>) {
         let Some((file, after)) = self.measure.clone() else { return };
         let seconds = self.start.elapsed().as_secs_f64();
-        let due = if self.last_part.is_some() { after } else { after * LAST_PART };
-        if seconds < due {
-            return ctx.request_repaint_after(Duration::from_secs_f64((due - seconds).max(0.01)));
-        }
-        let (began_ms, began) = *self.last_part.get_or_insert_with(|| (process_cpu_ms(), Instant::now()));
         if seconds < after {
             return ctx.request_repaint_after(Duration::from_secs_f64((after - seconds).max(0.01)));
         }
-        let process_pct = (process_cpu_ms() - began_ms) / began.elapsed().as_secs_f64().max(1e-3) / 10.0;
+        let process_pct = *self.process_pct.lock().unwrap_or_else(PoisonError::into_inner);
         let (ui_ms, frames) = costs.mean();
         let measured = (seconds - Costs::WARM_UP.as_secs_f64()).max(1e-3);
         let report = report();
@@ -174,6 +173,19 @@ impl Costs {
     pub fn mean(&self) -> (f64, u64) {
         ((self.at_ms.1 - self.at_ms.0) / self.frames.max(1) as f64, self.frames)
     }
+}
+
+/// Measures the process in the last part of a measurement of `after` seconds, on a thread of its own: no frame is drawn for it.
+fn measure_process(after: f64, place: Arc<Mutex<f64>>) {
+    let measure = move || {
+        std::thread::sleep(Duration::from_secs_f64((after * LAST_PART).max(0.0)));
+        let (began_ms, began) = (process_cpu_ms(), Instant::now());
+        std::thread::sleep(Duration::from_secs_f64((after * (1.0 - LAST_PART) - 0.3).max(0.1)));
+        let pct = (process_cpu_ms() - began_ms) / began.elapsed().as_secs_f64().max(1e-3) / 10.0;
+        *place.lock().unwrap_or_else(PoisonError::into_inner) = pct;
+    };
+    // Without the thread there is no figure.
+    let _ = std::thread::Builder::new().name("measure".to_owned()).spawn(measure);
 }
 
 /// CPU time of this thread in ms.
