@@ -59,7 +59,8 @@ fn the_graph_that_ships_closes_its_loop() {
     assert!(last("closures") >= 1.0 && last("drift_px").is_finite(), "lost in {} frames", last("lost_frames"));
     assert!(last("coverage_pct") > 200.0 && last("lost_frames") == 0.0, "{} %", last("coverage_pct"));
     let still = image_size(&folder.join("mosaic.png"));
-    assert_eq!(still, (1280, 960));
+    // The canvas, and the bar with its words below.
+    assert_eq!(still, (1280, 960 + 106));
     assert!(folder.join("mosaic.mkv").metadata().is_ok_and(|f| f.len() > 1000));
     std::fs::remove_dir_all(folder).expect("removed");
 }
