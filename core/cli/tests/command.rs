@@ -81,6 +81,31 @@ fn a_run_writes_its_report() {
 }
 
 #[test]
+fn a_run_writes_a_trace_of_its_threads() {
+    let graph = file("traced.toml", &graph("batch", "pass", ""));
+    let trace = file("trace.json", "");
+    let (code, _, err) = run(&["run", &graph, "--frames", "50", "--trace", &trace, "--headless"]);
+    assert_eq!(code, 0, "{err}");
+    let trace = json(&trace);
+    let events = trace.as_array().expect("a list of events");
+    let slices = |node: &str| events.iter().filter(|e| e["ph"] == "X" && e["name"] == node).collect::<Vec<_>>();
+    // 64 x 48 pixels of three bytes.
+    for (node, read_bytes, made_bytes) in [("middle", 9216, 9216), ("sink", 9216, 0)] {
+        let slices = slices(node);
+        assert_eq!(slices.len(), 50, "{node}");
+        let ticks: Vec<_> = slices.iter().filter_map(|slice| slice["args"]["tick"].as_u64()).collect();
+        assert_eq!(ticks, (0..50).collect::<Vec<_>>(), "{node}");
+        let bytes = |key: &str| slices[7]["args"][key].as_u64();
+        assert_eq!((bytes("read_bytes"), bytes("made_bytes")), (Some(read_bytes), Some(made_bytes)), "{node}");
+    }
+    assert!(events.iter().any(|e| e["name"] == "thread_name"), "threads have names");
+    let graph = file("traced.toml", &self::graph("batch", "pass", ""));
+    let (code, out, err) = run(&["run", &graph, "--frames", "5", "--trace", "/proc/no/trace.json", "--headless"]);
+    assert_eq!(code, 1, "{out}{err}");
+    assert!(format!("{out}{err}").contains("/proc/no/trace.json"), "{out}{err}");
+}
+
+#[test]
 fn allocations_of_a_plugin_are_counted() {
     if !cfg!(all(target_os = "linux", target_env = "gnu")) {
         panoscope_testing::skipped!("allocations are counted on Linux with glibc only");

@@ -2,12 +2,29 @@
 
 use panoscope_abi::Tick;
 
+/// A call of a node for a tick. Times are ns of [`crate::clock::now_ns`].
+#[derive(Clone, Copy, Debug)]
+pub struct Call<'a> {
+    /// The node.
+    pub node: &'a str,
+    /// The tick.
+    pub tick: &'a Tick,
+    /// When the call began.
+    pub start_ns: u64,
+    /// When it ended.
+    pub end_ns: u64,
+    /// False where the node was skipped or failed; then its outputs are empty.
+    pub made: bool,
+    /// Bytes of its inputs.
+    pub read_bytes: u64,
+    /// Bytes of its outputs.
+    pub made_bytes: u64,
+}
+
 /// Receives every call of a node and every dropped tick. The engine's threads call it between two nodes: it must be quick and must not wait.
-///
-/// Times are ns of [`crate::clock::now_ns`].
 pub trait Tracer: Send + Sync {
-    /// A node was called for a tick. `made` is false where it was skipped or failed; then its outputs are empty.
-    fn call(&self, node: &str, tick: &Tick, start_ns: u64, end_ns: u64, made: bool);
+    /// A node was called, or skipped for a tick, on the calling thread.
+    fn call(&self, call: &Call<'_>);
 
     /// A live source's tick was dropped at the head of its region, because a newer one came before there was room.
     fn dropped(&self, node: &str, seq: u64, at_ns: u64);

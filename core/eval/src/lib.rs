@@ -26,6 +26,7 @@ mod svg;
 pub mod sweep;
 mod system;
 pub mod text_table;
+pub mod timeline;
 pub mod tune;
 
 pub use error::{Cause, EvalError, FileAction, Result, chain};

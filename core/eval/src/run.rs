@@ -1,9 +1,11 @@
 //! Running a graph made as text, and reading what its nodes put out.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use panoscope_engine::memory::FrameRef;
+use panoscope_engine::trace::Tracer;
 use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
 use panoscope_graph::GraphText;
 
@@ -62,16 +64,22 @@ pub(crate) fn close(engine: &Engine) -> Result<Report> {
 
 /// Runs the graph to its end; without a number of frames until each port has shown a packet.
 pub fn run(session: &dyn Session, plan: &Plan<'_>) -> Result<RunOutput> {
-    run_and_listen(session, plan, Vec::new(), None)
+    run_watched(session, plan, Watchers::default())
 }
 
-/// As [`run`], with listeners on all packets of ports and on the metrics of a node.
-pub fn run_and_listen(
-    session: &dyn Session,
-    plan: &Plan<'_>,
-    listen: Vec<Listener>,
-    numbers: Option<NumberListener>,
-) -> Result<RunOutput> {
+/// What follows a run.
+#[derive(Default)]
+pub struct Watchers {
+    /// Listeners on all packets of ports.
+    pub listen: Vec<Listener>,
+    /// A listener on the metrics of a node.
+    pub numbers: Option<NumberListener>,
+    /// Receives all calls with their times.
+    pub tracer: Option<Arc<dyn Tracer>>,
+}
+
+/// As [`run`], followed by watchers.
+pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -> Result<RunOutput> {
     check_cancelled(session)?;
     let text = GraphText::parse(plan.path, plan.text);
     let ready = match graph_file::ready(&text) {
@@ -86,8 +94,9 @@ pub fn run_and_listen(
         frames: plan.frames,
         paced: plan.pace == Pace::Camera,
         ticks_at_once: (plan.pace == Pace::Alone).then_some(1),
-        listen,
-        numbers: numbers.into_iter().collect(),
+        listen: watchers.listen,
+        numbers: watchers.numbers.into_iter().collect(),
+        tracer: watchers.tracer,
         graph_dir: plan.path.parent().unwrap_or(Path::new("")).to_owned(),
         process_allocations: counters.process,
         thread_allocations: counters.thread,

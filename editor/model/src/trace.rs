@@ -3,9 +3,8 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex};
 
-use panoscope_abi::Tick;
 use panoscope_engine::sync::lock;
-use panoscope_engine::trace::Tracer;
+use panoscope_engine::trace::{self, Tracer};
 
 use crate::graph_view::GraphView;
 
@@ -67,7 +66,8 @@ impl Default for Trace {
 }
 
 impl Tracer for Trace {
-    fn call(&self, node: &str, tick: &Tick, start_ns: u64, end_ns: u64, made: bool) {
+    fn call(&self, call: &trace::Call<'_>) {
+        let &trace::Call { node, tick, start_ns, end_ns, made, .. } = call;
         let mut ring = lock(&self.0);
         let node = ring.number(node);
         if ring.calls.len() == CALLS {
@@ -275,6 +275,7 @@ fn in_place_of(drop: &Drop, ticks: &HashMap<(u32, u64), Vec<Call>>) -> Option<(u
 
 #[cfg(test)]
 mod tests {
+    use panoscope_abi::Tick;
     use panoscope_graph::{NodeOutline, NodeType};
 
     use super::*;
@@ -313,9 +314,13 @@ mod tests {
     fn run(trace: &Trace, seq: u64, begin_ms: u64, slow_ms: u64) {
         let tick = Tick { source: 7, flags: 0, seq, capture_ns: 0 };
         let at = |ms: u64| (begin_ms + ms) * 1_000_000;
-        trace.call("camera", &tick, at(0), at(1), true);
-        trace.call("slow", &tick, at(3), at(3 + slow_ms), true);
-        trace.call("sink", &tick, at(4 + slow_ms), at(5 + slow_ms), true);
+        call(trace, "camera", &tick, at(0), at(1));
+        call(trace, "slow", &tick, at(3), at(3 + slow_ms));
+        call(trace, "sink", &tick, at(4 + slow_ms), at(5 + slow_ms));
+    }
+
+    fn call(trace: &Trace, node: &str, tick: &Tick, start_ns: u64, end_ns: u64) {
+        trace.call(&trace::Call { node, tick, start_ns, end_ns, made: true, read_bytes: 0, made_bytes: 0 });
     }
 
     #[test]
@@ -350,7 +355,7 @@ mod tests {
     fn only_the_newest_calls_are_kept() {
         let trace = Trace::default();
         for seq in 0..2 * CALLS as u64 {
-            trace.call("n", &Tick { source: 0, flags: 0, seq, capture_ns: 0 }, seq, seq + 1, true);
+            call(&trace, "n", &Tick { source: 0, flags: 0, seq, capture_ns: 0 }, seq, seq + 1);
             trace.dropped("n", seq, seq);
         }
         let (calls, drops, names) = trace.copy();

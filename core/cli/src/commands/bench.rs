@@ -100,6 +100,9 @@ pub struct System {
     graph: PathBuf,
     #[command(flatten)]
     given: Given,
+    /// Writes what each thread did at 30 pictures a second, for the viewer at ui.perfetto.dev.
+    #[arg(long, value_name = "FILE.json")]
+    trace: Option<PathBuf>,
 }
 
 /// Measures, and shows and writes the figures.
@@ -152,10 +155,10 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
                 common,
             )
         }
-        Bench::System(System { common, graph, given }) => {
+        Bench::System(System { common, graph, given, trace }) => {
             interrupt::listen();
-            let options =
-                bench::system::Options { quick: common.quick, graph: graph.clone(), given: given.options(&[]) };
+            let (graph, given, trace) = (graph.clone(), given.options(&[]), trace.clone());
+            let options = bench::system::Options { quick: common.quick, graph, given, trace };
             (bench::system::measure(session, &options)?, common)
         }
     })

@@ -10,6 +10,7 @@ use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
+use panoscope_eval::timeline::{self, Timeline};
 use panoscope_graph::{Catalog, Diagnostics, GraphOptions, GraphText, OnFault, installed};
 use panoscope_live::{FoxgloveServer, LiveServerError};
 use panoscope_loader::Live;
@@ -70,6 +71,9 @@ pub struct Arguments {
     /// Writes counters and times as JSON at the end.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
+    /// Writes at the end what each thread did and when, for the viewer at ui.perfetto.dev: the newest million calls, with their ticks and bytes.
+    #[arg(long, value_name = "FILE.json")]
+    trace: Option<PathBuf>,
     /// Appends faults as JSON lines: time, node, cause, what was done.
     #[arg(long, value_name = "FILE")]
     fault_log: Option<PathBuf>,
@@ -234,8 +238,10 @@ pub fn run_with(
         }
         None => None,
     };
+    let timeline = arguments.trace.is_some().then(|| Arc::new(Timeline::default()));
     let options = Options {
         observer: recorder.clone().map(|recorder| recorder as _),
+        tracer: timeline.clone().map(|timeline| timeline as _),
         threads: arguments.threads.map_or(0, usize::from),
         frames: arguments.frames,
         paced: !arguments.unpaced,
@@ -290,6 +296,11 @@ pub fn run_with(
     let mut verdict = close(&engine, on_duty, arguments.frames, &progress, &expected_faults);
     if let Some(path) = &arguments.report {
         report_into(path, &engine.report(), &mut verdict);
+    }
+    if let Some((path, timeline)) = arguments.trace.as_ref().zip(timeline)
+        && let Err(error) = timeline::write(&timeline, path)
+    {
+        verdict.add(Weight::Error, format!("cannot write {}: {error}", path.display()));
     }
     Ok(RunEnd::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
 }

@@ -23,6 +23,7 @@ use crate::params::Snapshot;
 use crate::retained::attention;
 use crate::scratch::{CallOutputs, clear};
 use crate::stats::bump;
+use crate::trace::Call;
 
 /// Whether to call a node for a tick.
 enum Due {
@@ -64,7 +65,7 @@ impl NodeRuntime {
         ports.made.set_len(exec.outputs_len as usize);
         if !complete {
             bump(&self.stats.skipped);
-            self.trace(context, tick, (start_ns, start_ns), false);
+            self.trace(context, tick, (start_ns, start_ns), false, ports);
             return (CallOutcome::Skipped, start_ns);
         }
         let may = match led {
@@ -76,7 +77,7 @@ impl NodeRuntime {
             Due::Run { start_ns } => start_ns,
             Due::Skip => {
                 self.skipped_tick(context, tick, false);
-                self.trace(context, tick, (start_ns, start_ns), false);
+                self.trace(context, tick, (start_ns, start_ns), false, ports);
                 return (CallOutcome::Skipped, start_ns);
             }
             Due::Abandoned => return (CallOutcome::Abandoned, start_ns),
@@ -113,7 +114,7 @@ impl NodeRuntime {
                 self.failed(exec, context, status, refused, tick, end_ns)
             }
         };
-        self.trace(context, tick, (start_ns, end_ns), outcome == CallOutcome::Ok);
+        self.trace(context, tick, (start_ns, end_ns), outcome == CallOutcome::Ok, ports);
         if !matches!(outcome, CallOutcome::Ok | CallOutcome::End | CallOutcome::Abandoned) {
             self.skipped_tick(context, tick, !exec.instance.is_open());
         }
@@ -122,9 +123,12 @@ impl NodeRuntime {
 
     /// Passes the times of a call to the tracer, if there is one.
     #[inline]
-    fn trace(&self, context: &RunContext, tick: &Tick, (start_ns, end_ns): (u64, u64), made: bool) {
+    fn trace(&self, context: &RunContext, tick: &Tick, (start_ns, end_ns): (u64, u64), made: bool, ports: &Ports<'_>) {
         if let Some(tracer) = &context.tracer {
-            tracer.call(&self.id, tick, start_ns, end_ns, made);
+            let read_bytes = ports.inputs.iter().map(|input| input.frame().len as u64).sum();
+            let made_bytes = ports.made.outputs.iter().filter(|_| made).map(|output| output.len as u64).sum();
+            let node = self.id.as_str();
+            tracer.call(&Call { node, tick, start_ns, end_ns, made, read_bytes, made_bytes });
         }
     }
 

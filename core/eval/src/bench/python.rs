@@ -11,7 +11,7 @@ use super::dora;
 use super::graph::{self, Pace};
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
-use crate::run::{self, Plan};
+use crate::run::{self, Plan, Watchers};
 use crate::session::{Session, note};
 use crate::statistics::percentile;
 
@@ -129,7 +129,7 @@ fn back(session: &dyn Session, folder: &Path, how: &str, harm: &str, frames: u64
     let listen = vec![Listener { node: "n0".to_owned(), output: "image".to_owned(), hear: Arc::new(hear) }];
     let path = Path::new("bench.toml");
     let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &[], pace: run::Pace::Camera };
-    let report = run::run_and_listen(session, &plan, listen, None)?.report;
+    let report = run::run_watched(session, &plan, Watchers { listen, ..Watchers::default() })?.report;
     let times = times.lock().unwrap_or_else(PoisonError::into_inner);
     let mut gaps_ms: Vec<f64> =
         times.windows(2).map(|pair| pair[1].duration_since(pair[0]).as_secs_f64() * 1e3).collect();

@@ -2,9 +2,10 @@
 //! work: how many pictures a second it makes when nothing holds it back, and how old they are at 30 a second.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use panoscope_engine::Report;
-use panoscope_graph::GraphOptions;
+use panoscope_graph::{GraphOptions, GraphText};
 use toml::{Table, Value};
 
 use crate::error::{Context, Result};
@@ -12,17 +13,54 @@ use crate::figures::Figure;
 use crate::graph_file;
 use crate::inputs::Folder;
 use crate::inputs::pairs::Pairs;
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::{Session, note};
 use crate::text_table::table;
+use crate::timeline::{self, Budget, Timeline, Waits, work_tables};
 
-/// Pairs that are rendered, and played there and back again without end.
+/// Pairs that are rendered, and played there and back again without end: as many as `capture` keeps decoded, so that no picture is decoded twice.
 const PAIRS: u64 = 60;
+/// Bytes of one view that `capture` keeps.
+const KEPT_BYTES: u64 = 256 << 20;
 /// Type of the source that is rendered beforehand.
 const SOURCE: &str = "phantom";
 
-fn run(session: &dyn Session, text: &str, path: &Path, frames: u64, pace: Pace) -> Result<Report> {
-    Ok(run::run(session, &Plan { text, path, frames: Some(frames), threads: 0, ports: &[], pace })?.report)
+/// A run and what its threads did.
+struct Run {
+    report: Report,
+    timeline: Arc<Timeline>,
+}
+
+fn run(session: &dyn Session, text: &str, path: &Path, frames: u64, pace: Pace) -> Result<Run> {
+    let timeline = Arc::new(Timeline::default());
+    let watchers = Watchers { tracer: Some(Arc::clone(&timeline) as _), ..Watchers::default() };
+    let plan = Plan { text, path, frames: Some(frames), threads: 0, ports: &[], pace };
+    Ok(Run { report: run::run_watched(session, &plan, watchers)?.report, timeline })
+}
+
+/// Shows where the time of a picture goes, from the end of the source's call to the end of each sink that takes every tick.
+fn show_budget(session: &dyn Session, run: &Run, text: &str, path: &Path) -> Result<()> {
+    let text = GraphText::parse(path, text);
+    let Ok(ready) = graph_file::ready(&text) else { return Ok(()) };
+    let waits = Waits::of(&ready.graph);
+    let mut sinks: Vec<(&String, f64)> = run.report.paths.iter().map(|(sink, path)| (sink, path.age_p99_ms)).collect();
+    sinks.sort_by(|a, b| b.1.total_cmp(&a.1));
+    for budget in sinks.iter().filter_map(|(sink, _)| Budget::of(&run.timeline, &waits, sink)) {
+        note!(
+            session,
+            "the chain of calls that `{}` waits for, mean of {} pictures, {:.2} ms from the source:",
+            budget.sink,
+            budget.pictures,
+            budget.total_ms
+        );
+        session.table(&budget.text());
+    }
+    let [moved, threads] = work_tables(&run.timeline, run.report.frames);
+    note!(session, "bytes per picture, and their rate while the node works:");
+    session.table(&moved);
+    note!(session, "threads, share of the run in which they are in calls (sources wait for light in theirs):");
+    session.table(&threads);
+    Ok(())
 }
 
 fn nodes(graph: &mut Table) -> Result<&mut Table> {
@@ -39,6 +77,16 @@ fn source(graph: &mut Table) -> Result<(String, Value)> {
     let (name, node) = found
         .context("the graph has no `phantom`: the bench renders its views beforehand and plays them in its place")?;
     Ok((name.clone(), node.clone()))
+}
+
+/// Number of pairs for the size of a phantom's pictures.
+fn pairs_of(phantom: &Value) -> u64 {
+    let of = |name: &str, default: u64| {
+        let value = phantom.get("params").and_then(|params| params.get(name)).and_then(Value::as_integer);
+        value.and_then(|value| u64::try_from(value).ok()).unwrap_or(default)
+    };
+    // There and back again, each picture is kept twice.
+    PAIRS.min(KEPT_BYTES / (2 * 3 * of("width", 640) * of("height", 480)).max(1)).max(2)
 }
 
 /// The graph with its phantom played from files and its sinks writing into `folder`.
@@ -104,6 +152,8 @@ pub struct Options {
     pub graph: PathBuf,
     /// Its overlays, arguments and settings.
     pub given: GraphOptions,
+    /// File for what each thread did at 30 pictures a second.
+    pub trace: Option<PathBuf>,
 }
 
 /// Measures the graph: unpaced for `system_fps`, at 30 pictures a second for the ages.
@@ -113,31 +163,37 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     let mut graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
     let (name, phantom) = source(&mut graph)?;
     let folder = Folder::new("panoscope-bench-system")?;
-    note!(session, "rendering {PAIRS} pairs");
-    let pairs = Pairs::render(session, &folder, "pairs", &phantom, PAIRS)?.and_back(PAIRS)?;
+    let count = pairs_of(&phantom);
+    note!(session, "rendering {count} pairs");
+    let pairs = Pairs::render(session, &folder, "pairs", &phantom, count)?.and_back(count)?;
     let [unheld, held] = ["off", "on"].map(|pace| played(&graph, folder.path(), &name, &pairs.node(pace)));
     let (unheld, held) = (unheld?, held?);
     // The first time round each picture is decoded, later ones are kept.
     let (frames, rounds) = if quick { (480, 1) } else { (1800, 2) };
-    let input = format!("{} on {PAIRS} rendered pairs", path.file_name().unwrap_or_default().to_string_lossy());
+    let input = format!("{} on {count} rendered pairs", path.file_name().unwrap_or_default().to_string_lossy());
     let mut fastest: Option<Report> = None;
-    let mut paced: Option<Report> = None;
+    let mut paced: Option<Run> = None;
     for _ in 0..rounds {
-        let report = run(session, &unheld, path, frames, Pace::Free)?;
+        let Run { report, .. } = run(session, &unheld, path, frames, Pace::Free)?;
         if fastest.as_ref().is_none_or(|best| screen_fps(&report) > screen_fps(best)) {
             fastest = Some(report);
         }
-        let report = run(session, &held, path, frames, Pace::Camera)?;
-        let age = |r: &Report| slowest(r).1;
-        if paced.as_ref().is_none_or(|best| age(&report) < age(best)) {
-            paced = Some(report);
+        let run = run(session, &held, path, frames, Pace::Camera)?;
+        let age = |run: &Run| slowest(&run.report).1;
+        if paced.as_ref().is_none_or(|best| age(&run) < age(best)) {
+            paced = Some(run);
         }
     }
     let (fastest, paced) = fastest.zip(paced).context("nothing was measured")?;
     note!(session, "unpaced, {} pictures in {:.1} s:", fastest.frames, fastest.seconds);
     show(session, &fastest);
     note!(session, "at 30 pictures a second:");
-    show(session, &paced);
+    show(session, &paced.report);
+    show_budget(session, &paced, &held, path)?;
+    if let Some(file) = &options.trace {
+        timeline::write(&paced.timeline, file).with_context(|| format!("cannot write {}", file.display()))?;
+    }
+    let paced = paced.report;
     let mut figures = vec![Figure::new("system_fps", screen_fps(&fastest), "1/s", &input)];
     let (sink, age) = slowest(&paced);
     figures.push(Figure::new("system_age_p99", age, "ms", &format!("{input}, 30 a second, slowest sink {sink}")));
@@ -175,4 +231,18 @@ fn behind_the_arm(graph: &mut Table) -> Result<Option<String>> {
 fn slowest(report: &Report) -> (String, f64) {
     let oldest = report.paths.iter().max_by(|a, b| a.1.age_p99_ms.total_cmp(&b.1.age_p99_ms));
     oldest.map_or((String::new(), f64::NAN), |(id, path)| (id.clone(), path.age_p99_ms))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_pictures_are_fewer() {
+        let phantom =
+            |params: &str| Value::Table(format!("type = \"phantom\"\nparams = {{ {params} }}").parse().expect("TOML"));
+        assert_eq!(pairs_of(&phantom("")), 60);
+        assert_eq!(pairs_of(&phantom("width = 1920, height = 1080")), 21);
+        assert_eq!(pairs_of(&phantom("width = 100000, height = 100000")), 2);
+    }
 }

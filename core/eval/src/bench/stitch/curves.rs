@@ -15,7 +15,7 @@ use crate::error::Result;
 use crate::inputs::Folder;
 use crate::inputs::pairs::Pairs;
 use crate::plot::{self, Chart, Series, Style};
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::Session;
 use crate::text_table::table;
 
@@ -106,7 +106,7 @@ fn run(session: &dyn Session, pairs: &Pairs, method: Method, seam: Seam, frames:
         ports: &[],
         pace: Pace::Alone,
     };
-    run::run_and_listen(session, &plan, listen.collect(), Some(numbers))?;
+    run::run_watched(session, &plan, Watchers { listen: listen.collect(), numbers: Some(numbers), tracer: None })?;
     let mut heard = lock(&heard);
     Ok(StageTimes { moments: std::mem::take(&mut heard.moments), seam: std::mem::take(&mut heard.seam) })
 }

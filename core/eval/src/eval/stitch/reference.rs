@@ -24,7 +24,7 @@ use crate::error::{Context, Result};
 use crate::inputs::wiring::Wiring;
 use crate::packets;
 use crate::registration::Registration;
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::{Session, check_cancelled};
 use crate::statistics::{finite, mean, rms};
 
@@ -215,7 +215,7 @@ fn collect(
     });
     let text = pictures.text();
     let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &[], pace: Pace::Free };
-    run::run_and_listen(session, &plan, listen.collect(), None)?;
+    run::run_watched(session, &plan, Watchers { listen: listen.collect(), ..Watchers::default() })?;
     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
     Ok(std::mem::take(&mut *kept))
 }

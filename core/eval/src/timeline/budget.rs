@@ -1,0 +1,224 @@
+//! Where the time of a picture goes: the chain of calls that its sink waited for, from the end of the source's call to the end of the sink's.
+
+use std::collections::HashMap;
+
+use panoscope_graph::{Align, Graph};
+
+use super::{Call, Timeline};
+use crate::text_table::{number, table};
+
+/// What one node takes of the time of a picture, means over all pictures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Share {
+    /// The node.
+    pub node: String,
+    /// Share of the pictures on whose chain it is, 0..1.
+    pub on_chain: f64,
+    /// From the last of its inputs to its start, ms: its thread was busy with something else, or it was handed over.
+    pub wait_ms: f64,
+    /// Time of its calls, ms.
+    pub work_ms: f64,
+}
+
+/// The time of a picture at one sink.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Budget {
+    /// The sink.
+    pub sink: String,
+    /// Pictures that it took.
+    pub pictures: usize,
+    /// Mean time from the end of the source's call to the end of the sink's, ms; the sum of all shares.
+    pub total_ms: f64,
+    /// The nodes of the chain, in the order of the graph.
+    pub shares: Vec<Share>,
+}
+
+/// What was added up for a node.
+#[derive(Clone, Copy, Default)]
+struct Sum {
+    pictures: usize,
+    wait_ns: u64,
+    work_ns: u64,
+}
+
+/// The nodes of a graph in its order, each with the nodes that it waits for: those of its inputs that are of the same tick and not delayed.
+#[derive(Clone, Debug, Default)]
+pub struct Waits(Vec<(String, Vec<String>)>);
+
+impl Waits {
+    /// What the nodes of a graph wait for.
+    pub fn of(graph: &Graph) -> Self {
+        let id = |node: usize| graph.nodes[node].id.clone();
+        let producers = |node: usize| {
+            let waited_for = graph.inputs_of(node).iter().filter(|edge| edge.align == Align::Exact && edge.delay == 0);
+            waited_for.map(|edge| id(edge.from_node)).collect()
+        };
+        Self(graph.order.iter().map(|&node| (id(node), producers(node))).collect())
+    }
+
+    fn position(&self, node: &str) -> Option<usize> {
+        self.0.iter().position(|(id, _)| id == node)
+    }
+}
+
+impl Budget {
+    /// The budget of the pictures that `sink` took; `None` where it took none that are still in the timeline from their source on.
+    pub fn of(timeline: &Timeline, waits: &Waits, sink: &str) -> Option<Self> {
+        let calls = timeline.copy();
+        let positions: Vec<Option<usize>> = calls.nodes.iter().map(|node| waits.position(node)).collect();
+        let producers: Vec<Vec<usize>> =
+            waits.0.iter().map(|(_, from)| from.iter().filter_map(|id| waits.position(id)).collect()).collect();
+        let mut by_tick: HashMap<(u32, u64), HashMap<usize, Call>> = HashMap::new();
+        for call in calls.calls.iter().filter(|call| call.made) {
+            if let Some(node) = positions[call.node as usize] {
+                by_tick.entry((call.source, call.seq)).or_default().insert(node, *call);
+            }
+        }
+        let sink_at = waits.position(sink)?;
+        let mut sums = vec![Sum::default(); waits.0.len()];
+        let (mut pictures, mut total_ns) = (0, 0);
+        for of_tick in by_tick.values() {
+            let Some((steps, time_ns)) = chain(of_tick, &producers, sink_at) else { continue };
+            pictures += 1;
+            total_ns += time_ns;
+            for (node, wait_ns, work_ns) in steps {
+                let sum = &mut sums[node];
+                *sum =
+                    Sum { pictures: sum.pictures + 1, wait_ns: sum.wait_ns + wait_ns, work_ns: sum.work_ns + work_ns };
+            }
+        }
+        if pictures == 0 {
+            return None;
+        }
+        let ms = |ns: u64| ns as f64 / 1e6 / pictures as f64;
+        let shares = waits.0.iter().zip(&sums).filter(|(_, sum)| sum.pictures > 0).map(|((node, _), sum)| Share {
+            node: node.clone(),
+            on_chain: sum.pictures as f64 / pictures as f64,
+            wait_ms: ms(sum.wait_ns),
+            work_ms: ms(sum.work_ns),
+        });
+        Some(Self { sink: sink.to_owned(), pictures, total_ms: ms(total_ns), shares: shares.collect() })
+    }
+
+    /// The budget as a table.
+    pub fn text(&self) -> String {
+        let mut rows = vec![["node", "on the chain %", "wait ms", "work ms"].map(str::to_owned).to_vec()];
+        for share in &self.shares {
+            let (wait, work) = (number(share.wait_ms, 2), number(share.work_ms, 2));
+            rows.push(vec![share.node.clone(), number(100.0 * share.on_chain, 0), wait, work]);
+        }
+        let sum = |part: fn(&Share) -> f64| number(self.shares.iter().map(part).sum(), 2);
+        rows.push(vec!["all".to_owned(), String::new(), sum(|s| s.wait_ms), sum(|s| s.work_ms)]);
+        table(&rows)
+    }
+}
+
+/// Node, wait and work (ns) of each step from `sink` back to the call after the source's, and their sum.
+fn chain(
+    of_tick: &HashMap<usize, Call>,
+    producers: &[Vec<usize>],
+    sink: usize,
+) -> Option<(Vec<(usize, u64, u64)>, u64)> {
+    let (mut node, mut steps) = (sink, Vec::new());
+    let end_ns = of_tick.get(&sink)?.end_ns;
+    loop {
+        let call = of_tick.get(&node)?;
+        let ends = producers[node].iter().filter_map(|from| Some((*from, of_tick.get(from)?.end_ns)));
+        let last = ends.filter(|(_, end)| *end <= call.start_ns).max_by_key(|(_, end)| *end);
+        let Some((before, ready_ns)) = last else {
+            // The source: its call waits for light and is not counted. A node whose producers are no longer in the timeline is none.
+            return (node != sink && producers[node].is_empty()).then(|| (steps, end_ns - call.end_ns));
+        };
+        steps.push((node, call.start_ns - ready_ns, call.end_ns - call.start_ns));
+        node = before;
+    }
+}
+
+/// What each node read and made per picture, MB, and how long each thread was in calls: two tables.
+pub fn work_tables(timeline: &Timeline, pictures: u64) -> [String; 2] {
+    let calls = timeline.copy();
+    let per_picture = 1e6 * pictures.max(1) as f64;
+    let mut bytes = vec![(0_u64, 0_u64, 0_u64); calls.nodes.len()];
+    let mut busy_ns = vec![0_u64; calls.threads.len()];
+    for call in calls.calls.iter().filter(|call| call.made) {
+        let node = &mut bytes[call.node as usize];
+        *node = (node.0 + call.read_bytes, node.1 + call.made_bytes, node.2 + call.end_ns - call.start_ns);
+        busy_ns[call.thread as usize] += call.end_ns - call.start_ns;
+    }
+    let mut moved = vec![["node", "read MB", "made MB", "GB/s"].map(str::to_owned).to_vec()];
+    let mut order: Vec<usize> = (0..bytes.len()).collect();
+    order.sort_by_key(|node| std::cmp::Reverse(bytes[*node].0 + bytes[*node].1));
+    for node in order {
+        let (read, made, ns) = bytes[node];
+        let rate = (read + made) as f64 / ns as f64;
+        let [read, made] = [read, made].map(|bytes| number(bytes as f64 / per_picture, 2));
+        moved.push(vec![calls.nodes[node].to_string(), read, made, number(rate, 2)]);
+    }
+    let begin = calls.calls.iter().map(|call| call.start_ns).min().unwrap_or(0);
+    let end = calls.calls.iter().map(|call| call.end_ns).max().unwrap_or(0);
+    let mut threads = vec![["thread", "in calls %"].map(str::to_owned).to_vec()];
+    for (name, ns) in calls.threads.iter().zip(&busy_ns) {
+        threads.push(vec![name.clone(), number(100.0 * *ns as f64 / (end - begin) as f64, 1)]);
+    }
+    [table(&moved), table(&threads)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::enter;
+    use super::*;
+
+    fn waits() -> Waits {
+        let node = |id: &str, from: &[&str]| (id.to_owned(), from.iter().map(|id| (*id).to_owned()).collect());
+        Waits(vec![
+            node("camera", &[]),
+            node("slow", &["camera"]),
+            node("fast", &["camera"]),
+            node("sink", &["slow", "fast"]),
+        ])
+    }
+
+    #[test]
+    fn the_chain_goes_through_what_was_waited_for() {
+        let timeline = Timeline::default();
+        for (seq, begin) in [(0, 0), (1, 100)] {
+            enter(&timeline, "camera", seq, begin, begin + 10);
+            enter(&timeline, "slow", seq, begin + 11, begin + 20);
+            enter(&timeline, "fast", seq, begin + 11, begin + 12);
+            enter(&timeline, "sink", seq, begin + 23, begin + 25);
+        }
+        // Not through yet: it does not count.
+        enter(&timeline, "camera", 2, 200, 210);
+        let budget = Budget::of(&timeline, &waits(), "sink").expect("two pictures");
+        assert_eq!((budget.pictures, budget.total_ms), (2, 15.0), "from the camera's end to the sink's");
+        let share =
+            |node: &str, wait_ms: f64, work_ms: f64| Share { node: node.to_owned(), on_chain: 1.0, wait_ms, work_ms };
+        assert_eq!(budget.shares, [share("slow", 1.0, 9.0), share("sink", 3.0, 2.0)], "`fast` was not waited for");
+        let sum: f64 = budget.shares.iter().map(|share| share.wait_ms + share.work_ms).sum();
+        assert_eq!(sum, budget.total_ms);
+        assert!(
+            budget.text().lines().last().is_some_and(|all| all.contains("4.00") && all.contains("11.00")),
+            "{}",
+            budget.text()
+        );
+    }
+
+    #[test]
+    fn without_a_picture_there_is_no_budget() {
+        let timeline = Timeline::default();
+        enter(&timeline, "slow", 0, 11, 20);
+        enter(&timeline, "sink", 0, 23, 25);
+        assert_eq!(Budget::of(&timeline, &waits(), "sink"), None, "its source is not in the timeline");
+        assert_eq!(Budget::of(&timeline, &waits(), "other"), None, "no such node");
+    }
+
+    #[test]
+    fn tables_show_bytes_and_threads() {
+        let timeline = Timeline::default();
+        enter(&timeline, "camera", 0, 0, 10);
+        enter(&timeline, "sink", 0, 15, 20);
+        let [moved, threads] = work_tables(&timeline, 1);
+        assert!(moved.contains("camera"), "{moved}");
+        assert!(threads.contains("75.0"), "15 of 20 ms: {threads}");
+    }
+}
