@@ -7,6 +7,10 @@ use crate::View;
 
 /// Output pixels per block.
 pub const BLOCK: usize = 64;
+/// Output pixels that [`put_group`] locates together.
+pub const GROUP: usize = 8;
+/// A group may begin anywhere in a block.
+const ROOM: usize = BLOCK + GROUP;
 
 /// Gain of one, per channel, as [`sample`] takes it (Q14).
 pub const UNIT_GAIN: [i16; 4] = [16384, 16384, 16384, 0];
@@ -15,19 +19,19 @@ pub const UNIT_GAIN: [i16; 4] = [16384, 16384, 16384, 0];
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub struct Block {
-    /// Byte offset of the upper left neighbour.
-    pub offset: [u32; BLOCK],
+    /// Byte offset of the upper left neighbour. What is behind a block of pixels has no meaning.
+    pub offset: [u32; ROOM],
     /// Horizontal weights in 1/64: left in the low byte, right in the high byte.
-    pub horizontal: [u16; BLOCK],
+    pub horizontal: [u16; ROOM],
     /// Vertical weight of the lower row, Q14.
-    pub vertical: [u16; BLOCK],
+    pub vertical: [u16; ROOM],
     /// Whether the positions lie on a line, so that both ends bound the rows between them.
     pub is_line: bool,
 }
 
 impl Default for Block {
     fn default() -> Self {
-        Self { offset: [0; BLOCK], horizontal: [64; BLOCK], vertical: [0; BLOCK], is_line: true }
+        Self { offset: [0; ROOM], horizontal: [64; ROOM], vertical: [0; ROOM], is_line: true }
     }
 }
 
@@ -91,7 +95,6 @@ fn locate_avx2(
     let d = [_mm256_set1_ps(d[0]), _mm256_set1_ps(d[1]), _mm256_set1_ps(d[2])];
     let limit = [_mm256_set1_ps(limit[0]), _mm256_set1_ps(limit[1])];
     let last = [_mm256_set1_epi32(last[0]), _mm256_set1_epi32(last[1])];
-    let (stride, three) = (_mm256_set1_epi32(stride), _mm256_set1_epi32(3));
     let (unit, first) = (_mm256_set1_ps(64.0), _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0));
     let mut i = 0;
     while i < count {
@@ -106,16 +109,8 @@ fn locate_avx2(
             (whole, _mm256_sub_epi32(v, _mm256_slli_epi32(whole, 6)))
         };
         let ((column, fx), (row, fy)) = (place(0), place(1));
-        let offset = _mm256_add_epi32(_mm256_mullo_epi32(row, stride), _mm256_mullo_epi32(column, three));
-        let horizontal = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32(fx, 8), fx), _mm256_set1_epi32(64));
-        let vertical = _mm256_slli_epi32(fy, 8);
-        let both = _mm256_permute4x64_epi64(_mm256_packus_epi32(horizontal, vertical), 0xD8);
         // SAFETY: i + 8 <= 64, as count is a multiple of 8 of at most 64.
-        unsafe {
-            _mm256_storeu_si256(block.offset.as_mut_ptr().add(i).cast(), offset);
-            _mm_storeu_si128(block.horizontal.as_mut_ptr().add(i).cast(), _mm256_castsi256_si128(both));
-            _mm_storeu_si128(block.vertical.as_mut_ptr().add(i).cast(), _mm256_extracti128_si256(both, 1));
-        }
+        unsafe { store(block, i, [column, fx, row, fy], stride) };
         i += 8;
     }
 }
@@ -141,7 +136,13 @@ fn locate_body(
 
 /// Notes where output pixel `i` reads its source: position `at`, clamped to the view.
 #[inline(always)]
-fn put(block: &mut Block, i: usize, [u, v]: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) {
+fn put(block: &mut Block, i: usize, at: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) {
+    (block.offset[i], block.horizontal[i], block.vertical[i]) = located(at, limit, last, stride);
+}
+
+/// Offset and weights of a position, see [`Block`].
+#[inline(always)]
+fn located([u, v]: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) -> (u32, u16, u16) {
     // NaN falls to zero here, so that the conversions below always see a number in range.
     let u = if u > 0.0 { u } else { 0.0 };
     let v = if v > 0.0 { v } else { 0.0 };
@@ -154,57 +155,79 @@ fn put(block: &mut Block, i: usize, [u, v]: [f32; 2], limit: [f32; 2], last: [i3
     let row = (v >> 6).min(last[1]);
     let fx = u - (column << 6);
     let fy = v - (row << 6);
-    block.offset[i] = (row * stride + column * 3) as u32;
-    block.horizontal[i] = ((64 - fx) | (fx << 8)) as u16;
-    block.vertical[i] = (fy << 8) as u16;
+    ((row * stride + column * 3) as u32, ((64 - fx) | (fx << 8)) as u16, (fy << 8) as u16)
 }
 
-/// As [`locate`], from positions that are given: columns and rows of the first `count` output pixels.
-pub fn locate_each(
-    positions: &[[f32; BLOCK]; 2],
-    (width, height, stride): (usize, usize, usize),
-    count: usize,
-    block: &mut Block,
-    avx2: bool,
-) {
-    let limit = [(width - 1) as f32, (height - 1) as f32];
-    let last = [width as i32 - 2, height as i32 - 2];
-    block.is_line = false;
-    let count = count.min(BLOCK).div_ceil(8) * 8;
-    #[cfg(target_arch = "x86_64")]
-    if avx2 {
-        // SAFETY: the caller found AVX2 on this CPU.
-        unsafe { locate_each_avx2(positions, limit, last, stride as i32, count, block) };
-        return;
+/// The view that a block reads.
+#[derive(Clone, Copy, Debug)]
+pub struct Source {
+    limit: [f32; 2],
+    last: [i32; 2],
+    stride: i32,
+}
+
+impl Source {
+    /// A `width` x `height` BGR view with `stride`.
+    pub fn new(width: usize, height: usize, stride: usize) -> Self {
+        Self {
+            limit: [(width - 1) as f32, (height - 1) as f32],
+            last: [width as i32 - 2, height as i32 - 2],
+            stride: stride as i32,
+        }
     }
-    let _ = avx2;
-    locate_each_body(positions, limit, last, stride as i32, count, block);
 }
 
+/// Notes where output pixels `i .. i + 8` read their source: at `first + n * slope` for the `n`-th of them (column and row), clamped to the view. `i` is
+/// less than 64.
+#[inline(always)]
+pub fn put_group(block: &mut Block, i: usize, first: [f32; 2], slope: [f32; 2], source: &Source) {
+    for n in 0..GROUP {
+        let at = [0, 1].map(|k| first[k] + slope[k] * n as f32);
+        put(block, i + n, at, source.limit, source.last, source.stride);
+    }
+}
+
+/// As [`put_group`], with the same result.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn locate_each_avx2(
-    positions: &[[f32; BLOCK]; 2],
-    limit: [f32; 2],
-    last: [i32; 2],
-    stride: i32,
-    count: usize,
-    block: &mut Block,
-) {
-    locate_each_body(positions, limit, last, stride, count, block);
+#[inline]
+pub fn put_group_avx2(block: &mut Block, i: usize, first: [f32; 2], slope: [f32; 2], source: &Source) {
+    use std::arch::x86_64::*;
+    assert!(i < BLOCK, "a group begins inside the block");
+    let steps = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
+    let place = |k: usize| {
+        // Multiply and add stay apart, so that the portable path gives the same bits.
+        let along = _mm256_add_ps(_mm256_set1_ps(first[k]), _mm256_mul_ps(_mm256_set1_ps(slope[k]), steps));
+        let inside = _mm256_min_ps(_mm256_max_ps(along, _mm256_setzero_ps()), _mm256_set1_ps(source.limit[k]));
+        let inside = _mm256_add_ps(_mm256_mul_ps(inside, _mm256_set1_ps(64.0)), _mm256_set1_ps(0.5));
+        let at = _mm256_cvttps_epi32(inside);
+        let whole = _mm256_min_epi32(_mm256_srai_epi32(at, 6), _mm256_set1_epi32(source.last[k]));
+        (whole, _mm256_sub_epi32(at, _mm256_slli_epi32(whole, 6)))
+    };
+    let ((column, fx), (row, fy)) = (place(0), place(1));
+    // SAFETY: eight elements from `i` on lie inside the arrays, which have room for a group behind a block.
+    unsafe { store(block, i, [column, fx, row, fy], source.stride) };
 }
 
-#[inline(always)]
-fn locate_each_body(
-    positions: &[[f32; BLOCK]; 2],
-    limit: [f32; 2],
-    last: [i32; 2],
-    stride: i32,
-    count: usize,
-    block: &mut Block,
-) {
-    for i in 0..count {
-        put(block, i, [positions[0][i], positions[1][i]], limit, last, stride);
+/// Stores columns, rows and their fractions in 1/64 of eight output pixels.
+///
+/// # Safety
+/// `i` is at most 64.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+#[inline]
+unsafe fn store(block: &mut Block, i: usize, [column, fx, row, fy]: [std::arch::x86_64::__m256i; 4], stride: i32) {
+    use std::arch::x86_64::*;
+    let down = _mm256_mullo_epi32(row, _mm256_set1_epi32(stride));
+    let offset = _mm256_add_epi32(down, _mm256_mullo_epi32(column, _mm256_set1_epi32(3)));
+    let horizontal = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32(fx, 8), fx), _mm256_set1_epi32(64));
+    let vertical = _mm256_slli_epi32(fy, 8);
+    let both = _mm256_permute4x64_epi64(_mm256_packus_epi32(horizontal, vertical), 0xD8);
+    // SAFETY: the arrays have 72 elements, and `i` is at most 64, by the caller's promise.
+    unsafe {
+        _mm256_storeu_si256(block.offset.as_mut_ptr().add(i).cast(), offset);
+        _mm_storeu_si128(block.horizontal.as_mut_ptr().add(i).cast(), _mm256_castsi256_si128(both));
+        _mm_storeu_si128(block.vertical.as_mut_ptr().add(i).cast(), _mm256_extracti128_si256(both, 1));
     }
 }
 

@@ -1,10 +1,13 @@
 //! The mesh over time: fitted to each disparity map, steady while nothing moves, held while nothing is seen.
 
+use std::ops::Range;
+
 use super::super::grid::RectifiedView;
+use super::border::{Border, borders};
 use super::energy::{Energy, Stiffness};
 use super::fitted::Fitted;
 use super::observe::{Observations, Sampling};
-use super::relax::{Border, Continuation, Relax};
+use super::relax::{Continuation, Relax};
 use super::{Lattice, Mesh};
 use crate::geometry::{Homography, Point, overlap_roi};
 use crate::{Parallel, Rect, Simd, View};
@@ -48,6 +51,8 @@ const FIRST_STIFFNESS: Stiffness = Stiffness { bend: 0.05, slope: 0.02, place: 1
 /// come near.
 const SETTLE_PASSES: usize = 6;
 const SETTLED_PX: f64 = 0.2;
+/// Cells beyond a border for whose vertices the mesh is solved. Those further off follow the last ones: [`Relax`] replaces them.
+const SOLVED_BEYOND_CELLS: f64 = 2.0;
 /// A mesh that moves by less than this stays as it is, px: what follows from it need not be computed again.
 const DEAD_BAND_PX: f64 = 0.02;
 /// The mesh starts afresh when the share of the lines in which nothing is observed falls by more than this: where it guessed it may be so far off that
@@ -165,6 +170,9 @@ pub struct MeshFollower {
     base: Vec<Point>,
     /// Displacement of the vertices against it that fits the observations.
     shift: Vec<Point>,
+    /// Columns and rows of the vertices that are solved for, and their displacements.
+    solved: [Range<usize>; 2],
+    solution: Vec<Point>,
     /// Positions of the vertices in the other view, px, continued where only the other view sees.
     drawn: Vec<Point>,
     /// Positions in the reference view of what the vertices show: their own, but where the mesh changes over to its continuation.
@@ -275,6 +283,8 @@ impl MeshFollower {
         if report.is_new {
             self.blind_at_start = report.blind;
         }
+        self.solved = self.needed(&self.borders(left_from_right, left.size, right.size), scale);
+        let [columns, rows] = [0, 1].map(|axis| self.solved[axis].len());
         let stiffness = Stiffness { bend: p.bend, slope: p.slope, place: 1e-4 };
         let limit_px = p.outlier_px * scale;
         let solved = if report.is_new {
@@ -282,11 +292,11 @@ impl MeshFollower {
             self.shift.resize(lattice.len(), [0.0; 2]);
             FIRST_PASSES.iter().all(|(stiffer, times)| {
                 let wanted = if *stiffer > 1.0 { FIRST_STIFFNESS.times(*stiffer) } else { stiffness };
-                self.energy.reset(lattice.columns, lattice.rows, wanted);
+                self.energy.reset(columns, rows, wanted);
                 self.pass(times * limit_px, 0.0)
             }) && self.settle(limit_px)
         } else {
-            self.energy.reset(lattice.columns, lattice.rows, stiffness);
+            self.energy.reset(columns, rows, stiffness);
             let still = 1.0 / (1.0 + (report.motion_px / (p.still_px * scale)).powi(4));
             let hold = p.hold_moving + p.hold_still * still;
             // What only the other view sees moves along with the rest.
@@ -453,26 +463,72 @@ impl MeshFollower {
     /// One solution with weights from the distances to the mesh so far. `hold` is the weight of the frame before.
     fn pass(&mut self, limit_px: f64, hold: f64) -> bool {
         self.energy.begin();
-        let (lattice, shift) = (self.lattice, &self.shift);
+        let (lattice, shift, [columns, rows]) = (self.lattice, &self.shift, &self.solved);
         for seen in &self.located {
             let at = lattice.interpolate(|vertex| shift[vertex], seen.cell, seen.t);
             let square = ((seen.shift[0] - at[0]).powi(2) + (seen.shift[1] - at[1]).powi(2)) / (limit_px * limit_px);
-            if square > MOST_SQUARE {
+            let (column, row) = seen.cell;
+            let is_solved = columns.contains(&column)
+                && columns.contains(&(column + 1))
+                && rows.contains(&row)
+                && rows.contains(&(row + 1));
+            if square > MOST_SQUARE || !is_solved {
                 continue;
             }
+            let cell = (column - columns.start, row - rows.start);
             // Geman and McClure: what is far off hardly pulls.
-            self.energy.observe(seen.cell, seen.t, seen.shift, seen.weight / (1.0 + square).powi(2));
+            self.energy.observe(cell, seen.t, seen.shift, seen.weight / (1.0 + square).powi(2));
         }
         if hold > 0.0 {
-            for row in 0..lattice.rows {
-                for column in 0..lattice.columns {
+            for (y, row) in rows.clone().enumerate() {
+                for (x, column) in columns.clone().enumerate() {
                     let vertex = row * lattice.columns + column;
                     let (before, base) = (self.before[vertex], self.base[vertex]);
-                    self.energy.pull(column, row, [before[0] - base[0], before[1] - base[1]], hold);
+                    self.energy.pull(x, y, [before[0] - base[0], before[1] - base[1]], hold);
                 }
             }
         }
-        self.energy.solve(&mut self.shift, Simd::detect())
+        self.solution.resize(columns.len() * rows.len(), [0.0; 2]);
+        if !self.energy.solve(&mut self.solution, Simd::detect()) {
+            return false;
+        }
+        for row in 0..lattice.rows {
+            let y = row.clamp(rows.start, rows.end - 1) - rows.start;
+            let solution = &self.solution[y * columns.len()..(y + 1) * columns.len()];
+            for column in 0..lattice.columns {
+                let x = column.clamp(columns.start, columns.end - 1) - columns.start;
+                self.shift[row * lattice.columns + column] = solution[x];
+            }
+        }
+        true
+    }
+
+    /// The sides of the reference view beyond which the other view reaches, by the homography.
+    fn borders(
+        &self,
+        left_from_right: &Homography,
+        left: (usize, usize),
+        right: (usize, usize),
+    ) -> [Option<Border>; 4] {
+        let cells = self.params.along.map(|steps| if steps == 0.0 { BEYOND_CELLS[1] } else { BEYOND_CELLS[0] });
+        borders(cells.map(|cells| cells * self.lattice.cell_px as f64), left_from_right, left, right)
+    }
+
+    /// Columns and rows of the vertices that the picture depends on: not those beyond a border where the mesh is continued.
+    fn needed(&self, borders: &[Option<Border>; 4], scale: f64) -> [Range<usize>; 2] {
+        let lattice = self.lattice;
+        let mut needed = [0..lattice.columns, 0..lattice.rows];
+        for border in borders.iter().flatten().filter(|border| border.zone_px(self.params.zone_px * scale) > 0.0) {
+            let at = border.at_px / lattice.cell_px as f64 - f64::from(lattice.first[border.axis]);
+            let range = &mut needed[border.axis];
+            // At least two lines stay.
+            if border.outwards > 0.0 {
+                range.end = range.end.min((at + SOLVED_BEYOND_CELLS).max(1.0) as usize + 1).max(range.start + 2);
+            } else {
+                range.start = range.start.max((at - SOLVED_BEYOND_CELLS).max(0.0) as usize).min(range.end - 2);
+            }
+        }
+        needed
     }
 
     /// Sets what is drawn: the mesh that fits, continued where only the other view sees.
@@ -484,9 +540,7 @@ impl MeshFollower {
         let Some(back) = left_from_right.inverse_bounded() else { return };
         let scale = right.0 as f64 / REFERENCE_COLUMNS;
         let how = Continuation { zone_px: self.params.zone_px * scale, most_stretch: self.params.most_stretch };
-        let cells = self.params.along.map(|steps| if steps == 0.0 { BEYOND_CELLS[1] } else { BEYOND_CELLS[0] });
-        let beyond_px = cells.map(|cells| cells * self.lattice.cell_px as f64);
-        for border in borders(beyond_px, left_from_right, left, right).iter().flatten() {
+        for border in self.borders(left_from_right, left, right).iter().flatten() {
             self.relax.apply(&mut self.drawn, &self.lattice, border, &how, [left_from_right, &back]);
         }
         if !self.params.moves_reference {
@@ -537,30 +591,6 @@ impl MeshFollower {
         self.reference.source.clear();
         self.reference.source.extend(self.shown.iter().map(|at| at.map(|v| v as f32)));
     }
-}
-
-/// The sides of the reference view beyond which the other view reaches, by the homography.
-fn borders(
-    beyond_px: [f64; 2],
-    left_from_right: &Homography,
-    left: (usize, usize),
-    right: (usize, usize),
-) -> [Option<Border>; 4] {
-    let Some(corners) = left_from_right.map_corners(right.0, right.1) else { return [None; 4] };
-    let extent = |axis: usize| {
-        let along = corners.map(|corner| corner[axis]);
-        (along.iter().copied().fold(f64::MAX, f64::min), along.iter().copied().fold(f64::MIN, f64::max))
-    };
-    let sizes = [left.0 as f64, left.1 as f64];
-    let side = |axis: usize, outwards: f64| {
-        let ((low, high), size, beyond_px) = (extent(axis), sizes[axis], beyond_px[axis]);
-        let is_outwards = outwards > 0.0;
-        let is_beyond = if is_outwards { high > size + beyond_px } else { low < -beyond_px };
-        let at_px = if is_outwards { size } else { 0.0 };
-        let overlap_px = high.min(size) - low.max(0.0);
-        is_beyond.then_some(Border { axis, outwards, at_px, overlap_px })
-    };
-    [side(0, 1.0), side(0, -1.0), side(1, 1.0), side(1, -1.0)]
 }
 
 /// Length of a vector whose square does not overflow, faster than `hypot`.

@@ -1,18 +1,7 @@
 //! Sampling positions of output pixels, by a homography or by a mesh.
 
-use super::super::warp::{self, BLOCK, Block, Span};
+use super::super::warp::{self, BLOCK, Block, GROUP, Source, Span};
 use super::Mesh;
-
-/// 0, 1, 2 and so on: a table, because whole numbers of 64 bits are converted one by one.
-const STEPS: [f32; BLOCK] = {
-    let mut steps = [0.0; BLOCK];
-    let mut n = 0;
-    while n < BLOCK {
-        steps[n] = n as f32;
-        n += 1;
-    }
-    steps
-};
 
 /// A mesh seen from an output picture: pixel `(x, y)` of it lies at `origin + step * (x, y)` on the reference plane.
 #[derive(Clone, Copy, Debug)]
@@ -75,38 +64,70 @@ impl MeshGrid<'_> {
         [above[0] + t * (below[0] - above[0]), above[1] + t * (below[1] - above[1])]
     }
 
-    fn locate(
+    fn locate(&self, at: (usize, usize), view: (usize, usize, usize), count: usize, block: &mut Block, avx2: bool) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn with_avx2(
+                grid: &MeshGrid<'_>,
+                at: (usize, usize),
+                view: (usize, usize, usize),
+                count: usize,
+                block: &mut Block,
+            ) {
+                grid.locate_body(at, view, count, block, |block, i, first, slope, source| {
+                    warp::put_group_avx2(block, i, first, slope, source);
+                });
+            }
+            if avx2 {
+                // SAFETY: the caller found AVX2 on this CPU.
+                unsafe { with_avx2(self, at, view, count, block) };
+                return;
+            }
+        }
+        let _ = avx2;
+        self.locate_body(at, view, count, block, warp::put_group);
+    }
+
+    #[inline(always)]
+    fn locate_body(
         &self,
         (x, y): (usize, usize),
         (width, height, stride): (usize, usize, usize),
         count: usize,
         block: &mut Block,
-        avx2: bool,
+        put: impl Fn(&mut Block, usize, [f32; 2], [f32; 2], &Source),
     ) {
         let mesh = self.mesh;
-        let count = count.min(BLOCK).div_ceil(8) * 8;
-        let mut positions = [[0.0f32; BLOCK]; 2];
+        let count = count.min(BLOCK).div_ceil(GROUP) * GROUP;
+        let source = Source::new(width, height, stride);
+        block.is_line = false;
         let along = self.row(y);
         let per_pixel = self.step / mesh.lattice.cell_px as f32;
+        let pixels = mesh.lattice.cell_px as f32 / self.step;
         let start =
             (self.origin[0] + self.step * x as f32) / mesh.lattice.cell_px as f32 - mesh.lattice.first[0] as f32;
-        let mut i = 0;
+        let mut column = (start.max(0.0) as usize).min(mesh.lattice.columns - 2);
+        let (mut i, mut a) = (0, self.node(column, along));
         while i < count {
             let g = start + per_pixel * i as f32;
-            let column = (g.max(0.0) as usize).min(mesh.lattice.columns - 2);
-            let left = ((column + 1) as f32 - g) / per_pixel;
-            let end = if column + 2 == mesh.lattice.columns { count } else { count.min(i + round_up(left).max(1)) };
-            let (a, b) = (self.node(column, along), self.node(column + 1, along));
-            for (k, positions) in positions.iter_mut().enumerate() {
-                let slope = (b[k] - a[k]) * per_pixel;
-                let first = a[k] + (b[k] - a[k]) * (g - column as f32);
-                for (position, n) in positions[i..end].iter_mut().zip(&STEPS) {
-                    *position = first + slope * n;
-                }
+            let b = self.node(column + 1, along);
+            let is_last = column + 2 == mesh.lattice.columns;
+            let left = ((column + 1) as f32 - g) * pixels;
+            let end = if is_last { count } else { count.min(i + round_up(left.max(0.0)).max(1)) };
+            let slope = [0, 1].map(|k| (b[k] - a[k]) * per_pixel);
+            let mut first = [0, 1].map(|k| a[k] + (b[k] - a[k]) * (g - column as f32));
+            // Whole groups: what lies beyond the cell is located again for the next one.
+            while i < end {
+                put(block, i, first, slope, &source);
+                first = [0, 1].map(|k| first[k] + slope[k] * GROUP as f32);
+                i += GROUP;
             }
-            i = end;
+            (i, a) = (end, b);
+            if !is_last {
+                column += 1;
+            }
         }
-        warp::locate_each(&positions, (width, height, stride), count, block, avx2);
     }
 
     fn coverage(&self, view: (usize, usize), columns: usize, rows: usize, spans: &mut Vec<Span>) {
@@ -121,14 +142,17 @@ impl MeshGrid<'_> {
             let (mut low, mut high) = (f32::MAX, f32::MIN);
             if (y as f32) >= top && y as f32 <= bottom {
                 let along = self.row(y);
-                let mut a = self.node(0, along);
-                for column in 0..mesh.lattice.columns - 1 {
-                    let b = self.node(column + 1, along);
-                    if let Some((from, to)) = inside(a, b, [width, height]) {
-                        let at = |t: f32| first + (column as f32 + t) * per_cell;
-                        (low, high) = (low.min(at(from)), high.max(at(to)));
-                    }
-                    a = b;
+                // The first cell from either side that the view covers has the end of the span.
+                let mut covered = |column: usize| {
+                    let limit = [width, height];
+                    let (from, to) = inside(self.node(column, along), self.node(column + 1, along), limit)?;
+                    let at = |t: f32| first + (column as f32 + t) * per_cell;
+                    (low, high) = (low.min(at(from)), high.max(at(to)));
+                    Some(())
+                };
+                let mut cells = 0..mesh.lattice.columns - 1;
+                if cells.find_map(&mut covered).is_some() {
+                    let _ = cells.rev().find_map(covered);
                 }
             }
             let (start, end) = ((low - 1e-3).ceil().max(0.0), ((high + 1e-3).floor() + 1.0).min(columns as f32));

@@ -7,6 +7,7 @@
 //! F. Liu et al., "Content-preserving warps for 3D video stabilization", ACM TOG 28 (2009), is the same idea for one moving camera.
 
 mod band;
+mod border;
 mod doubt;
 mod energy;
 mod fitted;

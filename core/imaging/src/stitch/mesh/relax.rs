@@ -6,26 +6,12 @@
 //! perspective changes there from the reference view's to the other one's, which nobody sees as a break.
 
 use super::Lattice;
+use super::border::Border;
 use crate::geometry::{Homography, Point};
 
-/// The changeover takes at most this share of what both views see.
-const MOST_SHARE: f64 = 0.15;
 /// Range of the smoothness that is searched, in units of the weight of one line of vertices, and steps of the search.
 const SMOOTHNESS: [f64; 2] = [1e-3, 1e5];
 const SEARCH_STEPS: usize = 32;
-
-/// A side of the reference view beyond which the other view reaches.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Border {
-    /// 0 for a border of constant x, 1 for one of constant y.
-    pub axis: usize,
-    /// 1.0 when the other view reaches beyond it towards larger coordinates, -1.0 towards smaller ones.
-    pub outwards: f64,
-    /// Position, px of the reference view.
-    pub at_px: f64,
-    /// How far both views see on the inner side, px.
-    pub overlap_px: f64,
-}
 
 /// How the mesh is continued beyond a border.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +43,7 @@ impl Relax {
         how: &Continuation,
         [there, back]: [&Homography; 2],
     ) {
-        let zone = how.zone_px.min(MOST_SHARE * border.overlap_px);
+        let zone = border.zone_px(how.zone_px);
         if zone <= 0.0 {
             return;
         }
