@@ -25,18 +25,48 @@ const BESIDE_PX: usize = 6;
 /// Share of the window that is instrument, at least and at most: an end has both around it.
 const SHARES: (f32, f32) = (0.03, 0.9);
 
+/// Least side of the compared window, cells.
+const LEAST_SIDE: usize = 8;
+/// Cells on either side of the best coarse position that are tried at full size.
+const REFINED_CELLS: usize = 2;
+/// Products that are added up side by side, so that they can be computed at once.
+const LANES: usize = 8;
+
 /// Compares an end between two views; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct SecondView {
     left: Vec<f32>,
     right: Vec<f32>,
     fit: Vec<f32>,
+    /// Sums of the columns of the right strip, and of their squares.
+    sums: Vec<[f32; 2]>,
+}
+
+/// The compared window of the left view, and where it is searched: whole pixels.
+#[derive(Clone, Copy, Debug)]
+struct Window {
+    x: (usize, usize),
+    y: (usize, usize),
+    /// Smallest and largest disparity that is tried, px.
+    disparities: (usize, usize),
+    /// Pixels along one side of a cell.
+    pitch: usize,
+}
+
+impl Window {
+    /// Columns and rows, cells.
+    fn size(&self) -> (usize, usize) {
+        ((self.x.1 - self.x.0) / self.pitch, (self.y.1 - self.y.0) / self.pitch)
+    }
 }
 
 impl SecondView {
     /// Disparity of an end of the instrument that `silhouette` cut out last, px; disparities from `range` are tried. None where colours were not
     /// learned, the end is not seen in the other view, or no position fits clearly better than all others. Both views are rectified and of one size, blue,
-    /// green, red. Cost O(window x range).
+    /// green, red.
+    ///
+    /// Large views are compared in cells first, as many as a view of 640 columns has pixels, and at full size near the best position. Cost
+    /// O(cells of the window x cells of the range).
     pub fn disparity(
         &mut self,
         end: &End,
@@ -44,8 +74,7 @@ impl SecondView {
         views: [&View<'_, u8>; 2],
         range: (f64, f64),
     ) -> Option<f64> {
-        let [left, right] = views;
-        let (width, height) = (left.width, left.height);
+        let (width, height) = (views[0].width, views[0].height);
         let scale = (width as f64 / COLUMNS).max(0.25);
         let (half_x, half_y) = (HALF_WIDTH * scale, HALF_HEIGHT * scale);
         let (u, v) = (end.u_px - end.direction[0] * INSIDE * half_x, end.v_px - end.direction[1] * INSIDE * half_y);
@@ -56,72 +85,162 @@ impl SecondView {
             let clip = |at: f64| at.round().clamp(0.0, most as f64) as usize;
             (clip(from), clip(to))
         };
-        let ((x0, x1), (y0, y1)) = (side(u - half_x, u + half_x, width), side(v - half_y, v + half_y, height));
-        let (columns, rows) = (x1 - x0, y1 - y0);
-        if columns < 8 || rows < 8 {
-            return None;
-        }
+        let (x, y) = (side(u - half_x, u + half_x, width), side(v - half_y, v + half_y, height));
         // The window must be completely in the other view.
-        let first = range.0.max(0.0).ceil() as usize;
-        let last = (range.1.max(0.0) as usize).min(x0);
-        if first + 2 * BESIDE_PX >= last {
+        let (first, last) = (range.0.max(0.0).ceil() as usize, (range.1.max(0.0) as usize).min(x.0));
+        let pitch = (scale.round() as usize).max(1);
+        let window = Window { x, y, disparities: (first, last), pitch };
+        let (columns, rows) = window.size();
+        if columns < LEAST_SIDE || rows < LEAST_SIDE || first + 2 * BESIDE_PX * pitch >= last {
             return None;
         }
-        let pixel = |view: &View<'_, u8>, x: usize, y: usize| {
-            let row = view.row(y);
-            [row[3 * x], row[3 * x + 1], row[3 * x + 2]]
-        };
-        self.left.clear();
-        let mut inside = 0;
-        for y in y0..y1 {
-            for x in x0..x1 {
-                let ratio = silhouette.log_ratio(pixel(left, x, y))?;
-                let is_own = silhouette.contains(x, y);
-                inside += usize::from(is_own);
-                // Pixels that look like the instrument but are not connected with it are elsewhere in space.
-                self.left.push(if is_own { ratio } else { ratio.min(OUTSIDE) });
-            }
-        }
-        let share = inside as f32 / (columns * rows) as f32;
-        if !(SHARES.0..=SHARES.1).contains(&share) {
-            return None;
-        }
-        let (from, to) = (x0 - last, x1 - first);
-        let strip = to - from;
-        self.right.clear();
-        for y in y0..y1 {
-            for x in from..to {
-                self.right.push(silhouette.log_ratio(pixel(right, x, y))?);
-            }
-        }
-        let count = (columns * rows) as f32;
-        let mean = self.left.iter().sum::<f32>() / count;
-        self.left.iter_mut().for_each(|ratio| *ratio -= mean);
-        let own = self.left.iter().map(|ratio| ratio * ratio).sum::<f32>();
-        // One fit per disparity, from `last` down to `first`, as the window moves to the right.
-        self.fit.clear();
-        for offset in 0..=last - first {
-            let (mut cross, mut sum, mut square) = (0.0_f32, 0.0_f32, 0.0_f32);
-            for row in 0..rows {
-                let theirs = &self.right[row * strip + offset..row * strip + offset + columns];
-                for (own, ratio) in self.left[row * columns..(row + 1) * columns].iter().zip(theirs) {
-                    cross += own * ratio;
-                    sum += ratio;
-                    square += ratio * ratio;
-                }
-            }
-            let spread = (square - sum * sum / count).max(1e-3);
-            self.fit.push(cross / (own * spread).sqrt().max(1e-6));
-        }
-        let (best, most) = self.fit.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        self.compare(silhouette, views, &window)?;
+        let (best, most) = self.best()?;
         let others = self.fit.iter().enumerate().filter(|(at, _)| at.abs_diff(best) > BESIDE_PX);
         let second = others.map(|(_, fit)| *fit).fold(f32::NEG_INFINITY, f32::max);
         if most < LEAST || most < second + BETTER || best == 0 || best + 1 == self.fit.len() {
             return None;
         }
-        let (before, after) = (f64::from(self.fit[best - 1]), f64::from(self.fit[best + 1]));
-        let bend = before - 2.0 * f64::from(most) + after;
-        let part = if bend < -1e-9 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-        Some(last as f64 - (best as f64 + part))
+        if pitch == 1 {
+            return Some(last as f64 - (best as f64 + self.peak(best)));
+        }
+        let (at, beside) = (last - best * pitch, REFINED_CELLS * pitch);
+        let disparities = (at.saturating_sub(beside).max(first), (at + beside).min(last));
+        self.compare(silhouette, views, &Window { disparities, pitch: 1, ..window })?;
+        let (best, _) = self.best()?;
+        Some(disparities.1 as f64 - (best as f64 + self.peak(best)))
+    }
+
+    /// Position and value of the best fit.
+    fn best(&self) -> Option<(usize, f32)> {
+        self.fit.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Where between its neighbours the best fit is: -0.5 to 0.5 positions from `best`, 0 at either end.
+    fn peak(&self, best: usize) -> f64 {
+        if best == 0 || best + 1 >= self.fit.len() {
+            return 0.0;
+        }
+        let [before, most, after] = [best - 1, best, best + 1].map(|at| f64::from(self.fit[at]));
+        let bend = before - 2.0 * most + after;
+        if bend < -1e-9 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+    }
+
+    /// Sets `fit` to the normalised correlation of the window with each position, from the largest disparity down: the window moves to the right. None
+    /// where too little or too much of it is instrument.
+    fn compare(&mut self, silhouette: &Silhouette, [left, right]: [&View<'_, u8>; 2], window: &Window) -> Option<()> {
+        let Window { x: (x0, _), y: (y0, _), disparities: (first, last), pitch } = *window;
+        let (columns, rows) = window.size();
+        let area = (pitch * pitch) as f32;
+        let pixel = |view: &View<'_, u8>, x: usize, y: usize| {
+            let row = view.row(y);
+            [row[3 * x], row[3 * x + 1], row[3 * x + 2]]
+        };
+        let cell = |x: usize, y: usize| (y..y + pitch).flat_map(move |y| (x..x + pitch).map(move |x| (x, y)));
+        self.left.clear();
+        let mut inside = 0;
+        for row in 0..rows {
+            for column in 0..columns {
+                let mut sum = 0.0;
+                for (x, y) in cell(x0 + column * pitch, y0 + row * pitch) {
+                    let ratio = silhouette.log_ratio(pixel(left, x, y))?;
+                    let is_own = silhouette.contains(x, y);
+                    inside += usize::from(is_own);
+                    // Pixels that look like the instrument but are not connected with it are elsewhere in space.
+                    sum += if is_own { ratio } else { ratio.min(OUTSIDE) };
+                }
+                self.left.push(sum / area);
+            }
+        }
+        let count = (columns * rows) as f32;
+        if !(SHARES.0..=SHARES.1).contains(&(inside as f32 / (count * area))) {
+            return None;
+        }
+        let positions = (last - first) / pitch + 1;
+        let strip = columns + positions - 1;
+        self.right.clear();
+        self.sums.clear();
+        self.sums.resize(strip, [0.0; 2]);
+        for row in 0..rows {
+            for (column, sums) in self.sums.iter_mut().enumerate() {
+                let mut sum = 0.0;
+                for (x, y) in cell(x0 - last + column * pitch, y0 + row * pitch) {
+                    sum += silhouette.log_ratio(pixel(right, x, y))?;
+                }
+                let mean = sum / area;
+                *sums = [sums[0] + mean, sums[1] + mean * mean];
+                self.right.push(mean);
+            }
+        }
+        let mean = self.left.iter().sum::<f32>() / count;
+        self.left.iter_mut().for_each(|ratio| *ratio -= mean);
+        let own = self.left.iter().map(|ratio| ratio * ratio).sum::<f32>();
+        self.fit.clear();
+        for offset in 0..positions {
+            let lines = self.left.chunks_exact(columns).zip(self.right.chunks_exact(strip));
+            let cross = lines.map(|(own, theirs)| product(own, &theirs[offset..offset + columns])).sum::<f32>();
+            let under = self.sums[offset..offset + columns].iter();
+            let [sum, square] = under.fold([0.0; 2], |all, column| [all[0] + column[0], all[1] + column[1]]);
+            let spread = (square - sum * sum / count).max(1e-3);
+            self.fit.push(cross / (own * spread).sqrt().max(1e-6));
+        }
+        Some(())
+    }
+}
+
+/// The sum of the products of two rows of one length.
+fn product(a: &[f32], b: &[f32]) -> f32 {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut sums = [0.0_f32; LANES];
+    for (a, b) in a.iter().zip(b) {
+        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum += a * b;
+        }
+    }
+    let rest = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f32>();
+    sums.iter().sum::<f32>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::silhouette::Cues;
+
+    /// Red tissue with a gray instrument that comes from the left and ends at `end`; sizes at 640 columns, times `scale`.
+    fn picture((width, height): (usize, usize), scale: f64, end: (f64, f64)) -> Vec<u8> {
+        let at = |x: usize, y: usize| {
+            let noise = ((x * 31 + y * 17 + x * y) % 23) as u8;
+            let (dx, dy) = (x as f64 - end.0, (y as f64 - end.1).abs());
+            // It narrows towards its end.
+            let half = (9.0 * scale).min(3.0 * scale - 0.3 * dx);
+            if dx <= 0.0 && dy <= half {
+                [120 + noise, 122 + noise, 124 + noise]
+            } else {
+                [30 + noise, 40 + noise, 150 + noise]
+            }
+        };
+        (0..height).flat_map(|y| (0..width).flat_map(move |x| at(x, y))).collect()
+    }
+
+    #[test]
+    fn an_end_is_found_in_the_other_view_at_every_size() {
+        for (width, height) in [(640, 480), (1280, 720), (1920, 1080)] {
+            let scale = width as f64 / 640.0;
+            let (end, disparity) = ((360.0 * scale, 200.0 * scale), 83.4 * scale);
+            let left = picture((width, height), scale, end);
+            let right = picture((width, height), scale, (end.0 - disparity, end.1));
+            let views = [&left, &right].map(|data| View::new(data, width, height, 3));
+            let mut silhouette = Silhouette::default();
+            let corners = [300.0, 180.0, 364.0, 220.0].map(|v: f64| (v * scale) as f32);
+            let cues = Cues { size: (width, height), picture: Some(views[0]), nearness: None };
+            assert!(silhouette.cut(corners, &cues), "{width}");
+            let end = End { u_px: end.0, v_px: end.1, direction: [1.0, 0.0] };
+            let mut second = SecondView::default();
+            let mut find = |range| second.disparity(&end, &silhouette, [&views[0], &views[1]], range);
+            let found = find((40.0 * scale, 140.0 * scale)).expect("it is in both views");
+            // Pixels are whole: the true disparity is within half a pixel of what is drawn.
+            assert!((found - disparity).abs() < 1.0, "{width}: {found} for {disparity}");
+            assert_eq!(find((100.0 * scale, 200.0 * scale)), None, "{width}: it is outside the range");
+        }
     }
 }
