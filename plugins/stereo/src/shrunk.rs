@@ -114,13 +114,15 @@ impl StereoKernel for Shrunk {
         &mut self,
         tiles: &[Tile],
         views: [View<'_, u8>; 2],
+        left_right_px: Option<f32>,
         pool: &dyn Parallel,
         disparity: ViewMut<'_, f32>,
+        disparity_right: ViewMut<'_, f32>,
     ) -> Result<(), StereoError> {
         let factor = self.factor.max(1);
         let (width, height) = (views[0].width / factor, views[0].height / factor);
         if factor == 1 || width == 0 || height == 0 {
-            return self.kernel.match_tiles(tiles, views, pool, disparity);
+            return self.kernel.match_tiles(tiles, views, left_right_px, pool, disparity, disparity_right);
         }
         self.shrink(views, pool);
         let (left, right) = (self.views[0].view(), self.views[1].view());
@@ -132,9 +134,13 @@ impl StereoKernel for Shrunk {
             let (first_px, search_px) = shrunk_range(tile.first_px, tile.search_px, factor);
             Tile { area: Rect { x, y, width, height }, first_px, search_px }
         }));
-        let map = &mut self.maps[0];
-        self.kernel.match_tiles(&self.tiles, [left, right], pool, ViewMut::new(map, width, height, 1))?;
+        let [map, map_right] = &mut self.maps;
+        let maps = [&mut *map, &mut *map_right].map(|map| ViewMut::new(map, width, height, 1));
+        let [to, to_right] = maps;
+        let left_right_px = left_right_px.map(|px| px / factor as f32);
+        self.kernel.match_tiles(&self.tiles, [left, right], left_right_px, pool, to, to_right)?;
         enlarge(map, (width, height), factor, pool, disparity);
+        enlarge(map_right, (width, height), factor, pool, disparity_right);
         Ok(())
     }
 }

@@ -23,7 +23,8 @@ pub trait StereoKernel {
         disparity_right: Option<ViewMut<'_, f32>>,
     ) -> Result<(), StereoError>;
 
-    /// Matches each tile over its own range. Map as in [`BlockMatcher::compute_tiles`].
+    /// Matches each tile over its own range. The left map as in [`BlockMatcher::compute_tiles`], the right one by [`project_right`], which drops left
+    /// pixels that differ from it by more than `left_right_px`.
     ///
     /// # Errors
     /// Sizes do not agree.
@@ -31,8 +32,10 @@ pub trait StereoKernel {
         &mut self,
         tiles: &[Tile],
         views: [View<'_, u8>; 2],
+        left_right_px: Option<f32>,
         pool: &dyn Parallel,
         disparity: ViewMut<'_, f32>,
+        disparity_right: ViewMut<'_, f32>,
     ) -> Result<(), StereoError>;
 }
 
@@ -54,10 +57,14 @@ impl StereoKernel for BlockMatcher {
         &mut self,
         tiles: &[Tile],
         views: [View<'_, u8>; 2],
+        left_right_px: Option<f32>,
         pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
+        mut disparity: ViewMut<'_, f32>,
+        mut disparity_right: ViewMut<'_, f32>,
     ) -> Result<(), StereoError> {
-        self.compute_tiles(views[0], views[1], tiles, pool, disparity)
+        self.compute_tiles(views[0], views[1], tiles, pool, again(&mut disparity))?;
+        project_right(&mut disparity, &mut disparity_right, left_right_px, pool);
+        Ok(())
     }
 }
 
@@ -79,10 +86,14 @@ impl StereoKernel for SemiGlobalMatcher {
         &mut self,
         tiles: &[Tile],
         views: [View<'_, u8>; 2],
+        left_right_px: Option<f32>,
         pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
+        mut disparity: ViewMut<'_, f32>,
+        mut disparity_right: ViewMut<'_, f32>,
     ) -> Result<(), StereoError> {
-        self.compute_tiles(views[0], views[1], tiles, pool, disparity)
+        self.compute_tiles(views[0], views[1], tiles, pool, again(&mut disparity))?;
+        project_right(&mut disparity, &mut disparity_right, left_right_px, pool);
+        Ok(())
     }
 }
 
@@ -167,8 +178,8 @@ impl PairMatcher {
                 let area = tile.area.intersect(&roi);
                 (!area.is_empty()).then_some(Tile { area, ..*tile })
             }));
-            kernel.match_tiles(&self.tiles, views, pool, again(&mut disparity))?;
-            project_right(&mut disparity, right, params.left_right_px.map(|px| px as f32), pool);
+            let left_right_px = params.left_right_px.map(|px| px as f32);
+            kernel.match_tiles(&self.tiles, views, left_right_px, pool, again(&mut disparity), again(right))?;
         } else {
             let range = (first_px, params.search.search_px);
             kernel.match_roi(range, views, roi, pool, again(&mut disparity), right.as_mut().map(again))?;
