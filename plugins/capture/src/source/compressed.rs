@@ -22,7 +22,7 @@ pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, Pictu
         DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_) => {
             Samples::Float(bgr_of_rgb(picture.into_rgb32f().into_raw()))
         }
-        _ => Samples::Eight(bgr_of_rgb(picture.into_rgb8().into_raw())),
+        _ => Samples::Eight(bgr_of_rgb(picture.into_rgb8().into_raw()).into()),
     };
     Ok(Picture { width, height, samples })
 }

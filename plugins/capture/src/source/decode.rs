@@ -60,7 +60,7 @@ fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
     };
     let (width, height) = (width as usize, height as usize);
     let samples = match decoder.read_image().map_err(damaged)? {
-        DecodingResult::U8(values) => Samples::Eight(plain::bgr(&values, channels)),
+        DecodingResult::U8(values) => Samples::Eight(plain::bgr(&values, channels).into()),
         DecodingResult::U16(values) => Samples::Sixteen(plain::bgr(&values, channels)),
         DecodingResult::F32(values) => Samples::Float(plain::bgr(&values, channels)),
         DecodingResult::F64(values) => {

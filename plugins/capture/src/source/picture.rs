@@ -9,8 +9,8 @@ use gstreamer_video::video_frame::Readable;
 /// Blue, green, red of every pixel.
 #[derive(Clone, Debug)]
 pub enum Samples {
-    /// 0..=255, row after row without padding.
-    Eight(Vec<u8>),
+    /// 0..=255, row after row without padding. Shared: a picture that is shown again is not copied.
+    Eight(Arc<Vec<u8>>),
     /// 0..=255, in the decoder's memory.
     Decoded(Arc<VideoFrame<Readable>>),
     /// As the file holds them; white may be any of 255, 1023, 4095, 16383, 65535. Rows have no padding.
@@ -39,7 +39,6 @@ impl Clone for Picture {
     fn clone_from(&mut self, source: &Self) {
         (self.width, self.height) = (source.width, source.height);
         match (&mut self.samples, &source.samples) {
-            (Samples::Eight(own), Samples::Eight(new)) => own.clone_from(new),
             (Samples::Sixteen(own), Samples::Sixteen(new)) => own.clone_from(new),
             (Samples::Float(own), Samples::Float(new)) => own.clone_from(new),
             (own, new) => *own = new.clone(),
@@ -49,7 +48,7 @@ impl Clone for Picture {
 
 impl Default for Picture {
     fn default() -> Self {
-        Self { width: 0, height: 0, samples: Samples::Eight(Vec::new()) }
+        Self { width: 0, height: 0, samples: Samples::Eight(Arc::default()) }
     }
 }
 
@@ -66,10 +65,7 @@ impl Picture {
     pub fn clear(&mut self) {
         self.width = 0;
         self.height = 0;
-        match &mut self.samples {
-            Samples::Eight(bgr) => bgr.clear(),
-            other => *other = Samples::Eight(Vec::new()),
-        }
+        self.samples = Samples::Eight(Arc::default());
     }
 
     /// Bytes of memory.
@@ -144,21 +140,30 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_is_taken_over_in_the_memory_that_is_there() {
-        let of =
-            |level: u8, width: usize| Picture { width, height: 2, samples: Samples::Eight(vec![level; 6 * width]) };
-        let address = |picture: &Picture| match &picture.samples {
-            Samples::Eight(bgr) => bgr.as_ptr(),
-            _ => panic!("eight bits"),
-        };
-        let mut picture = of(1, 40);
-        let before = address(&picture);
-        picture.clone_from(&of(7, 30));
+    fn a_picture_shares_its_bytes_and_keeps_its_memory_for_deeper_values() {
+        let mut picture = Picture::default();
+        let eight = Picture { width: 30, height: 2, samples: Samples::Eight(Arc::new(vec![7; 180])) };
+        picture.clone_from(&eight);
         assert_eq!((picture.width, picture.height, picture.bytes()), (30, 2, 180));
-        assert_eq!(address(&picture), before);
-        let float = Picture { width: 1, height: 1, samples: Samples::Float(vec![0.5; 3]) };
-        picture.clone_from(&float);
-        assert!(matches!(&picture.samples, Samples::Float(bgr) if *bgr == [0.5; 3]));
+        let (Samples::Eight(own), Samples::Eight(shared)) = (&picture.samples, &eight.samples) else {
+            panic!("eight bits")
+        };
+        assert!(Arc::ptr_eq(own, shared), "shown again without a copy");
+        let deep = |value: u16, count: usize| Picture {
+            width: count / 3,
+            height: 1,
+            samples: Samples::Sixteen(vec![value; count]),
+        };
+        let address = |picture: &Picture| match &picture.samples {
+            Samples::Sixteen(bgr) => bgr.as_ptr(),
+            _ => panic!("sixteen bits"),
+        };
+        picture.clone_from(&deep(1, 240));
+        let before = address(&picture);
+        picture.clone_from(&deep(7, 180));
+        assert_eq!((picture.width, address(&picture)), (60, before));
+        picture.clear();
+        assert_eq!(picture.bytes(), 0);
     }
 
     #[test]

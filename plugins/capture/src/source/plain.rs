@@ -54,7 +54,7 @@ pub fn bmp(bytes: &[u8]) -> Result<Picture, PictureError> {
             }
         }
     }
-    Ok(Picture { width: columns, height: rows, samples: Samples::Eight(bgr) })
+    Ok(Picture { width: columns, height: rows, samples: Samples::Eight(bgr.into()) })
 }
 
 /// Decodes a binary PGM or PPM of 8 or 16 bits.
@@ -95,7 +95,7 @@ pub fn pnm(bytes: &[u8]) -> Result<Picture, PictureError> {
     let wide = usize::from(most > 255) + 1;
     let data = bytes.get(at..).and_then(|rest| rest.get(..values * wide)).ok_or(PictureError::Incomplete)?;
     let samples = if wide == 1 {
-        Samples::Eight(bgr(data, channels))
+        Samples::Eight(bgr(data, channels).into())
     } else {
         let values: Vec<u16> = data.as_chunks::<2>().0.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
         Samples::Sixteen(bgr(&values, channels))
