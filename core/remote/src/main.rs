@@ -36,6 +36,7 @@ fn main() -> ExitCode {
         // SAFETY: the program begins here; nothing has started a thread.
         unsafe { network::work_in_one_thread() };
     }
+    network::keep_large_buffers();
     if command == LINK_COMMAND {
         link::run(rest);
     }
