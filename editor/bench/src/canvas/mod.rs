@@ -33,7 +33,7 @@ pub use shape::{Pin, Shape, shown_output};
 const BESIDE: f32 = 64.0;
 
 /// Range of the zoom; each step is a factor of the eighth root of two.
-const ZOOM_STEPS: std::ops::RangeInclusive<f32> = -28.0..=8.0;
+const ZOOM_STEPS: std::ops::RangeInclusive<f32> = -36.0..=8.0;
 /// Largest scale at which a whole graph is shown.
 const FIT_SCALE: f32 = 1.5;
 /// Distance between the whole graph and the edges of the canvas, in points of the window.
