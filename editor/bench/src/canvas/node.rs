@@ -312,8 +312,10 @@ impl Canvas {
 
 /// A small node as a few rectangles: with hundreds of nodes in view, round and antialiased edges would dominate the drawing time.
 fn plain_node(mesh: &mut Mesh, rect: Rect, fill: Color32, edge: Stroke, bar: Color32) {
-    let outer = rect.expand(edge.width);
-    mesh.add_colored_rect(outer, edge.color);
+    // A thin edge that says nothing is left out: filling pixels is slow with software rendering.
+    if edge.color != theme::line() {
+        mesh.add_colored_rect(rect.expand(edge.width), edge.color);
+    }
     mesh.add_colored_rect(rect, fill);
     mesh.add_colored_rect(Rect::from_min_size(rect.min, vec2(2.0, rect.height())), bar);
 }
