@@ -1,7 +1,7 @@
 //! All actions of the editor and their keys. Buttons and keys trigger the same actions.
 
-use eframe::egui::{InputState, Key, KeyboardShortcut, Modifiers};
-use panoscope_editor_texts as texts;
+use eframe::egui::{InputState, Key, KeyboardShortcut, ModifierNames, Modifiers};
+use panoscope_editor_texts::{self as texts, text};
 
 /// An action of the editor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -141,7 +141,7 @@ pub enum Action {
 }
 
 /// The name of a text, which is known to be there.
-const fn text(name: &'static str) -> &'static str {
+const fn named(name: &'static str) -> &'static str {
     texts::assert_declared(name, &[]);
     name
 }
@@ -154,72 +154,72 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
     const SHIFT: Modifiers = Modifiers::COMMAND.plus(Modifiers::SHIFT);
     const ALT: Modifiers = Modifiers::ALT;
     &[
-        (Add, NONE, Key::A, text("action-add")),
-        (Connect, NONE, Key::W, text("action-connect")),
-        (Find, CTRL, Key::F, text("action-find")),
-        (Delete, NONE, Key::Delete, text("action-delete")),
-        (Duplicate, CTRL, Key::D, text("action-duplicate")),
-        (Bypass, NONE, Key::B, text("action-bypass")),
-        (Undo, CTRL, Key::Z, text("action-undo")),
-        (Redo, SHIFT, Key::Z, text("action-redo")),
-        (Save, CTRL, Key::S, text("action-save")),
-        (View, NONE, Key::V, text("action-view")),
-        (Compare, NONE, Key::C, text("action-compare")),
-        (Fit, NONE, Key::F, text("action-fit")),
-        (ZoomIn, NONE, Key::Plus, text("action-zoom-in")),
-        (ZoomOut, NONE, Key::Minus, text("action-zoom-out")),
-        (SelectAll, CTRL, Key::A, text("action-select-all")),
-        (Next, NONE, Key::N, text("action-next")),
-        (NextToo, Modifiers::SHIFT, Key::N, text("action-next-too")),
-        (Frame, NONE, Key::G, text("action-frame")),
-        (Note, NONE, Key::O, text("action-note")),
-        (Align, NONE, Key::L, text("action-align")),
-        (OpenPart, NONE, Key::E, text("action-open-part")),
-        (MakePart, NONE, Key::K, text("action-make-part")),
-        (Dissolve, Modifiers::SHIFT, Key::K, text("action-dissolve")),
-        (Arguments, NONE, Key::I, text("action-arguments")),
-        (Heat, NONE, Key::H, text("action-heat")),
-        (Text, NONE, Key::T, text("action-text")),
-        (Plots, NONE, Key::P, text("action-plots")),
-        (History, NONE, Key::Y, text("action-history")),
-        (Back, NONE, Key::OpenBracket, text("action-back")),
-        (Forward, NONE, Key::CloseBracket, text("action-forward")),
-        (Sweep, NONE, Key::S, text("action-sweep")),
-        (States, NONE, Key::R, text("action-states")),
-        (Snapshot, Modifiers::SHIFT, Key::R, text("action-snapshot")),
-        (Problems, NONE, Key::M, text("action-problems")),
-        (Timeline, NONE, Key::J, text("action-timeline")),
-        (Play, NONE, Key::Q, text("action-play")),
-        (TickBack, NONE, Key::Comma, text("action-tick-back")),
-        (TickForward, NONE, Key::Period, text("action-tick-forward")),
-        (Trace, NONE, Key::D, text("action-trace")),
-        (NextProblem, NONE, Key::F8, text("action-next-problem")),
-        (PreviousProblem, Modifiers::SHIFT, Key::F8, text("action-previous-problem")),
-        (Plugins, NONE, Key::U, text("action-plugins")),
-        (Reload, CTRL, Key::R, text("action-reload")),
-        (Restart, SHIFT, Key::R, text("action-restart")),
-        (Theme, Modifiers::SHIFT, Key::T, text("action-theme")),
-        (Language, Modifiers::SHIFT, Key::L, text("action-language")),
-        (Commands, CTRL, Key::K, text("action-commands")),
-        (NodeHelp, Modifiers::SHIFT, Key::F1, text("action-node-help")),
-        (Source, NONE, Key::X, text("action-source")),
-        (NodePanel, Modifiers::SHIFT, Key::I, text("action-node-panel")),
-        (Overview, Modifiers::SHIFT, Key::O, text("action-overview")),
-        (ViewerBeside, Modifiers::SHIFT, Key::V, text("action-viewer-beside")),
-        (NextPanel, NONE, Key::F6, text("action-next-panel")),
-        (PreviousPanel, Modifiers::SHIFT, Key::F6, text("action-previous-panel")),
-        (PanelLeft, ALT, Key::ArrowLeft, text("action-panel-left")),
-        (PanelRight, ALT, Key::ArrowRight, text("action-panel-right")),
-        (PanelAbove, ALT, Key::ArrowUp, text("action-panel-above")),
-        (PanelBelow, ALT, Key::ArrowDown, text("action-panel-below")),
-        (PanelLarger, ALT, Key::Plus, text("action-panel-larger")),
-        (PanelSmaller, ALT, Key::Minus, text("action-panel-smaller")),
-        (TearOff, ALT, Key::Enter, text("action-tear-off")),
-        (ClosePanel, CTRL, Key::W, text("action-close-panel")),
-        (ResetLayout, ALT, Key::Num0, text("action-reset-layout")),
-        (Guide, CTRL, Key::F1, text("action-guide")),
-        (Help, NONE, Key::F1, text("action-help")),
-        (Escape, NONE, Key::Escape, text("action-escape")),
+        (Add, NONE, Key::A, named("action-add")),
+        (Connect, NONE, Key::W, named("action-connect")),
+        (Find, CTRL, Key::F, named("action-find")),
+        (Delete, NONE, Key::Delete, named("action-delete")),
+        (Duplicate, CTRL, Key::D, named("action-duplicate")),
+        (Bypass, NONE, Key::B, named("action-bypass")),
+        (Undo, CTRL, Key::Z, named("action-undo")),
+        (Redo, SHIFT, Key::Z, named("action-redo")),
+        (Save, CTRL, Key::S, named("action-save")),
+        (View, NONE, Key::V, named("action-view")),
+        (Compare, NONE, Key::C, named("action-compare")),
+        (Fit, NONE, Key::F, named("action-fit")),
+        (ZoomIn, NONE, Key::Plus, named("action-zoom-in")),
+        (ZoomOut, NONE, Key::Minus, named("action-zoom-out")),
+        (SelectAll, CTRL, Key::A, named("action-select-all")),
+        (Next, NONE, Key::N, named("action-next")),
+        (NextToo, Modifiers::SHIFT, Key::N, named("action-next-too")),
+        (Frame, NONE, Key::G, named("action-frame")),
+        (Note, NONE, Key::O, named("action-note")),
+        (Align, NONE, Key::L, named("action-align")),
+        (OpenPart, NONE, Key::E, named("action-open-part")),
+        (MakePart, NONE, Key::K, named("action-make-part")),
+        (Dissolve, Modifiers::SHIFT, Key::K, named("action-dissolve")),
+        (Arguments, NONE, Key::I, named("action-arguments")),
+        (Heat, NONE, Key::H, named("action-heat")),
+        (Text, NONE, Key::T, named("action-text")),
+        (Plots, NONE, Key::P, named("action-plots")),
+        (History, NONE, Key::Y, named("action-history")),
+        (Back, NONE, Key::OpenBracket, named("action-back")),
+        (Forward, NONE, Key::CloseBracket, named("action-forward")),
+        (Sweep, NONE, Key::S, named("action-sweep")),
+        (States, NONE, Key::R, named("action-states")),
+        (Snapshot, Modifiers::SHIFT, Key::R, named("action-snapshot")),
+        (Problems, NONE, Key::M, named("action-problems")),
+        (Timeline, NONE, Key::J, named("action-timeline")),
+        (Play, NONE, Key::Q, named("action-play")),
+        (TickBack, NONE, Key::Comma, named("action-tick-back")),
+        (TickForward, NONE, Key::Period, named("action-tick-forward")),
+        (Trace, NONE, Key::D, named("action-trace")),
+        (NextProblem, NONE, Key::F8, named("action-next-problem")),
+        (PreviousProblem, Modifiers::SHIFT, Key::F8, named("action-previous-problem")),
+        (Plugins, NONE, Key::U, named("action-plugins")),
+        (Reload, CTRL, Key::R, named("action-reload")),
+        (Restart, SHIFT, Key::R, named("action-restart")),
+        (Theme, Modifiers::SHIFT, Key::T, named("action-theme")),
+        (Language, Modifiers::SHIFT, Key::L, named("action-language")),
+        (Commands, CTRL, Key::K, named("action-commands")),
+        (NodeHelp, Modifiers::SHIFT, Key::F1, named("action-node-help")),
+        (Source, NONE, Key::X, named("action-source")),
+        (NodePanel, Modifiers::SHIFT, Key::I, named("action-node-panel")),
+        (Overview, Modifiers::SHIFT, Key::O, named("action-overview")),
+        (ViewerBeside, Modifiers::SHIFT, Key::V, named("action-viewer-beside")),
+        (NextPanel, NONE, Key::F6, named("action-next-panel")),
+        (PreviousPanel, Modifiers::SHIFT, Key::F6, named("action-previous-panel")),
+        (PanelLeft, ALT, Key::ArrowLeft, named("action-panel-left")),
+        (PanelRight, ALT, Key::ArrowRight, named("action-panel-right")),
+        (PanelAbove, ALT, Key::ArrowUp, named("action-panel-above")),
+        (PanelBelow, ALT, Key::ArrowDown, named("action-panel-below")),
+        (PanelLarger, ALT, Key::Plus, named("action-panel-larger")),
+        (PanelSmaller, ALT, Key::Minus, named("action-panel-smaller")),
+        (TearOff, ALT, Key::Enter, named("action-tear-off")),
+        (ClosePanel, CTRL, Key::W, named("action-close-panel")),
+        (ResetLayout, ALT, Key::Num0, named("action-reset-layout")),
+        (Guide, CTRL, Key::F1, named("action-guide")),
+        (Help, NONE, Key::F1, named("action-help")),
+        (Escape, NONE, Key::Escape, named("action-escape")),
     ]
 };
 
@@ -264,8 +264,9 @@ pub fn pressed(input: &mut InputState, typing: bool) -> Vec<Action> {
 /// The name of an action's key.
 pub fn key_name(action: Action) -> String {
     let found = ALL.iter().find(|(a, ..)| *a == action);
+    let names = ModifierNames { ctrl: text!("key-ctrl"), shift: text!("key-shift"), ..ModifierNames::NAMES };
     found.map_or_else(String::new, |(_, modifiers, key, _)| {
-        let name = KeyboardShortcut::new(*modifiers, *key).format(&eframe::egui::ModifierNames::NAMES, false);
+        let name = KeyboardShortcut::new(*modifiers, *key).format(&names, false);
         // Shown as printed on the key.
         let sign = match key {
             Key::Plus => "+",
@@ -274,6 +275,13 @@ pub fn key_name(action: Action) -> String {
             Key::Period => ".",
             Key::OpenBracket => "[",
             Key::CloseBracket => "]",
+            Key::Delete => text!("key-delete"),
+            Key::Enter => text!("key-enter"),
+            Key::Escape => text!("key-escape"),
+            Key::ArrowLeft => text!("key-left"),
+            Key::ArrowRight => text!("key-right"),
+            Key::ArrowUp => text!("key-up"),
+            Key::ArrowDown => text!("key-down"),
             _ => return name,
         };
         name.replace(key.name(), sign)

@@ -9,14 +9,13 @@ use eframe::egui::{
 };
 use panoscope_audit::Event;
 use panoscope_editor_texts::text;
+use panoscope_editor_widgets::theme;
 use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
 
 use super::stage::focus_frame;
 use super::{Action, HOLD, Theatre, actions, key_name, plan};
 
-/// Size of the smallest text, points.
-const LEAST_TEXT: f32 = 11.0;
 pub(super) const STOP_RED: Color32 = Color32::from_rgb(0xD6, 0x2F, 0x1F);
 
 impl Theatre {
@@ -111,6 +110,7 @@ impl Theatre {
         let y = rect.center().y;
         let pale = Color32::from_white_alpha(210);
         for (at, words, size, color) in [(y - 9.0, message, 22.0, Color32::WHITE), (y + 15.0, &below, 14.0, pale)] {
+            let size = theme::legible(ui.ctx(), size);
             let galley = fitting(painter, words, size, rect.right() - 8.0 - left, color);
             painter.galley(pos2(left, at - galley.size().y / 2.0), galley, color);
         }
@@ -121,7 +121,11 @@ impl Theatre {
 fn fitting(painter: &Painter, words: &str, size: f32, width: f32, color: Color32) -> Arc<Galley> {
     let lay = |size: f32| painter.layout_no_wrap(words.to_owned(), FontId::proportional(size), color);
     let galley = lay(size);
-    if galley.size().x <= width { galley } else { lay((size * width / galley.size().x).max(LEAST_TEXT)) }
+    if galley.size().x <= width {
+        galley
+    } else {
+        lay((size * width / galley.size().x).max(theme::legible(painter.ctx(), 0.0)))
+    }
 }
 
 /// Draws a stop sign.

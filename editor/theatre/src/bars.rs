@@ -62,7 +62,7 @@ impl Theatre {
         if let Some(clip) = &self.clip {
             chip(&format!("{}  {}", text!("state-recording"), format_clock(clip.since)), STOP_RED, Color32::WHITE);
             let free = facts.free_bytes.map(|free| text!("disk-free", size = bytes(free))).unwrap_or_default();
-            let font = FontId::proportional(14.0);
+            let font = FontId::proportional(theme::legible(ui.ctx(), 14.0));
             let rect = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::muted());
             right = rect.left() - 16.0;
         }
@@ -223,8 +223,9 @@ impl Theatre {
 /// Draws the mark of an unverified graph, which is visible as long as it runs. `right` is the middle of its right edge; returns its rectangle.
 fn unverified(ui: &mut Ui, right: Pos2, [heading, line, name]: [&str; 3]) -> Rect {
     let painter = ui.painter();
-    let heading_text = painter.layout_no_wrap(heading.to_owned(), FontId::proportional(15.0), theme::warn());
-    let line_text = painter.layout_no_wrap(line.to_owned(), FontId::proportional(13.0), theme::text());
+    let font = |size: f32| FontId::proportional(theme::legible(ui.ctx(), size));
+    let heading_text = painter.layout_no_wrap(heading.to_owned(), font(15.0), theme::warn());
+    let line_text = painter.layout_no_wrap(line.to_owned(), font(13.0), theme::text());
     let text = vec2(heading_text.size().x.max(line_text.size().x), heading_text.size().y + line_text.size().y);
     let size = text + vec2(28.0, 8.0);
     let rect = Rect::from_min_size(pos2(right.x - size.x, right.y - size.y / 2.0), size);
@@ -241,7 +242,7 @@ fn unverified(ui: &mut Ui, right: Pos2, [heading, line, name]: [&str; 3]) -> Rec
 /// Width of a button with this caption: one of two, or what a longer caption needs.
 fn button_width(ui: &Ui, caption: &str) -> f32 {
     let font = FontId::proportional(BUTTON_TEXT);
-    let needed = ui.painter().layout_no_wrap(caption.to_owned(), font, Color32::WHITE).size().x + 20.0;
+    let needed = ui.painter().layout_no_wrap(caption.to_owned(), font, Color32::WHITE).size().x + 28.0;
     [108.0, 132.0].into_iter().find(|width| *width >= needed).unwrap_or(needed.ceil())
 }
 
@@ -265,7 +266,13 @@ fn button_named(ui: &mut Ui, rect: Rect, name: &str, caption: &str, key: &str, o
     painter.rect(rect, 12.0, fill, Stroke::new(2.0, edge), StrokeKind::Inside);
     let c = rect.center();
     painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, caption, FontId::proportional(BUTTON_TEXT), theme::text());
-    painter.text(c + vec2(0.0, 17.0), Align2::CENTER_CENTER, key, FontId::proportional(13.0), theme::muted());
+    painter.text(
+        c + vec2(0.0, 17.0),
+        Align2::CENTER_CENTER,
+        key,
+        FontId::proportional(theme::legible(ui.ctx(), 13.0)),
+        theme::muted(),
+    );
     response.clicked()
 }
 

@@ -226,7 +226,7 @@ impl Theatre {
             pos2(rect.right(), rect.top() + TITLE / 2.0),
             Align2::RIGHT_CENTER,
             message,
-            FontId::proportional(14.0),
+            FontId::proportional(theme::legible(ui.ctx(), 14.0)),
             color,
         );
         match texture {
@@ -353,8 +353,11 @@ fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
     // In a small rectangle the text is made smaller instead of cut off.
     let (mut scale, mut laid) = (1.0, Vec::new());
     while scale > 0.5 {
-        laid =
-            parts.map(|(message, size, color, gap)| (lay(message, size * scale, color), gap * scale, message)).to_vec();
+        laid = parts
+            .map(|(message, size, color, gap)| {
+                (lay(message, theme::legible(ui.ctx(), size * scale), color), gap * scale, message)
+            })
+            .to_vec();
         let high: f32 = laid.iter().map(|(galley, gap, _)| galley.size().y + gap).sum();
         if high <= inner.height() {
             break;

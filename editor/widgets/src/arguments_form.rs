@@ -46,6 +46,7 @@ pub fn show(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) -> Option<FormRe
             ui.add_space(1.5 * theme::STEP);
         }
     });
+    let small = theme::legible(ui.ctx(), SMALL * style.size);
     for problem in &form.problems {
         ui.add(Label::new(RichText::new(problem).size(style.size).color(theme::fault())).wrap());
     }
@@ -58,7 +59,7 @@ pub fn show(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) -> Option<FormRe
         if button(ui, text!("form-cancel")) {
             request = Some(FormRequest::Cancel);
         }
-        ui.label(RichText::new(text!("form-unchanged")).size(style.size * 0.85).color(theme::muted()));
+        ui.label(RichText::new(text!("form-unchanged")).size(small).color(theme::muted()));
     });
     request
 }
@@ -82,12 +83,15 @@ fn overlays(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) {
     ui.add_space(2.0 * theme::STEP);
 }
 
+/// Size of details, as a fraction of the size of the text.
+const SMALL: f32 = 0.85;
 /// Room for a button beside a field, points.
 const FIELD_BUTTON: f32 = 84.0;
 
 /// Shows one argument with its documentation, unit, range and default.
 fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Option<FormRequest> {
     let mut request = None;
+    let small = theme::legible(ui.ctx(), SMALL * style.size);
     let given = form.values.get(&arg.name).filter(|v| !v.is_empty()).cloned();
     ui.horizontal(|ui| {
         ui.label(RichText::new(arg.name.replace('_', " ")).size(style.size).strong());
@@ -99,14 +103,14 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
             (None, None) if is_required => (text!("form-required").to_owned(), theme::warn()),
             (None, None) => (text!("form-not-used").to_owned(), theme::muted()),
         };
-        ui.label(RichText::new(state).size(style.size * 0.85).color(color));
+        ui.label(RichText::new(state).size(small).color(color));
         let range = arg.range.map(|(low, high)| {
             let [low, high] = [low, high].map(|limit| with_decimal_sign(&limit.to_string()));
             text!("form-range", low = low, high = high)
         });
         let limits = [range.as_deref(), Some(arg.unit.as_str())];
         let limits: Vec<&str> = limits.into_iter().flatten().filter(|t| !t.is_empty()).collect();
-        ui.label(RichText::new(limits.join(" ")).size(style.size * 0.85).color(theme::muted()));
+        ui.label(RichText::new(limits.join(" ")).size(small).color(theme::muted()));
         if given.is_some() {
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 let clear = ui.small_button(text!("form-clear")).on_hover_text(text!("form-clear.hint"));
@@ -118,7 +122,7 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
         }
     });
     if !arg.doc.is_empty() {
-        ui.add(Label::new(RichText::new(&arg.doc).size(style.size * 0.85).color(theme::muted())).wrap());
+        ui.add(Label::new(RichText::new(&arg.doc).size(small).color(theme::muted())).wrap());
     }
     let now = form.values.get(&arg.name).cloned().or_else(|| arg.default.clone()).unwrap_or_default();
     let new = match arg.kind {

@@ -9,6 +9,9 @@ use panoscope_editor_texts as texts;
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
+/// Height of a window that the list of keys leaves free, points.
+const KEYS_MARGIN: f32 = 140.0;
+
 impl App {
     /// Shows the dialogs that are open.
     pub(super) fn palettes(&mut self, ctx: &Context) {
@@ -50,17 +53,20 @@ impl App {
                     (text!("key-double-click"), text!("keys-add")),
                 ];
                 let all: Vec<_> = keys.chain(more.map(|(key, description)| (key.to_owned(), description))).collect();
-                ui.horizontal_top(|ui| {
-                    for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
-                        egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
-                            for (key, description) in part {
-                                ui.label(RichText::new(key).color(theme::accent()));
-                                ui.label(*description);
-                                ui.end_row();
-                            }
-                        });
-                        ui.add_space(6.0 * theme::STEP);
-                    }
+                let most = (ctx.content_rect().height() - KEYS_MARGIN).max(200.0);
+                egui::ScrollArea::vertical().max_height(most).show(ui, |ui| {
+                    ui.horizontal_top(|ui| {
+                        for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
+                            egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
+                                for (key, description) in part {
+                                    ui.label(RichText::new(key).color(theme::accent()));
+                                    ui.label(*description);
+                                    ui.end_row();
+                                }
+                            });
+                            ui.add_space(6.0 * theme::STEP);
+                        }
+                    })
                 });
             });
             self.help = !shown.should_close();

@@ -277,8 +277,9 @@ impl Canvas {
             return;
         }
         let Some(c) = scene.counters.nodes.get(this.id()) else { return };
-        let mut right = LayoutJob::default();
         let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
+        let rate = text!("canvas-rate", rate = decimal(c.fps, 0));
+        let mut right = LayoutJob::default();
         if let Some(fault) = scene.counters.faults.get(this.id()) {
             right.append(&format!("{}  ", faults_in_words(fault, c.faults.max(1))), 0.0, plain(fault_color(fault)));
         }
@@ -286,9 +287,16 @@ impl Canvas {
             right.append(&format!("{}  ", text!("state-drops", count = c.dropped)), 0.0, plain(theme::warn()));
         }
         if let Some(age) = c.age_p50_ms.filter(|a| *a > 0.0) {
-            right.append(&format!("{}  ", text!("canvas-age", age = format_time(age))), 0.0, plain(theme::muted()));
+            let mut with_age = right.clone();
+            with_age.append(&format!("{}  ", text!("canvas-age", age = format_time(age))), 0.0, plain(theme::muted()));
+            let mut whole = with_age.clone();
+            whole.append(&rate, 0.0, plain(theme::text()));
+            // Only where there is room for it.
+            if painter.layout_job(whole).size().x <= rect.width() {
+                right = with_age;
+            }
         }
-        right.append(&text!("canvas-rate", rate = decimal(c.fps, 0)), 0.0, plain(theme::text()));
+        right.append(&rate, 0.0, plain(theme::text()));
         let right = painter.layout_job(right);
         let middle = rect.center().y;
         painter.galley(

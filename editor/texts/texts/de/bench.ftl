@@ -34,7 +34,7 @@ state-change-failed = die Änderung misslang; der alte Graph läuft weiter
 state-last-valid = die Datei hat Fehler; der letzte gültige Graph läuft weiter
 state-running = läuft
 state-ended = der Lauf ist zu Ende, seine Dateien sind fertig
-state-rate = { $rate } Bilder/s
+state-rate = { $rate } fps
 state-age = Alter p99 { $age }
 state-drops = { $count ->
     [one] 1 verloren
@@ -260,7 +260,7 @@ canvas-input = Eingang { $port }
 canvas-output = Ausgang { $port }
 canvas-old = { $seconds } s alt
 canvas-age = Alter { $age }
-canvas-rate = { $rate } Bilder/s
+canvas-rate = { $rate } fps
 canvas-median = { $median } · p99 { $slow }
 canvas-rest = ruht
 canvas-faults = { $count ->
