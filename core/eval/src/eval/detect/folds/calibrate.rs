@@ -26,6 +26,9 @@ const TRIED: [f64; 5] = [0.0, 0.4, 0.5, 0.6, 0.7];
 /// A box as `yolo` would report it: the likeliest class of each place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
+    /// Number of its picture.
+    picture: usize,
+    bbox: [f64; 4],
     class: usize,
     score: f64,
     is_right: bool,
@@ -46,7 +49,7 @@ impl Sample {
 }
 
 /// The boxes of a picture beside its objects. Boxes on a crowd alone are left out.
-fn of_picture(objects: &[Object], finds: &[Find], objectness: &[f64], out: &mut Vec<Sample>) {
+fn of_picture(picture: usize, objects: &[Object], finds: &[Find], objectness: &[f64], out: &mut Vec<Sample>) {
     let mut order: Vec<usize> =
         (0..finds.len()).filter(|&f| finds[f].score >= FLOOR || objectness[f] >= FLOOR).collect();
     order.sort_by(|&a, &b| finds[b].score.total_cmp(&finds[a].score));
@@ -67,15 +70,17 @@ fn of_picture(objects: &[Object], finds: &[Find], objectness: &[f64], out: &mut 
         }
         best.into_iter().for_each(|at| taken[at] = true);
         let (score, class, objectness) = (find.score, find.class, objectness[f]);
-        out.push(Sample { class, score, is_right: best.is_some(), objectness, is_object: !near.is_empty() });
+        let (bbox, is_object) = (find.bbox, !near.is_empty());
+        out.push(Sample { picture, bbox, class, score, is_right: best.is_some(), objectness, is_object });
     }
 }
 
 /// The boxes of all pictures of a fold.
 pub fn samples(objects: &[Vec<Object>], predicted: &Predicted) -> Vec<Sample> {
     let mut out = Vec::new();
-    for ((objects, finds), objectness) in objects.iter().zip(&predicted.finds).zip(&predicted.objectness) {
-        of_picture(objects, finds, objectness, &mut out);
+    let pictures = objects.iter().zip(&predicted.finds).zip(&predicted.objectness);
+    for (picture, ((objects, finds), objectness)) in pictures.enumerate() {
+        of_picture(picture, objects, finds, objectness, &mut out);
     }
     out
 }
@@ -83,8 +88,8 @@ pub fn samples(objects: &[Vec<Object>], predicted: &Predicted) -> Vec<Sample> {
 /// Outcomes of a detector's finds, with their classes, from [`FLOOR`] on.
 pub fn outcomes(objects: &[Vec<Object>], finds: &[Vec<Find>]) -> Vec<(usize, Outcome)> {
     let mut out = Vec::new();
-    for (objects, finds) in objects.iter().zip(finds) {
-        of_picture(objects, finds, &vec![f64::NAN; finds.len()], &mut out);
+    for (picture, (objects, finds)) in objects.iter().zip(finds).enumerate() {
+        of_picture(picture, objects, finds, &vec![f64::NAN; finds.len()], &mut out);
     }
     out.iter().map(|sample| (sample.class, sample.named())).collect()
 }
@@ -125,7 +130,10 @@ pub fn report(session: &dyn Session, folds: &[&[Sample]], wanted: &Wanted<'_>) -
         let others = folds.iter().enumerate().filter(|(k, _)| *k != index).flat_map(|(_, fold)| fold.iter());
         let (score, objectness) = if folds.len() > 1 { fit(others) } else { (score, objectness) };
         let any = |s: &Sample| objectness.map_or(f64::NAN, |c| c.probability(s.objectness));
-        corrected.extend(fold.iter().map(|s| (*s, score.probability(s.score), any(s))));
+        // Pictures are counted on from fold to fold.
+        let first = corrected.last().map_or(0, |(s, ..)| s.picture + 1);
+        let on = |s: &Sample| Sample { picture: first + s.picture, ..*s };
+        corrected.extend(fold.iter().map(|s| (on(s), score.probability(s.score), any(s))));
     }
     let judged: Vec<&(Sample, f64, f64)> = corrected.iter().filter(|(s, ..)| s.score >= FLOOR).collect();
     let before = |class: Option<usize>| {
@@ -217,6 +225,14 @@ pub fn report(session: &dyn Session, folds: &[&[Sample]], wanted: &Wanted<'_>) -
     Ok(figures)
 }
 
+/// Intersection over union of two boxes (left, top, width, height).
+fn iou(a: [f64; 4], b: [f64; 4]) -> f64 {
+    let both = |k: usize| ((a[k] + a[k + 2]).min(b[k] + b[k + 2]) - a[k].max(b[k])).max(0.0);
+    let both = both(0) * both(1);
+    let union = a[2] * a[3] + b[2] * b[3] - both;
+    if union > 0.0 { both / union } else { 0.0 }
+}
+
 /// What a limit of the class's probability would do to boxes that are reported: a table, and figures.
 fn unknown(corrected: &[(Sample, f64, f64)], figure: &mut impl FnMut(String, f64)) -> String {
     let mut rows = vec![
@@ -226,18 +242,33 @@ fn unknown(corrected: &[(Sample, f64, f64)], figure: &mut impl FnMut(String, f64
     ];
     for limit in TRIED {
         let (mut right, mut wrong, mut nothing, mut unknown, mut real) = (0, 0, 0, 0, 0);
-        for (sample, named, any) in corrected {
-            let any = any.max(*named);
-            if limit > 0.0 && any >= REPORTED && *named < limit * any {
-                unknown += 1;
-                real += usize::from(sample.is_object);
-            } else if *named >= REPORTED {
+        for boxes in corrected.chunk_by(|a, b| a.0.picture == b.0.picture) {
+            let is_unknown = |named: f64, any: f64| {
+                let any = any.max(named);
+                limit > 0.0 && any >= REPORTED && named < limit * any
+            };
+            // As the node does it: a named box takes the place of unknown ones, the surest of these that of others.
+            let mut shown: Vec<[f64; 4]> = Vec::new();
+            for (sample, named, _) in boxes.iter().filter(|(_, named, any)| !is_unknown(*named, *any)) {
+                if *named < REPORTED {
+                    continue;
+                }
+                shown.push(sample.bbox);
                 let count = match (sample.is_right, sample.is_object) {
                     (true, _) => &mut right,
                     (false, true) => &mut wrong,
                     (false, false) => &mut nothing,
                 };
                 *count += 1;
+            }
+            let mut unsure: Vec<_> = boxes.iter().filter(|(_, named, any)| is_unknown(*named, *any)).collect();
+            unsure.sort_by(|a, b| b.2.total_cmp(&a.2));
+            for (sample, ..) in unsure {
+                if shown.iter().all(|other| iou(*other, sample.bbox) <= 0.5) {
+                    shown.push(sample.bbox);
+                    unknown += 1;
+                    real += usize::from(sample.is_object);
+                }
             }
         }
         let share = if unknown > 0 { format!("{:.1}", 100.0 * real as f64 / f64::from(unknown)) } else { "-".into() };
@@ -275,7 +306,7 @@ mod tests {
             find(0, 20.0, 0.01), // below the floor
         ];
         let mut out = Vec::new();
-        of_picture(&objects, &finds, &[0.95, 0.95, 0.9, 0.9, 0.5, 0.9, 0.02], &mut out);
+        of_picture(0, &objects, &finds, &[0.95, 0.95, 0.9, 0.9, 0.5, 0.9, 0.02], &mut out);
         let got: Vec<(f64, bool, bool)> = out.iter().map(|s| (s.score, s.is_right, s.is_object)).collect();
         assert_eq!(got, [(0.9, true, true), (0.6, false, true), (0.5, false, true), (0.3, false, false)]);
     }
