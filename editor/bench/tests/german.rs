@@ -87,8 +87,8 @@ fn the_german_bar_has_room_for_its_words() {
         window.steps(4);
         let state = window.harness.get_by_label("Zustand: läuft").rect();
         for name in BUTTONS {
-            let all = window.harness.query_all_by_label(name).map(|node| node.rect());
-            let button = all.filter(|rect| rect.top() < 48.0).next().unwrap_or_else(|| panic!("no `{name}`"));
+            let mut all = window.harness.query_all_by_label(name).map(|node| node.rect());
+            let button = all.find(|rect| rect.top() < 48.0).unwrap_or_else(|| panic!("no `{name}`"));
             assert!(
                 button.left() > state.right() && button.right() <= size.x,
                 "{name} at {size}: {button:?} {state:?}"

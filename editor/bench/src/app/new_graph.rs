@@ -10,8 +10,11 @@ use panoscope_graph::edit::{EditError, GraphEdit};
 use super::App;
 use panoscope_editor_widgets::theme;
 
-/// Name in English, names of the texts for name and description, and text of each template.
-const TEMPLATES: [(&str, fn() -> [&'static str; 2], &str); 4] = [
+/// Name and description of a template in the language of the window.
+type Described = fn() -> [&'static str; 2];
+
+/// Name in English, name and description as shown, and text of each template.
+const TEMPLATES: [(&str, Described, &str); 4] = [
     (
         "Two cameras",
         || [text!("template-cameras"), text!("template-cameras.about")],

@@ -13,8 +13,6 @@ use panoscope_editor_model::history::Origin;
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
-/// The message when a save is refused because it would lose another program's text.
-
 impl App {
     /// Handles a new text of the file that another program wrote.
     pub(super) fn changed_on_disk(&mut self, text: String) {
