@@ -81,6 +81,13 @@ const PARSERS: &[(&str, &[Source])] = &[
     ("pedal", &[functions("editor/model/src/pedal.rs", &["parse", "binding"])]),
     ("presets", &[functions("editor/model/src/presets.rs", &["parse", "changes_to", "change_to", "between", "mixed"])]),
     ("snapshot", &[functions("editor/model/src/snapshots.rs", &["parse", "restore"])]),
+    (
+        "layout",
+        &[
+            functions("editor/model/src/docks/mod.rs", &["checked"]),
+            functions("editor/model/src/docks/file.rs", &["parse"]),
+        ],
+    ),
     ("keys", &[functions("core/loader/src/keys.rs", &["digits", "read", "name_of", "verifies", "in_folders", "find"])]),
     (
         "audit",

@@ -65,6 +65,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "keys", run: keys::run, seeds: keys::seeds },
     Target { name: "labelme", run: labels::labelme, seeds: labels::labelme_seeds },
     Target { name: "latch", run: arm::latch, seeds: arm::latch_seeds },
+    Target { name: "layout", run: states::layout, seeds: states::layout_seeds },
     Target { name: "lock", run: plugin::lock, seeds: plugin::lock_seeds },
     Target { name: "machine_message", run: machine::run, seeds: machine::seeds },
     Target { name: "onnx", run: model::run, seeds: model::seeds },

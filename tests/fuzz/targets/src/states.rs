@@ -1,8 +1,9 @@
-//! Presets and snapshots, which the editor keeps beside a graph.
+//! What the editor keeps of a graph: presets and snapshots beside it, the arrangement of its panels in the user's folder.
 
 use std::path::Path;
 use std::sync::Arc;
 
+use panoscope_editor_model::docks::{Layout, Panel, Side, Stored, Target};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::{presets, snapshots};
 use panoscope_loader::Loader;
@@ -64,4 +65,46 @@ pub fn snapshot_seeds() -> Vec<Vec<u8>> {
     [text.clone(), format!("{text}{part}"), format!("{text}{outside}"), text.replace("taken_s = 5", "taken_s = -5")]
         .map(String::into_bytes)
         .to_vec()
+}
+
+pub fn layout(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let Ok((graph, layout)) = Stored::parse(text) else { return };
+    let written = Stored::text(&graph, &layout).expect("what was read is written");
+    let (again, same) = Stored::parse(&written).expect("what was written is read");
+    assert_eq!((again, Stored::text(&graph, &same).ok()), (graph, Some(written)));
+    // Whatever is done with a panel, each has one place.
+    let mut moved = layout.clone();
+    for panel in Panel::ALL {
+        moved.toggle(panel);
+        moved.tear_off(panel, [10.0, 20.0]);
+        moved.grow(panel, 32.0);
+        moved.dock(panel);
+        moved.place(panel, Target::Beside { of: Panel::Graph, side: Side::Below });
+        moved.move_beside_graph(panel, Side::Left);
+        moved.close(panel);
+    }
+    let mut places = moved.root.panels();
+    places.sort();
+    let mut all = Panel::ALL.to_vec();
+    all.sort();
+    assert_eq!(places, all);
+    assert!(moved.is_open(Panel::Graph) && moved.checked().is_ok());
+}
+
+pub fn layout_seeds() -> Vec<Vec<u8>> {
+    let text = |layout: &Layout| Stored::text("/graphs/depth.toml", layout).unwrap_or_default();
+    let mut torn = Layout::default();
+    torn.open(Panel::Plots);
+    torn.tear_off(Panel::Plots, [40.0, 60.0]);
+    torn.place(Panel::History, Target::Tab { with: Panel::Node, at: 0 });
+    let texts = [
+        text(&Layout::default()),
+        text(&torn),
+        text(&torn).replace("plots", "graph"),
+        text(&torn).replace("60.0", "nan"),
+    ];
+    // As deep as a file can be.
+    let deep = format!("graph = \"g\"\n[[root{}]]\nsize = 100.0\n", ".row.dock".repeat(5000));
+    texts.into_iter().chain([deep]).map(String::into_bytes).collect()
 }
