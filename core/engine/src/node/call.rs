@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use panoscope_abi::{self as abi, PortRange, Tick};
+use panoscope_abi::{self as abi, Frame, PortRange, Tick};
 
 use super::{
     CallOutcome, MAX_RETAINED_FRAMES, NodeRuntime, ONE_INPUT, Ports, Refused, RunContext, SILENT_CALLS, SizeChange,
@@ -36,6 +36,11 @@ enum Due {
     Abandoned,
 }
 
+/// Bytes of frames together.
+fn bytes<'f>(frames: impl Iterator<Item = &'f Frame>) -> u64 {
+    frames.map(|frame| frame.len as u64).sum()
+}
+
 impl NodeRuntime {
     /// Calls the node for one tick. Returns the outcome and the time at its end. The caller releases the inputs.
     pub fn run(
@@ -65,7 +70,7 @@ impl NodeRuntime {
         ports.made.set_len(exec.outputs_len as usize);
         if !complete {
             bump(&self.stats.skipped);
-            self.trace(context, tick, (start_ns, start_ns), false, ports);
+            self.trace(context, tick, (start_ns, start_ns), false, [0; 2]);
             return (CallOutcome::Skipped, start_ns);
         }
         let may = match led {
@@ -77,12 +82,14 @@ impl NodeRuntime {
             Due::Run { start_ns } => start_ns,
             Due::Skip => {
                 self.skipped_tick(context, tick, false);
-                self.trace(context, tick, (start_ns, start_ns), false, ports);
+                self.trace(context, tick, (start_ns, start_ns), false, [0; 2]);
                 return (CallOutcome::Skipped, start_ns);
             }
             Due::Abandoned => return (CallOutcome::Abandoned, start_ns),
         };
         let allocations = context.thread_allocations.map(|count| count());
+        // Before the call, which may hand an input on.
+        let read_bytes = context.tracer.as_ref().map_or(0, |_| bytes(ports.inputs.iter().map(FrameRef::frame)));
         self.busy.begin(tick, start_ns);
         let (status, refused) = self.call(exec, context, tick, ports);
         if !self.busy.end(start_ns) {
@@ -114,7 +121,8 @@ impl NodeRuntime {
                 self.failed(exec, context, status, refused, tick, end_ns)
             }
         };
-        self.trace(context, tick, (start_ns, end_ns), outcome == CallOutcome::Ok, ports);
+        let made_bytes = context.tracer.as_ref().map_or(0, |_| bytes(ports.made.outputs.iter()));
+        self.trace(context, tick, (start_ns, end_ns), outcome == CallOutcome::Ok, [read_bytes, made_bytes]);
         if !matches!(outcome, CallOutcome::Ok | CallOutcome::End | CallOutcome::Abandoned) {
             self.skipped_tick(context, tick, !exec.instance.is_open());
         }
@@ -123,11 +131,16 @@ impl NodeRuntime {
 
     /// Passes the times of a call to the tracer, if there is one.
     #[inline]
-    fn trace(&self, context: &RunContext, tick: &Tick, (start_ns, end_ns): (u64, u64), made: bool, ports: &Ports<'_>) {
+    fn trace(
+        &self,
+        context: &RunContext,
+        tick: &Tick,
+        (start_ns, end_ns): (u64, u64),
+        made: bool,
+        [read_bytes, made_bytes]: [u64; 2],
+    ) {
         if let Some(tracer) = &context.tracer {
-            let read_bytes = ports.inputs.iter().map(|input| input.frame().len as u64).sum();
-            let made_bytes = ports.made.outputs.iter().filter(|_| made).map(|output| output.len as u64).sum();
-            let node = self.id.as_str();
+            let (node, made_bytes) = (self.id.as_str(), if made { made_bytes } else { 0 });
             tracer.call(&Call { node, tick, start_ns, end_ns, made, read_bytes, made_bytes });
         }
     }
