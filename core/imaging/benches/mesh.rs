@@ -36,7 +36,7 @@ fn map((w, h): (usize, usize), t: f64) -> Vec<f32> {
     let at = |x: usize, y: usize| {
         let d = disparity(x as f64 / k, y as f64 / k, t) * k;
         let noise = ((x * 31 + y * 17) % 9) as f64 / 9.0 - 0.5;
-        let is_hole = (x / 16 * 5 + y / 16 * 3) % 11 == 0;
+        let is_hole = (x / 16 * 5 + y / 16 * 3).is_multiple_of(11);
         if is_hole || d > x as f64 { f32::NAN } else { (d + 0.6 * noise) as f32 }
     };
     (0..h).flat_map(|y| (0..w).map(move |x| at(x, y))).collect()
@@ -62,7 +62,7 @@ fn time(size: (usize, usize), pool: &dyn Parallel) -> Option<()> {
         rectified_focal_px: [600.0 * k; 2],
         rectified_centre_px: [w as f64 / 2.0, h as f64 / 2.0],
     };
-    let (left, right) = (straight.clone(), straight);
+    let (left, right) = (straight, straight);
     let mut follower = MeshFollower::new(MeshParams::default());
     let params = CompositeParams {
         seam: SeamMethod::DynamicProgramming,

@@ -84,7 +84,7 @@ pub unsafe fn work_in_one_thread() {
 }
 
 /// Keeps the memory of sent and received pictures for the next ones. By default glibc gives buffers of this size back to the system at once, and each
-/// picture pays for new pages: a fifth of the time of a 1920x1080 edge. Call it before other threads start.
+/// picture pays for new pages. Call it before other threads start.
 pub fn keep_large_buffers() {
     #[cfg(target_env = "gnu")]
     // SAFETY: `mallopt` changes settings of the allocator under its own lock. What it refuses stays as it was.

@@ -81,7 +81,7 @@ impl Budget {
             let Some((steps, time_ns)) = chain(of_tick, &producers, sink_at) else { continue };
             pictures += 1;
             total_ns += time_ns;
-            for (node, wait_ns, work_ns) in steps {
+            for Step { node, wait_ns, work_ns } in steps {
                 let sum = &mut sums[node];
                 *sum =
                     Sum { pictures: sum.pictures + 1, wait_ns: sum.wait_ns + wait_ns, work_ns: sum.work_ns + work_ns };
@@ -113,12 +113,15 @@ impl Budget {
     }
 }
 
-/// Node, wait and work (ns) of each step from `sink` back to the call after the source's, and their sum.
-fn chain(
-    of_tick: &HashMap<usize, Call>,
-    producers: &[Vec<usize>],
-    sink: usize,
-) -> Option<(Vec<(usize, u64, u64)>, u64)> {
+/// A call of the chain.
+struct Step {
+    node: usize,
+    wait_ns: u64,
+    work_ns: u64,
+}
+
+/// The steps from `sink` back to the call after the source's, and their sum, ns.
+fn chain(of_tick: &HashMap<usize, Call>, producers: &[Vec<usize>], sink: usize) -> Option<(Vec<Step>, u64)> {
     let (mut node, mut steps) = (sink, Vec::new());
     let end_ns = of_tick.get(&sink)?.end_ns;
     loop {
@@ -129,7 +132,7 @@ fn chain(
             // The source: its call waits for light and is not counted. A node whose producers are no longer in the timeline is none.
             return (node != sink && producers[node].is_empty()).then(|| (steps, end_ns - call.end_ns));
         };
-        steps.push((node, call.start_ns - ready_ns, call.end_ns - call.start_ns));
+        steps.push(Step { node, wait_ns: call.start_ns - ready_ns, work_ns: call.end_ns - call.start_ns });
         node = before;
     }
 }

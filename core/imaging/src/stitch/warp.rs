@@ -188,6 +188,9 @@ pub fn put_group(block: &mut Block, i: usize, first: [f32; 2], slope: [f32; 2], 
 }
 
 /// As [`put_group`], with the same result.
+///
+/// # Safety
+/// The processor has AVX2.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
