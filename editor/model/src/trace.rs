@@ -1,10 +1,10 @@
 //! The paths of ticks through the running graph: when each node began and ended, what it waited for, and why a tick was dropped.
 
-use std::collections::{HashMap, VecDeque};
-use std::sync::{Arc, Mutex};
+use std::collections::HashMap;
+use std::sync::Arc;
 
-use panoscope_engine::sync::lock;
 use panoscope_engine::trace::{self, Tracer};
+use panoscope_eval::timeline::{Call, Calls, Dropped, Timeline};
 
 use crate::graph_view::GraphView;
 
@@ -17,72 +17,22 @@ const LATE: usize = 12;
 /// Number of dropped ticks that are listed.
 const LISTED_DROPS: usize = 12;
 
-#[derive(Clone, Copy, Debug)]
-struct Call {
-    node: u32,
-    source: u32,
-    seq: u64,
-    start_ns: u64,
-    end_ns: u64,
-    made: bool,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Drop {
-    node: u32,
-    seq: u64,
-    at_ns: u64,
-}
-
-#[derive(Default)]
-struct Ring {
-    numbers: HashMap<String, u32>,
-    names: Vec<Arc<str>>,
-    calls: VecDeque<Call>,
-    drops: VecDeque<Drop>,
-}
-
-impl Ring {
-    fn number(&mut self, node: &str) -> u32 {
-        if let Some(number) = self.numbers.get(node) {
-            return *number;
-        }
-        let number = self.names.len() as u32;
-        self.numbers.insert(node.to_owned(), number);
-        self.names.push(node.into());
-        number
-    }
-}
-
 /// Remembers the newest calls of all nodes.
-pub struct Trace(Mutex<Ring>);
+pub struct Trace(Timeline);
 
 impl Default for Trace {
     fn default() -> Self {
-        // Reserved at once, because it is filled between two nodes.
-        let (calls, drops) = (VecDeque::with_capacity(CALLS), VecDeque::with_capacity(DROPS));
-        Self(Mutex::new(Ring { calls, drops, ..Ring::default() }))
+        Self(Timeline::with_room(CALLS, DROPS))
     }
 }
 
 impl Tracer for Trace {
     fn call(&self, call: &trace::Call<'_>) {
-        let &trace::Call { node, tick, start_ns, end_ns, made, .. } = call;
-        let mut ring = lock(&self.0);
-        let node = ring.number(node);
-        if ring.calls.len() == CALLS {
-            ring.calls.pop_front();
-        }
-        ring.calls.push_back(Call { node, source: tick.source, seq: tick.seq, start_ns, end_ns, made });
+        self.0.call(call);
     }
 
     fn dropped(&self, node: &str, seq: u64, at_ns: u64) {
-        let mut ring = lock(&self.0);
-        let node = ring.number(node);
-        if ring.drops.len() == DROPS {
-            ring.drops.pop_front();
-        }
-        ring.drops.push_back(Drop { node, seq, at_ns });
+        self.0.dropped(node, seq, at_ns);
     }
 }
 
@@ -182,9 +132,9 @@ fn by_tick(calls: &[Call]) -> HashMap<(u32, u64), Vec<Call>> {
 }
 
 impl Trace {
-    fn copy(&self) -> (Vec<Call>, Vec<Drop>, Vec<Arc<str>>) {
-        let ring = lock(&self.0);
-        (ring.calls.iter().copied().collect(), ring.drops.iter().copied().collect(), ring.names.clone())
+    fn copy(&self) -> (Vec<Call>, Vec<Dropped>, Vec<Arc<str>>) {
+        let Calls { calls, drops, nodes, .. } = self.0.snapshot();
+        (calls.into(), drops.into(), nodes)
     }
 
     /// The newest dropped ticks, then the latest of the remembered ones: those that took longest from the end of the source's call.
@@ -256,7 +206,7 @@ fn is_source(view: &GraphView, id: &str) -> bool {
 }
 
 /// The tick of the same source that was under way when one was dropped, and the nodes that were at work on it.
-fn in_place_of(drop: &Drop, ticks: &HashMap<(u32, u64), Vec<Call>>) -> Option<(u64, Vec<u32>)> {
+fn in_place_of(drop: &Dropped, ticks: &HashMap<(u32, u64), Vec<Call>>) -> Option<(u64, Vec<u32>)> {
     let of_source = ticks.iter().filter_map(|((_, seq), calls)| {
         let first = calls.first().filter(|first| first.node == drop.node && *seq < drop.seq)?;
         let end_ns = calls.iter().map(|call| call.end_ns).max()?;

@@ -42,10 +42,10 @@ fn run(session: &dyn Session, text: &str, path: &Path, frames: u64, pace: Pace) 
 fn show_budget(session: &dyn Session, run: &Run, text: &str, path: &Path) -> Result<()> {
     let text = GraphText::parse(path, text);
     let Ok(ready) = graph_file::ready(&text) else { return Ok(()) };
-    let waits = Waits::of(&ready.graph);
+    let (waits, calls) = (Waits::of(&ready.graph), run.timeline.snapshot());
     let mut sinks: Vec<(&String, f64)> = run.report.paths.iter().map(|(sink, path)| (sink, path.age_p99_ms)).collect();
     sinks.sort_by(|a, b| b.1.total_cmp(&a.1));
-    for budget in sinks.iter().filter_map(|(sink, _)| Budget::of(&run.timeline, &waits, sink)) {
+    for budget in sinks.iter().filter_map(|(sink, _)| Budget::of(&calls, &waits, sink)) {
         note!(
             session,
             "the chain of calls that `{}` waits for, mean of {} pictures, {:.2} ms from the source:",
@@ -55,7 +55,7 @@ fn show_budget(session: &dyn Session, run: &Run, text: &str, path: &Path) -> Res
         );
         session.table(&budget.text());
     }
-    let [moved, threads] = work_tables(&run.timeline, run.report.frames);
+    let [moved, threads] = work_tables(&calls, run.report.frames);
     note!(session, "bytes per picture, and their rate while the node works:");
     session.table(&moved);
     note!(session, "threads, share of the run in which they are in calls (sources wait for light in theirs):");

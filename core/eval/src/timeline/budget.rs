@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use panoscope_graph::{Align, Graph};
 
-use super::{Call, Timeline};
+use super::{Call, Calls};
 use crate::text_table::{number, table};
 
 /// What one node takes of the time of a picture, means over all pictures.
@@ -63,8 +63,7 @@ impl Waits {
 
 impl Budget {
     /// The budget of the pictures that `sink` took; `None` where it took none that are still in the timeline from their source on.
-    pub fn of(timeline: &Timeline, waits: &Waits, sink: &str) -> Option<Self> {
-        let calls = timeline.copy();
+    pub fn of(calls: &Calls, waits: &Waits, sink: &str) -> Option<Self> {
         let positions: Vec<Option<usize>> = calls.nodes.iter().map(|node| waits.position(node)).collect();
         let producers: Vec<Vec<usize>> =
             waits.0.iter().map(|(_, from)| from.iter().filter_map(|id| waits.position(id)).collect()).collect();
@@ -138,8 +137,7 @@ fn chain(of_tick: &HashMap<usize, Call>, producers: &[Vec<usize>], sink: usize) 
 }
 
 /// What each node read and made per picture, MB, and how long each thread was in calls: two tables.
-pub fn work_tables(timeline: &Timeline, pictures: u64) -> [String; 2] {
-    let calls = timeline.copy();
+pub fn work_tables(calls: &Calls, pictures: u64) -> [String; 2] {
     let per_picture = 1e6 * pictures.max(1) as f64;
     let mut bytes = vec![(0_u64, 0_u64, 0_u64); calls.nodes.len()];
     let mut busy_ns = vec![0_u64; calls.threads.len()];
@@ -168,6 +166,7 @@ pub fn work_tables(timeline: &Timeline, pictures: u64) -> [String; 2] {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Timeline;
     use super::super::tests::enter;
     use super::*;
 
@@ -192,7 +191,7 @@ mod tests {
         }
         // Not through yet: it does not count.
         enter(&timeline, "camera", 2, 200, 210);
-        let budget = Budget::of(&timeline, &waits(), "sink").expect("two pictures");
+        let budget = Budget::of(&timeline.snapshot(), &waits(), "sink").expect("two pictures");
         assert_eq!((budget.pictures, budget.total_ms), (2, 15.0), "from the camera's end to the sink's");
         let share =
             |node: &str, wait_ms: f64, work_ms: f64| Share { node: node.to_owned(), on_chain: 1.0, wait_ms, work_ms };
@@ -211,8 +210,8 @@ mod tests {
         let timeline = Timeline::default();
         enter(&timeline, "slow", 0, 11, 20);
         enter(&timeline, "sink", 0, 23, 25);
-        assert_eq!(Budget::of(&timeline, &waits(), "sink"), None, "its source is not in the timeline");
-        assert_eq!(Budget::of(&timeline, &waits(), "other"), None, "no such node");
+        assert_eq!(Budget::of(&timeline.snapshot(), &waits(), "sink"), None, "its source is not in the timeline");
+        assert_eq!(Budget::of(&timeline.snapshot(), &waits(), "other"), None, "no such node");
     }
 
     #[test]
@@ -220,7 +219,7 @@ mod tests {
         let timeline = Timeline::default();
         enter(&timeline, "camera", 0, 0, 10);
         enter(&timeline, "sink", 0, 15, 20);
-        let [moved, threads] = work_tables(&timeline, 1);
+        let [moved, threads] = work_tables(&timeline.snapshot(), 1);
         assert!(moved.contains("camera"), "{moved}");
         assert!(threads.contains("75.0"), "15 of 20 ms: {threads}");
     }

@@ -3,9 +3,9 @@
 mod budget;
 mod perfetto;
 
-use std::cell::Cell;
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex};
+use std::thread::ThreadId;
 
 use panoscope_engine::sync::lock;
 use panoscope_engine::trace::{self, Tracer};
@@ -13,45 +13,58 @@ use panoscope_engine::trace::{self, Tracer};
 pub use budget::{Budget, Share, Waits, work_tables};
 pub use perfetto::write;
 
-/// Calls that are kept: the newest. One takes 72 bytes.
+/// Calls that are kept by default: the newest. One takes 72 bytes.
 const CALLS: usize = 1 << 20;
-/// Dropped ticks that are kept: the newest.
+/// Dropped ticks that are kept by default: the newest.
 const DROPS: usize = 1 << 16;
 
-thread_local! {
-    /// Number of the thread in the timeline that it was last entered in, with the number of that timeline.
-    static THREAD: Cell<(usize, u32)> = const { Cell::new((0, 0)) };
-}
-
-/// One call of a node, or a tick that it skipped.
+/// One call of a node, or a tick that it skipped. Times are ns of [`panoscope_engine::clock::now_ns`].
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Call {
+pub struct Call {
+    /// Position in [`Calls::nodes`].
     pub node: u32,
+    /// Position in [`Calls::threads`].
     pub thread: u32,
+    /// Slot of the tick's source, and its number.
     pub source: u32,
+    /// See `source`.
     pub seq: u64,
+    /// When it began.
     pub start_ns: u64,
+    /// When it ended.
     pub end_ns: u64,
+    /// False where the node was skipped or failed.
     pub made: bool,
+    /// Bytes of its inputs.
     pub read_bytes: u64,
+    /// Bytes of its outputs.
     pub made_bytes: u64,
 }
 
-/// A tick that was dropped where it would have entered at `node`.
+/// A tick that was dropped where it would have entered.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Drop {
+pub struct Dropped {
+    /// The node, a position in [`Calls::nodes`].
     pub node: u32,
+    /// Number of the tick.
     pub seq: u64,
+    /// When it was dropped, ns.
     pub at_ns: u64,
 }
 
+/// What a timeline holds.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Calls {
+pub struct Calls {
+    /// Names of the nodes.
     pub nodes: Vec<Arc<str>>,
+    /// Names of the threads.
     pub threads: Vec<String>,
+    /// Calls, by their ends.
     pub calls: VecDeque<Call>,
-    pub drops: VecDeque<Drop>,
+    /// Dropped ticks.
+    pub drops: VecDeque<Dropped>,
     numbers: HashMap<Arc<str>, u32>,
+    thread_numbers: HashMap<ThreadId, u32>,
 }
 
 impl Calls {
@@ -66,34 +79,48 @@ impl Calls {
     }
 
     fn thread(&mut self) -> u32 {
-        let this = std::ptr::from_ref(self).addr();
-        let (timeline, number) = THREAD.get();
-        if timeline == this {
-            return number;
-        }
-        let number = self.threads.len() as u32;
-        let name = std::thread::current().name().map_or_else(|| format!("thread {number}"), str::to_owned);
-        self.threads.push(name);
-        THREAD.set((this, number));
-        number
+        let this = std::thread::current();
+        *self.thread_numbers.entry(this.id()).or_insert_with(|| {
+            let number = self.threads.len() as u32;
+            self.threads.push(this.name().map_or_else(|| format!("thread {number}"), str::to_owned));
+            number
+        })
     }
 }
 
-/// Keeps the newest calls and dropped ticks of a run: about a million calls, which is several minutes of a large graph.
-#[derive(Debug, Default)]
-pub struct Timeline(Mutex<Calls>);
+/// Keeps the newest calls and dropped ticks of a run: by default about a million calls, which is several minutes of a large graph.
+#[derive(Debug)]
+pub struct Timeline {
+    calls: Mutex<Calls>,
+    most_calls: usize,
+    most_drops: usize,
+}
+
+impl Default for Timeline {
+    fn default() -> Self {
+        Self::with_room(CALLS, DROPS)
+    }
+}
 
 impl Timeline {
-    pub(crate) fn copy(&self) -> Calls {
-        lock(&self.0).clone()
+    /// Keeps so many calls and dropped ticks.
+    pub fn with_room(most_calls: usize, most_drops: usize) -> Self {
+        // Reserved at once, because it is filled between two nodes.
+        let (calls, drops) = (VecDeque::with_capacity(most_calls), VecDeque::with_capacity(most_drops));
+        Self { calls: Mutex::new(Calls { calls, drops, ..Calls::default() }), most_calls, most_drops }
+    }
+
+    /// A copy of what it holds now.
+    pub fn snapshot(&self) -> Calls {
+        lock(&self.calls).clone()
     }
 }
 
 impl Tracer for Timeline {
     fn call(&self, call: &trace::Call<'_>) {
-        let mut calls = lock(&self.0);
+        let mut calls = lock(&self.calls);
         let (node, thread) = (calls.number(call.node), calls.thread());
-        if calls.calls.len() == CALLS {
+        if calls.calls.len() == self.most_calls {
             calls.calls.pop_front();
         }
         calls.calls.push_back(Call {
@@ -110,12 +137,12 @@ impl Tracer for Timeline {
     }
 
     fn dropped(&self, node: &str, seq: u64, at_ns: u64) {
-        let mut calls = lock(&self.0);
+        let mut calls = lock(&self.calls);
         let node = calls.number(node);
-        if calls.drops.len() == DROPS {
+        if calls.drops.len() == self.most_drops {
             calls.drops.pop_front();
         }
-        calls.drops.push_back(Drop { node, seq, at_ns });
+        calls.drops.push_back(Dropped { node, seq, at_ns });
     }
 }
 
@@ -149,7 +176,7 @@ pub(crate) mod tests {
             other.spawn_scoped(scope, || enter(&timeline, "sink", 0, 1, 2)).expect("a thread starts");
         });
         enter(&timeline, "camera", 1, 3, 4);
-        let calls = timeline.copy();
+        let calls = timeline.snapshot();
         let entries: Vec<(&str, u32)> =
             calls.calls.iter().map(|c| (&*calls.nodes[c.node as usize], c.thread)).collect();
         assert_eq!(entries, [("camera", 0), ("sink", 1), ("camera", 0)]);
@@ -163,9 +190,9 @@ pub(crate) mod tests {
             enter(&first, "a", seq, seq, seq + 1);
             enter(&second, "b", seq, seq, seq + 1);
         }
-        // A thread that changes between two timelines is entered again, under another number; none is without a name.
         for timeline in [first, second] {
-            let calls = timeline.copy();
+            let calls = timeline.snapshot();
+            assert_eq!(calls.threads.len(), 1, "{calls:?}");
             assert!(calls.calls.iter().all(|call| (call.thread as usize) < calls.threads.len()), "{calls:?}");
         }
     }

@@ -33,7 +33,7 @@ pub fn write(timeline: &Timeline, path: &Path) -> io::Result<()> {
 }
 
 fn events(timeline: &Timeline, out: &mut dyn Write) -> io::Result<()> {
-    let calls = timeline.copy();
+    let calls = timeline.snapshot();
     let mut first = true;
     let mut put = |event: &Value| {
         out.write_all(if std::mem::take(&mut first) { b"[\n" } else { b",\n" })?;
