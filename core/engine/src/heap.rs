@@ -2,8 +2,9 @@
 #![allow(unsafe_code)]
 
 /// Allocations of this size or more are mapped and given back one by one.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const MAPPED_BYTES: libc::c_int = 256 << 10;
+const MAPPED_BYTES: i32 = 256 << 10;
+/// The largest such size that glibc takes.
+const MOST_MAPPED_BYTES: i32 = 32 << 20;
 
 /// Keeps large blocks out of the heap for the life of the process. A program calls it first thing in `main`.
 ///
@@ -11,12 +12,13 @@ const MAPPED_BYTES: libc::c_int = 256 << 10;
 /// and what nodes free when they are opened again goes back to the system late or never: the surgeon's preset, edited twice a second, grew by
 /// 20 MB in three minutes, and not at all with a fixed limit.
 pub fn keep_large_blocks_apart() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: sets numbers of the allocator, under its own lock.
-    unsafe {
-        libc::mallopt(libc::M_MMAP_THRESHOLD, MAPPED_BYTES);
-        libc::mallopt(libc::M_TRIM_THRESHOLD, MAPPED_BYTES);
-    }
+    set(Some(MAPPED_BYTES), MAPPED_BYTES);
+}
+
+/// The opposite: keeps blocks of up to 32 MiB, the most that glibc allows, in the heap, and eight of them free at its end. For a process that does nothing
+/// but pass pictures on: each of them would otherwise pay for new pages.
+pub fn keep_large_blocks() {
+    set(Some(MOST_MAPPED_BYTES), 8 * MOST_MAPPED_BYTES);
 }
 
 /// Keeps this much free memory at the end of the heap instead of giving it back. A window fills and empties tens of blocks below the limit for
@@ -24,13 +26,21 @@ pub fn keep_large_blocks_apart() {
 ///
 /// Call it after [`keep_large_blocks_apart`].
 pub fn keep_free(bytes: usize) {
+    set(None, i32::try_from(bytes).unwrap_or(i32::MAX));
+}
+
+/// Sets from which size on blocks are mapped, where it is given, and how much memory may stay free at the end of the heap.
+fn set(mapped_bytes: Option<i32>, free_bytes: i32) {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: sets a number of the allocator, under its own lock.
+    // SAFETY: sets numbers of the allocator, under its own lock.
     unsafe {
-        libc::mallopt(libc::M_TRIM_THRESHOLD, libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX));
+        if let Some(bytes) = mapped_bytes {
+            libc::mallopt(libc::M_MMAP_THRESHOLD, bytes);
+        }
+        libc::mallopt(libc::M_TRIM_THRESHOLD, free_bytes);
     }
     #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-    let _ = bytes;
+    let _ = (mapped_bytes, free_bytes);
 }
 
 #[cfg(all(test, target_os = "linux", target_env = "gnu"))]

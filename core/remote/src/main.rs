@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use panoscope_attach::tunnel::{ATTACH, ATTACHABLE};
+use panoscope_engine::heap;
 use panoscope_isolate::LINK_COMMAND;
 use panoscope_remote::keys::{Identity, KEYS_VARIABLE, Member, make};
 use panoscope_remote::serve::{Options, Server};
@@ -36,7 +37,7 @@ fn main() -> ExitCode {
         // SAFETY: the program begins here; nothing has started a thread.
         unsafe { network::work_in_one_thread() };
     }
-    network::keep_large_buffers();
+    heap::keep_large_blocks();
     if command == LINK_COMMAND {
         link::run(rest);
     }

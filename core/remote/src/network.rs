@@ -9,8 +9,6 @@ use zenoh::{Config, Session, Wait};
 
 use crate::keys::Identity;
 
-/// Buffers up to this size are kept when they are freed: the most that glibc allows.
-const MOST_KEPT_BYTES: libc::c_int = 32 << 20;
 /// Name of a host that has no certificate.
 pub const UNNAMED: &str = "unnamed";
 
@@ -81,17 +79,6 @@ pub unsafe fn work_in_one_thread() {
     let runtime = "(app: (worker_threads: 1), rx: (handover: app), tx: (handover: app), net: (handover: app), acc: (handover: app))";
     // SAFETY: the caller's promise: nobody reads the environment meanwhile.
     unsafe { std::env::set_var("ZENOH_RUNTIME", runtime) };
-}
-
-/// Keeps the memory of sent and received pictures for the next ones. By default glibc gives buffers of this size back to the system at once, and each
-/// picture pays for new pages. Call it before other threads start.
-pub fn keep_large_buffers() {
-    #[cfg(target_env = "gnu")]
-    // SAFETY: `mallopt` changes settings of the allocator under its own lock. What it refuses stays as it was.
-    unsafe {
-        libc::mallopt(libc::M_MMAP_THRESHOLD, MOST_KEPT_BYTES);
-        libc::mallopt(libc::M_TRIM_THRESHOLD, 8 * MOST_KEPT_BYTES);
-    }
 }
 
 /// A configuration without discovery.
