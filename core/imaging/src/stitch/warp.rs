@@ -90,27 +90,19 @@ fn locate_avx2(
     block: &mut Block,
 ) {
     use std::arch::x86_64::*;
-    let (one, zero, half) = (_mm256_set1_ps(1.0), _mm256_setzero_ps(), _mm256_set1_ps(0.5));
+    let one = _mm256_set1_ps(1.0);
     let s = [_mm256_set1_ps(s[0]), _mm256_set1_ps(s[1]), _mm256_set1_ps(s[2])];
     let d = [_mm256_set1_ps(d[0]), _mm256_set1_ps(d[1]), _mm256_set1_ps(d[2])];
-    let limit = [_mm256_set1_ps(limit[0]), _mm256_set1_ps(limit[1])];
-    let last = [_mm256_set1_epi32(last[0]), _mm256_set1_epi32(last[1])];
-    let (unit, first) = (_mm256_set1_ps(64.0), _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0));
+    let first = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
     let mut i = 0;
     while i < count {
         let t = _mm256_add_ps(first, _mm256_set1_ps(i as f32));
         // Multiply and add stay apart, so that the portable path gives the same bits.
         let along = |k: usize| _mm256_add_ps(s[k], _mm256_mul_ps(d[k], t));
         let scale = _mm256_div_ps(one, along(2));
-        let place = |k: usize| {
-            let v = _mm256_min_ps(_mm256_max_ps(_mm256_mul_ps(along(k), scale), zero), limit[k]);
-            let v = _mm256_cvttps_epi32(_mm256_add_ps(_mm256_mul_ps(v, unit), half));
-            let whole = _mm256_min_epi32(_mm256_srai_epi32(v, 6), last[k]);
-            (whole, _mm256_sub_epi32(v, _mm256_slli_epi32(whole, 6)))
-        };
-        let ((column, fx), (row, fy)) = (place(0), place(1));
+        let at = [_mm256_mul_ps(along(0), scale), _mm256_mul_ps(along(1), scale)];
         // SAFETY: i + 8 <= 64, as count is a multiple of 8 of at most 64.
-        unsafe { store(block, i, [column, fx, row, fy], stride) };
+        unsafe { store(block, i, at, limit, last, stride) };
         i += 8;
     }
 }
@@ -198,29 +190,35 @@ pub fn put_group_avx2(block: &mut Block, i: usize, first: [f32; 2], slope: [f32;
     use std::arch::x86_64::*;
     assert!(i < BLOCK, "a group begins inside the block");
     let steps = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
-    let place = |k: usize| {
-        // Multiply and add stay apart, so that the portable path gives the same bits.
-        let along = _mm256_add_ps(_mm256_set1_ps(first[k]), _mm256_mul_ps(_mm256_set1_ps(slope[k]), steps));
-        let inside = _mm256_min_ps(_mm256_max_ps(along, _mm256_setzero_ps()), _mm256_set1_ps(source.limit[k]));
-        let inside = _mm256_add_ps(_mm256_mul_ps(inside, _mm256_set1_ps(64.0)), _mm256_set1_ps(0.5));
-        let at = _mm256_cvttps_epi32(inside);
-        let whole = _mm256_min_epi32(_mm256_srai_epi32(at, 6), _mm256_set1_epi32(source.last[k]));
-        (whole, _mm256_sub_epi32(at, _mm256_slli_epi32(whole, 6)))
-    };
-    let ((column, fx), (row, fy)) = (place(0), place(1));
-    // SAFETY: eight elements from `i` on lie inside the arrays, which have room for a group behind a block.
-    unsafe { store(block, i, [column, fx, row, fy], source.stride) };
+    // Multiply and add stay apart, so that the portable path gives the same bits.
+    let along = |k: usize| _mm256_add_ps(_mm256_set1_ps(first[k]), _mm256_mul_ps(_mm256_set1_ps(slope[k]), steps));
+    // SAFETY: `i` is less than 64.
+    unsafe { store(block, i, [along(0), along(1)], source.limit, source.last, source.stride) };
 }
 
-/// Stores columns, rows and their fractions in 1/64 of eight output pixels.
+/// As [`put`] for eight output pixels: `at` are their columns and rows.
 ///
 /// # Safety
 /// `i` is at most 64.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
-unsafe fn store(block: &mut Block, i: usize, [column, fx, row, fy]: [std::arch::x86_64::__m256i; 4], stride: i32) {
+unsafe fn store(
+    block: &mut Block,
+    i: usize,
+    at: [std::arch::x86_64::__m256; 2],
+    limit: [f32; 2],
+    last: [i32; 2],
+    stride: i32,
+) {
     use std::arch::x86_64::*;
+    let place = |k: usize| {
+        let v = _mm256_min_ps(_mm256_max_ps(at[k], _mm256_setzero_ps()), _mm256_set1_ps(limit[k]));
+        let v = _mm256_cvttps_epi32(_mm256_add_ps(_mm256_mul_ps(v, _mm256_set1_ps(64.0)), _mm256_set1_ps(0.5)));
+        let whole = _mm256_min_epi32(_mm256_srai_epi32(v, 6), _mm256_set1_epi32(last[k]));
+        (whole, _mm256_sub_epi32(v, _mm256_slli_epi32(whole, 6)))
+    };
+    let ((column, fx), (row, fy)) = (place(0), place(1));
     let down = _mm256_mullo_epi32(row, _mm256_set1_epi32(stride));
     let offset = _mm256_add_epi32(down, _mm256_mullo_epi32(column, _mm256_set1_epi32(3)));
     let horizontal = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32(fx, 8), fx), _mm256_set1_epi32(64));
