@@ -5,12 +5,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 
+from . import score
 from .augment import erase, lab_statistics, photometric, warp
-from .data import Frame, letterbox
-from .score import chosen
-from .yolox import decode, flatten
+from .data import Frame
 
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 # Mean difference of two small gray pictures, of 255, below which the second shows nothing new.
@@ -95,25 +93,18 @@ class Curve:
         return float(1 / (1 + np.exp(-(np.log(p / (1 - p)) - self.bias) * self.temperature)))
 
 
-@torch.no_grad()
 def detect(model, frames, width, height, curve, least=0.05, iou_limit=0.5, batch=8):
     """Per frame K x 7: class, probability, x0, y0, x1, y1 in pixels of `frame.picture`, objectness; one box per place, best first."""
-    model.eval()
-    found, limit = [], curve.score(least)
-    for start in range(0, len(frames), batch):
-        some = frames[start : start + batch]
-        fitted = [letterbox(f.picture, f.boxes, width, height) for f in some]
-        x = torch.from_numpy(np.stack([p for p, _, _ in fitted])).permute(0, 3, 1, 2).float()
-        raw, grid, stride = flatten(model(x))
-        boxes = decode(raw[..., :4], grid, stride).numpy()
-        objectness, kinds = raw[..., 4].sigmoid().numpy(), raw[..., 5:].sigmoid().numpy()
-        for i, (_, _, scale) in enumerate(fitted):
-            rows = chosen(boxes[i], objectness[i], kinds[i], scale, limit, iou_limit)
-            rows = rows[np.argsort(-rows[:, 1], kind="stable")]
-            rows = rows[[k for k in range(len(rows)) if (overlaps(rows[k : k + 1], rows[:k]) <= iou_limit).all()]]
-            rows[:, 1] = curve.probability(rows[:, 1])
-            found.append(rows)
-    return found
+    found = score.detect(model, frames, width, height, curve.score(least), iou_limit, batch)
+    return [best_of_each_place(rows, curve, iou_limit) for rows in found]
+
+
+def best_of_each_place(rows, curve, iou_limit):
+    """The rows of one frame without those that overlap a better one, with probabilities for scores."""
+    rows = rows[np.argsort(-rows[:, 1], kind="stable")]
+    rows = rows[[k for k in range(len(rows)) if (overlaps(rows[k : k + 1], rows[:k]) <= iou_limit).all()]]
+    rows[:, 1] = curve.probability(rows[:, 1])
+    return rows
 
 
 def overlaps(a, b):
