@@ -208,9 +208,11 @@ impl Theatre {
             self.page = 0;
         }
         let shown = settings.iter().skip(self.page * fit).take(fit);
-        let mut at = room.right() - shown.len() as f32 * (SETTING + SETTING_GAP) + SETTING_GAP;
+        // A single one is narrower where the window has less room.
+        let width = SETTING.min(room.width());
+        let mut at = room.right() - shown.len() as f32 * (width + SETTING_GAP) + SETTING_GAP;
         for setting in shown {
-            let rect = Rect::from_min_size(pos2(at, room.top() + 4.0), vec2(SETTING, room.height() - 8.0));
+            let rect = Rect::from_min_size(pos2(at, room.top() + 4.0), vec2(width, room.height() - 8.0));
             let value = self.value(setting);
             if let Some(new) = settings::show(ui, rect, setting, value.as_ref()) {
                 self.choose(&setting.node, &setting.param.name, new);

@@ -1,5 +1,6 @@
 //! Draws the preset's settings as large sliders and switches, within the preset's ranges.
 
+use eframe::egui::text::{LayoutJob, TextWrapping};
 use eframe::egui::{
     Align2, Color32, CornerRadius, FontId, Key, Modifiers, Rect, Response, Sense, Stroke, StrokeKind, Ui, WidgetInfo,
     WidgetType, pos2, vec2,
@@ -13,6 +14,9 @@ use super::{Setting, Theatre};
 use panoscope_editor_model::picture::short;
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{format_time, unit_suffix};
+
+/// Distance between the name of a setting and its value, points.
+const LABEL_GAP: f32 = 8.0;
 
 /// Number of steps of a slider whose parameter has no step.
 const STEPS: f64 = 100.0;
@@ -97,9 +101,12 @@ pub fn show(ui: &mut Ui, rect: Rect, setting: &Setting, value: Option<&ParamValu
     let response = ui.interact(rect, id, Sense::click_and_drag());
     let painter = ui.painter().clone();
     let color = if response.has_focus() { theme::accent() } else { theme::muted() };
-    painter.text(rect.left_top(), Align2::LEFT_TOP, &setting.label, FontId::proportional(16.0), color);
     let shown = value.map_or_else(|| "-".to_owned(), |v| shown(v, unit_suffix(&setting.param.unit)));
-    painter.text(rect.right_top(), Align2::RIGHT_TOP, &shown, FontId::proportional(18.0), theme::text());
+    let value_rect =
+        painter.text(rect.right_top(), Align2::RIGHT_TOP, &shown, FontId::proportional(18.0), theme::text());
+    let mut label = LayoutJob::simple_singleline(setting.label.clone(), FontId::proportional(16.0), color);
+    label.wrap = TextWrapping::truncate_at_width((value_rect.left() - rect.left() - LABEL_GAP).max(1.0));
+    painter.galley(rect.left_top(), painter.layout_job(label), color);
     let Some(value) = value else {
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, false, setting.label.clone()));
         return None;

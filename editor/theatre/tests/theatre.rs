@@ -362,6 +362,8 @@ fn distances_are_measured_and_surfaces_turned_by_keys_alone() {
     }
     (0..5).for_each(|_| window.key(Key::ArrowRight));
     window.key(Key::Enter);
+    // The calibration that gives the error may come after the points.
+    window.until("a distance with its error", |t| t.distance().is_some());
     let length = window.theatre().distance().expect("both points are known");
     assert!((0.5..100.0).contains(&length.mm), "{length}");
     window.key(Key::M);
@@ -463,6 +465,31 @@ fn settings_are_set_by_keys_and_all_can_be_reached() {
     }
     assert_eq!(seen.len(), 9, "{seen:?}");
     window.harness.get_by_label("More settings");
+}
+
+#[test]
+fn settings_leave_room_for_the_buttons_in_a_narrow_window() {
+    if !has_plugin("flow") || !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let text = MEASURED
+        .replace("\"flow\"]", "\"flow\", \"fixtures\"]")
+        .replace("type = \"drain\"", "type = \"device\"")
+        + "pinned = [{ param = \"points.far_mm\", range = [50, 500], label = \"farthest depth\" }, { param = \"points.near_mm\", range = [1, 40], label = \"nearest depth\" }]\n";
+    let folder = Folder::new("narrow");
+    let path = folder.write("g.toml", &text);
+    let options = Options { scale: 2.0, ..options(&folder) };
+    let mut window = Window::open_with(folder, &path, options);
+    window.until("a picture is there", Theatre::has_picture);
+    window.harness.set_size(vec2(1440.0, 810.0));
+    input::steps(&mut window.harness, 6);
+    let setting = window.harness.get_by_role_and_label(Role::Slider, "Farthest depth").rect();
+    let screen = window.harness.ctx.content_rect();
+    assert!(screen.contains_rect(setting) && setting.width() > 80.0, "{setting:?} in {screen:?}");
+    for name in ["Layout", "Freeze", "Still", "Record", "Measure", "More settings", "Emergency stop of the arm"] {
+        let button = window.harness.get_by_role_and_label(Role::Button, name).rect();
+        assert!(!button.intersects(setting), "{name} at {button:?}, the setting at {setting:?}");
+    }
 }
 
 #[test]

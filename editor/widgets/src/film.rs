@@ -1,4 +1,4 @@
-//! A short film of the window (`--screenshot FILE.gif`): a picture four times per second, written as GIF at the end.
+//! A short film of the window (`--screenshot FILE.gif`): a picture twice per second, written as GIF at the end.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -9,7 +9,7 @@ use eframe::egui::{ColorImage, Context, Event, UserData, ViewportCommand};
 use gif::{Encoder, EncodingError, Frame, Repeat};
 
 /// Time between two pictures, hundredths of a second.
-const INTERVAL: u16 = 25;
+const INTERVAL: u16 = 50;
 /// Maximum width of the film, px; larger windows are shown at half, a third, ... of their size.
 const WIDTH: usize = 960;
 /// Maximum number of pictures.

@@ -107,22 +107,53 @@ impl Fit {
         for row in top + 1..=end {
             self.sums.iter_mut().zip(picture.row(row)).for_each(|(sum, v)| *sum += u16::from(*v));
         }
+        // One value more: pixels are read as four.
+        self.sums.push(0);
     }
 
     /// The mean of all pixels under each column, of as many rows.
     fn means(&self, target: &mut [u8], rows: usize) {
-        let (mut wide, mut share) = (0, 0.0);
+        let (mut count, mut share) = (0, 0);
         for (pixel, [first, last]) in target.as_chunks_mut::<3>().0.iter_mut().zip(&self.columns) {
-            let under = self.sums[*first as usize..*last as usize + 3].as_chunks::<3>().0;
-            if under.len() != wide {
-                wide = under.len();
-                share = 1.0 / (rows * wide) as f32;
+            let under = &self.sums[*first as usize..*last as usize + 4];
+            let pixels = rows * (under.len() / 3);
+            if pixels > LANE_PIXELS {
+                *pixel = wide_mean(under, rows);
+                continue;
             }
-            let mut sum = [0u32; 3];
-            under.iter().for_each(|three| sum.iter_mut().zip(three).for_each(|(s, v)| *s += u32::from(*v)));
-            *pixel = sum.map(|s| (s as f32 * share + 0.5) as u8);
+            if pixels != count {
+                count = pixels;
+                share = ((1 << SHARE_BITS) + count as u32 / 2) / count as u32;
+            }
+            *pixel = packed_sum(under).map(|sum| ((sum * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u8);
         }
     }
+}
+
+/// Binary places of the reciprocal of a count of pixels.
+const SHARE_BITS: u32 = 20;
+/// So many pixels of eight bits add up to at most sixteen bits.
+const LANE_PIXELS: usize = 257;
+
+/// Sums of the three channels of at most [`LANE_PIXELS`] pixels, one value behind them: all channels in one addition.
+fn packed_sum(pixels: &[u16]) -> [u32; 3] {
+    let mut sum = 0u64;
+    for four in pixels.windows(4).step_by(3) {
+        let word = four.iter().rev().fold(0, |word, v| word << 16 | u64::from(*v));
+        sum = sum.wrapping_add(word);
+    }
+    [0, 16, 32].map(|shift| (sum >> shift) as u32 & 0xffff)
+}
+
+/// Means of the three channels of any number of columns that hold sums of `rows` pixels.
+fn wide_mean(columns: &[u16], rows: usize) -> [u8; 3] {
+    let columns = columns.as_chunks::<3>().0;
+    let mut sum = [0u32; 3];
+    for three in columns {
+        sum.iter_mut().zip(three).for_each(|(s, v)| *s += u32::from(*v));
+    }
+    let share = 1.0 / (rows * columns.len()) as f32;
+    sum.map(|s| (s as f32 * share + 0.5) as u8)
 }
 
 /// [`Fit::place`] for any number of channels and any scale.

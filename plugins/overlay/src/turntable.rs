@@ -43,8 +43,8 @@ pub struct Settings {
     /// Magnification; 1 fills the picture when seen from the front.
     #[param(default = 0.9, range = 0.1..=20.0, step = 0.1, unit = "ratio")]
     pub zoom: f32,
-    /// Spacing of the points that form the surface.
-    #[param(default = 2, range = 1..=16, unit = "px")]
+    /// Spacing of the points that form the surface. 0 takes as many as the picture shows: one for every third of its columns.
+    #[param(default = 2, range = 0..=16, unit = "px")]
     pub step: usize,
     /// Largest slope between neighbours of one surface; steeper ones are not connected.
     #[param(default = 6.0, range = 0.5..=100.0, step = 0.5, unit = "ratio")]
@@ -74,6 +74,14 @@ impl SurfacePoints for Points<'_> {
     }
 }
 
+/// Columns of a picture for each point of the surface, where the step is not given: smaller triangles show no more.
+const COLUMNS_PER_POINT: usize = 3;
+
+/// Every how many points of a cloud `columns` wide are drawn in a picture `width` px wide.
+fn shown_step(columns: usize, width: usize) -> usize {
+    (columns * COLUMNS_PER_POINT / width.max(1)).max(1)
+}
+
 impl Node for Turntable {
     const INFO: NodeInfo =
         NodeInfo::compute("turntable", "overlay", "Shows a point cloud as a surface that turns, with a ruler in mm.");
@@ -93,7 +101,7 @@ impl Node for Turntable {
             yaw: params.yaw_deg.to_radians() + turn,
             pitch: params.pitch_deg.to_radians(),
             zoom: params.zoom,
-            step: params.step,
+            step: if params.step > 0 { params.step } else { shown_step(input.cloud.width(), params.width) },
             max_slope: params.max_slope,
             shading: params.shading,
             ..Orbit::default()

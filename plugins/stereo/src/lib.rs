@@ -1,5 +1,6 @@
 //! Rectification, disparity, depth and measurement (thesis, chapter 3); maps and clouds beside the truth.
 
+mod coarse;
 mod evaluate;
 mod filter;
 mod matcher;

@@ -9,7 +9,7 @@ use panoscope_node::{Context, Disparity, Gray8, Image, Params, Ports, Result, Sl
 #[derive(Ports)]
 pub struct In<'f> {
     /// Rectified left view.
-    left: Image<'f, Gray8>,
+    pub left: Image<'f, Gray8>,
     /// Rectified right view of the same instant, same size.
     right: Image<'f, Gray8>,
     /// Part of the left view that is matched; the whole view when unconnected.

@@ -3,6 +3,7 @@
 use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, PairMatcher};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
+use crate::coarse::factor;
 use crate::matcher::{In, Out, SearchWindow, check_kernel, process};
 use crate::shrunk::Shrunk;
 
@@ -26,8 +27,9 @@ pub struct StereoBmParams {
     /// Largest difference between the disparities of both views; -1 does not check.
     #[param(default = 1, range = -1..=64, unit = "px")]
     left_right_px: i32,
-    /// Factor by which views are shrunk before they are matched: a coarser map, much faster.
-    #[param(default = 1, range = 1..=8)]
+    /// Factor by which views are shrunk before they are matched: a coarser map, much faster. 0 finds it from the width: 1 below 640 px, 2 from
+    /// 640, 3 from 1440, 4 from 2560.
+    #[param(default = 1, range = 0..=8)]
     scale: usize,
 }
 
@@ -35,10 +37,9 @@ pub struct StereoBmParams {
 const LEAST_BLOCK_PX: usize = 5;
 
 impl StereoBmParams {
-    /// In pixels of the shrunk views; the range is set by each call.
-    fn kernel(&self) -> BlockMatchingParams {
-        let scale = self.scale.max(1);
-        let block = if scale == 1 { self.block_px } else { (self.block_px / scale).max(LEAST_BLOCK_PX) | 1 };
+    /// In pixels of views shrunk by `factor`; the range is set by each call.
+    fn kernel(&self, factor: usize) -> BlockMatchingParams {
+        let block = if factor == 1 { self.block_px } else { (self.block_px / factor).max(LEAST_BLOCK_PX) | 1 };
         BlockMatchingParams {
             min_disparity_px: self.search.min_disparity_px,
             search_px: self.search.search_px,
@@ -68,11 +69,11 @@ impl Node for StereoBm {
     type Params = StereoBmParams;
 
     fn validate(params: &StereoBmParams, check: &mut Validation<'_>) {
-        check_kernel(check, params.kernel().validate());
+        check_kernel(check, params.kernel(1).validate());
     }
 
     fn open(_: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
-        let kernel = BlockMatcher::new(params.kernel())?;
+        let kernel = BlockMatcher::new(params.kernel(1))?;
         Ok(Self { kernel: Shrunk::new(kernel), matcher: PairMatcher::new()? })
     }
 
@@ -83,8 +84,8 @@ impl Node for StereoBm {
         mut out: Out<'f>,
         params: &StereoBmParams,
     ) -> Result<()> {
-        self.kernel.factor = params.scale.max(1);
-        self.kernel.kernel.set_params(params.kernel())?;
+        self.kernel.factor = factor(params.scale, input.left.width());
+        self.kernel.kernel.set_params(params.kernel(self.kernel.factor))?;
         let search = (&params.search, params.left_right_px);
         process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)
     }

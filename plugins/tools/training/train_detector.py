@@ -60,6 +60,7 @@ def arguments():
     p.add_argument("--balance", type=float, default=0.5, help="how much more often seldom classes come up: 0 not, 1 all alike")
     p.add_argument("--balance-per-operation", action="store_true", help="balance the classes in each operation for itself")
     p.add_argument("--bf16", action="store_true", help="compute in bfloat16 where PyTorch holds it to be safe")
+    p.add_argument("--compile", action="store_true", help="compile the network first, a fifth to half faster; needs a C++ compiler")
     p.add_argument("--seed", type=int, default=1)
     p.add_argument("--threads", type=int, default=2)
     p.add_argument("--test-every", type=int, default=5, help="epochs between two tests; 0: at the end only")
@@ -147,6 +148,7 @@ def main():
         optimiser.load_state_dict(state["optimiser"])
         step, trained_s = state["step"], state["trained_s"]
 
+    forward = torch.compile(model) if a.compile else model
     train, test = read_frames(a)
     print(f"{len(train)} frames to learn from, {len(test)} to test on" + (f"; goes on after step {step}" if state else ""), flush=True)
     more = [f.load(a.width * 5 // 4) for f in read(a.also, "train")] if a.also else []
@@ -176,7 +178,7 @@ def main():
             for group in optimiser.param_groups:
                 group["lr"] = group["peak"] * schedule.factor(step, progress)
             with torch.autocast("cpu", torch.bfloat16, enabled=a.bf16):
-                levels = model(x)
+                levels = forward(x)
             value = loss([level.float() for level in levels], truths, l1=plain)
             optimiser.zero_grad(set_to_none=True)
             value.backward()

@@ -260,10 +260,6 @@ impl SweepPanel {
                 request = Some(self.request(document, path));
             }
         });
-        let wrong = self.wrong.as_ref().or(progress.and_then(|p| p.failed.as_ref()));
-        if let Some(error) = wrong {
-            ui.add(Label::new(RichText::new(error).size(12.0).color(theme::fault())).wrap());
-        }
         request
     }
 
@@ -289,9 +285,15 @@ impl SweepPanel {
         SweepRequest::Start(request, recording)
     }
 
-    /// Shows the progress and the plot; returns what to export.
+    /// Shows the progress and the plot, or why there is none; returns what to export.
     fn result(&mut self, ui: &mut Ui, progress: Option<&Progress>) -> Option<Export> {
+        let wrong = self.wrong.as_ref().or(progress.and_then(|p| p.failed.as_ref()));
+        let words = wrong.map(|error| Label::new(RichText::new(error).color(theme::fault())).wrap());
         let Some(progress) = progress else {
+            if let Some(words) = words {
+                ui.add(words);
+                return None;
+            }
             let caption = text!("sweep-about");
             ui.label(RichText::new(caption).color(theme::muted()));
             return None;
@@ -321,6 +323,10 @@ impl SweepPanel {
                 }
             });
         });
+        if let Some(words) = words {
+            ui.add(words);
+            return None;
+        }
         let failed = progress.points.iter().find_map(|p| Some((&p.value, p.result.as_ref().err()?)));
         if let Some((value, why)) = failed {
             let caption = text!(
