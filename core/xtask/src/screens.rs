@@ -55,7 +55,7 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
             "wait:2",
             "undo",
             "wait:2",
-            "sweep:wide/composite.blend_px wide/composite.p50_ms",
+            "sweep:wide/register.hessian_threshold wide/register.matches",
             "wait:16",
             "sweep",
             "reload",

@@ -102,10 +102,28 @@ impl Fit {
     }
 
     fn add(&mut self, picture: &View<'_, u8>, top: usize, end: usize) {
+        let wide = |v: &u8| u16::from(*v);
         self.sums.clear();
-        self.sums.extend(picture.row(top).iter().map(|v| u16::from(*v)));
-        for row in top + 1..=end {
-            self.sums.iter_mut().zip(picture.row(row)).for_each(|(sum, v)| *sum += u16::from(*v));
+        let first = picture.row(top);
+        // Two or three rows at once: the usual shrinking, without a sum that is stored and read again.
+        let next = match end - top {
+            0 => {
+                self.sums.extend(first.iter().map(wide));
+                top + 1
+            }
+            1 => {
+                let rows = first.iter().zip(picture.row(top + 1));
+                self.sums.extend(rows.map(|(a, b)| wide(a) + wide(b)));
+                top + 2
+            }
+            _ => {
+                let rows = first.iter().zip(picture.row(top + 1)).zip(picture.row(top + 2));
+                self.sums.extend(rows.map(|((a, b), c)| wide(a) + wide(b) + wide(c)));
+                top + 3
+            }
+        };
+        for row in next..=end {
+            self.sums.iter_mut().zip(picture.row(row)).for_each(|(sum, v)| *sum += wide(v));
         }
         // One value more: pixels are read as four.
         self.sums.push(0);

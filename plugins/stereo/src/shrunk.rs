@@ -50,6 +50,13 @@ fn shrunk_range(first_px: i32, search_px: usize, factor: usize) -> (i32, usize) 
     (first, search.next_multiple_of(SEARCH_STEP_PX))
 }
 
+/// Repeats every value of `line`, times `N`, `N` times.
+fn repeat<const N: usize>(line: &[f32], out: &mut [f32]) {
+    for (block, value) in out.as_chunks_mut::<N>().0.iter_mut().zip(line) {
+        *block = [value * N as f32; N];
+    }
+}
+
 /// Repeats every value of `small`, times `factor`, over its block; what no block covers is NaN.
 fn enlarge(small: &[f32], (width, height): (usize, usize), factor: usize, pool: &dyn Parallel, map: ViewMut<'_, f32>) {
     let (stride, columns, rows) = (map.stride, map.width, map.height);
@@ -62,10 +69,22 @@ fn enlarge(small: &[f32], (width, height): (usize, usize), factor: usize, pool: 
                 row.fill(f32::NAN);
                 continue;
             }
+            if y > chunk * ROWS && !y.is_multiple_of(factor) {
+                // SAFETY: the row above belongs to this chunk, too, and does not overlap this one.
+                row.copy_from_slice(unsafe { target.part((y - 1) * stride, columns) });
+                continue;
+            }
             let line = &small[y / factor * width..][..width];
             let (blocks, rest) = row.split_at_mut(width * factor);
-            for (block, &value) in blocks.chunks_exact_mut(factor).zip(line) {
-                block.fill(value * factor as f32);
+            match factor {
+                2 => repeat::<2>(line, blocks),
+                3 => repeat::<3>(line, blocks),
+                4 => repeat::<4>(line, blocks),
+                _ => {
+                    for (block, &value) in blocks.chunks_exact_mut(factor).zip(line) {
+                        block.fill(value * factor as f32);
+                    }
+                }
             }
             rest.fill(f32::NAN);
         }

@@ -1,6 +1,6 @@
 //! The tissue's skin: colour, gloss and fine relief, baked once into a periodic map of texels.
 
-use panoscope_imaging::{Parallel, SharedMut};
+use panoscope_imaging::{Parallel, SharedMut, Simd};
 
 use super::boards;
 use super::kinds::{BoardPrint, SceneKind};
@@ -20,6 +20,10 @@ pub const SLOPE_LIMIT: f32 = 6.0;
 /// x (high byte, low byte), slope along y (high, low). Bytes are interpolated linearly; a sum of two
 /// linear functions is linear, so that high and low bytes may be put together after interpolation.
 pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Vec<u64> {
+    bake_with(params, relief, pool, Simd::detect().avx2())
+}
+
+fn bake_with(params: &SceneParams, relief: &Relief, pool: &dyn Parallel, avx2: bool) -> Vec<u64> {
     let texel_mm = relief.period_mm / TEXELS as f32;
     let palette = Palette::of(params.scene).drawn(params.texture);
     let vessels = vessels(params.seed, &palette.vessels, relief.period_mm, pool);
@@ -32,7 +36,7 @@ pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Vec<u
             let mut scratch = Vec::new();
             for y in chunk * ROWS..(chunk + 1) * ROWS {
                 // SAFETY: each chunk takes its own rows.
-                skin.bump_row(y, unsafe { bumps.part(y * TEXELS, TEXELS) }, &mut scratch);
+                skin.bump_row(y, unsafe { bumps.part(y * TEXELS, TEXELS) }, &mut scratch, avx2);
             }
         });
     }
@@ -43,7 +47,7 @@ pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Vec<u
             let mut work = RowWork::default();
             for y in chunk * ROWS..(chunk + 1) * ROWS {
                 // SAFETY: each chunk takes its own rows.
-                skin.texel_row(y, bumps, unsafe { texels.part(y * TEXELS, TEXELS) }, &mut work);
+                skin.texel_row(y, bumps, unsafe { texels.part(y * TEXELS, TEXELS) }, &mut work, avx2);
             }
         });
     }
@@ -200,6 +204,15 @@ struct RowWork {
     rows: [Vec<f32>; 9],
 }
 
+/// Rows of noise that colours come from.
+struct Noise<'a> {
+    hue: &'a [f32],
+    mottle: &'a [f32],
+    net: &'a [f32],
+    veil: &'a [f32],
+    fleck: &'a [f32],
+}
+
 struct Skin<'a> {
     scene: SceneKind,
     board: BoardPrint,
@@ -252,7 +265,26 @@ impl<'a> Skin<'a> {
     }
 
     /// Fine height in mm of one row of texels.
-    fn bump_row(&self, y: usize, out: &mut [f32], scratch: &mut Vec<f32>) {
+    fn bump_row(&self, y: usize, out: &mut [f32], scratch: &mut Vec<f32>, avx2: bool) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            // The same operations in the same order, on eight texels at once.
+            #[target_feature(enable = "avx2")]
+            fn with_avx2(skin: &Skin<'_>, y: usize, out: &mut [f32], scratch: &mut Vec<f32>) {
+                skin.bump_row_body(y, out, scratch);
+            }
+            if avx2 {
+                // SAFETY: the caller found AVX2 on this processor.
+                unsafe { with_avx2(self, y, out, scratch) };
+                return;
+            }
+        }
+        let _ = avx2;
+        self.bump_row_body(y, out, scratch);
+    }
+
+    #[inline(always)]
+    fn bump_row_body(&self, y: usize, out: &mut [f32], scratch: &mut Vec<f32>) {
         self.grain.fill_row(y, out, scratch);
         let mut second = vec![0.0; TEXELS];
         Relief::upsample_row(&self.relief.second, y, &mut second);
@@ -268,7 +300,26 @@ impl<'a> Skin<'a> {
         }
     }
 
-    fn texel_row(&self, y: usize, bumps: &[f32], out: &mut [u64], work: &mut RowWork) {
+    fn texel_row(&self, y: usize, bumps: &[f32], out: &mut [u64], work: &mut RowWork, avx2: bool) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            // The same operations in the same order, on eight texels at once.
+            #[target_feature(enable = "avx2")]
+            fn with_avx2(skin: &Skin<'_>, y: usize, bumps: &[f32], out: &mut [u64], work: &mut RowWork) {
+                skin.texel_row_body(y, bumps, out, work);
+            }
+            if avx2 {
+                // SAFETY: the caller found AVX2 on this processor.
+                unsafe { with_avx2(self, y, bumps, out, work) };
+                return;
+            }
+        }
+        let _ = avx2;
+        self.texel_row_body(y, bumps, out, work);
+    }
+
+    #[inline(always)]
+    fn texel_row_body(&self, y: usize, bumps: &[f32], out: &mut [u64], work: &mut RowWork) {
         let RowWork { scratch, rows } = work;
         for row in rows.iter_mut() {
             row.resize(TEXELS, 0.0);
@@ -287,21 +338,57 @@ impl<'a> Skin<'a> {
         let (above, here, below) = (line(0), line(1), line(2));
         let half = 0.5 / self.texel_mm;
         let vessels = &self.vessels[y * TEXELS..][..TEXELS];
-        for x in 0..TEXELS {
-            let dx = (here[(x + 1) % TEXELS] - here[(x + TEXELS - 1) % TEXELS]) * half;
-            let dy = (below[x] - above[x]) * half;
-            let vessel = f32::from(vessels[x]) * (1.0 / 255.0);
-            let (mut colour, gloss) =
-                self.colour(x, y, hue[x], mottle[x], net[x], veil[x], fleck[x], second[x], vessel);
-            // Light reaches a hollow by way of its red walls.
-            let open = open[x];
-            let red = if self.palette.vessels.is_empty() { open } else { 0.35 + 0.65 * open };
-            colour = [colour[0] * open, colour[1] * open, colour[2] * red];
-            out[x] = pack(colour, gloss * open, slope_x[x] + dx, slope_y[x] + dy);
+        // Slopes first, so that the loop over colours has no neighbours.
+        for x in [0, TEXELS - 1] {
+            slope_x[x] += (here[(x + 1) % TEXELS] - here[(x + TEXELS - 1) % TEXELS]) * half;
+        }
+        for (slope, near) in slope_x[1..].iter_mut().zip(here.windows(3)) {
+            *slope += (near[2] - near[0]) * half;
+        }
+        for (slope, (above, below)) in slope_y.iter_mut().zip(above.iter().zip(below)) {
+            *slope += (below - above) * half;
+        }
+        let noise = Noise { hue, mottle, net, veil, fleck };
+        match self.scene {
+            SceneKind::Box | SceneKind::Board => {
+                self.colour_row::<true>(y, &noise, second, open, vessels, [slope_x, slope_y], out);
+            }
+            _ => self.colour_row::<false>(y, &noise, second, open, vessels, [slope_x, slope_y], out),
         }
     }
 
-    fn colour(
+    /// Colours of a row, packed. `PRINTED` scenes have marks at places; without them the loop has no branches.
+    #[inline(always)]
+    fn colour_row<const PRINTED: bool>(
+        &self,
+        y: usize,
+        noise: &Noise<'_>,
+        second: &[f32],
+        open: &[f32],
+        vessels: &[u8],
+        slopes: [&[f32]; 2],
+        out: &mut [u64],
+    ) {
+        let is_bare = self.palette.vessels.is_empty();
+        let Noise { hue, mottle, net, veil, fleck } = noise;
+        let (hue, mottle, net, veil) = (&hue[..TEXELS], &mottle[..TEXELS], &net[..TEXELS], &veil[..TEXELS]);
+        let (fleck, second, open, vessels) = (&fleck[..TEXELS], &second[..TEXELS], &open[..TEXELS], &vessels[..TEXELS]);
+        let [slope_x, slope_y] = slopes.map(|row| &row[..TEXELS]);
+        let out = &mut out[..TEXELS];
+        for x in 0..TEXELS {
+            let vessel = f32::from(vessels[x]) * (1.0 / 255.0);
+            let (mut colour, gloss) =
+                self.colour::<PRINTED>(x, y, hue[x], mottle[x], net[x], veil[x], fleck[x], second[x], vessel);
+            // Light reaches a hollow by way of its red walls.
+            let open = open[x];
+            let red = if is_bare { open } else { 0.35 + 0.65 * open };
+            colour = [colour[0] * open, colour[1] * open, colour[2] * red];
+            out[x] = pack(colour, gloss * open, slope_x[x], slope_y[x]);
+        }
+    }
+
+    #[inline(always)]
+    fn colour<const PRINTED: bool>(
         &self,
         x: usize,
         y: usize,
@@ -340,6 +427,9 @@ impl<'a> Skin<'a> {
         let blush = capillary.max(red);
         colour = std::array::from_fn(|c| mix(colour[c], p.vessel[c], blush));
         let mut gloss = mix(a.gloss, b.gloss, share) * (0.75 + 0.25 * veil).clamp(0.3, 1.0);
+        if !PRINTED {
+            return (colour, gloss);
+        }
         let place = |texel: usize| marks::centred(texel as f32 / TEXELS as f32, self.relief.period_mm);
         match self.scene {
             SceneKind::Box => {
@@ -380,22 +470,38 @@ fn openness(z_mm: &[f32], radius: usize) -> Vec<f32> {
 }
 
 /// Round lobes between the lines where the noise is zero, 0..1.
+#[inline(always)]
 fn lobule(net: f32) -> f32 {
     let v = 1.0 - (net.abs() * 1.5).min(1.0);
     1.0 - v * v
 }
 
+#[inline(always)]
 fn pack(colour: [f32; 3], gloss: f32, slope_x: f32, slope_y: f32) -> u64 {
-    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u64;
+    // In 32 bits, which processors convert eight at a time.
+    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as i32 as u32;
     let word = |slope: f32| {
         let scaled = (slope + SLOPE_LIMIT) * (65535.0 / (2.0 * SLOPE_LIMIT));
-        let v = (scaled + 0.5).clamp(0.0, 65535.0) as u64;
+        let v = (scaled + 0.5).clamp(0.0, 65535.0) as i32 as u32;
         (v >> 8) | (v & 0xff) << 8
     };
-    byte(colour[0])
-        | byte(colour[1]) << 8
-        | byte(colour[2]) << 16
-        | byte(gloss) << 24
-        | word(slope_x) << 32
-        | word(slope_y) << 48
+    let low = byte(colour[0]) | byte(colour[1]) << 8 | byte(colour[2]) << 16 | byte(gloss) << 24;
+    u64::from(low) | u64::from(word(slope_x) | word(slope_y) << 16) << 32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_imaging::Serial;
+
+    #[test]
+    fn every_processor_makes_the_same_texels() {
+        for scene in [SceneKind::Bowel, SceneKind::Board] {
+            let params = SceneParams { scene, seed: 5, ..SceneParams::default() };
+            let relief = Relief::new(&params, &Serial);
+            let [portable, fast] =
+                [false, Simd::detect().avx2()].map(|avx2| bake_with(&params, &relief, &Serial, avx2));
+            assert!(portable == fast, "{scene:?}");
+        }
+    }
 }

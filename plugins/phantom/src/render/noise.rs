@@ -49,6 +49,7 @@ impl Octave {
     }
 
     /// Adds `gain` times the noise to one row `y` of a map of `out.len()` texels per period (a multiple of `cells`).
+    #[inline(always)]
     pub fn add_row(&self, y: usize, gain: f32, out: &mut [f32], scratch: &mut Vec<f32>) {
         let step = out.len() / self.cells;
         assert_eq!(step * self.cells, out.len());
@@ -103,6 +104,7 @@ impl Layers {
     }
 
     /// The sums of row `y` of a map of `out.len()` texels per period.
+    #[inline(always)]
     pub fn fill_row(&self, y: usize, out: &mut [f32], scratch: &mut Vec<f32>) {
         out.fill(0.0);
         for (octave, gain) in &self.0 {

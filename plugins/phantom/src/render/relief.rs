@@ -111,6 +111,7 @@ impl Relief {
 
     /// A node plane between nodes, bilinear (for shading and masks):
     /// row `y` of a map of `out.len()` texels per period.
+    #[inline(always)]
     pub fn upsample_row(plane: &[f32], y: usize, out: &mut [f32]) {
         let step = out.len() / NODES;
         let inv = 1.0 / step as f32;
