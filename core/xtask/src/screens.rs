@@ -55,7 +55,7 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
             "wait:2",
             "undo",
             "wait:2",
-            "sweep:wide/register.hessian_threshold wide/register.matches",
+            "sweep:wide/register.hessian_threshold wide/register.rms_px",
             "wait:16",
             "sweep",
             "reload",
