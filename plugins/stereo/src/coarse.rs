@@ -29,6 +29,8 @@ pub struct Coarse {
     /// What the filter makes.
     smooth: Vec<f32>,
     support: Vec<f32>,
+    /// Lines that each chunk of rows works in.
+    lines: Vec<f32>,
 }
 
 /// What a filter works on: its inputs, and where the map and its confidence go.
@@ -85,9 +87,10 @@ impl Coarse {
             confidence: job.confidence.is_some().then(|| ViewMut::new(&mut self.support, width, height, 1)),
         })?;
         let smooth = View::new(&self.smooth[..], width, height, 1);
-        enlarge(smooth, factor, factor as f32, LARGEST_STEP_PX, pool, job.disparity);
+        enlarge(smooth, factor, factor as f32, LARGEST_STEP_PX, pool, job.disparity, &mut self.lines);
         if let Some(confidence) = job.confidence {
-            enlarge(View::new(&self.support[..], width, height, 1), factor, 1.0, f32::INFINITY, pool, confidence);
+            let support = View::new(&self.support[..], width, height, 1);
+            enlarge(support, factor, 1.0, f32::INFINITY, pool, confidence, &mut self.lines);
         }
         Ok(())
     }
@@ -121,14 +124,25 @@ fn place(at: usize, factor: usize, count: usize) -> (usize, f32) {
 }
 
 /// Enlarges `small` by `factor`, linear within surfaces, its values times `times`. What no block covers continues the last one.
-fn enlarge(small: View<'_, f32>, factor: usize, times: f32, step: f32, pool: &dyn Parallel, map: ViewMut<'_, f32>) {
+fn enlarge(
+    small: View<'_, f32>,
+    factor: usize,
+    times: f32,
+    step: f32,
+    pool: &dyn Parallel,
+    map: ViewMut<'_, f32>,
+    lines: &mut Vec<f32>,
+) {
     let (stride, columns, rows) = (map.stride, map.width, map.height);
     let target = SharedMut::new(map.data);
     // The shares repeat with every block.
     let shares: Vec<(usize, f32)> = (0..factor).map(|at| place(factor + at, factor, 3)).collect();
-    pool.run(rows.div_ceil(ROWS), &|chunk| {
-        let mut line = vec![0.0; small.width + 2];
-        let mut phase = vec![0.0; small.width];
+    let (chunks, work) = (rows.div_ceil(ROWS), 2 * small.width + 2);
+    lines.resize(chunks * work, 0.0);
+    let lines = SharedMut::new(lines);
+    pool.run(chunks, &|chunk| {
+        // SAFETY: each chunk takes its own lines.
+        let (line, phase) = unsafe { lines.part(chunk * work, work) }.split_at_mut(small.width + 2);
         for y in chunk * ROWS..(chunk * ROWS + ROWS).min(rows) {
             let (above, down) = place(y, factor, small.height);
             let (a, b) = (small.row(above), small.row((above + 1).min(small.height - 1)));
@@ -147,7 +161,7 @@ fn enlarge(small: View<'_, f32>, factor: usize, times: f32, step: f32, pool: &dy
                 for (value, (a, b)) in phase.iter_mut().zip(near) {
                     *value = between(*a, *b, *share, step * times);
                 }
-                blocks[at..].iter_mut().step_by(factor).zip(&phase).for_each(|(pixel, value)| *pixel = *value);
+                blocks[at..].iter_mut().step_by(factor).zip(&*phase).for_each(|(pixel, value)| *pixel = *value);
             }
             rest.fill(line[small.width]);
         }
@@ -174,7 +188,7 @@ mod tests {
         let small: Vec<f32> = (0..width * height).map(|i| slope(3.0 * (i % width) as f32 + 1.0) / 3.0).collect();
         let mut map = vec![f32::NAN; 97 * 19];
         let small = View::new(&small[..], width, height, 1);
-        enlarge(small, 3, 3.0, LARGEST_STEP_PX, &Serial, ViewMut::new(&mut map, 97, 19, 1));
+        enlarge(small, 3, 3.0, LARGEST_STEP_PX, &Serial, ViewMut::new(&mut map, 97, 19, 1), &mut Vec::new());
         for y in 0..19 {
             for x in 1..95 {
                 let value = map[y * 97 + x];
@@ -191,7 +205,15 @@ mod tests {
         let mut small = [8.0; 12];
         small[5] = f32::NAN;
         let mut map = vec![0.0; 16 * 12];
-        enlarge(View::new(&small[..], 4, 3, 1), 4, 4.0, 1.0, &Serial, ViewMut::new(&mut map, 16, 12, 1));
+        enlarge(
+            View::new(&small[..], 4, 3, 1),
+            4,
+            4.0,
+            1.0,
+            &Serial,
+            ViewMut::new(&mut map, 16, 12, 1),
+            &mut Vec::new(),
+        );
         let unknown: Vec<usize> = (0..map.len()).filter(|i| map[*i].is_nan()).collect();
         let wanted: Vec<usize> =
             (0..map.len()).filter(|i| (4..8).contains(&(i % 16)) && (4..8).contains(&(i / 16))).collect();
