@@ -53,6 +53,7 @@ pub use apply::{Applied, ApplyError};
 pub use engine::{Engine, Options, Outcome, SetError, StartError};
 pub use host::random_seed;
 pub use outbox::panic_words;
+pub use plan::TICKS_LIVE;
 pub use plugins::Plugins;
 pub use preview::{HearFn, HearNumberFn, Listener, NumberListener, Preview};
 pub use report::{Machine, NodeReport, NodeWindow, PathReport, QueueWindow, Report, Window, WireDrops};

@@ -341,7 +341,7 @@ fn inline_chains(
 /// Ticks inside a region in batch. Independent of the number of threads, because results of a loop with a delay depend on the overlap.
 const TICKS_IN_BATCH: u32 = 4;
 /// Ticks inside a live region: one starts while the one before it ends.
-const TICKS_LIVE: u32 = 2;
+pub const TICKS_LIVE: u32 = 2;
 
 /// Which nodes a tick waits for: nodes without readers (they write, move or show something), nodes that lead there by inputs that wait, and
 /// nodes that close a loop. A node read only by `latest` inputs may run late: its readers continue without it.

@@ -17,6 +17,7 @@ pub mod mask_rcnn;
 pub mod model;
 pub mod onnx_file;
 pub mod pictures;
+pub mod provider;
 pub mod proximity;
 pub mod runtime_library;
 pub mod second_view;

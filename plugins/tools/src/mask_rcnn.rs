@@ -16,6 +16,7 @@ use crate::export_kind::ExportKind;
 use crate::finite::{Rows, count_bad};
 use crate::letterbox::{Fit, PixelForm, Placement};
 use crate::model::{Tensor, Values};
+use crate::provider::Provider;
 use crate::track::Tracker;
 use crate::yolo::{Network, check_labels, detection, picture_of};
 
@@ -86,6 +87,10 @@ pub struct MaskRcnnParams {
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
+    /// What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the
+    /// processor does, with a warning.
+    #[param(default = "cpu", reopen)]
+    provider: Provider,
 }
 
 /// Finds tools and their outlines.
@@ -276,7 +281,7 @@ impl Node for MaskRcnn {
 
     fn open(open: &Open<'_>, params: &MaskRcnnParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);
-        let mut network = Network::open(open, &params.model, params.threads, size)?;
+        let mut network = Network::open(open, &params.model, params.threads, size, params.provider)?;
         let (w, h) = network.model.input_size();
         let gray = vec![0.5f32; 3 * w * h];
         let named = network.model.metadata("family").map(str::to_owned);

@@ -3,10 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use ort::environment::Environment;
 use ort::session::Session;
+use ort::session::builder::SessionBuilder;
 use ort::value::{Outlet, TensorElementType, TensorRef};
 
-use crate::onnx_file::{self, OnnxFileError};
+use crate::onnx_file::{self, OnnxFile, OnnxFileError};
+use crate::provider::Provider;
 use crate::runtime_library::{self, LibraryError};
 
 /// Why a model does not serve.
@@ -90,6 +93,7 @@ pub struct Model {
     width: usize,
     height: usize,
     metadata: BTreeMap<String, String>,
+    refused: Option<String>,
 }
 
 fn describe(outlets: &[Outlet]) -> String {
@@ -104,34 +108,54 @@ fn describe(outlets: &[Outlet]) -> String {
     if outlets.is_empty() { "nothing".into() } else { outlets.iter().map(one).collect::<Vec<_>>().join(", ") }
 }
 
+/// A session on `provider`; else ONNX Runtime's message.
+fn session_of(
+    environment: &Environment,
+    path: &Path,
+    file: &OnnxFile,
+    threads: usize,
+    provider: Provider,
+) -> Result<Session, String> {
+    let text = |e: ort::Error<SessionBuilder>| e.to_string();
+    let mut builder = Session::builder(environment).map_err(|e| e.to_string())?;
+    provider.register(&mut builder)?;
+    let builder = builder.with_intra_threads(threads.max(1)).map_err(text)?;
+    let builder = builder.with_inter_threads(1).map_err(text)?;
+    // What went wrong comes back as an error; a second line on the terminal would only cover the progress.
+    let builder = builder.with_log_level(ort::logging::LogLevel::Fatal).map_err(text)?;
+    // Threads spin while the network runs (waking them between its hundred steps would cost as much as the steps) and stop with its end: a
+    // waiting thread that keeps spinning takes the core from the next node.
+    let builder = builder.with_intra_op_spinning(true).map_err(text)?;
+    let builder = builder.with_config_entry("session.force_spinning_stop", "1").map_err(text)?;
+    let mut builder = builder.with_inter_op_spinning(false).map_err(text)?;
+    for (name, bytes) in &file.weights {
+        builder = builder.with_external_initializer_file_in_memory(name, bytes.clone()).map_err(text)?;
+    }
+    // From what was looked through; only weights beside the model need its path.
+    let session =
+        if file.has_weights_beside { builder.commit_from_file(path) } else { builder.commit_from_memory(&file.bytes) };
+    session.map_err(|e| e.to_string())
+}
+
 impl Model {
-    /// Opens a file. `size` is used where the model accepts any size; 0 takes the model's.
-    pub fn open(path: &Path, threads: usize, size: (usize, usize)) -> Result<Self, ModelError> {
+    /// Opens a file. `size` is used where the model accepts any size; 0 takes the model's. Where `provider` cannot run it the processor does:
+    /// see [`Model::refused`].
+    pub fn open(path: &Path, threads: usize, size: (usize, usize), provider: Provider) -> Result<Self, ModelError> {
         let environment = runtime_library::environment()?;
         let file = onnx_file::read(path)?;
-        let refused = |e: String| ModelError::Open { path: path.to_owned(), reason: first_line(&e) };
-        let builder = Session::builder(environment).map_err(|e| refused(e.to_string()))?;
-        let builder = builder.with_intra_threads(threads.max(1)).map_err(|e| refused(e.to_string()))?;
-        let builder = builder.with_inter_threads(1).map_err(|e| refused(e.to_string()))?;
-        // What went wrong comes back as an error; a second line on the terminal would only cover the progress.
-        let builder = builder.with_log_level(ort::logging::LogLevel::Fatal).map_err(|e| refused(e.to_string()))?;
-        // Threads spin while the network runs (waking them between its hundred steps would cost as much as the steps) and stop with its end: a
-        // waiting thread that keeps spinning takes the core from the next node.
-        let builder = builder.with_intra_op_spinning(true).map_err(|e| refused(e.to_string()))?;
-        let builder =
-            builder.with_config_entry("session.force_spinning_stop", "1").map_err(|e| refused(e.to_string()))?;
-        let mut builder = builder.with_inter_op_spinning(false).map_err(|e| refused(e.to_string()))?;
-        for (name, bytes) in file.weights {
-            builder =
-                builder.with_external_initializer_file_in_memory(name, bytes).map_err(|e| refused(e.to_string()))?;
+        let mut refused = None;
+        let mut session = None;
+        if provider != Provider::Cpu {
+            match session_of(environment, path, &file, threads, provider) {
+                Ok(opened) => session = Some(opened),
+                Err(reason) => refused = Some(first_line(&reason)),
+            }
         }
-        // From what was looked through; only weights beside the model need its path.
-        let session = if file.has_weights_beside {
-            builder.commit_from_file(path)
-        } else {
-            builder.commit_from_memory(&file.bytes)
+        let session = match session {
+            Some(opened) => opened,
+            None => session_of(environment, path, &file, threads, Provider::Cpu)
+                .map_err(|e| ModelError::Open { path: path.to_owned(), reason: first_line(&e) })?,
         };
-        let session = session.map_err(|e| refused(e.to_string()))?;
         let found = describe(session.inputs());
         let input_error = || ModelError::Input { path: path.to_owned(), found: found.clone() };
         let [input] = session.inputs() else { return Err(input_error()) };
@@ -166,7 +190,12 @@ impl Model {
                 }
             }
         }
-        Ok(Self { session, path: path.to_owned(), input_name, rank, width, height, metadata })
+        Ok(Self { session, path: path.to_owned(), input_name, rank, width, height, metadata, refused })
+    }
+
+    /// Why the provider that was asked for does not run the network, where the processor runs it instead.
+    pub fn refused(&self) -> Option<&str> {
+        self.refused.as_deref()
     }
 
     /// Width and height in px of the network's picture.

@@ -16,6 +16,7 @@ use crate::labels;
 use crate::letterbox::Letterbox;
 use crate::model::Model;
 use crate::pictures::{self, Monitor, Pictures};
+use crate::provider::Provider;
 use crate::track::Tracker;
 
 /// Inputs.
@@ -125,6 +126,10 @@ pub struct YoloParams {
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
+    /// What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the
+    /// processor does, with a warning.
+    #[param(default = "cpu", reopen)]
+    provider: Provider,
 }
 
 /// Label of an instrument whose kind is not sure.
@@ -160,11 +165,24 @@ impl Damage {
 }
 
 impl Network {
-    pub fn open(open: &Open<'_>, model: &std::path::Path, threads: usize, size: (usize, usize)) -> Result<Self> {
+    pub fn open(
+        open: &Open<'_>,
+        model: &std::path::Path,
+        threads: usize,
+        size: (usize, usize),
+        provider: Provider,
+    ) -> Result<Self> {
         let threads = if threads == 0 { open.pool().threads() } else { threads };
         // Paths come resolved against the graph file's folder.
         let path = model.to_owned();
-        let model = Model::open(model, threads, size)?;
+        let model = Model::open(model, threads, size, provider)?;
+        if let Some(reason) = model.refused() {
+            open.warn(&format!(
+                "{} cannot run {} ({reason}); the processor does. Name an ONNX Runtime with that provider in ORT_DYLIB_PATH, or set `provider = \"cpu\"`",
+                provider.title(),
+                path.display()
+            ));
+        }
         Ok(Self { model, letterbox: Letterbox::default(), labels: String::new(), path, damage: Damage::default() })
     }
 
@@ -248,7 +266,7 @@ impl Node for Yolo {
 
     fn open(open: &Open<'_>, params: &YoloParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);
-        let mut network = Network::open(open, &params.model, params.threads, size)?;
+        let mut network = Network::open(open, &params.model, params.threads, size, params.provider)?;
         // One run on a gray picture gives the shapes of the outputs and warms the network up.
         let (w, h) = network.model.input_size();
         let gray = vec![0.5f32; 3 * w * h];

@@ -356,3 +356,34 @@ fn yolo_seg_masks_are_sums_of_prototypes() {
     let bit = |x: usize, y: usize| found.mask(0)[y * 16 + x / 8] & (0x80 >> (x % 8)) != 0;
     assert!(bit(33, 64) && bit(60, 64) && !bit(70, 64) && !bit(31, 64));
 }
+
+#[test]
+fn a_provider_that_is_not_there_leaves_the_network_to_the_processor() {
+    if !runtime_is_there() {
+        return;
+    }
+    let v = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
+    let m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[(19, v)]))]);
+    let path = m.write(&folder("provider"), "m.onnx");
+    for (name, title) in [
+        ("cuda", "CUDA"),
+        ("tensorrt", "TensorRT"),
+        ("openvino", "OpenVINO"),
+        ("rocm", "ROCm"),
+        ("migraphx", "MIGraphX"),
+    ] {
+        let chosen = format!(", provider = \"{name}\"");
+        let node = open(&path, &chosen).expect("the model opens");
+        let logged: Vec<&str> = node.logs().iter().map(|line| line.message.as_str()).collect();
+        // An ONNX Runtime with this provider, on a machine with a device for it, runs the network there without a word.
+        if !logged.is_empty() {
+            assert!(logged[0].starts_with(&format!("{title} cannot run")), "{logged:?}");
+            assert!(logged[0].contains("the processor does") && logged[0].contains("ORT_DYLIB_PATH"), "{logged:?}");
+        }
+        let found = boxes(&path, &chosen);
+        assert_eq!((found.len(), found[0].1.as_str()), (1, "hook"), "{name}");
+        near(&found[0].0, [40.0, 32.0, 72.0, 48.0]);
+    }
+    let logs = open(&path, "").expect("the model opens").logs().len();
+    assert_eq!(logs, 0, "nothing to say of the processor");
+}

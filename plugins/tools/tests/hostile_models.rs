@@ -10,6 +10,7 @@ use panoscope_node::harness::Harness;
 use panoscope_node::random::SplitMix64;
 use panoscope_tools::model::Model;
 use panoscope_tools::onnx_file::{self, OnnxFileError};
+use panoscope_tools::provider::Provider;
 use panoscope_tools::yolo::Yolo;
 use tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, value_info, wrap};
 
@@ -176,7 +177,7 @@ fn weights_that_a_host_appended_to_a_model_are_used() {
     let weights = |first: f32| -> Vec<u8> { (0..values).flat_map(|k| (first + k as f32).to_le_bytes()).collect() };
     let home = folder("appended");
     let first_value = |path: &Path| {
-        let mut model = Model::open(path, 1, (64, 64)).unwrap_or_else(|error| panic!("{error}"));
+        let mut model = Model::open(path, 1, (64, 64), Provider::Cpu).unwrap_or_else(|error| panic!("{error}"));
         let picture = vec![0.0; 3 * 64 * 64];
         let read = |tensors: &[panoscope_tools::model::Tensor<'_>]| {
             tensors.first().and_then(|tensor| tensor.data.floats().map(|floats| (floats.len(), floats[0])))
@@ -197,5 +198,5 @@ fn weights_that_a_host_appended_to_a_model_are_used() {
     assert_eq!(first_value(&bundled), Some((values, 7.0)));
     std::fs::remove_file(home.join("w.bin")).expect("removed");
     assert_eq!(first_value(&bundled), Some((values, 7.0)));
-    assert!(Model::open(&plain, 1, (64, 64)).is_err());
+    assert!(Model::open(&plain, 1, (64, 64), Provider::Cpu).is_err());
 }

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from instruments import adaptation, augment, folds, lite, networks, pictures, unlabelled
-from instruments.assign import loss
+from instruments.assign import loss, padded, sim_ota
+from instruments.batches import batches, blend
 from instruments.data import Frame
 from instruments.score import chosen
 from instruments.training import Checkpoint, Pause, Schedule
@@ -94,6 +95,59 @@ class Networks(unittest.TestCase):
         self.assertEqual([lite.same_padding(k, s) for k, s in ((3, 1), (3, 2), (5, 2), (1, 1))], [(1, 1, 1, 1), (0, 1, 0, 1), (1, 2, 1, 2), (0, 0, 0, 0)])
 
 
+class Assignment(unittest.TestCase):
+    def test_rows_in_the_middle_learn_and_one_between_two_learns_one(self):
+        # A level of 4 x 1 cells of 32 px; boxes are where the truths are.
+        centres, stride = torch.tensor([[16.0 + 32 * i, 16.0] for i in range(4)]), torch.full((4,), 32.0)
+        truths = [torch.tensor([[1.0, 16, 16, 32, 32], [2.0, 80, 16, 32, 32]]), torch.zeros(0, 5)]
+        truth, present = padded(truths)
+        self.assertEqual((truth.shape, present.tolist()), ((2, 2, 5), [[True, True], [False, False]]))
+        boxes = torch.tensor([[16.0, 16, 32, 32], [20.0, 16, 32, 32], [80.0, 16, 32, 32], [112.0, 16, 1, 1]]).expand(2, -1, -1)
+        kinds = torch.full((2, 4, 3), -9.0)
+        kinds[:, 0, 1] = kinds[:, 1, 1] = kinds[:, 2, 2] = 9.0
+        learns, which, iou = sim_ota(boxes, torch.full((2, 4), 9.0), kinds, centres, stride, truth, present)
+        self.assertEqual(learns[0, [0, 2]].tolist(), [True, True])
+        self.assertEqual(which[0, [0, 2]].tolist(), [0, 1])
+        self.assertEqual([round(v, 3) for v in iou[0, [0, 2]].tolist()], [1.0, 1.0])
+        self.assertFalse(learns[1].any(), "a picture without instruments")
+
+    def test_a_picture_is_assigned_as_it_would_be_alone(self):
+        torch.manual_seed(4)
+        levels = [torch.randn(3, 12, 32 // d, 48 // d) for d in (1, 2, 4)]
+        truths = [torch.cat((torch.randint(0, 7, (k, 1)), torch.rand(k, 2) * 250, torch.rand(k, 2) * 90 + 10), 1).float() for k in (3, 1, 5)]
+        alone = [[level[i : i + 1].clone().requires_grad_() for level in levels] for i in range(3)]
+        together = [level.clone().requires_grad_() for level in levels]
+        loss(together, truths).backward()
+        for i, own in enumerate(alone):
+            loss(own, truths[i : i + 1]).backward()
+            # Both are means per assigned row; that factor is all that may differ.
+            ratio = float(own[0].grad.norm() / together[0].grad[i].norm())
+            for one, all_ in zip(own, together):
+                self.assertLess(float((one.grad[0] - ratio * all_.grad[i]).abs().max()), 1e-4)
+
+
+class Batches(unittest.TestCase):
+    def samples(self):
+        rng = np.random.default_rng(5)
+        frames = [Frame(f"a_{i}", "a", None, (96, 54), np.array([[2, 20, 10, 60, 40]], np.float32), rng.integers(0, 255, (54, 96, 3)).astype(np.uint8)) for i in range(6)]
+        return augment.Augmented(frames, 96, 64, 1, changes=augment.chosen_changes("all"))
+
+    def test_processes_give_the_batches_of_a_thread(self):
+        plan = [(0, False), (3, False), (6, True)]
+        one, other = (list(batches(self.samples(), plan, 3, workers=workers)) for workers in (0, 2))
+        self.assertEqual((len(one), one[0][0].shape), (3, (3, 3, 64, 96)))
+        for (x, truths), (y, others) in zip(one, other):
+            self.assertTrue(torch.equal(x, y))
+            self.assertTrue(all(torch.equal(t, o) for t, o in zip(truths, others)))
+
+    def test_the_average_moves_by_the_share_that_is_not_kept(self):
+        old, new = torch.nn.BatchNorm2d(2), torch.nn.BatchNorm2d(2)
+        new.weight.data.fill_(3.0)
+        new.num_batches_tracked.fill_(7)
+        blend(old, new, 0.75)
+        self.assertEqual((old.weight.tolist(), int(old.num_batches_tracked)), ([1.5, 1.5], 7))
+
+
 class Exports(unittest.TestCase):
     def export(self, folder, *more):
         command = [sys.executable, "-B", HERE / "export_detector.py", "--out", folder / "m.onnx", "--width", "96", "--height", "64", "--threads", "1", *more]
@@ -130,6 +184,42 @@ class Exports(unittest.TestCase):
             words = held["pictures"].split()
             self.assertEqual((words[0], len(words) - 1), (pictures.FORMAT, channels * (channels + 1)))
             self.assertGreater(float(held["pictures_limit"]), 0.5)
+
+    @unittest.skipUnless(importlib.util.find_spec("onnxruntime"), "no onnxruntime")
+    def test_a_quantised_file_answers_nearly_as_the_one_in_32_bits(self):
+        import onnx
+
+        from export_detector import Session
+
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            tiny_data(folder / "data")
+            model = randomised(networks.build("lite0", 7))
+            torch.save(model.state_dict(), folder / "weights.pt")
+            done = self.export(folder, "--network", "lite0", "--weights", folder / "weights.pt", "--calibration", self.calibration(folder))
+            self.assertEqual(done.returncode, 0, done.stderr)
+            command = [sys.executable, "-B", HERE / "quantise_detector.py", "--model", folder / "m.onnx", "--frames", folder / "data", "--frames-split", "train"]
+            command += ["--out", folder / "q.onnx", "--learned-from", folder / "data", "--threads", "1"]
+            done = subprocess.run(command, capture_output=True, text=True)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            wide, narrow = onnx.load(str(folder / "m.onnx")), onnx.load(str(folder / "q.onnx"))
+            held = {p.key: p.value for p in narrow.metadata_props}
+            for p in wide.metadata_props:
+                self.assertEqual(held[p.key], p.value)
+            self.assertIn("pictures_limit", held)
+            self.assertEqual([o.name for o in narrow.graph.output], ["output", "features"])
+            self.assertLess((folder / "q.onnx").stat().st_size, 0.4 * (folder / "m.onnx").stat().st_size)
+            # Margins inside the backbone would be computed in 32 bits between nodes in 8.
+            self.assertLessEqual(sum(n.op_type == "Pad" for n in narrow.graph.node), 1)
+            x = cv2.imread(str(folder / "data" / "images" / "train" / "a_0.jpg"))[:, :, :].astype(np.float32)
+            x = np.pad(x, ((0, 10), (0, 0), (0, 0)), constant_values=114).transpose(2, 0, 1)[None]
+            want, got = Session(folder / "m.onnx", 1)(x), Session(folder / "q.onnx", 1)(x)
+            off = np.abs(got - want)
+            self.assertGreater(float(off.max()), 0.0)
+            self.assertLess(float(np.median(off[..., :4])), 0.1 * float(want[..., :4].std()))
+            self.assertLess(float(np.median(off[..., 4:])), 0.1)
+            again = subprocess.run([*command[:4], folder / "q.onnx", *command[5:]], capture_output=True, text=True)
+            self.assertIn("would overwrite", again.stderr)
 
     @unittest.skipUnless(importlib.util.find_spec("onnxruntime"), "no onnxruntime")
     def test_a_file_learns_its_pictures_and_answers_as_before(self):

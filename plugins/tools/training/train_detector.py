@@ -19,6 +19,7 @@ Needs PyTorch, NumPy, OpenCV and, to start from ONNX, onnx: pip install torch nu
 
 import argparse
 import copy
+import itertools
 import os
 import time
 from pathlib import Path
@@ -28,7 +29,7 @@ from instruments import folds as fold_files
 SHIPPED = Path(__file__).resolve().parent.parent / "models" / "instruments.onnx"
 NEEDED = "pip install torch numpy opencv-python-headless onnx"
 # What may change when a training goes on.
-FREE = ("resume", "stop_after", "threads", "pause_while", "test_every", "save_every_min", "out", "data", "folds")
+FREE = ("resume", "stop_after", "threads", "workers", "device", "pause_while", "test_every", "save_every_min", "out", "data", "folds")
 
 
 def arguments():
@@ -63,6 +64,8 @@ def arguments():
     p.add_argument("--compile", action="store_true", help="compile the network first, a fifth to half faster; needs a C++ compiler")
     p.add_argument("--seed", type=int, default=1)
     p.add_argument("--threads", type=int, default=2)
+    p.add_argument("--device", default="cpu", help="cpu, or cuda where PyTorch has one (default: %(default)s)")
+    p.add_argument("--workers", type=int, default=0, help="processes that make the samples; 0: a thread")
     p.add_argument("--test-every", type=int, default=5, help="epochs between two tests; 0: at the end only")
     p.add_argument("--save-every-min", type=float, default=5.0, help="minutes between two checkpoints; one is written after each epoch anyway")
     p.add_argument("--stop-after", type=int, metavar="STEPS", help="end after these steps with a checkpoint; --resume goes on")
@@ -75,6 +78,8 @@ def arguments():
             p.error(f"{option}: there is no {path}")
     if a.width % 32 or a.height % 32:
         p.error("--width and --height are multiples of 32")
+    if a.minutes and a.workers:
+        p.error("--workers makes samples ahead, and --minutes does not know how many there will be: give --epochs")
     if a.fold and a.without:
         p.error("--fold and --without both name what is kept out: give one of them")
     if a.fold and a.start == str(SHIPPED):
@@ -118,7 +123,7 @@ def main():
         from instruments import networks
         from instruments.assign import loss
         from instruments.augment import Augmented, chosen_changes
-        from instruments.batches import batches, blend
+        from instruments.batches import batches, blend, layout
         from instruments.data import CLASSES, read
         from instruments.score import average_precision, detect
         from instruments.training import Checkpoint, Pause, Schedule, Stop, parameter_groups
@@ -127,6 +132,8 @@ def main():
 
     torch.manual_seed(a.seed)
     torch.set_num_threads(a.threads)
+    if torch.device(a.device).type != "cpu" and not torch.cuda.is_available():
+        raise SystemExit(f"--device {a.device}: PyTorch {torch.__version__} finds no such device; leave --device out to learn on the processor")
     cv2.setNumThreads(1)
     folder = a.out / f"fold{a.fold}" if a.fold else a.out
     folder.mkdir(parents=True, exist_ok=True)
@@ -135,8 +142,7 @@ def main():
     checkpoint = Checkpoint(folder, settings)
     state = checkpoint.read(a.resume)
 
-    # Channels last: depthwise convolutions take half the time on a CPU.
-    model = networks.build(a.network, len(CLASSES)).to(memory_format=torch.channels_last)
+    model = networks.build(a.network, len(CLASSES)).to(a.device, memory_format=layout(a.device))
     if a.start != "none" and state is None:
         networks.start(model, a.network, a.start if a.start == "imagenet" else Path(a.start))
     average = copy.deepcopy(model).eval()
@@ -163,21 +169,30 @@ def main():
     def save():
         checkpoint.write(model=model.state_dict(), average=average.state_dict(), optimiser=optimiser.state_dict(), step=step, trained_s=trained_s)
 
+    def is_plain(epoch):
+        """Asked for the epoch's first step, so that a training that goes on amid an epoch goes on in the same way."""
+        return schedule.progress((epoch - 1) * per_epoch, trained_s) >= 1 - a.plain_share
+
+    def made(first, count):
+        plan = [(s * a.batch, is_plain(s // per_epoch + 1)) for s in range(first, first + count)]
+        return batches(samples, plan, a.batch, a.device, a.workers)
+
+    # Processes are started once; a training by minutes does not know its last epochs beforehand.
+    ahead = None if a.minutes else made(step, schedule.steps - step)
     progress, saved, begun_at = schedule.progress(step, trained_s), time.monotonic(), step
     while progress < 1.0:
         model.train()
         if a.freeze:
             model.freeze(a.freeze)
         epoch, rest = step // per_epoch + 1, per_epoch - step % per_epoch
-        # Asked for the epoch's first step, so that a training that goes on amid an epoch goes on in the same way.
-        plain = schedule.progress((epoch - 1) * per_epoch, trained_s) >= 1 - a.plain_share
+        plain = is_plain(epoch)
         sum_loss, first, epoch_s = 0.0, step, trained_s
-        for x, truths in batches(samples, step * a.batch, rest, a.batch, plain):
+        for x, truths in itertools.islice(ahead, rest) if ahead else made(step, rest):
             pause.wait()
             begun = time.monotonic()
             for group in optimiser.param_groups:
                 group["lr"] = group["peak"] * schedule.factor(step, progress)
-            with torch.autocast("cpu", torch.bfloat16, enabled=a.bf16):
+            with torch.autocast(torch.device(a.device).type, torch.bfloat16, enabled=a.bf16):
                 levels = forward(x)
             value = loss([level.float() for level in levels], truths, l1=plain)
             optimiser.zero_grad(set_to_none=True)
@@ -185,7 +200,7 @@ def main():
             torch.nn.utils.clip_grad_norm_(model.parameters(), 10.0)
             optimiser.step()
             step += 1
-            sum_loss += value.item()
+            sum_loss = sum_loss + value.detach()
             blend(average, model, min(0.9995, (1 + step) / (20 + step)))
             trained_s += time.monotonic() - begun
             progress = schedule.progress(step, trained_s)
@@ -203,7 +218,8 @@ def main():
         if progress < 1.0 and a.test_every and epoch % a.test_every == 0:
             line += "  " + words(average_precision(test, detect(average, test, a.width, a.height), len(CLASSES)), CLASSES, np)
         print(line, flush=True)
-    torch.save(average.state_dict(), folder / "weights.pt")
+    # From a GPU, too, a file that every machine reads.
+    torch.save({k: v.cpu() for k, v in average.state_dict().items()}, folder / "weights.pt")
     found = detect(average, test, a.width, a.height)
     print(f"{step} steps in {trained_s / 60:.1f} min  " + words(average_precision(test, found, len(CLASSES)), CLASSES, np), flush=True)
     if a.fold:

@@ -97,7 +97,8 @@ def main():
         plain = progress >= 1 - a.plain_share
         sums, epoch_begun = {}, time.time()
         count = min(a.epoch, a.steps - step)
-        for x, targets in batches(samples, step * a.batch, count, a.batch, plain):
+        plan = [((step + i) * a.batch, plain) for i in range(count)]
+        for x, targets in batches(samples, plan, a.batch):
             if a.minutes:
                 progress = max(step / a.steps, (time.time() - begun) / (60 * a.minutes))
             else:

@@ -33,6 +33,8 @@ pub enum Bench {
     Remote(Arguments),
     /// A whole graph on views rendered beforehand: pictures a second, their age at 30 a second, where the time goes.
     System(System),
+    /// What a graph costs against width, cameras, nodes and threads, drawn as curves, and a simulation of more cores.
+    Cost(Cost),
 }
 
 /// Arguments of every bench.
@@ -105,6 +107,22 @@ pub struct System {
     trace: Option<PathBuf>,
 }
 
+/// Arguments of this bench.
+#[derive(clap::Args)]
+#[group(skip)]
+pub struct Cost {
+    #[command(flatten)]
+    common: Arguments,
+    /// Graph with a `phantom`, whose views are rendered beforehand; `parts` lies beside it.
+    #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
+    graph: PathBuf,
+    #[command(flatten)]
+    given: Given,
+    /// Draws the curves.
+    #[arg(long, value_name = "FILE.png")]
+    plot: Option<PathBuf>,
+}
+
 /// Measures, and shows and writes the figures.
 pub fn run(bench: &Bench) -> Result<End> {
     allocations::exclude_this_thread();
@@ -160,6 +178,12 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
             let (graph, given, trace) = (graph.clone(), given.options(&[]), trace.clone());
             let options = bench::system::Options { quick: common.quick, graph, given, trace };
             (bench::system::measure(session, &options)?, common)
+        }
+        Bench::Cost(Cost { common, graph, given, plot }) => {
+            interrupt::listen();
+            let (graph, given, plot) = (graph.clone(), given.options(&[]), plot.clone());
+            let options = bench::cost::Options { quick: common.quick, graph, given, plot };
+            (bench::cost::measure(session, &options)?, common)
         }
     })
 }

@@ -1,5 +1,6 @@
 //! What the runtime itself costs.
 
+pub mod cost;
 mod death;
 mod dora;
 pub mod editor;

@@ -8,10 +8,9 @@ use crate::statistics as fit;
 
 const NODES: [usize; 7] = [10, 20, 50, 100, 200, 500, 1_000];
 
-/// Measures chains of 10 to 1,000 nodes: linear cost means the same per node at both ends.
-pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
+/// Time of a tick in chains of 10 to 1,000 nodes: number of nodes and ns.
+pub(super) fn ticks(session: &dyn Session, quick: bool) -> Result<Vec<(f64, f64)>> {
     let (ticks, rounds) = if quick { (200_000, 1) } else { (2_000_000, 3) };
-    let mut figures = Vec::new();
     let mut points: Vec<(f64, f64)> = Vec::new();
     for &nodes in &NODES {
         let text = graph::chain("pass", nodes - 2, None, Pace::Saturated);
@@ -21,8 +20,16 @@ pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
             best = best.min(graph::run(session, &text, frames)?.ns_per_tick());
         }
         points.push((nodes as f64, best));
-        figures.push(Figure::new(&format!("tick/{nodes}"), best, "ns", &format!("chain of {nodes} nodes")));
     }
+    Ok(points)
+}
+
+/// Measures chains of 10 to 1,000 nodes: linear cost means the same per node at both ends.
+pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
+    let points = ticks(session, quick)?;
+    let of_chain =
+        |&(nodes, ns): &(f64, f64)| Figure::new(&format!("tick/{nodes}"), ns, "ns", &format!("chain of {nodes} nodes"));
+    let mut figures: Vec<Figure> = points.iter().map(of_chain).collect();
     let (slope, offset) = fit::line(&points);
     note!(session, "time per tick = {slope:.1} ns x nodes {offset:+.0} ns");
     let per_node = |i: usize| (points[i].1 - offset) / points[i].0;

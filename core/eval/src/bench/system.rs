@@ -15,6 +15,7 @@ use crate::inputs::Folder;
 use crate::inputs::pairs::Pairs;
 use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::{Session, note};
+use crate::system::usage;
 use crate::text_table::table;
 use crate::timeline::{self, Budget, Timeline, Waits, work_tables};
 
@@ -22,20 +23,70 @@ use crate::timeline::{self, Budget, Timeline, Waits, work_tables};
 const PAIRS: u64 = 60;
 /// Bytes of one view that `capture` keeps.
 const KEPT_BYTES: u64 = 256 << 20;
+const NO_NODES: &str = "the graph has no [nodes]";
 /// Type of the source that is rendered beforehand.
 const SOURCE: &str = "phantom";
 
 /// A run and what its threads did.
-struct Run {
-    report: Report,
-    timeline: Arc<Timeline>,
+pub(super) struct Run {
+    pub report: Report,
+    pub timeline: Arc<Timeline>,
+    /// Processor time of the whole process.
+    pub cpu_seconds: f64,
 }
 
-fn run(session: &dyn Session, text: &str, path: &Path, frames: u64, pace: Pace) -> Result<Run> {
+/// Runs a graph; 0 `threads`: one per core.
+pub(super) fn run(
+    session: &dyn Session,
+    text: &str,
+    path: &Path,
+    frames: u64,
+    pace: Pace,
+    threads: usize,
+) -> Result<Run> {
     let timeline = Arc::new(Timeline::default());
     let watchers = Watchers { tracer: Some(Arc::clone(&timeline) as _), ..Watchers::default() };
-    let plan = Plan { text, path, frames: Some(frames), threads: 0, ports: &[], pace };
-    Ok(Run { report: run::run_watched(session, &plan, watchers)?.report, timeline })
+    let plan = Plan { text, path, frames: Some(frames), threads, ports: &[], pace };
+    let before = usage().cpu_seconds;
+    let report = run::run_watched(session, &plan, watchers)?.report;
+    Ok(Run { report, timeline, cpu_seconds: usage().cpu_seconds - before })
+}
+
+/// A graph whose views are rendered beforehand.
+pub(super) struct Rendered {
+    folder: Folder,
+    graph: Table,
+    source: String,
+    pairs: Pairs,
+    /// Number of pairs.
+    pub count: u64,
+}
+
+impl Rendered {
+    /// Renders the views of the phantom in the graph at `path`, in another size where `size` gives one.
+    pub fn of(session: &dyn Session, path: &Path, given: &GraphOptions, size: Option<(u32, u32)>) -> Result<Self> {
+        let text = graph_file::flattened(path, given)?;
+        let graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
+        let (source, mut phantom) = source(&graph)?;
+        if let Some((width, height)) = size
+            && let Some(params) =
+                phantom.as_table_mut().map(|node| node.entry("params").or_insert(Value::Table(Table::new())))
+            && let Some(params) = params.as_table_mut()
+        {
+            params.insert("width".to_owned(), Value::Integer(i64::from(width)));
+            params.insert("height".to_owned(), Value::Integer(i64::from(height)));
+        }
+        let folder = Folder::new("panoscope-bench-system")?;
+        let count = pairs_of(&phantom);
+        note!(session, "rendering {count} pairs");
+        let pairs = Pairs::render(session, &folder, "pairs", &phantom, count)?.and_back(count)?;
+        Ok(Self { folder, graph, source, pairs, count })
+    }
+
+    /// The graph on those views, at the times of a camera (`pace` on) or as fast as they are taken (off).
+    pub fn text(&self, pace: &str) -> Result<String> {
+        played(&self.graph, self.folder.path(), &self.source, &self.pairs.node(pace))
+    }
 }
 
 /// Shows where the time of a picture goes, from the end of the source's call to the end of each sink that takes every tick.
@@ -64,15 +115,15 @@ fn show_budget(session: &dyn Session, run: &Run, text: &str, path: &Path) -> Res
 }
 
 fn nodes(graph: &mut Table) -> Result<&mut Table> {
-    graph.get_mut("nodes").and_then(Value::as_table_mut).context("the graph has no [nodes]")
+    graph.get_mut("nodes").and_then(Value::as_table_mut).context(NO_NODES)
 }
 
 fn kind(node: &Value) -> &str {
     node.get("type").and_then(Value::as_str).unwrap_or("")
 }
 
-fn source(graph: &mut Table) -> Result<(String, Value)> {
-    let nodes = nodes(graph)?;
+fn source(graph: &Table) -> Result<(String, Value)> {
+    let nodes = graph.get("nodes").and_then(Value::as_table).context(NO_NODES)?;
     let found = nodes.iter().find(|(_, node)| kind(node) == SOURCE);
     let (name, node) = found
         .context("the graph has no `phantom`: the bench renders its views beforehand and plays them in its place")?;
@@ -159,26 +210,21 @@ pub struct Options {
 /// Measures the graph: unpaced for `system_fps`, at 30 pictures a second for the ages.
 pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let (path, quick) = (options.graph.as_path(), options.quick);
-    let text = graph_file::flattened(path, &options.given)?;
-    let mut graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
-    let (name, phantom) = source(&mut graph)?;
-    let folder = Folder::new("panoscope-bench-system")?;
-    let count = pairs_of(&phantom);
-    note!(session, "rendering {count} pairs");
-    let pairs = Pairs::render(session, &folder, "pairs", &phantom, count)?.and_back(count)?;
-    let [unheld, held] = ["off", "on"].map(|pace| played(&graph, folder.path(), &name, &pairs.node(pace)));
+    let mut rendered = Rendered::of(session, path, &options.given, None)?;
+    let (unheld, held) = (rendered.text("off"), rendered.text("on"));
     let (unheld, held) = (unheld?, held?);
     // The first time round each picture is decoded, later ones are kept.
     let (frames, rounds) = if quick { (480, 1) } else { (1800, 2) };
+    let count = rendered.count;
     let input = format!("{} on {count} rendered pairs", path.file_name().unwrap_or_default().to_string_lossy());
     let mut fastest: Option<Report> = None;
     let mut paced: Option<Run> = None;
     for _ in 0..rounds {
-        let Run { report, .. } = run(session, &unheld, path, frames, Pace::Free)?;
+        let Run { report, .. } = run(session, &unheld, path, frames, Pace::Free, 0)?;
         if fastest.as_ref().is_none_or(|best| screen_fps(&report) > screen_fps(best)) {
             fastest = Some(report);
         }
-        let run = run(session, &held, path, frames, Pace::Camera)?;
+        let run = run(session, &held, path, frames, Pace::Camera, 0)?;
         let age = |run: &Run| slowest(&run.report).1;
         if paced.as_ref().is_none_or(|best| age(&run) < age(best)) {
             paced = Some(run);
@@ -200,7 +246,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     for (sink, path) in &paced.paths {
         figures.push(Figure::new(&format!("system_age_p99/{sink}"), path.age_p99_ms, "ms", &input));
     }
-    if let Some(path) = behind_the_arm(&mut graph)?.and_then(|sink| paced.paths.get(&sink)) {
+    if let Some(path) = behind_the_arm(&mut rendered.graph)?.and_then(|sink| paced.paths.get(&sink)) {
         figures.push(Figure::new("setpoint_age_p50", path.age_p50_ms, "ms", &input));
         figures.push(Figure::new("setpoint_age_p99", path.age_p99_ms, "ms", &input));
     }
@@ -208,7 +254,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
 }
 
 /// Pictures a second of the sink that got fewest of those that take every tick.
-fn screen_fps(report: &Report) -> f64 {
+pub(super) fn screen_fps(report: &Report) -> f64 {
     let most = report.paths.keys().filter_map(|id| report.nodes.get(id)).map(|n| n.count).max().unwrap_or(0);
     most as f64 / report.seconds.max(1e-9)
 }

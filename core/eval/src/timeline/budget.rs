@@ -56,8 +56,25 @@ impl Waits {
         Self(graph.order.iter().map(|&node| (id(node), producers(node))).collect())
     }
 
-    fn position(&self, node: &str) -> Option<usize> {
+    pub(super) fn position(&self, node: &str) -> Option<usize> {
         self.0.iter().position(|(id, _)| id == node)
+    }
+
+    /// Names of the nodes, in the order of the graph.
+    pub(super) fn names(&self) -> Vec<String> {
+        self.0.iter().map(|(id, _)| id.clone()).collect()
+    }
+
+    /// For each node the positions of those that it waits for.
+    pub(super) fn producers(&self) -> Vec<Vec<usize>> {
+        self.0.iter().map(|(_, from)| from.iter().filter_map(|id| self.position(id)).collect()).collect()
+    }
+
+    /// Nodes by name, each with those that it waits for.
+    #[cfg(test)]
+    pub(super) fn between(nodes: &[(&str, &[&str])]) -> Self {
+        let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        Self(nodes.iter().map(|(id, from)| ((*id).to_owned(), owned(from))).collect())
     }
 }
 
@@ -65,8 +82,7 @@ impl Budget {
     /// The budget of the pictures that `sink` took; `None` where it took none that are still in the timeline from their source on.
     pub fn of(calls: &Calls, waits: &Waits, sink: &str) -> Option<Self> {
         let positions: Vec<Option<usize>> = calls.nodes.iter().map(|node| waits.position(node)).collect();
-        let producers: Vec<Vec<usize>> =
-            waits.0.iter().map(|(_, from)| from.iter().filter_map(|id| waits.position(id)).collect()).collect();
+        let producers = waits.producers();
         let mut by_tick: HashMap<(u32, u64), HashMap<usize, Call>> = HashMap::new();
         for call in calls.calls.iter().filter(|call| call.made) {
             if let Some(node) = positions[call.node as usize] {

@@ -2,6 +2,7 @@
 
 mod budget;
 mod perfetto;
+mod simulate;
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex};
@@ -12,6 +13,7 @@ use panoscope_engine::trace::{self, Tracer};
 
 pub use budget::{Budget, Share, Waits, work_tables};
 pub use perfetto::write;
+pub use simulate::Recorded;
 
 /// Calls that are kept by default: the newest. One takes 72 bytes.
 const CALLS: usize = 1 << 20;

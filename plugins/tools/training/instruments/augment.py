@@ -55,10 +55,10 @@ def cloud(shape, rng, cells=4):
     return cv2.resize(rng.random((cells, cells + 2)).astype(np.float32), (w, h), interpolation=cv2.INTER_CUBIC).clip(0, 1)
 
 
-def weigh(picture, weight, base=None):
-    """picture * weight + base, per pixel; the answer in bytes."""
+def weigh(picture, weight, base=None, colour=(1.0, 1.0, 1.0)):
+    """picture * weight + base * colour, per pixel; the answer in bytes."""
     weighed = cv2.multiply(picture, cv2.merge((weight, weight, weight)), dtype=cv2.CV_8U if base is None else cv2.CV_32F)
-    return weighed if base is None else cv2.add(weighed, cv2.merge((base, base, base)), dtype=cv2.CV_8U)
+    return weighed if base is None else cv2.add(weighed, cv2.merge([base * np.float32(c) for c in colour]), dtype=cv2.CV_8U)
 
 
 def smoke(picture, rng):
@@ -78,7 +78,8 @@ def vignette(picture, rng):
 
 def lit(picture):
     """Where light falls, 0..1: nothing is seen to bleed or shine in the black around a round picture."""
-    return (cv2.GaussianBlur(picture.max(2), (0, 0), 3).astype(np.float32) / 40).clip(0, 1)
+    brightest = cv2.max(cv2.max(*cv2.split(picture)[:2]), cv2.extractChannel(picture, 2))
+    return cv2.min(cv2.multiply(cv2.GaussianBlur(brightest, (0, 0), 3), 1 / 40, dtype=cv2.CV_32F), 1)
 
 
 def blood(picture, rng):
@@ -86,8 +87,8 @@ def blood(picture, rng):
     field = cloud(picture.shape, rng, cells=int(rng.integers(4, 10)))
     level = np.float32(rng.uniform(0.55, 0.8))
     cover = ((field - level) / np.float32(0.15)).clip(0, 1) * np.float32(rng.uniform(0.4, 0.95)) * lit(picture)
-    red = np.array([rng.uniform(5, 40), rng.uniform(5, 35), rng.uniform(70, 170)], np.float32)
-    return (picture * (1 - cover)[..., None] + red * cover[..., None]).astype(np.uint8)
+    red = (rng.uniform(5, 40), rng.uniform(5, 35), rng.uniform(70, 170))
+    return weigh(picture, 1 - cover, cover, red)
 
 
 def highlight(picture, rng):
@@ -294,6 +295,7 @@ class Augmented:
         self.tool_weights = shared_out(rare, np.array([i >= hosts for i, _ in tools]), guests_share)
 
     def _one(self, rng):
+        """A frame with pasted tools, its boxes, and the change of light and picture that it gets."""
         i = int(rng.choice(len(self.frames), p=self.weights))
         f = self.frames[i]
         other = self.statistics[int(rng.choice(len(self.frames), p=self.weights))]
@@ -305,7 +307,7 @@ class Augmented:
             if rng.random() < 0.6:
                 recolour = partial(transfer_colour, own=self.statistics[d], other=self.statistics[i], share=0.7)
             boxes = paste(picture, boxes, donor, self.frames[d].boxes[b], rng, recolour)
-        return photometric(picture, rng, self.statistics[i], other, self.changes), boxes
+        return picture, boxes, partial(photometric, rng=rng, own=self.statistics[i], other=other, changes=self.changes)
 
     def sample(self, number, plain=False):
         rng = np.random.default_rng((self.seed, number))
@@ -320,15 +322,16 @@ class Augmented:
             picture, rows = np.full((h, w, 3), 114, np.uint8), []
             spans = [(0, cut[0], 0, cut[1]), (cut[0], w, 0, cut[1]), (0, cut[0], cut[1], h), (cut[0], w, cut[1], h)]
             for x0, x1, y0, y1 in spans:
-                part, boxes = self._one(rng)
+                part, boxes, change = self._one(rng)
                 tw, th = int(x1 - x0), int(y1 - y0)
                 part, boxes = warp(part, boxes, tw, th, rng, (1.0, 2.2))
-                picture[y0:y1, x0:x1] = part
+                # Changed once it is cut to its part: a quarter of the pixels.
+                picture[y0:y1, x0:x1] = change(part)
                 rows.append(boxes + np.array([0, x0, y0, x0, y0], np.float32))
             boxes = np.vstack(rows)
         else:
-            picture, boxes = self._one(rng)
-            picture, boxes = warp(picture, boxes, w, h, rng, (0.65, 1.7))
+            picture, boxes, change = self._one(rng)
+            picture, boxes = warp(change(picture), boxes, w, h, rng, (0.65, 1.7))
         out = boxes.copy()
         out[:, 1:3] = (boxes[:, 1:3] + boxes[:, 3:]) / 2
         out[:, 3:] = boxes[:, 3:] - boxes[:, 1:3]

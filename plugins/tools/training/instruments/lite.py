@@ -30,9 +30,12 @@ def same_padding(kernel, stride):
 
 
 class WideDepthwise(nn.Conv2d):
-    """Computes in 32 bits also where the rest computes in bfloat16: the gradient of a 5 x 5 depthwise convolution takes several times as long there."""
+    """Computes in 32 bits also where the rest computes in bfloat16: the gradient of a 5 x 5 depthwise convolution takes several times as long there
+    on a CPU."""
 
     def forward(self, x):
+        if x.device.type != "cpu":
+            return super().forward(x)
         with torch.autocast("cpu", enabled=False):
             return super().forward(x.float())
 

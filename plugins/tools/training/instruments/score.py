@@ -43,12 +43,13 @@ def rows_of(answer, width, height, scale, score_limit=0.01, iou_limit=0.65):
 def detect(model, frames, width, height, score_limit=0.01, iou_limit=0.65, batch=16):
     """Per frame K x 7: class, score, x0, y0, x1, y1 in pixels of `frame.picture`, objectness."""
     model.eval()
+    device = next(model.parameters()).device
     found = []
     for start in range(0, len(frames), batch):
         some = frames[start : start + batch]
         fitted = [letterbox(f.picture, f.boxes, width, height) for f in some]
-        x = torch.from_numpy(np.stack([p for p, _, _ in fitted])).permute(0, 3, 1, 2).float()
-        raw, grid, stride = flatten(model(x))
+        x = torch.from_numpy(np.stack([p for p, _, _ in fitted])).to(device).permute(0, 3, 1, 2).float()
+        raw, grid, stride = flatten([level.float().cpu() for level in model(x)])
         boxes = decode(raw[..., :4], grid, stride).numpy()
         objectness, kinds = raw[..., 4].sigmoid().numpy(), raw[..., 5:].sigmoid().numpy()
         for i, (_, _, scale) in enumerate(fitted):

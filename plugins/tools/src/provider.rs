@@ -1,0 +1,52 @@
+//! What computes a network: the processor, or an execution provider of ONNX Runtime for a GPU or another accelerator.
+
+use ort::ep;
+use ort::session::builder::SessionBuilder;
+use panoscope_node::Choice;
+
+/// Execution providers by name. One that ONNX Runtime cannot use here leaves the network to the processor.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Provider {
+    /// The processor.
+    Cpu,
+    /// CUDA, on NVIDIA GPUs.
+    Cuda,
+    /// TensorRT, on NVIDIA GPUs: builds an engine when the model opens, which takes minutes.
+    Tensorrt,
+    /// OpenVINO, on processors and GPUs of Intel.
+    Openvino,
+    /// ROCm, on AMD GPUs.
+    Rocm,
+    /// MIGraphX, on AMD GPUs: builds an engine when the model opens.
+    Migraphx,
+}
+
+impl Provider {
+    /// Its name in ONNX Runtime's documents.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Cpu => "the processor",
+            Self::Cuda => "CUDA",
+            Self::Tensorrt => "TensorRT",
+            Self::Openvino => "OpenVINO",
+            Self::Rocm => "ROCm",
+            Self::Migraphx => "MIGraphX",
+        }
+    }
+
+    /// Adds the provider to a session that is being built.
+    ///
+    /// # Errors
+    /// ONNX Runtime's message, where its library was built without the provider or finds no device for it.
+    pub fn register(self, builder: &mut SessionBuilder) -> Result<(), String> {
+        let chosen = match self {
+            Self::Cpu => return Ok(()),
+            Self::Cuda => ep::CUDA::default().build(),
+            Self::Tensorrt => ep::TensorRT::default().build(),
+            Self::Openvino => ep::OpenVINO::default().build(),
+            Self::Rocm => ep::ROCm::default().build(),
+            Self::Migraphx => ep::MIGraphX::default().build(),
+        };
+        chosen.register(builder).map_err(|e| e.to_string())
+    }
+}
