@@ -21,7 +21,9 @@ import json
 import os
 from pathlib import Path
 
-SHIPPED = Path(__file__).resolve().parent.parent / "models" / "instruments.onnx"
+# Weights and file of the `lite0` detector that ships.
+SHIPPED = Path(__file__).resolve().parent / "weights" / "instruments_lite0.pt"
+SHIPPED_FILE = Path(__file__).resolve().parent.parent / "models" / "instruments_lite0.onnx"
 NEEDED = "pip install torch numpy opencv-python-headless onnx"
 # What may change when an adaptation goes on.
 FREE = ("resume", "stop_after", "threads", "pause_while", "out", "save_every")
@@ -30,7 +32,7 @@ FREE = ("resume", "stop_after", "threads", "pause_while", "out", "save_every")
 def arguments():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--frames", required=True, nargs="+", type=Path, help="videos and folders of pictures, without labels")
-    p.add_argument("--network", default="yolox-nano", choices=("yolox-nano", "lite0", "lite1", "lite2"))
+    p.add_argument("--network", default="lite0", choices=("yolox-nano", "lite0", "lite1", "lite2"))
     p.add_argument("--start", default=SHIPPED, type=Path, help="detector to adapt: an ONNX file (yolox-nano) or a checkpoint (default: the one that ships)")
     p.add_argument("--out", required=True, type=Path)
     p.add_argument("--source", type=Path, help="labelled frames that it learned from, to keep it from forgetting")
@@ -80,10 +82,11 @@ def calibration_of(a):
         from export_detector import CLASSES, calibration_metadata
 
         stored = calibration_metadata(a.calibration, CLASSES)
-    elif a.start.suffix == ".onnx":
+    elif a.start == SHIPPED or a.start.suffix == ".onnx":
         import onnx
 
-        held = {p.key: p.value for p in onnx.load(str(a.start), load_external_data=False).metadata_props}
+        file = SHIPPED_FILE if a.start == SHIPPED else a.start
+        held = {p.key: p.value for p in onnx.load(str(file), load_external_data=False).metadata_props}
         stored = {k: v for k, v in held.items() if k.startswith(("calibration_", "class_limits"))}
     if "calibration_score" in stored:
         return Curve(*map(float, stored["calibration_score"].split())), stored

@@ -25,7 +25,7 @@ import torch
 
 from instruments import pictures
 from instruments.data import CLASSES, letterbox, normal_name, read
-from instruments.networks import DESCRIPTIONS, NANO, SOURCES, Exported, build
+from instruments.networks import DESCRIPTIONS, SOURCES, Exported, build
 from instruments.onnx_store import store_half, write, write_card
 from instruments.score import average_precision, rows_of
 
@@ -178,10 +178,10 @@ def score(path, data, split, only, width, height, threads):
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--weights", type=Path, help="weights.pt or state.pt of train_detector.py; left out, random ones (to try the path)")
-    p.add_argument("--network", default=NANO, choices=list(DESCRIPTIONS))
+    p.add_argument("--network", default="lite0", choices=list(DESCRIPTIONS))
     p.add_argument("--out", required=True, type=Path)
-    p.add_argument("--width", type=int, default=416)
-    p.add_argument("--height", type=int, default=256)
+    p.add_argument("--width", type=int, default=384)
+    p.add_argument("--height", type=int, default=224)
     p.add_argument("--half", action="store_true", help="store weights as 16-bit floats: half the file, computed in 32 bits all the same")
     p.add_argument("--data", type=Path, help="frames with boxes to score the file on")
     p.add_argument("--split", default="test")

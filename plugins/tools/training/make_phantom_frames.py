@@ -45,6 +45,7 @@ def scene_params(rng, width, height):
         "rate_hz": 1.0,
         "distance_mm": float(rng.integers(35, 90)),
         "tools": int(rng.choice([1, 2, 2, 3, 3, 4, 5])),
+        "tool_motion": str(rng.choice(["sway", "strokes", "circle", "cross"])),
         "speed_mm_s": float(rng.integers(0, 15)),
         "specular": round(float(rng.uniform(0.3, 2.0)), 1),
         "noise": round(float(rng.uniform(0.3, 2.5)), 1),

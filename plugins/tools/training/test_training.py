@@ -41,7 +41,7 @@ def tiny_data(folder):
 def train(folder, out, *more):
     """Runs the script for two epochs of four batches on fold 1 of the tiny data."""
     command = [sys.executable, "-B", HERE / "train_detector.py", "--data", folder / "data", "--folds", folder / "data" / "folds.toml"]
-    command += ["--fold", "1", "--out", out, "--start", "none", "--epochs", "2", "--batch", "2", "--width", "96", "--height", "64"]
+    command += ["--fold", "1", "--out", out, "--start", "none", "--network", "yolox-nano", "--epochs", "2", "--batch", "2", "--width", "96", "--height", "64"]
     command += ["--threads", "1", "--plain-share", "0.5", "--augment", "all", *more]
     return subprocess.run(command, capture_output=True, text=True)
 
@@ -70,6 +70,22 @@ class Networks(unittest.TestCase):
             self.assertGreater(float(want.std()), 1e-3, kind)
             self.assertLess(float((got - want).abs().max()), 1e-3 * float(want.abs().max()), kind)
 
+    def test_yolox_starts_from_its_own_export(self):
+        x = torch.from_numpy(np.random.default_rng(1).integers(0, 256, (1, 3, 64, 96))).float()
+        with tempfile.TemporaryDirectory() as folder:
+            folder, model = Path(folder), randomised(networks.build("yolox-nano", 7))
+            torch.save(model.state_dict(), folder / "weights.pt")
+            command = [sys.executable, "-B", HERE / "export_detector.py", "--network", "yolox-nano", "--weights", folder / "weights.pt"]
+            command += ["--out", folder / "m.onnx", "--width", "96", "--height", "64"]
+            done = subprocess.run(command, capture_output=True, text=True)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            other = networks.build("yolox-nano", 7)
+            networks.start(other, "yolox-nano", folder / "m.onnx")
+            with torch.no_grad():
+                want, got = model(x), other.eval()(x)
+        for level, same in zip(want, got):
+            self.assertLess(float((level - same).abs().max()), 1e-3 * float(level.abs().max()))
+
     def test_frozen_stages_stay_and_the_rest_learns(self):
         model = networks.build("lite0", 7).train()
         model.freeze(2)
@@ -90,6 +106,8 @@ class Networks(unittest.TestCase):
             torch.save({"_conv_stem.weight": torch.zeros(32, 3, 5, 5)}, path)
             with self.assertRaisesRegex(ValueError, "weights.pth.*_conv_stem.weight"):
                 lite.load_imagenet(lite.Backbone("lite0"), path)
+            with self.assertRaisesRegex(ValueError, "weights.pth: no weights of `yolox-nano`.*--network"):
+                networks.start(networks.build("yolox-nano", 7), "yolox-nano", path)
 
     def test_same_padding_is_that_of_tensorflow(self):
         self.assertEqual([lite.same_padding(k, s) for k, s in ((3, 1), (3, 2), (5, 2), (1, 1))], [(1, 1, 1, 1), (0, 1, 0, 1), (1, 2, 1, 2), (0, 0, 0, 0)])
@@ -150,7 +168,7 @@ class Batches(unittest.TestCase):
 
 class Exports(unittest.TestCase):
     def export(self, folder, *more):
-        command = [sys.executable, "-B", HERE / "export_detector.py", "--out", folder / "m.onnx", "--width", "96", "--height", "64", "--threads", "1", *more]
+        command = [sys.executable, "-B", HERE / "export_detector.py", "--network", "yolox-nano", "--out", folder / "m.onnx", "--width", "96", "--height", "64", "--threads", "1", *more]
         return subprocess.run(command, capture_output=True, text=True)
 
     def calibration(self, folder, **other):
@@ -317,7 +335,8 @@ class Adapting(unittest.TestCase):
             folder = Path(folder)
             footage(folder / "frames")
             tiny_data(folder / "data")
-            start = (HERE.parent / "models" / "instruments.onnx").read_bytes()
+            weights_of = HERE / "weights" / "instruments_lite0.pt"
+            start = weights_of.read_bytes()
             done = self.adapt(folder, folder / "out", "--source", folder / "data", "--source-split", "train", "--rate", "0.01", "--keep", "0.5")
             self.assertEqual(done.returncode, 0, done.stderr)
             self.assertIn("10 frames to adapt on, 2 for the report, 11 labelled", done.stdout)
@@ -328,14 +347,14 @@ class Adapting(unittest.TestCase):
                 self.assertTrue((folder / "out" / name).exists(), name)
             self.assertIn("| grasper |", (folder / "out" / "report.md").read_text())
             weights = torch.load(folder / "out" / "adapted.pt", weights_only=True)
-            fresh = networks.build("yolox-nano", 7)
-            networks.start(fresh, "yolox-nano", HERE.parent / "models" / "instruments.onnx")
+            fresh = networks.build("lite0", 7)
+            networks.start(fresh, "lite0", weights_of)
             moved = [k for k, v in fresh.state_dict().items() if not torch.equal(v, weights[k])]
             self.assertTrue([k for k in moved if k.endswith("conv.weight")])
             self.assertFalse([k for k in moved if "running" in k], "statistics of normalisations stay")
             again = self.adapt(folder, folder / "out", "--resume")
             self.assertIn("is not overwritten", again.stderr)
-            self.assertEqual((HERE.parent / "models" / "instruments.onnx").read_bytes(), start)
+            self.assertEqual(weights_of.read_bytes(), start)
 
     def test_one_that_was_interrupted_ends_as_one_that_was_not(self):
         with tempfile.TemporaryDirectory() as folder:

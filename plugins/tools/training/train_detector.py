@@ -26,7 +26,8 @@ from pathlib import Path
 
 from instruments import folds as fold_files
 
-SHIPPED = Path(__file__).resolve().parent.parent / "models" / "instruments.onnx"
+# Weights of the `lite0` detector that ships.
+SHIPPED = Path(__file__).resolve().parent / "weights" / "instruments_lite0.pt"
 NEEDED = "pip install torch numpy opencv-python-headless onnx"
 # What may change when a training goes on.
 FREE = ("resume", "stop_after", "threads", "workers", "device", "pause_while", "test_every", "save_every_min", "out", "data", "folds")
@@ -42,7 +43,7 @@ def arguments():
     p.add_argument("--without", default="", help="operations kept out of training and tested on instead: v02,v08")
     p.add_argument("--fold", help="keep the operations of this fold out, and write what is found in them")
     p.add_argument("--folds", type=Path, default=fold_files.SHIPPED, help="file of folds (default: %(default)s)")
-    p.add_argument("--network", default="yolox-nano", choices=("yolox-nano", "lite0", "lite1", "lite2"))
+    p.add_argument("--network", default="lite0", choices=("yolox-nano", "lite0", "lite1", "lite2"))
     p.add_argument("--start", default=str(SHIPPED), help="weights to start from: imagenet, none, an ONNX file or a checkpoint (default: %(default)s)")
     p.add_argument("--out", required=True, type=Path)
     p.add_argument("--resume", action="store_true", help="go on with the training in OUT, if there is one")
@@ -53,8 +54,8 @@ def arguments():
     p.add_argument("--rate", type=float, default=1e-3)
     p.add_argument("--backbone-rate", type=float, default=0.3, help="rate of a pretrained backbone, as a share of --rate")
     p.add_argument("--freeze", type=int, default=0, help="stages of a pretrained backbone that stay as they are, its stem with them")
-    p.add_argument("--width", type=int, default=416)
-    p.add_argument("--height", type=int, default=256)
+    p.add_argument("--width", type=int, default=384)
+    p.add_argument("--height", type=int, default=224)
     p.add_argument("--augment", default="usual", help="changes of the pictures: all, usual, none, names, -names: usual,blood,-smoke")
     p.add_argument("--mosaic", type=float, default=0.4, help="share of the samples made of four frames")
     p.add_argument("--pasting", type=float, default=0.35, help="probability of a tool pasted from another frame, and of one more after it")

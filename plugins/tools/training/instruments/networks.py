@@ -36,7 +36,10 @@ def start(model, kind, path):
         load_onnx(model, path)
     else:
         state = torch.load(path, map_location="cpu", weights_only=True)
-        model.load_state_dict(state.get("average", state))
+        try:
+            model.load_state_dict(state.get("average", state))
+        except RuntimeError:
+            raise ValueError(f"{path}: no weights of `{kind}`; name the network that they belong to with --network") from None
 
 
 class Exported(nn.Module):
