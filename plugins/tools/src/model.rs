@@ -143,19 +143,12 @@ impl Model {
     pub fn open(path: &Path, threads: usize, size: (usize, usize), provider: Provider) -> Result<Self, ModelError> {
         let environment = runtime_library::environment()?;
         let file = onnx_file::read(path)?;
-        let mut refused = None;
-        let mut session = None;
-        if provider != Provider::Cpu {
-            match session_of(environment, path, &file, threads, provider) {
-                Ok(opened) => session = Some(opened),
-                Err(reason) => refused = Some(first_line(&reason)),
-            }
-        }
-        let session = match session {
-            Some(opened) => opened,
-            None => session_of(environment, path, &file, threads, Provider::Cpu)
-                .map_err(|e| ModelError::Open { path: path.to_owned(), reason: first_line(&e) })?,
+        let session_on = |provider| session_of(environment, path, &file, threads, provider);
+        let (session, refused) = match session_on(provider) {
+            Err(reason) if provider != Provider::Cpu => (session_on(Provider::Cpu), Some(first_line(&reason))),
+            opened => (opened, None),
         };
+        let session = session.map_err(|e| ModelError::Open { path: path.to_owned(), reason: first_line(&e) })?;
         let found = describe(session.inputs());
         let input_error = || ModelError::Input { path: path.to_owned(), found: found.clone() };
         let [input] = session.inputs() else { return Err(input_error()) };

@@ -46,14 +46,18 @@ fn rows(count: usize, len: usize, set: &[(usize, Vec<f32>)]) -> Fixed {
     Fixed::Floats(values)
 }
 
+/// Cell (3, 2) of stride 8 is row 19: centre (28, 20), size 16 x 8 in the input; the picture is twice as large.
+fn one_hook() -> TinyModel {
+    let v = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
+    model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[(19, v)]))])
+}
+
 #[test]
 fn yolox_boxes_are_relative_to_the_grid() {
     if !runtime_is_there() {
         return;
     }
-    // Cell (3, 2) of stride 8 is row 19: centre (28, 20), size 16 x 8 in the input; the picture is twice as large.
-    let v = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
-    let m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[(19, v)]))]);
+    let m = one_hook();
     let found = boxes(&m.write(&folder("yolox"), "m.onnx"), "");
     assert_eq!(found.len(), 1);
     assert_eq!(found[0].1, "hook");
@@ -362,9 +366,7 @@ fn a_provider_that_is_not_there_leaves_the_network_to_the_processor() {
     if !runtime_is_there() {
         return;
     }
-    let v = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
-    let m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[(19, v)]))]);
-    let path = m.write(&folder("provider"), "m.onnx");
+    let path = one_hook().write(&folder("provider"), "m.onnx");
     for (name, title) in [
         ("cuda", "CUDA"),
         ("tensorrt", "TensorRT"),

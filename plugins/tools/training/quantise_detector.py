@@ -24,7 +24,7 @@ from instruments.onnx_store import write
 
 # Largest sum of two neighbouring weights: times 255 it fits in 16 bits with sign.
 PAIR = 128
-# An instrument detector learns the ranges of its activations from few frames.
+# Frames that show the ranges of the activations.
 FRAMES = 240
 
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use panoscope_graph::{GraphOptions, GraphText};
 
 use super::scale;
-use super::system::{Rendered, run, screen_fps};
+use super::system::{Rendered, Run, run, screen_fps};
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::graph_file;
@@ -58,10 +58,11 @@ fn frames_of(size: (u32, u32), quick: bool) -> u64 {
     (frames as u64).clamp(if quick { 24 } else { 60 }, 900)
 }
 
-fn cost(session: &dyn Session, text: &str, path: &Path, frames: u64, threads: usize, at: f64) -> Result<Cost> {
-    let done = run(session, text, path, frames, Pace::Free, threads)?;
-    let cpu_ms = 1e3 * done.cpu_seconds / done.report.frames.max(1) as f64;
-    Ok(Cost { at, fps: screen_fps(&done.report), cpu_ms })
+impl Cost {
+    fn of(done: &Run, at: f64) -> Self {
+        let cpu_ms = 1e3 * done.cpu_seconds / done.report.frames.max(1) as f64;
+        Self { at, fps: screen_fps(&done.report), cpu_ms }
+    }
 }
 
 /// The graph at each width.
@@ -72,7 +73,7 @@ fn widths(session: &dyn Session, options: &Options) -> Result<Vec<Cost>> {
         let text = rendered.text("off")?;
         // The first time round each picture is decoded, later ones are kept.
         let frames = frames_of(*size, options.quick) + 2 * rendered.count;
-        cost(session, &text, &options.graph, frames, 0, f64::from(size.0))
+        Ok(Cost::of(&run(session, &text, &options.graph, frames, Pace::Free, 0)?, f64::from(size.0)))
     };
     sizes.map(of_size).collect()
 }
@@ -111,7 +112,7 @@ fn cameras(session: &dyn Session, options: &Options, size: (u32, u32), counts: &
         std::fs::write(&file, panoramas(&pairs, *count, &parts, folder.path())).on_file(FileAction::Write, &file)?;
         let text = graph_file::flattened(&file, &GraphOptions::default())?;
         let frames = frames_of(size, options.quick) + 2 * PAIRS;
-        cost(session, &text, &file, frames, 0, 2.0 * *count as f64)
+        Ok(Cost::of(&run(session, &text, &file, frames, Pace::Free, 0)?, 2.0 * *count as f64))
     };
     counts.iter().map(of_count).collect()
 }
@@ -121,13 +122,16 @@ fn threads(session: &dyn Session, options: &Options) -> Result<(Vec<Cost>, Optio
     let rendered = Rendered::of(session, &options.graph, &options.given, None)?;
     let text = rendered.text("off")?;
     let frames = if options.quick { 120 } else { 600 } + 2 * rendered.count;
-    let alone = run(session, &text, &options.graph, frames, Pace::Free, 1)?;
     let waits = graph_file::ready(&GraphText::parse(&options.graph, &text)).ok().map(|ready| Waits::of(&ready.graph));
-    let recorded = waits.and_then(|waits| Recorded::of(&alone.timeline.snapshot(), &waits));
-    let counts = CORES.iter().filter(|count| !options.quick || **count <= 2);
-    let measured: Result<Vec<Cost>> =
-        counts.map(|count| cost(session, &text, &options.graph, frames, *count, *count as f64)).collect();
-    Ok((measured?, recorded))
+    let (mut measured, mut recorded) = (Vec::new(), None);
+    for count in CORES.into_iter().filter(|count| !options.quick || *count <= 2) {
+        let done = run(session, &text, &options.graph, frames, Pace::Free, count)?;
+        if count == 1 {
+            recorded = waits.as_ref().and_then(|waits| Recorded::of(&done.timeline.snapshot(), waits));
+        }
+        measured.push(Cost::of(&done, count as f64));
+    }
+    Ok((measured, recorded))
 }
 
 fn show(session: &dyn Session, first: &str, costs: &[Cost]) {
@@ -162,6 +166,10 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     show(session, "cameras", &by_cameras);
     let large = if quick { Vec::new() } else { cameras(session, options, (3840, 2160), &[1])? };
     let by_nodes = scale::ticks(session, quick)?;
+    note!(session, "the engine against the number of nodes in a chain:");
+    let mut rows = vec![["nodes", "us per tick"].map(str::to_owned).to_vec()];
+    rows.extend(by_nodes.iter().map(|(nodes, ns)| vec![number(*nodes, 0), number(ns / 1e3, 2)]));
+    session.table(&table(&rows));
     let (by_threads, recorded) = threads(session, options)?;
     note!(session, "{name} against the number of threads on {} cores:", cores_here());
     show(session, "threads", &by_threads);

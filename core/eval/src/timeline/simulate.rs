@@ -137,7 +137,7 @@ mod tests {
     use super::super::tests::enter;
     use super::*;
 
-    /// Ticks of the nodes `names`, 10 ms each, `waits` as positions of what each waits for.
+    /// Ticks of `nodes`, each with those that it waits for; every call takes 10 ms.
     fn recorded(ticks: u64, nodes: &[(&str, &[&str])]) -> Recorded {
         let timeline = Timeline::default();
         for seq in 0..ticks {
