@@ -72,6 +72,9 @@ pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Resu
         network::publisher(&session, format!("{prefix}/{key}"), is_urgent).map_err(|error| error.to_string())
     };
     let (ping, down) = (publish("ping", true)?, publish("down", false)?);
+    let called = address.to_owned();
+    let watch = network::watch_end(&down, move || lose(&format!("the connection to {called} ended")));
+    let watch = watch.map_err(|error| error.to_string())?;
     let hello = [&timeout_ms.to_le_bytes()[..], crate::version().as_bytes()].concat();
     down.put(message(HELLO, hello)).wait().map_err(|error| error.to_string())?;
     connection.tell(&Frame::words(Kind::Ready, 0, &host));
@@ -83,6 +86,8 @@ pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Resu
             down.put(message(DATA, frame.bytes)).wait().map_err(|error| error.to_string())?;
         }
     }
+    // A connection that this side closes is not lost.
+    drop(watch);
     let _ = down.put(message(BYE, Vec::new())).wait();
     let _ = session.close().wait();
     leave(0)

@@ -241,6 +241,10 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
     let _up = hear("up", Connection::receive)?;
     let _pong = hear("pong", Connection::measure)?;
     let ping = network::publisher(session, format!("{prefix}/ping"), true).map_err(words)?;
+    let address = arguments.address.clone();
+    let end = move || lose(&format!("the connection to {address} ended"));
+    // Ends with this function: a connection that this side closes is not lost.
+    let _watch = network::watch_end(&connection.down, end).map_err(words)?;
     let settings = link.settings;
     let hello = Message::Hello {
         version: crate::version(),
@@ -366,7 +370,8 @@ impl Connection {
             let _ = ping.put(system_ns().to_le_bytes()).wait();
             std::thread::sleep(timeout / PROBES);
             let silent_ns = system_ns().saturating_sub(self.heard_ns.load(Ordering::Relaxed)).max(0);
-            if Duration::from_nanos(silent_ns.unsigned_abs()) > timeout {
+            // Before that `wait_until_ready` says better what is wrong.
+            if *lock(&self.is_ready) && Duration::from_nanos(silent_ns.unsigned_abs()) > timeout {
                 lose(&format!("nothing was heard of {} for {}", self.arguments.address, seconds(timeout)));
             }
             let numbers = LinkNumbers {

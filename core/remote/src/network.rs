@@ -2,7 +2,9 @@
 
 use std::net::ToSocketAddrs;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use zenoh::matching::{MatchingListener, MatchingStatus};
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::Sample;
 use zenoh::{Config, Session, Wait};
@@ -220,6 +222,22 @@ pub fn publisher(
     let declared =
         session.declare_publisher(key).congestion_control(congestion).priority(priority).express(true).wait();
     declared.map_err(|error| NetworkError::Zenoh(error.to_string()))
+}
+
+/// Calls `lost` when the other end of a publisher is gone after it was there. zenoh connects again by itself, and does not say what it lost on
+/// the way: whoever counts on every message begins anew instead. The watch ends when the value that is returned is dropped.
+pub fn watch_end(
+    publisher: &zenoh::pubsub::Publisher<'static>,
+    lost: impl Fn() + Send + Sync + 'static,
+) -> Result<MatchingListener<()>, NetworkError> {
+    let was_there = AtomicBool::new(false);
+    let changed = move |status: MatchingStatus| {
+        if was_there.swap(status.matching(), Ordering::Relaxed) && !status.matching() {
+            lost();
+        }
+    };
+    let watch = publisher.matching_listener().callback(changed).wait();
+    watch.map_err(|error| NetworkError::Zenoh(error.to_string()))
 }
 
 #[cfg(test)]
