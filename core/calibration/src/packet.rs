@@ -95,6 +95,39 @@ pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError>
     })
 }
 
+/// The packet of views that were shrunk by a whole factor, each pixel the mean of a block.
+pub fn shrunk(packet: &Calibration, factor: u32) -> Calibration {
+    let scale = f64::from(factor.max(1));
+    // The middle of a block of pixels is that of the small pixel.
+    let center = |px: f64| (px + 0.5) / scale - 0.5;
+    let camera = |of: &Camera| Camera {
+        width: of.width / factor.max(1),
+        height: of.height / factor.max(1),
+        fx: of.fx / scale,
+        fy: of.fy / scale,
+        cx: center(of.cx),
+        cy: center(of.cy),
+        distortion: of.distortion,
+    };
+    let projection = |of: &[f64; 12]| {
+        let mut small = *of;
+        // An empty one stays empty: the rectification is computed.
+        if *of != [0.0; 12] {
+            small[..8].iter_mut().for_each(|entry| *entry /= scale);
+            (small[2], small[6]) = (center(of[2]), center(of[6]));
+        }
+        small
+    };
+    Calibration {
+        left: camera(&packet.left),
+        right: camera(&packet.right),
+        left_projection: projection(&packet.left_projection),
+        right_projection: projection(&packet.right_projection),
+        rms_px: packet.rms_px / scale,
+        ..*packet
+    }
+}
+
 /// The packet of the raw views with `rectification` written into it.
 pub fn with_rectification(packet: &Calibration, rectification: &Rectification) -> Calibration {
     let target = rectified(packet, rectification);

@@ -17,5 +17,6 @@ pub mod draw;
 pub mod features;
 pub mod geometry;
 pub mod mosaic;
+pub mod shrink;
 pub mod stereo;
 pub mod stitch;

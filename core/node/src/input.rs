@@ -204,8 +204,7 @@ impl<'f, P: Plane> Image<'f, P> {
 
     /// Retains the buffer beyond this call; the result releases it when dropped.
     pub fn retain(&self) -> Retained<P> {
-        host::retain(self.frame.buffer);
-        Retained { frame: *self.frame, plane: PhantomData }
+        Retained::of(*self.frame)
     }
 }
 
@@ -271,6 +270,12 @@ pub struct Retained<P> {
 }
 
 impl<P: Plane> Retained<P> {
+    /// Retains the buffer of a frame that the running call holds.
+    pub(crate) fn of(frame: abi::Frame) -> Self {
+        host::retain(frame.buffer);
+        Self { frame, plane: PhantomData }
+    }
+
     /// The pixels.
     pub fn view(&self) -> View<'_, P::Element> {
         let image: Image<'_, P> = Image { frame: &self.frame, plane: PhantomData };

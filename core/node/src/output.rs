@@ -6,6 +6,7 @@ use std::marker::PhantomData;
 use crate::ViewMut;
 use crate::abi;
 use crate::error::{NodeError, Result};
+use crate::input::Retained;
 use crate::packet::{
     AnyFormat, LabeledDetections, LabeledInstances, Packet, Plain, Plane, PlaneFormat, PointCloud, TableData,
     TextPacket, bytes_of,
@@ -206,9 +207,13 @@ impl<P: Plane> Slot<'_, P> {
     pub fn alloc(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, P::Element>> {
         self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)
     }
-}
 
-impl<P: Plane> Slot<'_, P> {
+    /// Retains the buffer of an output that was made, beyond this call; `None` without one. It cannot be written any more.
+    pub fn retain(&self) -> Option<Retained<P>> {
+        let frame = self.call.output(self.index);
+        (!frame.is_empty()).then(|| Retained::of(frame))
+    }
+
     /// Makes the output equal to `image` and writable, for drawing. The host copies the frame, and counts the copy, if anybody else holds it.
     pub fn alloc_copy(&mut self, image: &crate::Image<'_, P>) -> Result<ViewMut<'_, P::Element>> {
         self.copy_of(image.frame())?;

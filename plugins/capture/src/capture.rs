@@ -4,13 +4,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use panoscope_media::input::monotonic_ns;
-use panoscope_node::abi::Calibration;
+use panoscope_node::abi::{Calibration, Tick};
 use panoscope_node::{
     Bgr8, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Ports, Rect, Result, Slot, Validation,
 };
 
 use crate::crop::{self, Halves};
 use crate::depth::Depth;
+use crate::kept_frames::KeptFrames;
 use crate::position::{Position, ViewPosition};
 use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings};
 use crate::source::{Clock, Demands, Lock, SourceName, Stream};
@@ -48,6 +49,7 @@ pub struct Capture {
     halves: Option<Halves>,
     depth: Depth,
     white: f32,
+    kept: KeptFrames,
     frame: u64,
     /// Ticks of this instance.
     since_open: u64,
@@ -267,6 +269,7 @@ impl Capture {
             halves,
             depth: Depth::default(),
             white: 255.0,
+            kept: KeptFrames::default(),
             frame: 0,
             since_open: 0,
             timing: Timing::default(),
@@ -390,30 +393,34 @@ impl Capture {
         &mut self,
         first: &mut Slot<'_, Bgr8>,
         second: &mut Slot<'_, Bgr8>,
-        source: usize,
-        rect: Rect,
+        part: (usize, Rect),
+        tick: Tick,
     ) -> Result<()> {
         if !first.is_read() {
-            return self.write(second, source, rect);
+            return self.write(second, part, tick);
         }
-        self.write(first, source, rect)?;
+        self.write(first, part, tick)?;
         if second.is_read() { second.forward_from(first) } else { Ok(()) }
     }
 
-    /// Sets the output of one view if it is read.
+    /// Sets the output of one view, a part of a source, if it is read.
     ///
     /// # Errors
     /// No frame memory is left.
-    pub(crate) fn write(&mut self, slot: &mut Slot<'_, Bgr8>, source: usize, rect: Rect) -> Result<()> {
+    pub(crate) fn write(&mut self, slot: &mut Slot<'_, Bgr8>, (source, rect): (usize, Rect), tick: Tick) -> Result<()> {
         if !slot.is_read() {
             return Ok(());
         }
         let white = self.white;
         let View { picture, .. } = self.views.view(source);
+        if self.kept.forward(picture, rect, slot, tick)? {
+            return Ok(());
+        }
         let mut out = slot.alloc(rect.width, rect.height)?;
         for y in 0..rect.height {
             picture.write_row(rect.x, rect.y + y, white, out.row_mut(y));
         }
+        self.kept.keep(picture, rect, slot);
         Ok(())
     }
 }
@@ -453,12 +460,13 @@ impl Node for Capture {
         {
             out.calibration.set(calibration)?;
         }
-        for (view, (source, rect)) in parts.into_iter().enumerate() {
+        let tick = cx.tick();
+        for (view, part) in parts.into_iter().enumerate() {
             match view {
-                0 => self.write_pair(&mut out.left, &mut out.view0, source, rect)?,
-                1 => self.write_pair(&mut out.right, &mut out.view1, source, rect)?,
-                2 => self.write(&mut out.view2, source, rect)?,
-                _ => self.write(&mut out.view3, source, rect)?,
+                0 => self.write_pair(&mut out.left, &mut out.view0, part, tick)?,
+                1 => self.write_pair(&mut out.right, &mut out.view1, part, tick)?,
+                2 => self.write(&mut out.view2, part, tick)?,
+                _ => self.write(&mut out.view3, part, tick)?,
             }
         }
         Ok(())

@@ -38,6 +38,32 @@ fn the_shortest_pattern_ends_the_source() {
 }
 
 #[test]
+fn pictures_that_are_shown_again_are_not_copied_again() {
+    let folder = Folder::new("again");
+    for index in 0..3 {
+        folder.image(&format!("{index}.png"), index, WIDTH);
+    }
+    let mut node = folder.open(r#"left = "%d.png", loop = true, crop = [2, 0, 10, 8]"#);
+    let mut once = 0;
+    for round in 0..3 {
+        for index in 0..3 {
+            let out = node.process().unwrap();
+            assert_eq!((value(&out, "left"), out.plane::<Bgr8>("left").unwrap().row(0)[1]), (index, 2));
+            assert_eq!(out.tick().seq, 3 * round + u64::from(index));
+        }
+        once = if round == 0 { node.allocated_bytes() } else { once };
+        assert_eq!((node.allocated_bytes(), node.copies()), (once, 0), "round {round}");
+    }
+    // Another part of a picture is another frame.
+    node.set_params(r#"params = { left = "%d.png", loop = true, crop = [4, 0, 10, 8] }"#).unwrap();
+    assert_eq!(node.process().unwrap().plane::<Bgr8>("left").unwrap().row(0)[1], 4);
+    // A sequence that ends keeps nothing.
+    let mut node = folder.open(r#"left = "%d.png""#);
+    assert_eq!(drain(&mut node).len(), 3);
+    assert_eq!(node.kept_buffers(), 0);
+}
+
+#[test]
 fn one_image_is_repeated_beside_a_sequence() {
     let folder = Folder::new("single");
     for index in 0..3 {

@@ -1,8 +1,9 @@
 //! `rectify`: turns both views so that a point lies on one row in both (thesis, fig. 3.5).
 
-use panoscope_imaging::Rect;
+use panoscope_imaging::shrink::shrink;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
+use panoscope_imaging::{Rect, View, ViewMut};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
     Bgr8, Choice, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error,
@@ -41,6 +42,18 @@ pub struct RectifyNodeParams {
     /// What becomes of views without a calibration.
     #[param(default = "refuse")]
     uncalibrated: Uncalibrated,
+    /// Factor by which views are shrunk, their calibration with them: each pixel is the mean of a block. All that follows works on fewer pixels.
+    /// 0 finds the smallest factor whose views are at most 1280 px wide: 2 for 1920 px, 3 for 3840.
+    #[param(default = 1, range = 0..=8)]
+    scale: usize,
+}
+
+/// Width of the views that a `scale` of 0 leaves as they are, px.
+const MODERATE_WIDTH_PX: usize = 1280;
+
+/// The factor that a parameter `scale` stands for, for views of a width in px.
+fn factor(scale: usize, width: usize) -> usize {
+    if scale > 0 { scale } else { width.div_ceil(MODERATE_WIDTH_PX).clamp(1, 8) }
 }
 
 /// See [`RectifyNodeParams::uncalibrated`].
@@ -55,6 +68,8 @@ pub enum Uncalibrated {
 /// Maps of one calibration.
 struct Maps {
     source: Calibration,
+    /// By which the views are shrunk first.
+    factor: usize,
     target: Calibration,
     /// `None` when the views are rectified already.
     tables: Option<[RemapTable; 2]>,
@@ -63,6 +78,8 @@ struct Maps {
 /// See the module.
 pub struct Rectify {
     maps: Option<Maps>,
+    /// A view that was shrunk, before it is turned.
+    small: Vec<u8>,
     /// Views have been handed on without a calibration.
     is_passing: bool,
 }
@@ -75,24 +92,53 @@ fn is_level(source: &Calibration, target: &Calibration, rectification: &Rectific
 }
 
 impl Maps {
-    fn new(source: &Calibration, cx: &Context<'_>) -> Result<Self> {
-        if source.is_rectified != 0 {
-            calibration::rectification(source)?;
-            return Ok(Self { source: *source, target: *source, tables: None });
+    fn new(source: &Calibration, factor: usize, cx: &Context<'_>) -> Result<Self> {
+        let small = calibration::shrunk(source, factor as u32);
+        let rectification = calibration::rectification(&small)?;
+        let target = match source.is_rectified {
+            0 => calibration::rectified(&small, &rectification),
+            _ => small,
+        };
+        if source.is_rectified != 0 || is_level(&small, &target, &rectification) {
+            return Ok(Self { source: *source, factor, target, tables: None });
         }
-        let rectification = calibration::rectification(source)?;
-        let (left, right) = (calibration::camera(&source.left)?, calibration::camera(&source.right)?);
-        let target = calibration::rectified(source, &rectification);
-        if is_level(source, &target, &rectification) {
-            return Ok(Self { source: *source, target, tables: None });
-        }
+        let (left, right) = (calibration::camera(&small.left)?, calibration::camera(&small.right)?);
         let all = Rect::whole(rectification.width, rectification.height);
         let tables = [
             RemapTable::left(&left, &rectification, all, cx.pool())?,
             RemapTable::right(&right, &rectification, all, cx.pool())?,
         ];
-        Ok(Self { source: *source, target, tables: Some(tables) })
+        Ok(Self { source: *source, factor, target, tables: Some(tables) })
     }
+}
+
+/// Hands a view on, shrunk and turned by the map, if there is one.
+fn make(
+    view: &Image<'_, Bgr8>,
+    out: &mut Slot<'_, Bgr8>,
+    (factor, map): (usize, Option<&RemapTable>),
+    small: &mut Vec<u8>,
+    cx: &Context<'_>,
+) -> Result<()> {
+    if factor == 1 && map.is_none() {
+        return out.forward(view.frame());
+    }
+    if !out.is_read() {
+        return Ok(());
+    }
+    let (width, height) = (view.width() / factor, view.height() / factor);
+    let Some(map) = map else {
+        shrink(view.view(), factor, out.alloc(width, height)?, cx.pool());
+        return Ok(());
+    };
+    if factor == 1 {
+        map.remap(view.view(), out.alloc(width, height)?, cx.pool())?;
+        return Ok(());
+    }
+    small.resize(width * height * 3, 0);
+    shrink(view.view(), factor, ViewMut::new(small, width, height, 3), cx.pool());
+    map.remap(View::new(small, width, height, 3), out.alloc(width, height)?, cx.pool())?;
+    Ok(())
 }
 
 impl Node for Rectify {
@@ -120,7 +166,7 @@ impl Node for Rectify {
     }
 
     fn open(_: &Open<'_>, _: &RectifyNodeParams) -> Result<Self> {
-        Ok(Self { maps: None, is_passing: false })
+        Ok(Self { maps: None, small: Vec::new(), is_passing: false })
     }
 
     fn process<'f>(
@@ -130,21 +176,29 @@ impl Node for Rectify {
         mut out: Out<'f>,
         params: &RectifyNodeParams,
     ) -> Result<()> {
+        let factor = factor(params.scale, input.left.width());
+        let size = (input.left.width() / factor, input.left.height() / factor);
+        if size.0 == 0 || size.1 == 0 {
+            let (width, height) = (input.left.width(), input.left.height());
+            return Err(error!("views of {width}x{height} cannot be shrunk by {factor}: set a smaller `scale`"));
+        }
+        let as_they_are = (factor, None);
         if params.bypass {
             if let Some(given) = &input.calibration {
-                out.calibration.set(Calibration { is_rectified: 1, ..**given })?;
+                out.calibration.set(Calibration { is_rectified: 1, ..calibration::shrunk(given, factor as u32) })?;
             }
-            out.left.forward(input.left.frame())?;
-            return out.right.forward(input.right.frame());
+            make(&input.left, &mut out.left, as_they_are, &mut self.small, cx)?;
+            return make(&input.right, &mut out.right, as_they_are, &mut self.small, cx);
         }
-        if let Some(given) = &input.calibration
-            && self.maps.as_ref().is_none_or(|maps| !calibration::same(&maps.source, given))
+        let given = input.calibration.as_deref().or(self.maps.as_ref().map(|maps| &maps.source)).copied();
+        if let Some(given) = given
+            && self.maps.as_ref().is_none_or(|maps| maps.factor != factor || !calibration::same(&maps.source, &given))
         {
-            if self.maps.is_some() {
+            if self.maps.as_ref().is_some_and(|maps| maps.factor == factor) {
                 cx.info("the calibration has changed: new maps");
             }
             self.maps = None;
-            self.maps = Some(Maps::new(given, cx)?);
+            self.maps = Some(Maps::new(&given, factor, cx)?);
             if std::mem::replace(&mut self.is_passing, false) {
                 cx.info("a calibration has arrived: the views are rectified from now on");
             }
@@ -154,8 +208,8 @@ impl Node for Rectify {
                 if !std::mem::replace(&mut self.is_passing, true) {
                     cx.warn("no calibration has arrived: the views stay as they are, and nothing is known of their depth. Connect `calibration`");
                 }
-                out.left.forward(input.left.frame())?;
-                return out.right.forward(input.right.frame());
+                make(&input.left, &mut out.left, as_they_are, &mut self.small, cx)?;
+                return make(&input.right, &mut out.right, as_they_are, &mut self.small, cx);
             }
             return Err(error!(
                 "no calibration has arrived: connect `calibration`, or set `bypass` when the views are rectified already"
@@ -175,17 +229,11 @@ impl Node for Rectify {
             }
         }
         out.calibration.set(maps.target)?;
-        let Some([left, right]) = &maps.tables else {
-            out.left.forward(input.left.frame())?;
-            return out.right.forward(input.right.frame());
+        let [left, right] = match &maps.tables {
+            Some([left, right]) => [Some(left), Some(right)],
+            None => [None, None],
         };
-        let (width, height) = (maps.target.left.width as usize, maps.target.left.height as usize);
-        if out.left.is_read() {
-            left.remap(input.left.view(), out.left.alloc(width, height)?, cx.pool())?;
-        }
-        if out.right.is_read() {
-            right.remap(input.right.view(), out.right.alloc(width, height)?, cx.pool())?;
-        }
-        Ok(())
+        make(&input.left, &mut out.left, (factor, left), &mut self.small, cx)?;
+        make(&input.right, &mut out.right, (factor, right), &mut self.small, cx)
     }
 }

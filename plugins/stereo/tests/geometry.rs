@@ -124,6 +124,50 @@ fn turned_cameras_are_turned_back() -> TestResult {
 }
 
 #[test]
+fn views_are_shrunk_with_their_calibration() -> TestResult {
+    let (left, right) = pair(|_, _| 40.0, 2.0);
+    // Level cameras, cameras that are turned on the way, and views that another program has rectified.
+    let mut turned = rectified(FOCAL, BASELINE);
+    turned.is_rectified = 0;
+    turned.right.cy += 2.0;
+    let level = rectified(FOCAL, BASELINE);
+    for (cameras, more, low_px) in [(level, "", 2.0), (turned, "", 0.0), (level, ", bypass = true", 2.0)] {
+        let mut node = Harness::<Rectify>::from_toml(&format!("params = {{ scale = 2{more} }}"))?;
+        let out = node
+            .input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left))
+            .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right))
+            .input_value("calibration", cameras)
+            .process()?;
+        let small = out.value::<Calibration>("calibration")?;
+        assert_eq!((small.left.width as usize, small.right.height as usize), (SIZE.0 / 2, SIZE.1 / 2));
+        assert_eq!((small.left_projection[0], small.baseline_mm), (FOCAL / 2.0, BASELINE));
+        let ray = |camera: &[f64; 12], px: f64| (px - camera[2]) / camera[0];
+        assert!((ray(&small.left_projection, 10.0) - ray(&cameras.left_projection, 20.5)).abs() < 1e-12);
+        let (left, right) = (out.plane::<Bgr8>("left")?, out.plane::<Bgr8>("right")?);
+        assert_eq!((left.width, left.height), (SIZE.0 / 2, SIZE.1 / 2));
+        let mut worst = 0;
+        for y in 5..SIZE.1 / 2 - 5 {
+            for x in 5..SIZE.0 / 2 - 30 {
+                worst = worst.max(left.row(y)[3 * (x + 20)].abs_diff(right.row(y + low_px as usize / 2)[3 * x]));
+            }
+        }
+        assert!(worst <= 2, "{cameras:?}: rows differ by {worst} levels");
+    }
+    // 0 follows the width.
+    let mut node = Harness::<Rectify>::from_toml("params = { scale = 0, uncalibrated = \"pass\" }")?;
+    for (width, shown) in [(1280, 1280), (1920, 960), (3840, 1280)] {
+        let pixels = vec![9; 3 * width * 8];
+        node.input_image::<Bgr8>("left", width, 8, &pixels).input_image::<Bgr8>("right", width, 8, &pixels);
+        let out = node.process()?;
+        assert_eq!((out.plane::<Bgr8>("left")?.width, out.plane::<Bgr8>("right")?.width), (shown, shown));
+    }
+    let mut node = Harness::<Rectify>::from_toml("params = { scale = 8, uncalibrated = \"pass\" }")?;
+    node.input_image::<Bgr8>("left", 7, 7, &[0; 147]).input_image::<Bgr8>("right", 7, 7, &[0; 147]);
+    assert!(words(node.process()).contains("cannot be shrunk by 8"));
+    Ok(())
+}
+
+#[test]
 fn calibrations_that_cannot_be_are_refused() {
     let good = rectified(FOCAL, BASELINE);
     let refused = |calibration: Calibration| words(rectify(Some(calibration), SIZE));

@@ -91,18 +91,38 @@ pub struct Tools {
     masks: Option<PathBuf>,
 }
 
+/// The graph of a bench of a whole system.
+#[derive(clap::Args)]
+#[group(skip)]
+struct WholeGraph {
+    /// Graph with a `phantom`, whose views are rendered beforehand; `parts` lies beside it.
+    #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
+    graph: PathBuf,
+    #[command(flatten)]
+    given: Given,
+}
+
+/// Reads a size in px, as in 1920x1080.
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let numbers = text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    numbers.ok_or_else(|| "write WIDTHxHEIGHT in px, as in 1920x1080".to_owned())
+}
+
 /// Arguments of this bench.
 #[derive(clap::Args)]
 #[group(skip)]
 pub struct System {
     #[command(flatten)]
     common: Arguments,
-    /// Graph with a `phantom`, whose views are rendered beforehand.
-    #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
-    graph: PathBuf,
     #[command(flatten)]
-    given: Given,
-    /// Writes what each thread did at 30 pictures a second, for the viewer at ui.perfetto.dev.
+    whole: WholeGraph,
+    /// Size of the views; that of the graph's `phantom` without it.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
+    size: Option<(u32, u32)>,
+    /// Pictures a second of the cameras.
+    #[arg(long, value_name = "HZ", default_value_t = bench::CAMERA_HZ, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    rate_hz: u32,
+    /// Writes what each thread did at the cameras' rate, for the viewer at ui.perfetto.dev.
     #[arg(long, value_name = "FILE.json")]
     trace: Option<PathBuf>,
 }
@@ -113,11 +133,8 @@ pub struct System {
 pub struct Cost {
     #[command(flatten)]
     common: Arguments,
-    /// Graph with a `phantom`, whose views are rendered beforehand; `parts` lies beside it.
-    #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
-    graph: PathBuf,
     #[command(flatten)]
-    given: Given,
+    whole: WholeGraph,
     /// Draws the curves.
     #[arg(long, value_name = "FILE.png")]
     plot: Option<PathBuf>,
@@ -173,13 +190,14 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
                 common,
             )
         }
-        Bench::System(System { common, graph, given, trace }) => {
+        Bench::System(System { common, whole: WholeGraph { graph, given }, size, rate_hz, trace }) => {
             interrupt::listen();
             let (graph, given, trace) = (graph.clone(), given.options(&[]), trace.clone());
-            let options = bench::system::Options { quick: common.quick, graph, given, trace };
+            let (size, rate_hz) = (*size, *rate_hz);
+            let options = bench::system::Options { quick: common.quick, graph, given, size, rate_hz, trace };
             (bench::system::measure(session, &options)?, common)
         }
-        Bench::Cost(Cost { common, graph, given, plot }) => {
+        Bench::Cost(Cost { common, whole: WholeGraph { graph, given }, plot }) => {
             interrupt::listen();
             let (graph, given, plot) = (graph.clone(), given.options(&[]), plot.clone());
             let options = bench::cost::Options { quick: common.quick, graph, given, plot };

@@ -8,6 +8,7 @@ use panoscope_graph::{GraphOptions, GraphText};
 
 use super::scale;
 use super::system::{Rendered, Run, run, screen_fps};
+use crate::bench::CAMERA_HZ;
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::graph_file;
@@ -70,8 +71,7 @@ fn widths(session: &dyn Session, options: &Options) -> Result<Vec<Cost>> {
     let sizes = SIZES.iter().filter(|(width, _)| !options.quick || [640, 1280].contains(width));
     let of_size = |size: &(u32, u32)| {
         let rendered = Rendered::of(session, &options.graph, &options.given, Some(*size))?;
-        let text = rendered.text("off")?;
-        // The first time round each picture is decoded, later ones are kept.
+        let text = rendered.text("off", CAMERA_HZ)?;
         let frames = frames_of(*size, options.quick) + 2 * rendered.count;
         Ok(Cost::of(&run(session, &text, &options.graph, frames, Pace::Free, 0)?, f64::from(size.0)))
     };
@@ -93,7 +93,7 @@ fn panoramas(pairs: &Pairs, count: usize, parts: &Path, out: &Path) -> String {
             "[nodes.pair{at}]\n{}[nodes.views{at}]\ngraph = {matching}\ninputs = {{ {views} }}\nparams = {{ scale = 0 }}\n\
              [nodes.wide{at}]\ngraph = {panorama}\ninputs = {{ {} }}\n\
              [nodes.still{at}]\ntype = \"write_images\"\ninputs = {{ image = \"wide{at}.panorama\" }}\nparams = {{ path = {file}, at_end = true }}\n",
-            pairs.node("off"),
+            pairs.node("off", CAMERA_HZ),
             ports.join(", "),
         );
     }
@@ -120,7 +120,7 @@ fn cameras(session: &dyn Session, options: &Options, size: (u32, u32), counts: &
 /// The graph with so many threads, and the calls of its run with one.
 fn threads(session: &dyn Session, options: &Options) -> Result<(Vec<Cost>, Option<Recorded>)> {
     let rendered = Rendered::of(session, &options.graph, &options.given, None)?;
-    let text = rendered.text("off")?;
+    let text = rendered.text("off", CAMERA_HZ)?;
     let frames = if options.quick { 120 } else { 600 } + 2 * rendered.count;
     let waits = graph_file::ready(&GraphText::parse(&options.graph, &text)).ok().map(|ready| Waits::of(&ready.graph));
     let (mut measured, mut recorded) = (Vec::new(), None);

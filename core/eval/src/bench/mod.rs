@@ -16,3 +16,6 @@ pub mod stereo;
 pub mod stitch;
 pub mod system;
 pub mod tools;
+
+/// Pictures a second of a camera, unless a bench asks for another rate.
+pub const CAMERA_HZ: u32 = 30;

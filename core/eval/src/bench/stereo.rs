@@ -6,6 +6,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::bench::CAMERA_HZ;
 use crate::error::{Context, Result, chain};
 use crate::figures::Figure;
 use crate::inputs::Folder;
@@ -218,7 +219,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
         for scene in scenes {
             let case = Case { scene, size, search: size.searches[0], threads: 1 };
             let pairs = Pairs::of(session, &folder, &format!("{scene}{}", size.width), &case.scope(), PAIRS)?;
-            let source = pairs.node("off");
+            let source = pairs.node("off", CAMERA_HZ);
             for search in size.searches.into_iter().take(if quick { 1 } else { 2 }) {
                 for threads in [1, 2] {
                     let case = Case { search, threads, ..case };

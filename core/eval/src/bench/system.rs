@@ -83,9 +83,9 @@ impl Rendered {
         Ok(Self { folder, graph, source, pairs, count })
     }
 
-    /// The graph on those views, at the times of a camera (`pace` on) or as fast as they are taken (off).
-    pub fn text(&self, pace: &str) -> Result<String> {
-        played(&self.graph, self.folder.path(), &self.source, &self.pairs.node(pace))
+    /// The graph on those views, at the times of a camera of so many pictures a second (`pace` on) or as fast as they are taken (off).
+    pub fn text(&self, pace: &str, rate_hz: u32) -> Result<String> {
+        played(&self.graph, self.folder.path(), &self.source, &self.pairs.node(pace, rate_hz))
     }
 }
 
@@ -203,20 +203,26 @@ pub struct Options {
     pub graph: PathBuf,
     /// Its overlays, arguments and settings.
     pub given: GraphOptions,
-    /// File for what each thread did at 30 pictures a second.
+    /// Width and height of the views, px; those of the graph's `phantom` otherwise.
+    pub size: Option<(u32, u32)>,
+    /// Pictures a second of the cameras. Nodes of a highest rate work in a share of the pictures that follows from it.
+    pub rate_hz: u32,
+    /// File for what each thread did at the cameras' rate.
     pub trace: Option<PathBuf>,
 }
 
-/// Measures the graph: unpaced for `system_fps`, at 30 pictures a second for the ages.
+/// Measures the graph: unpaced for `system_fps`, at the cameras' rate for the ages.
 pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let (path, quick) = (options.graph.as_path(), options.quick);
-    let mut rendered = Rendered::of(session, path, &options.given, None)?;
-    let (unheld, held) = (rendered.text("off"), rendered.text("on"));
+    let rate_hz = options.rate_hz;
+    let mut rendered = Rendered::of(session, path, &options.given, options.size)?;
+    let (unheld, held) = (rendered.text("off", rate_hz), rendered.text("on", rate_hz));
     let (unheld, held) = (unheld?, held?);
-    // The first time round each picture is decoded, later ones are kept.
     let (frames, rounds) = if quick { (480, 1) } else { (1800, 2) };
     let count = rendered.count;
-    let input = format!("{} on {count} rendered pairs", path.file_name().unwrap_or_default().to_string_lossy());
+    let of_size = options.size.map_or(String::new(), |(width, height)| format!(" of {width}x{height}"));
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let input = format!("{name} on {count} rendered pairs{of_size}, {rate_hz} a second");
     let mut fastest: Option<Report> = None;
     let mut paced: Option<Run> = None;
     for _ in 0..rounds {
@@ -233,7 +239,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     let (fastest, paced) = fastest.zip(paced).context("nothing was measured")?;
     note!(session, "unpaced, {} pictures in {:.1} s:", fastest.frames, fastest.seconds);
     show(session, &fastest);
-    note!(session, "at 30 pictures a second:");
+    note!(session, "at {rate_hz} pictures a second:");
     show(session, &paced.report);
     show_budget(session, &paced, &held, path)?;
     if let Some(file) = &options.trace {
@@ -242,7 +248,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     let paced = paced.report;
     let mut figures = vec![Figure::new("system_fps", screen_fps(&fastest), "1/s", &input)];
     let (sink, age) = slowest(&paced);
-    figures.push(Figure::new("system_age_p99", age, "ms", &format!("{input}, 30 a second, slowest sink {sink}")));
+    figures.push(Figure::new("system_age_p99", age, "ms", &format!("{input}, slowest sink {sink}")));
     for (sink, path) in &paced.paths {
         figures.push(Figure::new(&format!("system_age_p99/{sink}"), path.age_p99_ms, "ms", &input));
     }

@@ -1,4 +1,5 @@
-//! Pairs of the phantom, rendered once and played round and round, so that no rendering is in what is timed.
+//! Pairs of the phantom, rendered once and played round and round, so that no rendering is in what is timed. The files are not compressed:
+//! the first round is no slower for decoding.
 
 use std::path::{Path, PathBuf};
 
@@ -28,9 +29,9 @@ impl Pairs {
         let mut nodes = Table::new();
         nodes.insert("scope".to_owned(), phantom);
         for side in ["left", "right"] {
-            let path = folder.join(format!("{side}_{{seq:4}}.png"));
+            let path = folder.join(format!("{side}_{{seq:4}}.ppm"));
             let text = format!(
-                "type = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}"
+                "type = \"write_raw\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}"
             );
             nodes.insert(side.to_owned(), Value::Table(text.parse()?));
         }
@@ -58,7 +59,7 @@ impl Pairs {
     pub fn and_back(self, count: u64) -> Result<Self> {
         for (step, from) in (1..count.saturating_sub(1)).rev().enumerate() {
             for side in ["left", "right"] {
-                let file = |number: u64| self.folder.join(format!("{side}_{number:04}.png"));
+                let file = |number: u64| self.folder.join(format!("{side}_{number:04}.ppm"));
                 let (from, to) = (file(from), file(count + step as u64));
                 // A second name costs no space; not every file system has them.
                 std::fs::hard_link(&from, &to)
@@ -75,18 +76,19 @@ impl Pairs {
         Self::render(session, place, name, &Value::Table(node), count)
     }
 
-    /// Type and parameters of a node that plays them at a camera's times (`pace` on), or as fast as they are taken (off).
-    pub fn node(&self, pace: &str) -> String {
+    /// Type and parameters of a node that plays them at the times of a camera of so many pictures a second (`pace` on), or as fast as they are
+    /// taken (off).
+    pub fn node(&self, pace: &str, rate_hz: u32) -> String {
         format!(
-            "type = \"capture\"\nparams = {{ left = {:?}, right = {:?}, calibration = {:?}, loop = true, rate_hz = 30.0, pace = {pace:?} }}\n",
-            self.folder.join("left_*.png"),
-            self.folder.join("right_*.png"),
+            "type = \"capture\"\nparams = {{ left = {:?}, right = {:?}, calibration = {:?}, loop = true, rate_hz = {rate_hz}.0, pace = {pace:?} }}\n",
+            self.folder.join("left_*.ppm"),
+            self.folder.join("right_*.ppm"),
             self.folder.join("calibration.yaml"),
         )
     }
 
     /// The first left picture.
     pub fn first(&self) -> PathBuf {
-        self.folder.join("left_0000.png")
+        self.folder.join("left_0000.ppm")
     }
 }

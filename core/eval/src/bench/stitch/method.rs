@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use crate::bench::CAMERA_HZ;
 use crate::inputs::pairs::Pairs;
 
 /// Pictures that are rendered and played round and round.
@@ -128,7 +129,7 @@ pub fn text_of(pairs: &Pairs, width: u32, method: Method, seam: Seam, threads: u
     format!(
         "mode = \"batch\"\nplugins = [\"capture\", \"stereo\", \"stitch\", \"opencv\", \"flow\"]\n[nodes.files]\n{}{}\
          [nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n",
-        pairs.node("off"),
+        pairs.node("off", CAMERA_HZ),
         method.nodes(width, threads, seam)
     )
 }

@@ -1,0 +1,161 @@
+//! Colour pictures shrunk by a whole factor.
+
+use crate::simd::dispatch;
+use crate::{Parallel, SharedMut, Simd, View, ViewMut};
+
+/// Rows of the small picture per chunk.
+const ROWS: usize = 16;
+/// Values of a row that are added up at once; their sums lie on the stack.
+const TILE: usize = 3072;
+
+/// Largest factor: sums of more pixels leave 16 bits.
+pub const MAX_FACTOR: usize = 16;
+
+/// Mean of every `factor` x `factor` block of a picture, rounded, for each channel. Remainders at the right and at the bottom are dropped.
+///
+/// # Panics
+/// When `factor` is not in `1..=MAX_FACTOR`, or `out` has not the picture's size divided by it and its channels.
+pub fn shrink(picture: View<'_, u8>, factor: usize, out: ViewMut<'_, u8>, pool: &dyn Parallel) {
+    shrink_with(Simd::detect(), picture, factor, out, pool);
+}
+
+fn shrink_with(simd: Simd, picture: View<'_, u8>, factor: usize, out: ViewMut<'_, u8>, pool: &dyn Parallel) {
+    assert!((1..=MAX_FACTOR).contains(&factor), "a factor of {factor}");
+    let (width, height, channels, stride) = (out.width, out.height, out.channels, out.stride);
+    let fits = (width, height) == (picture.width / factor, picture.height / factor) && channels == picture.channels;
+    assert!(fits, "{width}x{height} is not {}x{} / {factor}", picture.width, picture.height);
+    let target = SharedMut::new(out.data);
+    pool.run(height.div_ceil(ROWS), &|chunk| {
+        for y in chunk * ROWS..(chunk * ROWS + ROWS).min(height) {
+            // SAFETY: every row belongs to one chunk.
+            let row = unsafe { target.part(y * stride, width * channels) };
+            let rows = |dy: usize| picture.row(y * factor + dy);
+            shrink_row(simd, &rows, factor, channels, row);
+        }
+    });
+}
+
+fn shrink_row<'p>(simd: Simd, rows: &dyn Fn(usize) -> &'p [u8], factor: usize, channels: usize, row: &mut [u8]) {
+    let mut sums = [0_u16; TILE];
+    let mut means = [0_u8; TILE];
+    let block = factor * channels;
+    let per_tile = TILE / block * channels;
+    for (at, target) in row.chunks_mut(per_tile).enumerate() {
+        let span = target.len() * factor;
+        let source = at * per_tile * factor..at * per_tile * factor + span;
+        let (sums, means) = (&mut sums[..span], &mut means[..span]);
+        match factor {
+            2 => {
+                let (above, below) = (&rows(0)[source.clone()], &rows(1)[source]);
+                dispatch!(simd, add_two(above: &[u8], below: &[u8], sums: &mut [u16]));
+            }
+            _ => {
+                sums.fill(0);
+                for dy in 0..factor {
+                    let line = &rows(dy)[source.clone()];
+                    dispatch!(simd, add(line: &[u8], sums: &mut [u16]));
+                }
+            }
+        }
+        let sums = &*sums;
+        dispatch!(simd, mean(sums: &[u16], factor: usize, channels: usize, means: &mut [u8]));
+        match channels {
+            3 => {
+                // Four bytes are moved at once; the fourth is that of the next pixel, which overwrites it.
+                let whole = target.len().saturating_sub(3) / 3;
+                for x in 0..whole {
+                    if let Some(four) = means[x * block..].first_chunk::<4>() {
+                        target[x * 3..x * 3 + 4].copy_from_slice(four);
+                    }
+                }
+                for x in whole..target.len() / 3 {
+                    target[x * 3..x * 3 + 3].copy_from_slice(&means[x * block..x * block + 3]);
+                }
+            }
+            _ => {
+                for (pixel, mean) in target.chunks_exact_mut(channels).zip(means.chunks_exact(block)) {
+                    pixel.copy_from_slice(&mean[..channels]);
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn add(line: &[u8], sums: &mut [u16]) {
+    for (sum, &value) in sums.iter_mut().zip(line) {
+        *sum += u16::from(value);
+    }
+}
+
+#[inline(always)]
+fn add_two(above: &[u8], below: &[u8], sums: &mut [u16]) {
+    for (sum, (&a, &b)) in sums.iter_mut().zip(above.iter().zip(below)) {
+        *sum = u16::from(a) + u16::from(b);
+    }
+}
+
+/// The mean of the block that begins at each value; only those at the beginning of a block are used.
+#[inline(always)]
+fn mean(sums: &[u16], factor: usize, channels: usize, means: &mut [u8]) {
+    let block = factor * channels;
+    let starts = sums.len() - block + channels;
+    if factor == 2 {
+        for ((mean, &a), &b) in means[..starts].iter_mut().zip(sums).zip(&sums[channels..]) {
+            *mean = ((a + b + 2) >> 2) as u8;
+        }
+        return;
+    }
+    let area = (factor * factor) as f32;
+    for (at, mean) in means[..starts].iter_mut().enumerate() {
+        let sum: u16 = (0..factor).map(|dx| sums[at + dx * channels]).sum();
+        // Exact: a quotient that is no whole number is at least 1/256 away from one.
+        *mean = ((f32::from(sum) + (area * 0.5).floor()) / area) as u8;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Serial;
+
+    fn picture(width: usize, height: usize, channels: usize) -> Vec<u8> {
+        (0..width * height * channels)
+            .map(|i| (i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15).to_le_bytes()[6])
+            .collect()
+    }
+
+    #[test]
+    fn each_pixel_is_the_rounded_mean_of_its_block() {
+        for (width, height) in [(64, 33), (1920, 12), (37, 19)] {
+            for channels in [1, 3, 4] {
+                let data = picture(width, height, channels);
+                let view = View::new(&data[..], width, height, channels);
+                for factor in 1..=8 {
+                    let (w, h) = (width / factor, height / factor);
+                    let mut portable = vec![0; w * h * channels];
+                    let mut chosen = portable.clone();
+                    let out = |data| ViewMut::new(data, w, h, channels);
+                    shrink_with(Simd::portable(), view, factor, out(&mut portable), &Serial);
+                    shrink(view, factor, out(&mut chosen), &Serial);
+                    assert!(portable == chosen, "{width}x{height}, {channels} channels, factor {factor}");
+                    for (at, &mean) in chosen.iter().enumerate() {
+                        let (x, y, c) = (at / channels % w, at / channels / w, at % channels);
+                        let block = (0..factor * factor).map(|i| (x * factor + i % factor, y * factor + i / factor));
+                        let sum: usize = block.map(|(x, y)| usize::from(view.row(y)[x * channels + c])).sum();
+                        let area = factor * factor;
+                        assert_eq!(usize::from(mean), (sum + area / 2) / area, "({x}, {y}) of factor {factor}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn white_stays_white_at_the_largest_factor() {
+        let data = [255; 48 * 48 * 3];
+        let mut out = [0; 3 * 3 * 3];
+        shrink(View::new(&data[..], 48, 48, 3), MAX_FACTOR, ViewMut::new(&mut out, 3, 3, 3), &Serial);
+        assert_eq!(out, [255; 27]);
+    }
+}
