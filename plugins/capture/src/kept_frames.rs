@@ -9,6 +9,8 @@ use crate::source::{Picture, Samples};
 
 /// Most memory for frames that are shown again, in bytes; further pictures are copied each time.
 const KEPT_BYTES: usize = 512 << 20;
+/// Most of these frames; the host takes a node that retains 128 for one that leaks.
+const KEPT_FRAMES: usize = 96;
 
 /// A part of a picture as a frame.
 struct Kept {
@@ -45,6 +47,7 @@ impl KeptFrames {
         if let Samples::Eight(pixels) = &picture.samples
             && Arc::strong_count(pixels) > 1
             && self.bytes + bytes <= KEPT_BYTES
+            && self.kept.len() < KEPT_FRAMES
             && let Some(frame) = slot.retain()
         {
             self.bytes += bytes;

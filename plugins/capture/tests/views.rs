@@ -54,6 +54,13 @@ fn pictures_that_are_shown_again_are_not_copied_again() {
         once = if round == 0 { node.allocated_bytes() } else { once };
         assert_eq!((node.allocated_bytes(), node.copies()), (once, 0), "round {round}");
     }
+    // The host ends a node that retains too many frames.
+    for index in 0..200 {
+        folder.image(&format!("many/{index}.png"), index, WIDTH);
+    }
+    let mut many = folder.open(r#"left = "many/%d.png", loop = true"#);
+    (0..200).for_each(|index| assert_eq!(value(&many.process().unwrap(), "left"), index));
+    assert!(many.kept_buffers() > 0 && many.kept_buffers() < 128, "{} frames", many.kept_buffers());
     // Another part of a picture is another frame.
     node.set_params(r#"params = { left = "%d.png", loop = true, crop = [4, 0, 10, 8] }"#).unwrap();
     assert_eq!(node.process().unwrap().plane::<Bgr8>("left").unwrap().row(0)[1], 4);

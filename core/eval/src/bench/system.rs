@@ -20,7 +20,7 @@ use crate::text_table::table;
 use crate::timeline::{self, Budget, Timeline, Waits, work_tables};
 
 /// Pairs that are rendered, and played there and back again without end: as many as `capture` keeps decoded, so that no picture is decoded twice.
-const PAIRS: u64 = 60;
+const PAIRS: u64 = 25;
 /// Bytes of one view that `capture` keeps.
 const KEPT_BYTES: u64 = 256 << 20;
 const NO_NODES: &str = "the graph has no [nodes]";

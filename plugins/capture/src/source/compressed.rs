@@ -5,6 +5,7 @@ use panoscope_media::input::jpeg;
 
 use super::error::PictureError;
 use super::picture::{Picture, Samples};
+use super::plain::bgr_of_rgb;
 
 /// Decodes a PNG or an EXR, or a JPEG that is known to be whole.
 ///
@@ -33,11 +34,4 @@ pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, Pictu
 /// A JPEG that is damaged or not whole.
 pub fn decode_jpeg(bytes: &[u8]) -> Result<Picture, PictureError> {
     decode(&jpeg::whole(bytes)?, image::ImageFormat::Jpeg)
-}
-
-fn bgr_of_rgb<T>(mut values: Vec<T>) -> Vec<T> {
-    for pixel in values.as_chunks_mut::<3>().0 {
-        pixel.swap(0, 2);
-    }
-    values
 }

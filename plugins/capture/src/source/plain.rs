@@ -105,10 +105,23 @@ pub fn pnm(bytes: &[u8]) -> Result<Picture, PictureError> {
 
 /// BGR of interleaved gray or RGB values, with or without alpha.
 pub fn bgr<T: Copy>(values: &[T], channels: usize) -> Vec<T> {
-    match channels {
-        1 | 2 => values.chunks_exact(channels).flat_map(|pixel| [pixel[0]; 3]).collect(),
-        _ => values.chunks_exact(channels).flat_map(|pixel| [pixel[2], pixel[1], pixel[0]]).collect(),
+    if channels == 3 {
+        return bgr_of_rgb(values.to_vec());
     }
+    let mut out = Vec::with_capacity(values.len() / channels * 3);
+    for pixel in values.chunks_exact(channels) {
+        let [blue, green, red] = if channels < 3 { [0; 3] } else { [2, 1, 0] };
+        out.extend_from_slice(&[pixel[blue], pixel[green], pixel[red]]);
+    }
+    out
+}
+
+/// BGR in the memory of interleaved RGB.
+pub fn bgr_of_rgb<T>(mut values: Vec<T>) -> Vec<T> {
+    for pixel in values.as_chunks_mut::<3>().0 {
+        pixel.swap(0, 2);
+    }
+    values
 }
 
 #[cfg(test)]
