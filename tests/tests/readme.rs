@@ -134,7 +134,7 @@ fn training_starts_from_weights_that_ship() {
     // Where the line is broken depends on the terminal.
     let in_one = |text: &str| -> String { text.split_whitespace().collect() };
     let help = in_one(&help);
-    let shipped = folder.join("weights/instruments_lite0.pt");
+    let shipped = folder.join("weights/instruments.pt");
     assert!(shipped.is_file() && help.contains(&in_one(&format!("(default: {})", shipped.display()))), "{help}");
 
     let scratch = panoscope_tests::scratch("training");

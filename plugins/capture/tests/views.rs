@@ -55,6 +55,7 @@ fn pictures_that_are_shown_again_are_not_copied_again() {
         assert_eq!((node.allocated_bytes(), node.copies()), (once, 0), "round {round}");
     }
     // The host ends a node that retains too many frames.
+    fs::create_dir(folder.0.join("many")).unwrap();
     for index in 0..200 {
         folder.image(&format!("many/{index}.png"), index, WIDTH);
     }

@@ -1,7 +1,8 @@
 //! How unlike the pictures that a model learned from a picture is, from the features that the model's own network computes anyway.
 //!
 //! `export_detector.py` gives a detector a second output, `features` (1 x C x rows x columns, means over cells of 32 x 32 px), and writes the mean and a
-//! whitening matrix of their picture means into the metadata (`training/instruments/pictures.py`).
+//! whitening matrix of their picture means into the metadata (`training/instruments/pictures.py`), for each kind of pictures that it learned from:
+//! real ones and rendered ones have little in common.
 
 use crate::calibration::numbers;
 use crate::model::Tensor;
@@ -24,7 +25,7 @@ const LONGEST_GAP_S: f32 = 5.0;
 #[error("`{key}` in the model's metadata does not fit the model: {reason}; export the model again")]
 pub struct PicturesError {
     /// Key of the metadata.
-    pub key: &'static str,
+    pub key: String,
     /// What is wrong.
     pub reason: String,
 }
@@ -37,15 +38,58 @@ pub fn split<'a, 'b>(outputs: &'b [Tensor<'a>]) -> (&'b [Tensor<'a>], Option<&'b
     }
 }
 
-/// Statistics of the pictures that a model learned from.
+/// Statistics of one kind of pictures.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pictures {
+struct Kind {
     mean: Vec<f32>,
     /// Row by row, as many rows and columns as `mean` has numbers.
     whitening: Vec<f32>,
     limit: f32,
-    /// The picture's numbers less the mean.
+}
+
+/// Statistics of the pictures that a model learned from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pictures {
+    kinds: Vec<Kind>,
+    /// The picture's numbers.
+    means: Vec<f32>,
+    /// The same less the mean of a kind.
     off: Vec<f32>,
+}
+
+impl Kind {
+    /// Reads the numbers under `key`.
+    fn read<'a>(
+        key: &str,
+        text: &str,
+        channels: Option<usize>,
+        metadata: &impl Fn(&str) -> Option<&'a str>,
+    ) -> Result<Self, PicturesError> {
+        let wrong = |reason: String| PicturesError { key: key.to_owned(), reason };
+        let channels = channels.ok_or_else(|| wrong(format!("the model has no output `{OUTPUT}`")))?;
+        let text = text.strip_prefix(FORMAT).ok_or_else(|| wrong(format!("it does not begin with `{FORMAT}`")))?;
+        let all = numbers(text).ok_or_else(|| wrong("it holds what is no number".to_owned()))?;
+        let wanted = channels * (channels + 1);
+        if channels == 0 || all.len() != wanted {
+            return Err(wrong(format!("{} numbers, {wanted} fit {channels} channels", all.len())));
+        }
+        let key = format!("{key}_limit");
+        let limit = metadata(&key).and_then(|text| text.trim().parse::<f32>().ok());
+        let limit = limit.filter(|limit| limit.is_finite() && *limit > 0.0);
+        let limit = limit.ok_or_else(|| PicturesError { key, reason: "a number above 0 was expected".to_owned() })?;
+        let (mean, whitening) = all.split_at(channels);
+        Ok(Self { mean: mean.to_vec(), whitening: whitening.to_vec(), limit })
+    }
+
+    /// Deviation of a picture's numbers, as a share of the limit.
+    fn unlikeness(&self, means: &[f32], off: &mut [f32]) -> f32 {
+        for ((off, value), mean) in off.iter_mut().zip(means).zip(&self.mean) {
+            *off = value - mean;
+        }
+        let along = |row: &[f32]| row.iter().zip(&*off).map(|(w, v)| w * v).sum::<f32>().powi(2);
+        let sum: f32 = self.whitening.chunks_exact(self.mean.len()).map(along).sum();
+        (sum / self.mean.len() as f32).sqrt() / self.limit
+    }
 }
 
 impl Pictures {
@@ -57,43 +101,30 @@ impl Pictures {
         channels: Option<usize>,
         metadata: impl Fn(&str) -> Option<&'a str>,
     ) -> Result<Option<Self>, PicturesError> {
-        let key = "pictures";
-        let Some(text) = metadata(key) else { return Ok(None) };
-        let wrong = |reason: String| PicturesError { key, reason };
-        let channels = channels.ok_or_else(|| wrong(format!("the model has no output `{OUTPUT}`")))?;
-        let text = text.strip_prefix(FORMAT).ok_or_else(|| wrong(format!("it does not begin with `{FORMAT}`")))?;
-        let all = numbers(text).ok_or_else(|| wrong("it holds what is no number".to_owned()))?;
-        let wanted = channels * (channels + 1);
-        if channels == 0 || all.len() != wanted {
-            return Err(wrong(format!("{} numbers, {wanted} fit {channels} channels", all.len())));
-        }
-        let limit = metadata("pictures_limit").and_then(|text| text.trim().parse::<f32>().ok());
-        let limit = limit.filter(|limit| limit.is_finite() && *limit > 0.0).ok_or_else(|| PicturesError {
-            key: "pictures_limit",
-            reason: "a number above 0 was expected".to_owned(),
-        })?;
-        let (mean, whitening) = all.split_at(channels);
-        Ok(Some(Self { mean: mean.to_vec(), whitening: whitening.to_vec(), limit, off: vec![0.0; channels] }))
+        let keys = (1..).map(|number| if number == 1 { "pictures".to_owned() } else { format!("pictures_{number}") });
+        let texts = keys.map_while(|key| metadata(&key).map(|text| (key, text)));
+        let kinds: Vec<Kind> =
+            texts.map(|(key, text)| Kind::read(&key, text, channels, &metadata)).collect::<Result<_, _>>()?;
+        let zeros = vec![0.0; channels.unwrap_or(0)];
+        Ok((!kinds.is_empty()).then(|| Self { kinds, means: zeros.clone(), off: zeros }))
     }
 
-    /// Deviation of a picture from those learned from, as a share of the limit: above 1 it is unlike them. `size` is the picture's width and height in
-    /// the network's input, px. None where `features` have another form or are not finite.
+    /// Deviation of a picture from those learned from, from the kind that it is most like, as a share of the limit: above 1 it is unlike them all.
+    /// `size` is the picture's width and height in the network's input, px. None where `features` have another form or are not finite.
     pub fn unlikeness(&mut self, features: &Tensor<'_>, size: [usize; 2]) -> Option<f32> {
         let [1, channels, rows, columns] = features.shape[..] else { return None };
         let values = features.data.floats()?;
-        if channels != self.mean.len() || rows * columns == 0 || values.len() < channels * rows * columns {
+        if channels != self.means.len() || rows * columns == 0 || values.len() < channels * rows * columns {
             return None;
         }
         let (across, down) = ((size[0] / CELL).clamp(1, columns), (size[1] / CELL).clamp(1, rows));
         let share = 1.0 / (across * down) as f32;
-        for ((plane, mean), off) in values.chunks_exact(rows * columns).zip(&self.mean).zip(&mut self.off) {
+        for (plane, mean) in values.chunks_exact(rows * columns).zip(&mut self.means) {
             let lines = plane.chunks_exact(columns).take(down);
-            *off = lines.map(|line| line[..across].iter().sum::<f32>()).sum::<f32>() * share - mean;
+            *mean = lines.map(|line| line[..across].iter().sum::<f32>()).sum::<f32>() * share;
         }
-        let along = |row: &[f32]| row.iter().zip(&self.off).map(|(w, v)| w * v).sum::<f32>().powi(2);
-        let sum: f32 = self.whitening.chunks_exact(channels).map(along).sum();
-        let value = (sum / channels as f32).sqrt() / self.limit;
-        value.is_finite().then_some(value)
+        let each = self.kinds.iter().map(|kind| kind.unlikeness(&self.means, &mut self.off));
+        each.filter(|value| value.is_finite()).min_by(f32::total_cmp)
     }
 }
 
@@ -157,6 +188,30 @@ mod tests {
         assert_eq!(pictures.unlikeness(&features(&[f32::NAN; 12]), [70, 40]), None);
         let other = Tensor { name: OUTPUT, shape: vec![1, 3, 2, 2], data: Values::Float(&values) };
         assert_eq!(pictures.unlikeness(&other, [70, 40]), None);
+    }
+
+    #[test]
+    fn a_picture_is_judged_by_the_kind_that_it_is_most_like() {
+        let second = "panoscope-pictures-1 10 1";
+        let of = |more: Option<&'static str>| {
+            Pictures::read(Some(1), move |key| match key {
+                "pictures" => Some("panoscope-pictures-1 0 1"),
+                "pictures_limit" => Some("2"),
+                "pictures_2" => more,
+                "pictures_2_limit" => Some("1"),
+                _ => None,
+            })
+        };
+        let features =
+            |value: &'static [f32]| Tensor { name: OUTPUT, shape: vec![1, 1, 1, 1], data: Values::Float(value) };
+        let mut one = of(None).expect("fits").expect("is there");
+        assert_eq!(one.unlikeness(&features(&[10.5]), [32, 32]), Some(5.25));
+        let mut both = of(Some(second)).expect("fits").expect("is there");
+        assert_eq!(both.unlikeness(&features(&[10.5]), [32, 32]), Some(0.5));
+        assert_eq!(both.unlikeness(&features(&[1.0]), [32, 32]), Some(0.5));
+        assert_eq!(both.unlikeness(&features(&[6.0]), [32, 32]), Some(3.0));
+        let error = of(Some("panoscope-pictures-1 1")).expect_err("a number is missing").to_string();
+        assert!(error.contains("`pictures_2`"), "{error}");
     }
 
     #[test]

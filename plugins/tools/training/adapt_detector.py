@@ -22,8 +22,8 @@ import os
 from pathlib import Path
 
 # Weights and file of the `lite0` detector that ships.
-SHIPPED = Path(__file__).resolve().parent / "weights" / "instruments_lite0.pt"
-SHIPPED_FILE = Path(__file__).resolve().parent.parent / "models" / "instruments_lite0.onnx"
+SHIPPED = Path(__file__).resolve().parent / "weights" / "instruments.pt"
+SHIPPED_FILE = Path(__file__).resolve().parent.parent / "models" / "instruments.onnx"
 NEEDED = "pip install torch numpy opencv-python-headless onnx"
 # What may change when an adaptation goes on.
 FREE = ("resume", "stop_after", "threads", "pause_while", "out", "save_every")

@@ -10,7 +10,7 @@ the convolutions, and the slicing at its begin together with the first convoluti
 numbers; of the lite networks the shift and scale of the picture go into the first convolution. Needs PyTorch and onnx; with onnxruntime it also
 compares the file's answers with PyTorch's, times it, and with --data scores it.
 With --calibration, a file of `panoscope eval detect --folds RUNS --calibration FILE`, the `yolo` node reports probabilities and says `unknown` where a
-class is not sure. With --learned-from, the folder of the frames that it learned from, it warns of pictures unlike them (needs onnxruntime).
+class is not sure. With --learned-from, the folders of the frames that it learned from, it warns of pictures unlike them (needs onnxruntime).
 """
 
 import argparse
@@ -110,7 +110,8 @@ def picture_features(session, frame, width, height):
 
 
 def learned_from(path, folder, width, height, threads, most):
-    """Statistics of the pictures in `folder`, at most `most` of them, evenly taken; each operation counts alike."""
+    """Statistics of the pictures in `folder`, at most `most` of them, evenly taken; each operation, or rendered scene in a folder of its own, counts
+    alike."""
     import cv2
 
     found = {}
@@ -125,8 +126,10 @@ def learned_from(path, folder, width, height, threads, most):
     frames = frames[:: -(-len(frames) // most)]
     session = Session(path, threads)
     rows = [picture_features(session, cv2.imread(str(f.path)), width, height) for f in frames]
-    statistics = pictures.Statistics.with_limit(rows, [f.group for f in frames])
-    print(f"{len(rows)} pictures of {len({f.group for f in frames})} operations; unlike them from {statistics.limit:.2f} on")
+    folders = [f.path.parent.name for f in frames]
+    groups = folders if len(set(folders)) > 1 else [f.group for f in frames]
+    statistics = pictures.Statistics.with_limit(rows, groups)
+    print(f"{folder}: {len(rows)} pictures of {len(set(groups))} operations or scenes; unlike them from {statistics.limit:.2f} on")
     return statistics
 
 
@@ -189,7 +192,7 @@ def main():
     p.add_argument("--picture", type=Path, help="picture for the comparison; left out, noise")
     p.add_argument("--card", type=Path, help="write a model card here")
     p.add_argument("--calibration", type=Path, metavar="FILE.json", help="calibration of `panoscope eval detect --folds`")
-    p.add_argument("--learned-from", type=Path, metavar="FOLDER", help="frames it learned from, to warn of pictures unlike them")
+    p.add_argument("--learned-from", type=Path, nargs="+", metavar="FOLDER", help="frames it learned from, to warn of pictures unlike them; a folder of each kind")
     p.add_argument("--most-pictures", type=int, default=1500, help="most frames of --learned-from that are looked at (default: %(default)s)")
     p.add_argument("--threads", type=int, default=2)
     a = p.parse_args()
@@ -206,7 +209,8 @@ def main():
         metadata = export(Exported(plain, features=True).eval(), a.network, a.out, a.width, a.height, a.half, CLASSES, calibration)
     if a.learned_from:
         try:
-            metadata |= learned_from(a.out, a.learned_from, a.width, a.height, a.threads, a.most_pictures).metadata()
+            kinds = [learned_from(a.out, folder, a.width, a.height, a.threads, a.most_pictures) for folder in a.learned_from]
+            metadata |= pictures.metadata_of(kinds)
         except ModuleNotFoundError as missing:
             raise SystemExit(f"--learned-from needs {missing.name}: pip install onnxruntime") from None
         write(a.out, metadata)

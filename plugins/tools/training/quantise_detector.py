@@ -21,6 +21,7 @@ from onnx import numpy_helper
 from export_detector import Session, learned_from, placed, score
 from instruments.data import read
 from instruments.onnx_store import write
+from instruments.pictures import metadata_of
 
 # Largest sum of two neighbouring weights: times 255 it fits in 16 bits with sign.
 PAIR = 128
@@ -138,7 +139,7 @@ def main():
     p.add_argument("--frames-split", default="trainval")
     p.add_argument("--out", required=True, type=Path)
     p.add_argument("--method", default="MinMax", choices=("MinMax", "Entropy", "Percentile"), help="how ranges follow from what is seen (default: %(default)s)")
-    p.add_argument("--learned-from", type=Path, metavar="FOLDER", help="write statistics of these pictures anew")
+    p.add_argument("--learned-from", type=Path, nargs="+", metavar="FOLDER", help="write statistics of these pictures anew; a folder of each kind")
     p.add_argument("--most-pictures", type=int, default=1500)
     p.add_argument("--data", type=Path, help="frames with boxes to score both files on")
     p.add_argument("--split", default="val")
@@ -155,9 +156,9 @@ def main():
     pictures = (placed(cv2.imread(str(f.path)), width, height)[0] for f in frames)
     quantise(a.model, a.out, pictures, a.method)
     if a.learned_from:
-        statistics = learned_from(a.out, a.learned_from, width, height, a.threads, a.most_pictures)
+        kinds = [learned_from(a.out, folder, width, height, a.threads, a.most_pictures) for folder in a.learned_from]
         held = {p.key: p.value for p in onnx.load(str(a.out)).metadata_props}
-        write(a.out, held | statistics.metadata())
+        write(a.out, held | metadata_of(kinds))
     x = placed(cv2.imread(str(frames[0].path)), width, height)[0]
     before, after = time_of((a.model, a.out), x, a.threads)
     print(f"{a.out}: {a.out.stat().st_size / 1e6:.2f} MB; {a.threads} threads: {after:.2f} ms, {before:.2f} ms before")

@@ -346,7 +346,7 @@ class Adapting(unittest.TestCase):
             folder = Path(folder)
             footage(folder / "frames")
             tiny_data(folder / "data")
-            weights_of = HERE / "weights" / "instruments_lite0.pt"
+            weights_of = HERE / "weights" / "instruments.pt"
             start = weights_of.read_bytes()
             done = self.adapt(folder, folder / "out", "--source", folder / "data", "--source-split", "train", "--rate", "0.01", "--keep", "0.5")
             self.assertEqual(done.returncode, 0, done.stderr)

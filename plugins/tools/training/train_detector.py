@@ -27,7 +27,7 @@ from pathlib import Path
 from instruments import folds as fold_files
 
 # Weights of the `lite0` detector that ships.
-SHIPPED = Path(__file__).resolve().parent / "weights" / "instruments_lite0.pt"
+SHIPPED = Path(__file__).resolve().parent / "weights" / "instruments.pt"
 NEEDED = "pip install torch numpy opencv-python-headless onnx"
 # What may change when a training goes on.
 FREE = ("resume", "stop_after", "threads", "workers", "device", "pause_while", "test_every", "save_every_min", "out", "data", "folds")

@@ -293,7 +293,7 @@ mod tests {
     fn large_pictures_are_fewer() {
         let phantom =
             |params: &str| Value::Table(format!("type = \"phantom\"\nparams = {{ {params} }}").parse().expect("TOML"));
-        assert_eq!(pairs_of(&phantom("")), 60);
+        assert_eq!(pairs_of(&phantom("")), 25);
         assert_eq!(pairs_of(&phantom("width = 1920, height = 1080")), 21);
         assert_eq!(pairs_of(&phantom("width = 100000, height = 100000")), 2);
     }

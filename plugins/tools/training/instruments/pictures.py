@@ -65,7 +65,16 @@ class Statistics:
         z = (np.atleast_2d(rows) - self.mean) @ self.whitening.T
         return np.sqrt((z**2).mean(1))
 
-    def metadata(self):
-        """As a model file keeps it: mean, then the matrix row by row; and the limit."""
+    def metadata(self, kind=1):
+        """As a model file keeps it: mean, then the matrix row by row; and the limit. Further kinds of pictures are numbered from 2 on."""
         numbers = [*self.mean, *self.whitening.ravel()]
-        return {"pictures": f"{FORMAT} " + " ".join(f"{v:.5g}" for v in numbers), "pictures_limit": f"{self.limit:.4g}"}
+        key = "pictures" if kind == 1 else f"pictures_{kind}"
+        return {key: f"{FORMAT} " + " ".join(f"{v:.5g}" for v in numbers), f"{key}_limit": f"{self.limit:.4g}"}
+
+
+def metadata_of(kinds):
+    """The metadata of several kinds of pictures: a picture is unlike all when it is unlike each."""
+    merged = {}
+    for number, kind in enumerate(kinds, 1):
+        merged |= kind.metadata(number)
+    return merged
