@@ -97,12 +97,15 @@ pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError>
 
 /// The packet of views that were shrunk by a whole factor, each pixel the mean of a block.
 pub fn shrunk(packet: &Calibration, factor: u32) -> Calibration {
-    let scale = f64::from(factor.max(1));
+    if factor <= 1 {
+        return *packet;
+    }
+    let scale = f64::from(factor);
     // The middle of a block of pixels is that of the small pixel.
     let center = |px: f64| (px + 0.5) / scale - 0.5;
     let camera = |of: &Camera| Camera {
-        width: of.width / factor.max(1),
-        height: of.height / factor.max(1),
+        width: of.width / factor,
+        height: of.height / factor,
         fx: of.fx / scale,
         fy: of.fy / scale,
         cx: center(of.cx),

@@ -60,23 +60,20 @@ fn shrink_row<'p>(simd: Simd, rows: &dyn Fn(usize) -> &'p [u8], factor: usize, c
         let sums = &*sums;
         dispatch!(simd, mean(sums: &[u16], factor: usize, channels: usize, means: &mut [u8]));
         match channels {
-            3 => {
-                // Four bytes are moved at once; the fourth is that of the next pixel, which overwrites it.
-                let whole = target.len().saturating_sub(3) / 3;
-                for x in 0..whole {
-                    if let Some(four) = means[x * block..].first_chunk::<4>() {
-                        target[x * 3..x * 3 + 4].copy_from_slice(four);
-                    }
-                }
-                for x in whole..target.len() / 3 {
-                    target[x * 3..x * 3 + 3].copy_from_slice(&means[x * block..x * block + 3]);
-                }
-            }
-            _ => {
-                for (pixel, mean) in target.chunks_exact_mut(channels).zip(means.chunks_exact(block)) {
-                    pixel.copy_from_slice(&mean[..channels]);
-                }
-            }
+            3 => pick::<3>(means, block, target),
+            _ => (0..channels).for_each(|channel| {
+                let means = means[channel..].iter().step_by(block);
+                target[channel..].iter_mut().step_by(channels).zip(means).for_each(|(to, mean)| *to = *mean);
+            }),
+        }
+    }
+}
+
+/// The pixel at the beginning of each block of `means`.
+fn pick<const CHANNELS: usize>(means: &[u8], block: usize, target: &mut [u8]) {
+    for (pixel, means) in target.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(means.chunks_exact(block)) {
+        if let Some(mean) = means.first_chunk() {
+            *pixel = *mean;
         }
     }
 }

@@ -208,6 +208,13 @@ impl<P: Plane> Slot<'_, P> {
         self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)
     }
 
+    /// Hands on a retained frame as one of this tick: its age does not count from the tick that it was made for.
+    pub fn forward_anew(&mut self, kept: &Retained<P>) -> Result<()> {
+        // SAFETY: the host's call is valid for `'f`.
+        let tick = unsafe { (*self.call.raw()).tick };
+        self.forward(&abi::Frame { tick, ..*kept.frame() })
+    }
+
     /// Retains the buffer of an output that was made, beyond this call; `None` without one. It cannot be written any more.
     pub fn retain(&self) -> Option<Retained<P>> {
         let frame = self.call.output(self.index);

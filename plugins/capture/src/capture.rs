@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use panoscope_media::input::monotonic_ns;
-use panoscope_node::abi::{Calibration, Tick};
+use panoscope_node::abi::Calibration;
 use panoscope_node::{
     Bgr8, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Ports, Rect, Result, Slot, Validation,
 };
@@ -393,27 +393,27 @@ impl Capture {
         &mut self,
         first: &mut Slot<'_, Bgr8>,
         second: &mut Slot<'_, Bgr8>,
-        part: (usize, Rect),
-        tick: Tick,
+        source: usize,
+        rect: Rect,
     ) -> Result<()> {
         if !first.is_read() {
-            return self.write(second, part, tick);
+            return self.write(second, source, rect);
         }
-        self.write(first, part, tick)?;
+        self.write(first, source, rect)?;
         if second.is_read() { second.forward_from(first) } else { Ok(()) }
     }
 
-    /// Sets the output of one view, a part of a source, if it is read.
+    /// Sets the output of one view if it is read.
     ///
     /// # Errors
     /// No frame memory is left.
-    pub(crate) fn write(&mut self, slot: &mut Slot<'_, Bgr8>, (source, rect): (usize, Rect), tick: Tick) -> Result<()> {
+    pub(crate) fn write(&mut self, slot: &mut Slot<'_, Bgr8>, source: usize, rect: Rect) -> Result<()> {
         if !slot.is_read() {
             return Ok(());
         }
         let white = self.white;
         let View { picture, .. } = self.views.view(source);
-        if self.kept.forward(picture, rect, slot, tick)? {
+        if self.kept.forward(picture, rect, slot)? {
             return Ok(());
         }
         let mut out = slot.alloc(rect.width, rect.height)?;
@@ -460,13 +460,12 @@ impl Node for Capture {
         {
             out.calibration.set(calibration)?;
         }
-        let tick = cx.tick();
-        for (view, part) in parts.into_iter().enumerate() {
+        for (view, (source, rect)) in parts.into_iter().enumerate() {
             match view {
-                0 => self.write_pair(&mut out.left, &mut out.view0, part, tick)?,
-                1 => self.write_pair(&mut out.right, &mut out.view1, part, tick)?,
-                2 => self.write(&mut out.view2, part, tick)?,
-                _ => self.write(&mut out.view3, part, tick)?,
+                0 => self.write_pair(&mut out.left, &mut out.view0, source, rect)?,
+                1 => self.write_pair(&mut out.right, &mut out.view1, source, rect)?,
+                2 => self.write(&mut out.view2, source, rect)?,
+                _ => self.write(&mut out.view3, source, rect)?,
             }
         }
         Ok(())

@@ -215,9 +215,9 @@ impl Node for DataSet {
             }
         }
         self.write_labels(picture, &parts, &mut out)?;
-        for (view, part) in parts.into_iter().enumerate() {
+        for (view, (source, rect)) in parts.into_iter().enumerate() {
             let slot = if view == 0 { &mut out.left } else { &mut out.right };
-            self.capture.write(slot, part, cx.tick())?;
+            self.capture.write(slot, source, rect)?;
         }
         Ok(())
     }

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use panoscope_node::abi::{Frame, Tick};
 use panoscope_node::{Bgr8, Rect, Result, Retained, Slot};
 
 use crate::source::{Picture, Samples};
@@ -31,14 +30,11 @@ impl KeptFrames {
     /// Hands on the frame of `rect` of a picture, if there is one. Returns whether there was.
     ///
     /// # Errors
-    /// Those of [`Slot::forward`].
-    pub fn forward(&self, picture: &Picture, rect: Rect, slot: &mut Slot<'_, Bgr8>, tick: Tick) -> Result<bool> {
+    /// Those of [`Slot::forward_anew`].
+    pub fn forward(&self, picture: &Picture, rect: Rect, slot: &mut Slot<'_, Bgr8>) -> Result<bool> {
         let Samples::Eight(pixels) = &picture.samples else { return Ok(false) };
         let found = self.kept.iter().find(|kept| Arc::ptr_eq(&kept.pixels, pixels) && kept.rect == rect);
-        let Some(kept) = found else { return Ok(false) };
-        // A new picture of this tick: its light is not that of the tick for which the frame was made.
-        slot.forward(&Frame { tick, ..*kept.frame.frame() })?;
-        Ok(true)
+        found.map_or(Ok(false), |kept| slot.forward_anew(&kept.frame).map(|()| true))
     }
 
     /// Keeps the frame that was made of `rect` of a picture, where the source keeps the picture too.

@@ -131,13 +131,13 @@ fn make(
         shrink(view.view(), factor, out.alloc(width, height)?, cx.pool());
         return Ok(());
     };
-    if factor == 1 {
-        map.remap(view.view(), out.alloc(width, height)?, cx.pool())?;
-        return Ok(());
+    let mut source = view.view();
+    if factor > 1 {
+        small.resize(width * height * 3, 0);
+        shrink(source, factor, ViewMut::new(small, width, height, 3), cx.pool());
+        source = View::new(small, width, height, 3);
     }
-    small.resize(width * height * 3, 0);
-    shrink(view.view(), factor, ViewMut::new(small, width, height, 3), cx.pool());
-    map.remap(View::new(small, width, height, 3), out.alloc(width, height)?, cx.pool())?;
+    map.remap(source, out.alloc(width, height)?, cx.pool())?;
     Ok(())
 }
 

@@ -17,6 +17,16 @@ fn words<T>(result: Result<T, HarnessError>) -> String {
     result.err().map(|error| error.to_string()).unwrap_or_default()
 }
 
+/// Gives a node both views of [`pair`].
+fn give<'h>(node: &'h mut Harness<Rectify>, left: &[u8], right: &[u8]) -> &'h mut Harness<Rectify> {
+    node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(left)).input_image::<Bgr8>(
+        "right",
+        SIZE.0,
+        SIZE.1,
+        &bgr(right),
+    )
+}
+
 fn rectify(
     calibration: Option<Calibration>,
     size: (usize, usize),
@@ -38,11 +48,7 @@ fn rectified_views_are_handed_on() -> TestResult {
         let mut node = Harness::<Rectify>::from_toml("")?;
         let cameras = Calibration { is_rectified, ..rectified(FOCAL, BASELINE) };
         for _ in 0..2 {
-            let out = node
-                .input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left))
-                .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right))
-                .input_value("calibration", cameras)
-                .process()?;
+            let out = give(&mut node, &left, &right).input_value("calibration", cameras).process()?;
             assert_eq!(out.plane::<Bgr8>("left")?.data, bgr(&left));
             assert_eq!(out.plane::<Bgr8>("right")?.data, bgr(&right));
             assert_eq!(out.value::<Calibration>("calibration")?.is_rectified, 1);
@@ -57,12 +63,7 @@ fn views_without_a_calibration_pass_until_one_arrives() -> TestResult {
     let (left, right) = pair(|_, _| 40.0, 0.0);
     let mut node = Harness::<Rectify>::from_toml("params = { uncalibrated = \"pass\" }")?;
     for is_given in [false, false, true, false] {
-        node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left)).input_image::<Bgr8>(
-            "right",
-            SIZE.0,
-            SIZE.1,
-            &bgr(&right),
-        );
+        give(&mut node, &left, &right);
         if is_given {
             node.input_value("calibration", rectified(FOCAL, BASELINE));
         }
@@ -90,11 +91,7 @@ fn turned_cameras_are_turned_back() -> TestResult {
     cameras.is_rectified = 0;
     cameras.right.cy += 2.0;
     let mut node = Harness::<Rectify>::from_toml("")?;
-    let out = node
-        .input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left))
-        .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right))
-        .input_value("calibration", cameras)
-        .process()?;
+    let out = give(&mut node, &left, &right).input_value("calibration", cameras).process()?;
     let (left, right) = (out.plane::<Bgr8>("left")?, out.plane::<Bgr8>("right")?);
     let mut worst = 0;
     for y in 10..SIZE.1 - 10 {
@@ -133,11 +130,7 @@ fn views_are_shrunk_with_their_calibration() -> TestResult {
     let level = rectified(FOCAL, BASELINE);
     for (cameras, more, low_px) in [(level, "", 2.0), (turned, "", 0.0), (level, ", bypass = true", 2.0)] {
         let mut node = Harness::<Rectify>::from_toml(&format!("params = {{ scale = 2{more} }}"))?;
-        let out = node
-            .input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left))
-            .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right))
-            .input_value("calibration", cameras)
-            .process()?;
+        let out = give(&mut node, &left, &right).input_value("calibration", cameras).process()?;
         let small = out.value::<Calibration>("calibration")?;
         assert_eq!((small.left.width as usize, small.right.height as usize), (SIZE.0 / 2, SIZE.1 / 2));
         assert_eq!((small.left_projection[0], small.baseline_mm), (FOCAL / 2.0, BASELINE));

@@ -72,6 +72,7 @@ fn widths(session: &dyn Session, options: &Options) -> Result<Vec<Cost>> {
     let of_size = |size: &(u32, u32)| {
         let rendered = Rendered::of(session, &options.graph, &options.given, Some(*size))?;
         let text = rendered.text("off", CAMERA_HZ)?;
+        // The first time round each picture is read from its file, later ones are kept.
         let frames = frames_of(*size, options.quick) + 2 * rendered.count;
         Ok(Cost::of(&run(session, &text, &options.graph, frames, Pace::Free, 0)?, f64::from(size.0)))
     };

@@ -19,7 +19,8 @@ use crate::system::usage;
 use crate::text_table::table;
 use crate::timeline::{self, Budget, Timeline, Waits, work_tables};
 
-/// Pairs that are rendered, and played there and back again without end: as many as `capture` keeps decoded, so that no picture is decoded twice.
+/// Pairs that are rendered, and played there and back again without end: as many as `capture` keeps as frames, so that no
+/// picture is read or copied twice.
 const PAIRS: u64 = 25;
 /// Bytes of one view that `capture` keeps.
 const KEPT_BYTES: u64 = 256 << 20;

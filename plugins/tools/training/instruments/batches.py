@@ -68,8 +68,7 @@ def blend(average, model, keep):
     pairs = list(zip(average.state_dict().values(), model.state_dict().values()))
     held, new = map(list, zip(*(pair for pair in pairs if pair[0].dtype.is_floating_point)))
     # All at once: a call per tensor is what a GPU waits for.
-    torch._foreach_mul_(held, keep)
-    torch._foreach_add_(held, new, alpha=1 - keep)
+    torch._foreach_lerp_(held, new, 1 - keep)
     for count, other in (pair for pair in pairs if not pair[0].dtype.is_floating_point):
         count.copy_(other)
 
