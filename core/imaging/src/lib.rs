@@ -15,6 +15,7 @@ pub use shared_mut::SharedMut;
 pub mod detect;
 pub mod draw;
 pub mod features;
+pub mod fit;
 pub mod geometry;
 pub mod mosaic;
 pub mod shrink;

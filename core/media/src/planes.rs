@@ -81,8 +81,34 @@ pub fn bgr_to_i420(bgr: &[u8], size: Size, to: Size, is_full_range: bool, planes
 /// Blocks of chroma that are made at once; their sums lie on the stack.
 const BLOCKS: usize = 256;
 
+/// Calls `$body`, an `#[inline(always)]` function, compiled for AVX2 where the processor has it, and compiled plainly elsewhere.
+macro_rules! dispatch {
+    ($body:ident ( $($name:ident : $ty:ty),* $(,)? )) => {{
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn with_avx2($($name: $ty),*) {
+                $body($($name),*);
+            }
+            if Simd::detect().avx2() {
+                // SAFETY: `Simd` allows AVX2 only where the processor has it.
+                unsafe { with_avx2($($name),*) };
+            } else {
+                $body($($name),*);
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        $body($($name),*);
+    }};
+}
+
+fn chroma_row(matrix: &Matrix, rows: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]) {
+    dispatch!(chroma_blocks(matrix: &Matrix, rows: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]));
+}
+
 /// Chroma of two rows. Each step is a loop without branches over one kind of number, which compilers make vectors of.
-fn chroma_row(matrix: &Matrix, [above, below]: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]) {
+#[inline(always)]
+fn chroma_blocks(matrix: &Matrix, [above, below]: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]) {
     let blocks = (above.len() / 6).min(cb.len()).min(cr.len());
     let mut columns = [0_u16; 6 * BLOCKS];
     let mut sums = [[0_u16; BLOCKS]; 3];
@@ -105,15 +131,20 @@ fn chroma_row(matrix: &Matrix, [above, below]: [&[u8]; 2], cb: &mut [u8], cr: &m
     }
 }
 
+#[inline(always)]
+fn weighted_luma(matrix: &Matrix, bgr: &[u8], luma: &mut [u8]) {
+    for (bgr, luma) in bgr.as_chunks::<3>().0.iter().zip(luma) {
+        *luma = matrix.luma(*bgr);
+    }
+}
+
 fn luma_row(matrix: &Matrix, is_full_range: bool, bgr: &[u8], luma: &mut [u8], to_width: usize) {
     let width = bgr.len() / 3;
     if is_full_range {
         // The same weights, in 1/16384.
         convert_row(Simd::detect(), bgr, 3, &mut luma[..width]);
     } else {
-        for (bgr, luma) in bgr.as_chunks::<3>().0.iter().zip(luma.iter_mut()) {
-            *luma = matrix.luma(*bgr);
-        }
+        dispatch!(weighted_luma(matrix: &Matrix, bgr: &[u8], luma: &mut [u8]));
     }
     if to_width > width {
         luma[width] = luma[width - 1];

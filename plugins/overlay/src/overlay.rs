@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use panoscope_imaging::draw::{self, Area, Colormap, Labels};
+use panoscope_imaging::fit::Fit;
 use panoscope_node::abi::{Detection, Homography, Roi, Scalar, Tip};
 use panoscope_node::{
     Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, Mask, Node, NodeError, NodeInfo, Open,
@@ -11,7 +12,7 @@ use panoscope_node::{
 
 use crate::bar::{self, Bar};
 use crate::colorize::{AutoRange, Colors};
-use crate::fit::{Fit, fitted_size};
+use crate::fit::fitted_size;
 use crate::marks::{self, Pen};
 use crate::nearness;
 use crate::quantity::{error_column, write_with_error};

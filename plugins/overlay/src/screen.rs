@@ -1,11 +1,12 @@
 //! `screen`: one large picture and smaller ones beside it, as a surgeon looks at them (thesis, chapter 6).
 
 use panoscope_imaging::draw;
+use panoscope_imaging::fit::Fit;
 use panoscope_node::{
     AnyImage, Bgr8, Context, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, ViewMut,
 };
 
-use crate::fit::{Fit, bytes, fitted_size};
+use crate::fit::{bytes, fitted_size};
 use crate::layout::{self, Cell, Frame, Size};
 
 /// Inputs.
@@ -64,6 +65,8 @@ pub struct Screen {
     /// Frame and proportions for which `cells` were arranged.
     arranged: Option<(Frame, Vec<Size>)>,
     cells: Vec<Cell>,
+    /// What each picture covers.
+    shown: Vec<Cell>,
 }
 
 impl Screen {
@@ -106,23 +109,33 @@ fn caption_px(params: &Settings) -> usize {
     if has_title { (STRIP * params.text_scale).ceil() as usize } else { 0 }
 }
 
-/// Draws a picture in the middle of its cell, below the strip of `caption` px; returns the rectangle that it covers.
-fn show(
-    fit: &mut Fit,
-    screen: &mut ViewMut<'_, u8>,
-    picture: &AnyImage<'_>,
-    cell: Cell,
-    caption: usize,
-    name: std::fmt::Arguments<'_>,
-) -> Result<Cell> {
-    let Some(pixels) = bytes(picture) else {
-        return Err(NodeError::new(format!("{name} holds no 8-bit picture: put a `colorize` node in front")));
-    };
+/// Where a picture of this size stands: in the middle of its cell, below the strip of `caption` px.
+fn place(size: Size, cell: Cell, caption: usize) -> Cell {
     let (top, height) = (cell.y + caption.min(cell.height), cell.height.saturating_sub(caption));
-    let size = fitted_size((pixels.width, pixels.height), (cell.width, height));
-    let (x, y) = (cell.x + cell.width.saturating_sub(size.0) / 2, top + height.saturating_sub(size.1) / 2);
-    fit.place(screen, &pixels, (x, y), size);
-    Ok(Cell { x, y, width: size.0, height: size.1 })
+    let (width, shown_height) = fitted_size(size, (cell.width, height));
+    let x = cell.x + cell.width.saturating_sub(width) / 2;
+    Cell { x, y: top + height.saturating_sub(shown_height) / 2, width, height: shown_height }
+}
+
+/// Fills what no picture covers.
+fn fill_around(screen: &mut ViewMut<'_, u8>, pictures: &[Cell]) {
+    let width = screen.width;
+    for y in 0..screen.height {
+        let row = screen.row_mut(y);
+        let mut x = 0;
+        loop {
+            // The next picture of this row that begins or goes on at `x` or to its right.
+            let beside =
+                pictures.iter().filter(|cell| (cell.y..cell.y + cell.height).contains(&y) && cell.x + cell.width > x);
+            let Some(next) = beside.min_by_key(|cell| cell.x) else { break };
+            row[3 * x..3 * next.x.clamp(x, width)].fill(BACKGROUND);
+            x = (next.x + next.width).min(width);
+            if x == width {
+                break;
+            }
+        }
+        row[3 * x..].fill(BACKGROUND);
+    }
 }
 
 impl Node for Screen {
@@ -138,30 +151,33 @@ impl Node for Screen {
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
         self.arrange(params, &input);
-        let mut screen = out.image.alloc(params.width, params.height)?;
-        (0..params.height).for_each(|y| screen.row_mut(y).fill(BACKGROUND));
         let caption = caption_px(params);
-        let mut titles = params.titles.split(';').map(str::trim);
-        // Right above the picture, so that no word lies on it.
-        let mut title = |screen: &mut ViewMut<'_, u8>, shown: Cell| {
-            if let Some(words) = titles.next().filter(|t| !t.is_empty()) {
-                let (x, y) = (shown.x as f32 + params.text_scale, shown.y as f32 - (STRIP - 2.0) * params.text_scale);
-                draw::text(screen, x, y, words, params.text_scale, [255; 3]);
-            }
-        };
-        let mut cells = self.cells.iter().copied();
-        let cell = cells.next().unwrap_or_default();
-        let shown = show(&mut self.fit, &mut screen, &input.main, cell, caption, format_args!("`main`"))?;
-        title(&mut screen, shown);
-        for ((index, picture), cell) in input.side.iter().flat_map(List::iter).enumerate().zip(cells) {
-            let shown = match picture {
-                Some(picture) => {
-                    let name = format_args!("picture {index} of `side`");
-                    show(&mut self.fit, &mut screen, &picture, cell, caption, name)?
-                }
-                None => Cell { y: cell.y + caption, ..cell },
+        let pictures = std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
+        self.shown.clear();
+        for (index, (picture, cell)) in pictures.clone().zip(&self.cells).enumerate() {
+            let Some(picture) = picture else {
+                self.shown.push(Cell { y: cell.y + caption, height: 0, ..*cell });
+                continue;
             };
-            title(&mut screen, shown);
+            let Some(pixels) = bytes(&picture) else {
+                let name = if index == 0 { "`main`".to_owned() } else { format!("picture {} of `side`", index - 1) };
+                return Err(NodeError::new(format!("{name} holds no 8-bit picture: put a `colorize` node in front")));
+            };
+            self.shown.push(place((pixels.width, pixels.height), *cell, caption));
+        }
+        let mut screen = out.image.alloc(params.width, params.height)?;
+        fill_around(&mut screen, &self.shown);
+        for (picture, shown) in pictures.zip(&self.shown) {
+            if let Some(pixels) = picture.as_ref().and_then(bytes) {
+                self.fit.place(&mut screen, &pixels, (shown.x, shown.y), (shown.width, shown.height));
+            }
+        }
+        // Right above the pictures, so that no word lies on one.
+        for (words, shown) in
+            params.titles.split(';').map(str::trim).zip(&self.shown).filter(|(words, _)| !words.is_empty())
+        {
+            let (x, y) = (shown.x as f32 + params.text_scale, shown.y as f32 - (STRIP - 2.0) * params.text_scale);
+            draw::text(&mut screen, x, y, words, params.text_scale, [255; 3]);
         }
         Ok(())
     }

@@ -1,9 +1,10 @@
 //! `side_by_side`: several pictures in one.
 
 use panoscope_imaging::draw;
+use panoscope_imaging::fit::Fit;
 use panoscope_node::{AnyImage, Bgr8, Context, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot};
 
-use crate::fit::{Fit, bytes, fitted_size};
+use crate::fit::{bytes, fitted_size};
 
 /// Inputs.
 #[derive(Ports)]

@@ -92,11 +92,6 @@ impl Region {
         Some(Self { x_px: left, y_px: top, pitch, width: columns, height: rows, own })
     }
 
-    fn is_in_box(&self, index: usize) -> bool {
-        let (x, y) = (index % self.width, index / self.width);
-        (self.own[0]..=self.own[2]).contains(&x) && (self.own[1]..=self.own[3]).contains(&y)
-    }
-
     /// Pixels of the picture that a cell covers.
     fn pixels(&self, index: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
         let x = self.x_px + index % self.width * self.pitch;
@@ -109,6 +104,8 @@ impl Region {
 #[derive(Debug, Default)]
 pub struct Silhouette {
     region: Region,
+    /// Per cell: whether it is in the box.
+    is_in_box: Vec<bool>,
     /// Per cell: redness (0 gray), brightness (0 to 1), nearness; NaN where unknown.
     redness: Vec<f32>,
     bright: Vec<f32>,
@@ -123,6 +120,7 @@ pub struct Silhouette {
     log_ratios: Vec<f32>,
     /// Buffers.
     sorted: Vec<f32>,
+    columns: Vec<f64>,
     blurred: Vec<f32>,
     part: Vec<u32>,
     /// Parts and their cells in the box.
@@ -165,6 +163,12 @@ impl Silhouette {
         self.bits.clear();
         let Some(region) = Region::around(corners, cues.size) else { return false };
         self.region = region;
+        let [left, top, right, bottom] = region.own;
+        self.is_in_box.clear();
+        self.is_in_box.resize(region.width * region.height, false);
+        for row in self.is_in_box.chunks_exact_mut(region.width).take(bottom + 1).skip(top) {
+            row[left..=right].fill(true);
+        }
         self.sample(cues);
         self.score.clear();
         self.score.resize(region.width * region.height, 0.0);
@@ -266,10 +270,11 @@ impl Silhouette {
 
     /// Adds the score of redness: less red than around the box indicates an instrument.
     fn judge_redness(&mut self) -> bool {
-        let Self { region, redness, sorted, score, gray, .. } = self;
+        let Self { is_in_box, redness, sorted, score, gray, .. } = self;
         gray.clear();
         gray.resize(redness.len(), f32::NAN);
-        let outside = || (0..redness.len()).filter(|i| !region.is_in_box(*i)).map(|i| redness[i]);
+        let outside =
+            || redness.iter().zip(&*is_in_box).filter(|(_, is_in_box)| !**is_in_box).map(|(redness, _)| *redness);
         // A box as large as the picture has nothing around it: then most of it is tissue.
         let around = median(sorted, outside()).or_else(|| median(sorted, redness.iter().copied()));
         let Some((centre, deviation)) = around else { return false };
@@ -283,41 +288,40 @@ impl Silhouette {
 
     /// Adds the score of nearness: in front of the surface, a plane fitted after nearer cells are dropped.
     fn judge_nearness(&mut self) -> bool {
-        let Self { region, near, sorted, score, .. } = self;
+        let Self { region, near, sorted, columns, score, .. } = self;
         let known = near.iter().filter(|v| v.is_finite()).count();
         if known * 2 < near.len() {
             return false;
         }
         let Some((centre, _)) = median(sorted, near.iter().copied()) else { return false };
         let floor = NEARNESS_FLOOR * centre;
-        let (half_x, half_y) = (region.width as f32 / 2.0, region.height as f32 / 2.0);
-        let at = |index: usize| {
-            let (x, y) = ((index % region.width) as f32 / half_x - 1.0, (index / region.width) as f32 / half_y - 1.0);
-            [1.0, f64::from(x), f64::from(y)]
-        };
+        // Positions of columns and rows, -1 to 1.
+        let middle_out = |count: usize| move |at: usize| f64::from(at as f32 / (count as f32 / 2.0) - 1.0);
+        let (column, row) = (middle_out(region.width), middle_out(region.height));
+        columns.clear();
+        columns.extend((0..region.width).map(column));
+        let columns = &*columns;
         let mut plane = [f64::from(centre), 0.0, 0.0];
-        let over = |plane: &[f64; 3], index: usize, value: f32| {
-            let p = at(index);
+        let over = |plane: &[f64; 3], p: [f64; 3], value: f32| {
             value - (plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2]) as f32
         };
         let mut deviation = f32::INFINITY;
         for round in 0..6 {
             let (mut m, mut v) = ([[0.0_f64; 3]; 3], [0.0_f64; 3]);
-            for (index, value) in near.iter().enumerate().filter(|(_, value)| value.is_finite()) {
-                let rest = over(&plane, index, *value);
+            for (p, value) in cells(near, columns, row).filter(|(_, value)| value.is_finite()) {
+                let rest = over(&plane, p, value);
                 // Nearer things go first, those far behind later: the surface is what most cells lie on.
                 if round > 0 && !(-3.0 * deviation..=1.2 * deviation).contains(&rest) {
                     continue;
                 }
-                let p = at(index);
                 for row in 0..3 {
                     (0..3).for_each(|column| m[row][column] += p[row] * p[column]);
-                    v[row] += p[row] * f64::from(*value);
+                    v[row] += p[row] * f64::from(value);
                 }
             }
             let Some(fitted) = solve(m, v) else { break };
             plane = fitted;
-            let rests = near.iter().enumerate().map(|(index, value)| over(&plane, index, *value));
+            let rests = cells(near, columns, row).map(|(p, value)| over(&plane, p, value));
             let kept = rests.filter(|rest| round == 0 || (-3.0 * deviation..=1.2 * deviation).contains(rest));
             let Some((_, spread)) = median(sorted, kept) else { break };
             deviation = spread.max(floor);
@@ -325,12 +329,15 @@ impl Silhouette {
         if !deviation.is_finite() {
             return false;
         }
-        for (index, (score, value)) in
-            score.iter_mut().zip(near.iter_mut()).enumerate().filter(|(_, (_, v))| v.is_finite())
+        for (y, (scores, values)) in
+            score.chunks_exact_mut(region.width).zip(near.chunks_exact_mut(region.width)).enumerate()
         {
-            // From here on in deviations before the surface.
-            *value = over(&plane, index, *value) / deviation;
-            *score += value.clamp(MOST_AGAINST, MOST_FOR);
+            let y = row(y);
+            for ((score, value), x) in scores.iter_mut().zip(values).zip(columns).filter(|((_, v), _)| v.is_finite()) {
+                // From here on in deviations before the surface.
+                *value = over(&plane, [1.0, *x, y], *value) / deviation;
+                *score += value.clamp(MOST_AGAINST, MOST_FOR);
+            }
         }
         true
     }
@@ -340,7 +347,7 @@ impl Silhouette {
         let (mut tool, mut tissue) = ([1.0_f32; REDS * BRIGHTS], [1.0_f32; REDS * BRIGHTS]);
         let (mut tools, mut tissues) = (tool.len() as f32, tissue.len() as f32);
         let known = || (0..self.score.len()).filter(|index| self.redness[*index].is_finite());
-        let is_tool = |index: usize| self.score[index] > FIRST_GUESS && self.region.is_in_box(index);
+        let is_tool = |index: usize| self.score[index] > FIRST_GUESS && self.is_in_box[index];
         // Pale tissue looks like steel, and tissue that bulges stands before the surface: where some cells are both gray and near, colours are learned
         // from those, else from gray ones, where there are any.
         let is_gray = |index: usize| is_tool(index) && self.gray[index] > GRAY;
@@ -382,16 +389,24 @@ impl Silhouette {
         let (width, height) = (self.region.width, self.region.height);
         self.blurred.clear();
         self.blurred.resize(self.score.len(), 0.0);
-        for y in 0..height {
-            for x in 0..width {
-                let (mut sum, mut n) = (0.0, 0.0);
-                for row in y.saturating_sub(1)..(y + 2).min(height) {
-                    for score in &self.score[row * width + x.saturating_sub(1)..row * width + (x + 2).min(width)] {
-                        sum += score;
-                        n += 1.0;
+        for (y, out) in self.blurred.chunks_exact_mut(width).enumerate() {
+            let (first, last) = (y.saturating_sub(1), (y + 2).min(height));
+            let rows = || self.score[first * width..last * width].chunks_exact(width);
+            // Columns at either side have fewer neighbours; those between are added up side by side.
+            if width >= 3 {
+                let inner = &mut out[1..width - 1];
+                for row in rows() {
+                    for beside in [row, &row[1..], &row[2..]] {
+                        inner.iter_mut().zip(beside).for_each(|(sum, score)| *sum += score);
                     }
                 }
-                self.blurred[y * width + x] = sum / n;
+                let count = (3 * (last - first)) as f32;
+                inner.iter_mut().for_each(|sum| *sum /= count);
+            }
+            for x in [0, width - 1] {
+                let beside = x.saturating_sub(1)..(x + 2).min(width);
+                let sum = rows().flat_map(|row| &row[beside.clone()]).fold(0.0, |sum, score| sum + score);
+                out[x] = sum / (beside.len() * (last - first)) as f32;
             }
         }
         std::mem::swap(&mut self.score, &mut self.blurred);
@@ -416,7 +431,7 @@ impl Silhouette {
             self.part[start] = parts;
             while let Some(index) = self.queue.pop() {
                 let index = index as usize;
-                cells += usize::from(self.region.is_in_box(index));
+                cells += usize::from(self.is_in_box[index]);
                 let (x, y) = (index % width, index / width);
                 let beside = [
                     (x > 0).then(|| index - 1),
@@ -491,6 +506,18 @@ impl Silhouette {
             }
         }
     }
+}
+
+/// Position on a plane (1, column, row) and value of each cell; `row` gives the position of a row.
+fn cells<'a>(
+    values: &'a [f32],
+    columns: &'a [f64],
+    row: impl Fn(usize) -> f64 + 'a,
+) -> impl Iterator<Item = ([f64; 3], f32)> + 'a {
+    values.chunks_exact(columns.len()).enumerate().flat_map(move |(y, values)| {
+        let y = row(y);
+        columns.iter().zip(values).map(move |(x, value)| ([1.0, *x, y], *value))
+    })
 }
 
 /// Solves three equations by Cramer's rule; none where they are singular.

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import torch
 
-from instruments import adaptation, augment, folds, lite, networks, pictures, unlabelled
+from instruments import adaptation, augment, folds, lite, missing_labels, networks, pictures, unlabelled
 from instruments.assign import loss, padded, sim_ota
 from instruments.batches import batches, blend
-from instruments.data import Frame
+from instruments.data import Frame, read
 from instruments.score import chosen
 from instruments.training import Checkpoint, Pause, Schedule
 
@@ -456,6 +456,37 @@ class Augmentation(unittest.TestCase):
         np.testing.assert_allclose(alike, alike[0])
         np.testing.assert_allclose(lifted[:2].sum(), lifted[2:10].sum())
         self.assertGreater(lifted[0], 3 * lifted[5])
+
+
+class MissingLabels(unittest.TestCase):
+    def test_missing_labels_are_learned_from_and_not_scored(self):
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            tiny_data(folder / "data")
+            labels = folder / "missing.toml"
+            labels.write_text("".join(f'[[missing]]\nframe = "{name}"\nclass = "grasper"\nbox = [2, 3, 200, 20]\n' for name in ("a_1", "b_1")))
+            done = train(folder, folder / "out", "--missing-labels", labels, "--stop-after", "1")
+            self.assertIn("1 labels added", done.stdout, done.stderr)
+            frames = read(folder / "data", "train")
+            self.assertEqual(missing_labels.add(frames, missing_labels.read(labels)), 2)
+            added = next(f for f in frames if f.name == "a_1")
+            np.testing.assert_allclose(added.boxes[1], [0, 2, 3, 96, 20])
+
+    def test_a_file_that_is_wrong_is_named_with_its_entry(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "missing.toml"
+            for text, said in (
+                ("x = 1", "no entry"),
+                ("x = ", "not TOML"),
+                ('[[missing]]\nframe = "a"\nclass = "spoon"\nbox = [1, 2, 3, 4]', "entry 1"),
+                ('[[missing]]\nframe = "a"\nclass = "hook"\nbox = [3, 2, 1, 4]', "x0 < x1"),
+            ):
+                path.write_text(text)
+                with self.assertRaisesRegex(missing_labels.MissingLabelsError, said):
+                    missing_labels.read(path)
+
+    def test_the_file_that_ships_is_read(self):
+        self.assertEqual(sum(map(len, missing_labels.read(missing_labels.SHIPPED).values())), 43)
 
 
 class Loop(unittest.TestCase):

@@ -38,8 +38,9 @@ def arguments():
     p.add_argument("--data", required=True, type=Path)
     p.add_argument("--split", default="trainval", help="which split to learn from")
     p.add_argument("--test-split", default="test")
-    p.add_argument("--also", type=Path, help="more frames to learn from (split `train`), as those of make_phantom_frames.py")
+    p.add_argument("--also", type=Path, nargs="+", default=[], help="folders of more frames to learn from (split `train`), as of make_phantom_frames.py")
     p.add_argument("--also-share", type=float, default=0.12, help="share of the samples that come from --also")
+    p.add_argument("--missing-labels", type=Path, help="file of instruments without a label, added to the frames that are learned from (missing_labels.toml)")
     p.add_argument("--without", default="", help="operations kept out of training and tested on instead: v02,v08")
     p.add_argument("--fold", help="keep the operations of this fold out, and write what is found in them")
     p.add_argument("--folds", type=Path, default=fold_files.SHIPPED, help="file of folds (default: %(default)s)")
@@ -74,7 +75,7 @@ def arguments():
     a = p.parse_args()
     # Reported before anything large is loaded.
     named = [("--start", Path(a.start))] if a.start not in ("none", "imagenet") else []
-    for option, path in (("--data", a.data), ("--also", a.also), *named):
+    for option, path in (("--data", a.data), ("--missing-labels", a.missing_labels), *(("--also", path) for path in a.also), *named):
         if path and not path.exists():
             p.error(f"{option}: there is no {path}")
     if a.width % 32 or a.height % 32:
@@ -94,6 +95,7 @@ def arguments():
 
 def read_frames(a):
     """Frames to learn from and frames to test on, decoded."""
+    from instruments import missing_labels
     from instruments.data import read
 
     splits = fold_files.read(a.folds).splits if a.fold else (a.split, a.test_split)
@@ -106,6 +108,13 @@ def read_frames(a):
     # A fold is a split of its own: what the data set calls test is learned from too.
     train = [f for split in (splits if a.fold else splits[:1]) for f in everything[split] if f.group not in a.held_out]
     test = [f for split in splits for f in everything[split] if f.group in a.held_out] if a.held_out else everything[a.test_split]
+    # Scored against the labels as they were published: two trainings are compared on the same truth.
+    if a.missing_labels:
+        try:
+            added = missing_labels.add(train, missing_labels.read(a.missing_labels))
+        except missing_labels.MissingLabelsError as wrong:
+            raise SystemExit(str(wrong)) from None
+        print(f"{a.missing_labels}: {added} labels added to the frames to learn from", flush=True)
     missing = a.held_out - {f.group for f in test}
     if missing:
         raise SystemExit(f"{a.data}: no frame of the operations {', '.join(sorted(missing))}")
@@ -158,7 +167,7 @@ def main():
     forward = torch.compile(model) if a.compile else model
     train, test = read_frames(a)
     print(f"{len(train)} frames to learn from, {len(test)} to test on" + (f"; goes on after step {step}" if state else ""), flush=True)
-    more = [f.load(a.width * 5 // 4) for f in read(a.also, "train")] if a.also else []
+    more = [f.load(a.width * 5 // 4) for path in a.also for f in read(path, "train")]
     samples = Augmented(
         train + more, a.width, a.height, a.seed, mosaic=a.mosaic, pasting=a.pasting, balance=a.balance, guests=len(more),
         guests_share=a.also_share, changes=chosen_changes(a.augment), per_operation=a.balance_per_operation,

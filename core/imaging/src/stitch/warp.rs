@@ -7,7 +7,7 @@ use crate::View;
 
 /// Output pixels per block.
 pub const BLOCK: usize = 64;
-/// Output pixels that [`put_group`] locates together.
+/// Output pixels that are located together.
 pub const GROUP: usize = 8;
 /// A group may begin anywhere in a block.
 const ROOM: usize = BLOCK + GROUP;
@@ -169,31 +169,75 @@ impl Source {
     }
 }
 
-/// Notes where output pixels `i .. i + 8` read their source: at `first + n * slope` for the `n`-th of them (column and row), clamped to the view. `i` is
-/// less than 64.
-#[inline(always)]
-pub fn put_group(block: &mut Block, i: usize, first: [f32; 2], slope: [f32; 2], source: &Source) {
-    for n in 0..GROUP {
-        let at = [0, 1].map(|k| first[k] + slope[k] * n as f32);
-        put(block, i + n, at, source.limit, source.last, source.stride);
+/// Vertices of a mesh that are held along a row of output pixels.
+pub const NODES: usize = 8;
+
+/// A row of output pixels across a mesh: between neighbouring vertices positions in the view change evenly.
+#[derive(Clone, Copy, Debug)]
+pub struct Line {
+    /// Columns and rows of the vertices in the view, px.
+    pub nodes: [[f32; NODES]; 2],
+    /// The last cell between two vertices, at most `NODES - 2`.
+    pub last: usize,
+    /// Where output pixel 0 of the block lies, in cells from the first vertex.
+    pub start: f32,
+    /// Cells per output pixel.
+    pub step: f32,
+}
+
+impl Line {
+    /// Position in the view of output pixel `i` of the block.
+    #[inline(always)]
+    fn at(&self, i: usize) -> [f32; 2] {
+        let along = self.start + self.step * i as f32;
+        let cell = along.max(0.0).min(self.last as f32) as usize;
+        let t = along - cell as f32;
+        self.nodes.map(|nodes| nodes[cell] + (nodes[cell + 1] - nodes[cell]) * t)
     }
 }
 
-/// As [`put_group`], with the same result.
-///
+/// Notes where output pixels `first .. end` read their source, clamped to the view; whole groups of [`GROUP`] inside the block.
+pub fn locate_line(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block, avx2: bool) {
+    assert!(
+        line.last + 2 <= NODES && end <= BLOCK && (end - first).is_multiple_of(GROUP),
+        "the line fits into the block"
+    );
+    #[cfg(target_arch = "x86_64")]
+    if avx2 {
+        // SAFETY: the caller found AVX2 on this CPU; the groups are inside the block, as just checked.
+        unsafe { locate_line_avx2(line, (first, end), source, block) };
+        return;
+    }
+    let _ = avx2;
+    for i in first..end {
+        put(block, i, line.at(i), source.limit, source.last, source.stride);
+    }
+}
+
 /// # Safety
-/// The processor has AVX2.
+/// The processor has AVX2; `first..end` are whole groups inside the block.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-#[inline]
-pub fn put_group_avx2(block: &mut Block, i: usize, first: [f32; 2], slope: [f32; 2], source: &Source) {
+unsafe fn locate_line_avx2(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block) {
     use std::arch::x86_64::*;
-    assert!(i < BLOCK, "a group begins inside the block");
-    let steps = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
-    // Multiply and add stay apart, so that the portable path gives the same bits.
-    let along = |k: usize| _mm256_add_ps(_mm256_set1_ps(first[k]), _mm256_mul_ps(_mm256_set1_ps(slope[k]), steps));
-    // SAFETY: `i` is less than 64.
-    unsafe { store(block, i, [along(0), along(1)], source.limit, source.last, source.stride) };
+    // SAFETY: arrays of eight numbers.
+    let nodes = line.nodes.map(|nodes| unsafe { _mm256_loadu_ps(nodes.as_ptr()) });
+    let (start, step, last) = (_mm256_set1_ps(line.start), _mm256_set1_ps(line.step), _mm256_set1_ps(line.last as f32));
+    let lanes = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
+    for i in (first..end).step_by(GROUP) {
+        // Multiply and add stay apart, so that the portable path gives the same bits.
+        let steps = _mm256_mul_ps(step, _mm256_add_ps(lanes, _mm256_set1_ps(i as f32)));
+        let along = _mm256_add_ps(start, steps);
+        let cell = _mm256_cvttps_epi32(_mm256_min_ps(_mm256_max_ps(along, _mm256_setzero_ps()), last));
+        let t = _mm256_sub_ps(along, _mm256_cvtepi32_ps(cell));
+        let next = _mm256_add_epi32(cell, _mm256_set1_epi32(1));
+        let at = nodes.map(|nodes| {
+            let (a, b) = (_mm256_permutevar8x32_ps(nodes, cell), _mm256_permutevar8x32_ps(nodes, next));
+            _mm256_add_ps(a, _mm256_mul_ps(_mm256_sub_ps(b, a), t))
+        });
+        // SAFETY: `i` is at most 56, by the caller's promise.
+        unsafe { store(block, i, at, source.limit, source.last, source.stride) };
+    }
 }
 
 /// As [`put`] for eight output pixels: `at` are their columns and rows.

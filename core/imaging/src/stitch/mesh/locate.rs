@@ -1,6 +1,6 @@
 //! Sampling positions of output pixels, by a homography or by a mesh.
 
-use super::super::warp::{self, BLOCK, Block, GROUP, Source, Span};
+use super::super::warp::{self, BLOCK, Block, GROUP, Line, NODES, Source, Span};
 use super::Mesh;
 
 /// A mesh seen from an output picture: pixel `(x, y)` of it lies at `origin + step * (x, y)` on the reference plane.
@@ -64,69 +64,38 @@ impl MeshGrid<'_> {
         [above[0] + t * (below[0] - above[0]), above[1] + t * (below[1] - above[1])]
     }
 
-    fn locate(&self, at: (usize, usize), view: (usize, usize, usize), count: usize, block: &mut Block, avx2: bool) {
-        #[cfg(target_arch = "x86_64")]
-        {
-            #[target_feature(enable = "avx2")]
-            fn with_avx2(
-                grid: &MeshGrid<'_>,
-                at: (usize, usize),
-                view: (usize, usize, usize),
-                count: usize,
-                block: &mut Block,
-            ) {
-                grid.locate_body(at, view, count, block, |block, i, first, slope, source| {
-                    warp::put_group_avx2(block, i, first, slope, source);
-                });
-            }
-            if avx2 {
-                // SAFETY: the caller found AVX2 on this CPU.
-                unsafe { with_avx2(self, at, view, count, block) };
-                return;
-            }
-        }
-        let _ = avx2;
-        self.locate_body(at, view, count, block, warp::put_group);
-    }
-
-    #[inline(always)]
-    fn locate_body(
+    fn locate(
         &self,
         (x, y): (usize, usize),
         (width, height, stride): (usize, usize, usize),
         count: usize,
         block: &mut Block,
-        put: impl Fn(&mut Block, usize, [f32; 2], [f32; 2], &Source),
+        avx2: bool,
     ) {
-        let mesh = self.mesh;
+        let lattice = &self.mesh.lattice;
         let count = count.min(BLOCK).div_ceil(GROUP) * GROUP;
         let source = Source::new(width, height, stride);
         block.is_line = false;
         let along = self.row(y);
-        let per_pixel = self.step / mesh.lattice.cell_px as f32;
-        let pixels = mesh.lattice.cell_px as f32 / self.step;
-        let start =
-            (self.origin[0] + self.step * x as f32) / mesh.lattice.cell_px as f32 - mesh.lattice.first[0] as f32;
-        let mut column = (start.max(0.0) as usize).min(mesh.lattice.columns - 2);
-        let (mut i, mut a) = (0, self.node(column, along));
+        let step = self.step / lattice.cell_px as f32;
+        let start = (self.origin[0] + self.step * x as f32) / lattice.cell_px as f32 - lattice.first[0] as f32;
+        let mut i = 0;
         while i < count {
-            let g = start + per_pixel * i as f32;
-            let b = self.node(column + 1, along);
-            let is_last = column + 2 == mesh.lattice.columns;
-            let left = ((column + 1) as f32 - g) * pixels;
-            let end = if is_last { count } else { count.min(i + round_up(left.max(0.0)).max(1)) };
-            let slope = [0, 1].map(|k| (b[k] - a[k]) * per_pixel);
-            let mut first = [0, 1].map(|k| a[k] + (b[k] - a[k]) * (g - column as f32));
-            // Whole groups: what lies beyond the cell is located again for the next one.
-            while i < end {
-                put(block, i, first, slope, &source);
-                first = [0, 1].map(|k| first[k] + slope[k] * GROUP as f32);
-                i += GROUP;
+            let at = start + step * i as f32;
+            let first = (at.max(0.0) as usize).min(lattice.columns - 2);
+            let held = NODES.min(lattice.columns - first);
+            let mut nodes = [[0.0; NODES]; 2];
+            for n in 0..held {
+                [nodes[0][n], nodes[1][n]] = self.node(first + n, along);
             }
-            (i, a) = (end, b);
-            if !is_last {
-                column += 1;
-            }
+            // Whole groups as far as these vertices reach; one at least, for cells smaller than a few pixels.
+            let is_last = first + held == lattice.columns;
+            let reach = ((first + held - 1) as f32 - at) / step;
+            let groups = if is_last { count } else { (reach as usize / GROUP).max(1) * GROUP };
+            let end = count.min(i + groups);
+            let line = Line { nodes, last: held - 2, start: start - first as f32, step };
+            warp::locate_line(&line, (i, end), &source, block, avx2);
+            i = end;
         }
     }
 
@@ -161,12 +130,6 @@ impl MeshGrid<'_> {
     }
 }
 
-/// The smallest whole number that is not below a positive one: without a call where the target has no such instruction.
-fn round_up(value: f32) -> usize {
-    let whole = value as usize;
-    whole + usize::from((whole as f32) < value)
-}
-
 /// The part of a line from `a` to `b`, as shares of its length, whose points have coordinates within `0..=limit`.
 pub(super) fn inside(a: [f32; 2], b: [f32; 2], limit: [f32; 2]) -> Option<(f32, f32)> {
     let (mut from, mut to) = (0.0f32, 1.0f32);
@@ -184,4 +147,47 @@ pub(super) fn inside(a: [f32; 2], b: [f32; 2], limit: [f32; 2]) -> Option<(f32, 
         }
     }
     (from <= to).then_some((from, to))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Doubt, Lattice};
+    use super::*;
+    use panoscope_base::random::lattice as random;
+
+    #[test]
+    fn pixels_lie_between_their_vertices_on_both_paths() {
+        for (cell_px, columns, step) in [(20, 13, 1.0f32), (9, 30, 1.0), (40, 7, 0.9), (8, 40, 2.5), (20, 2, 1.0)] {
+            let lattice = Lattice { cell_px, first: [-1, -1], columns, rows: 5 };
+            let source = (0..5 * columns).map(|n| {
+                let [x, y] = lattice.position(n % columns, n / columns);
+                [
+                    x as f32 + 40.0 + 6.0 * random(n as i64, 0, 1) as f32,
+                    y as f32 + 30.0 + 5.0 * random(n as i64, 1, 1) as f32,
+                ]
+            });
+            let mesh = Mesh { lattice, source: source.collect(), doubt: Doubt::default() };
+            let grid = MeshGrid { mesh: &mesh, origin: [-12.3, -4.6], step };
+            for (x, y, count) in [(0, 0, 64), (64, 7, 61), (5, 20, 9)] {
+                let blocks = [false, std::arch::is_x86_feature_detected!("avx2")].map(|avx2| {
+                    let mut block = Block::default();
+                    grid.locate((x, y), (400, 300, 1200), count, &mut block, avx2);
+                    block
+                });
+                for i in 0..count {
+                    assert_eq!(blocks[0].offset[i], blocks[1].offset[i], "{cell_px} {x} {i}");
+                    assert_eq!(blocks[0].horizontal[i], blocks[1].horizontal[i], "{cell_px} {x} {i}");
+                    assert_eq!(blocks[0].vertical[i], blocks[1].vertical[i], "{cell_px} {x} {i}");
+                    let along = (f64::from(grid.origin[0]) + f64::from(step) * (x + i) as f64) / cell_px as f64 + 1.0;
+                    let cell = (along.max(0.0) as usize).min(columns - 2);
+                    let t = (along - cell as f64) as f32;
+                    let [a, b] = [cell, cell + 1].map(|column| grid.node(column, grid.row(y)));
+                    let expected = (a[0] + (b[0] - a[0]) * t).clamp(0.0, 399.0);
+                    let found =
+                        (blocks[0].offset[i] % 1200 / 3) as f32 + f32::from(blocks[0].horizontal[i] >> 8) / 64.0;
+                    assert!((found - expected).abs() < 0.012, "{cell_px} px, pixel {i}: {found} for {expected}");
+                }
+            }
+        }
+    }
 }
