@@ -152,9 +152,9 @@ impl Node for Screen {
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
         self.arrange(params, &input);
         let caption = caption_px(params);
-        let pictures = std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
+        let pictures = || std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
         self.shown.clear();
-        for (index, (picture, cell)) in pictures.clone().zip(&self.cells).enumerate() {
+        for (index, (picture, cell)) in pictures().zip(&self.cells).enumerate() {
             let Some(picture) = picture else {
                 self.shown.push(Cell { y: cell.y + caption, height: 0, ..*cell });
                 continue;
@@ -167,7 +167,7 @@ impl Node for Screen {
         }
         let mut screen = out.image.alloc(params.width, params.height)?;
         fill_around(&mut screen, &self.shown);
-        for (picture, shown) in pictures.zip(&self.shown) {
+        for (picture, shown) in pictures().zip(&self.shown) {
             if let Some(pixels) = picture.as_ref().and_then(bytes) {
                 self.fit.place(&mut screen, &pixels, (shown.x, shown.y), (shown.width, shown.height));
             }
