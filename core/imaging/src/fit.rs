@@ -53,7 +53,7 @@ impl Fit {
                 pairs(self.simd, &self.row, &self.columns, target);
             } else {
                 self.add(picture, top, end);
-                self.means(target, end + 1 - top);
+                means(self.simd, &self.sums, &self.columns, target, end + 1 - top);
             }
         }
     }
@@ -90,26 +90,8 @@ impl Fit {
         for row in next..=end {
             self.sums.iter_mut().zip(picture.row(row)).for_each(|(sum, v)| *sum += wide(v));
         }
-        // One value more: pixels are read as four.
-        self.sums.push(0);
-    }
-
-    /// The mean of all pixels under each column, of as many rows.
-    fn means(&self, target: &mut [u8], rows: usize) {
-        let (mut count, mut share) = (0, 0);
-        for (pixel, (first, last)) in target.as_chunks_mut::<3>().0.iter_mut().zip(self.columns.all()) {
-            let under = &self.sums[*first as usize..*last as usize + 4];
-            let pixels = rows * (under.len() / 3);
-            if pixels > LANE_PIXELS {
-                *pixel = wide_mean(under, rows);
-                continue;
-            }
-            if pixels != count {
-                count = pixels;
-                share = ((1 << SHARE_BITS) + count as u32 / 2) / count as u32;
-            }
-            *pixel = packed_sum(under).map(|sum| ((sum * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u8);
-        }
+        // Pixels are read as four values, and as many as three of them for each column.
+        self.sums.extend([0; PADDING]);
     }
 }
 
@@ -121,6 +103,8 @@ struct Columns {
     last: Vec<u32>,
     /// No pixel begins later than here.
     latest: u32,
+    /// Most pixels under one column.
+    most: u32,
 }
 
 impl Columns {
@@ -128,8 +112,9 @@ impl Columns {
     fn set(&mut self, spans: impl Iterator<Item = (usize, usize)>) {
         self.first.clear();
         self.last.clear();
-        self.latest = 0;
+        (self.latest, self.most) = (0, 0);
         for (first, last) in spans {
+            self.most = self.most.max((last - first) as u32 + 1);
             let [first, last] = [first, last].map(|pixel| 3 * pixel as u32);
             self.first.push(first);
             self.last.push(last);
@@ -191,6 +176,87 @@ unsafe fn pairs_avx2(row: &[u8], columns: &Columns, target: &mut [u8]) -> usize 
         done += 8;
     }
     done
+}
+
+/// The mean of all pixels under each column, from the sums of `rows` rows, which have [`PADDING`] values behind the last pixel.
+fn means(simd: Simd, sums: &[u16], columns: &Columns, target: &mut [u8], rows: usize) {
+    // Reciprocals of the usual counts of pixels.
+    let shares = [1, 2, 3].map(|columns| share(rows * columns));
+    #[cfg(target_arch = "x86_64")]
+    let done = {
+        let is_inside = columns.latest as usize + 3 + PADDING <= sums.len();
+        let is_narrow = columns.most <= 3 && rows * columns.most as usize <= LANE_PIXELS;
+        // SAFETY: `Simd` allows AVX2 only where the processor has it; three pixels behind each first one lie in the sums and their padding.
+        if simd.avx2() && is_inside && is_narrow { unsafe { means_avx2(sums, columns, target, shares) } } else { 0 }
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    let done = 0;
+    let _ = simd;
+    let pixels = target.as_chunks_mut::<3>().0.iter_mut().skip(done);
+    for (pixel, (first, last)) in pixels.zip(columns.all().skip(done)) {
+        let under = &sums[*first as usize..*last as usize + 4];
+        let columns = under.len() / 3;
+        if rows * columns > LANE_PIXELS {
+            *pixel = wide_mean(under, rows);
+            continue;
+        }
+        let share = shares.get(columns - 1).copied().unwrap_or_else(|| share(rows * columns));
+        *pixel = packed_sum(under).map(|sum| ((sum * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u8);
+    }
+}
+
+/// The first pixels of [`means`], four at a time; returns how many.
+///
+/// # Safety
+/// The processor has AVX2. At most three pixels lie under a column, their sums have 16 bits, and from the first one of each column on `sums` has ten values.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+unsafe fn means_avx2(sums: &[u16], columns: &Columns, target: &mut [u8], shares: [u32; 3]) -> usize {
+    use std::arch::x86_64::*;
+    let three_of_four = _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1);
+    let half = _mm256_set1_epi32(1 << (SHARE_BITS - 1));
+    let [one, two, three] = shares.map(|share| _mm256_set1_epi64x(i64::from(share) << 32 | i64::from(share)));
+    let mut done = 0;
+    for (first, last) in columns.first.as_chunks::<4>().0.iter().zip(columns.last.as_chunks::<4>().0) {
+        // Four bytes behind the four pixels are written too; the next ones replace them.
+        let Some(pixels) = target.get_mut(3 * done..3 * done + 16) else { break };
+        // SAFETY: arrays of four numbers; the caller promised the values that are read.
+        let (first, last, pixel) = unsafe {
+            let first = _mm_loadu_si128(first.as_ptr().cast());
+            let last = _mm_loadu_si128(last.as_ptr().cast());
+            let pixel = |n: i32| {
+                let at = _mm_add_epi32(first, _mm_set1_epi32(3 * n));
+                _mm256_i32gather_epi64::<2>(sums.as_ptr().cast(), at)
+            };
+            (first, last, [pixel(0), pixel(1), pixel(2)])
+        };
+        let beyond = _mm256_cvtepi32_epi64(_mm_sub_epi32(last, first));
+        let (has_two, has_three) =
+            (_mm256_cmpgt_epi64(beyond, _mm256_setzero_si256()), _mm256_cmpgt_epi64(beyond, _mm256_set1_epi64x(3)));
+        let sum = _mm256_add_epi16(pixel[0], _mm256_and_si256(pixel[1], has_two));
+        let sum = _mm256_add_epi16(sum, _mm256_and_si256(pixel[2], has_three));
+        let share = _mm256_blendv_epi8(_mm256_blendv_epi8(one, two, has_two), three, has_three);
+        let mean = |sum: __m256i, share: __m256i| {
+            _mm256_srli_epi32::<{ SHARE_BITS as i32 }>(_mm256_add_epi32(_mm256_mullo_epi32(sum, share), half))
+        };
+        // Pixels 0 and 2, and 1 and 3; each takes four lanes.
+        let low = mean(_mm256_unpacklo_epi16(sum, _mm256_setzero_si256()), _mm256_unpacklo_epi64(share, share));
+        let high = mean(_mm256_unpackhi_epi16(sum, _mm256_setzero_si256()), _mm256_unpackhi_epi64(share, share));
+        let words = _mm256_packus_epi32(low, high);
+        let bytes = _mm_packus_epi16(_mm256_castsi256_si128(words), _mm256_extracti128_si256::<1>(words));
+        // SAFETY: `pixels` has 16 bytes.
+        unsafe { _mm_storeu_si128(pixels.as_mut_ptr().cast(), _mm_shuffle_epi8(bytes, three_of_four)) };
+        done += 4;
+    }
+    done
+}
+
+/// Values behind the last pixel of sums.
+const PADDING: usize = 7;
+
+/// The reciprocal of a count of pixels.
+fn share(count: usize) -> u32 {
+    ((1 << SHARE_BITS) + count as u32 / 2) / count as u32
 }
 
 /// Binary places of the reciprocal of a count of pixels.
@@ -315,7 +381,11 @@ mod tests {
     fn both_paths_give_the_same_bytes() {
         let source: Vec<u8> = (0..61 * 23 * 3).map(|i| random::mix(i) as u8).collect();
         let source = View::new(&source, 61, 23, 3);
-        for (x, (width, height)) in [(61, 20), (50, 40), (31, 12), (90, 23), (64, 30)].into_iter().enumerate() {
+        for (x, (width, height)) in
+            [(61, 20), (50, 40), (31, 12), (90, 23), (64, 30), (29, 11), (25, 9), (21, 20), (61, 8), (15, 5)]
+                .into_iter()
+                .enumerate()
+        {
             // The last columns and rows leave the picture.
             let [vectors, plain] = [Simd::detect(), Simd::portable()].map(|simd| {
                 let mut out = vec![7u8; 70 * 33 * 3];
