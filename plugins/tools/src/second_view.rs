@@ -38,6 +38,8 @@ pub struct SecondView {
     left: Vec<f32>,
     right: Vec<f32>,
     fit: Vec<f32>,
+    /// Log-likelihood ratios of a row of pixels.
+    ratios: Vec<f32>,
     /// Sums of the columns of the right strip, and of their squares.
     sums: Vec<[f32; 2]>,
 }
@@ -134,48 +136,51 @@ impl SecondView {
         // In large cells every second pixel, each way, says as much as all.
         let step = pitch.div_ceil(2);
         let area = pitch.div_ceil(step).pow(2) as f32;
-        let pixel = |view: &View<'_, u8>, x: usize, y: usize| {
-            let row = view.row(y);
-            [row[3 * x], row[3 * x + 1], row[3 * x + 2]]
-        };
-        let cell = |x: usize, y: usize| {
-            (y..y + pitch).step_by(step).flat_map(move |y| (x..x + pitch).step_by(step).map(move |x| (x, y)))
-        };
-        self.left.clear();
-        let mut inside = 0;
-        for row in 0..rows {
-            for column in 0..columns {
-                let mut sum = 0.0;
-                for (x, y) in cell(x0 + column * pitch, y0 + row * pitch) {
-                    let ratio = silhouette.log_ratio(pixel(left, x, y))?;
-                    let is_own = silhouette.contains(x, y);
-                    inside += usize::from(is_own);
-                    // Pixels that look like the instrument but are not connected with it are elsewhere in space.
-                    sum += if is_own { ratio } else { ratio.min(OUTSIDE) };
-                }
-                self.left.push(sum / area);
-            }
+        fn pixels<'a>(view: &View<'a, u8>, x: usize, y: usize, count: usize) -> &'a [u8] {
+            &view.row(y)[3 * x..3 * (x + count)]
         }
-        let count = (columns * rows) as f32;
+        let mut ratios = std::mem::take(&mut self.ratios);
+        let (count, mut inside) = ((columns * rows) as f32, 0);
+        self.left.clear();
+        self.left.resize(columns * rows, 0.0);
+        for (row, sums) in self.left.chunks_exact_mut(columns).enumerate() {
+            let top = y0 + row * pitch;
+            for y in (top..top + pitch).step_by(step) {
+                silhouette.log_ratios(pixels(left, x0, y, columns * pitch), &mut ratios)?;
+                for (column, (sum, ratios)) in sums.iter_mut().zip(ratios.chunks_exact(pitch)).enumerate() {
+                    for (at, ratio) in ratios.iter().enumerate().step_by(step) {
+                        let is_own = silhouette.contains(x0 + column * pitch + at, y);
+                        inside += usize::from(is_own);
+                        // Pixels that look like the instrument but are not connected with it are elsewhere in space.
+                        *sum += if is_own { *ratio } else { ratio.min(OUTSIDE) };
+                    }
+                }
+            }
+            sums.iter_mut().for_each(|sum| *sum /= area);
+        }
         if !(SHARES.0..=SHARES.1).contains(&(inside as f32 / (count * area))) {
             return None;
         }
         let positions = (last - first) / pitch + 1;
         let strip = columns + positions - 1;
-        self.right.clear();
         self.sums.clear();
         self.sums.resize(strip, [0.0; 2]);
-        for row in 0..rows {
-            for (column, sums) in self.sums.iter_mut().enumerate() {
-                let mut sum = 0.0;
-                for (x, y) in cell(x0 - last + column * pitch, y0 + row * pitch) {
-                    sum += silhouette.log_ratio(pixel(right, x, y))?;
+        self.right.clear();
+        self.right.resize(strip * rows, 0.0);
+        for (row, means) in self.right.chunks_exact_mut(strip).enumerate() {
+            let top = y0 + row * pitch;
+            for y in (top..top + pitch).step_by(step) {
+                silhouette.log_ratios(pixels(right, x0 - last, y, strip * pitch), &mut ratios)?;
+                for (mean, ratios) in means.iter_mut().zip(ratios.chunks_exact(pitch)) {
+                    ratios.iter().step_by(step).for_each(|ratio| *mean += ratio);
                 }
-                let mean = sum / area;
-                *sums = [sums[0] + mean, sums[1] + mean * mean];
-                self.right.push(mean);
+            }
+            for (mean, sums) in means.iter_mut().zip(&mut self.sums) {
+                *mean /= area;
+                *sums = [sums[0] + *mean, sums[1] + *mean * *mean];
             }
         }
+        self.ratios = ratios;
         let mean = self.left.iter().sum::<f32>() / count;
         self.left.iter_mut().for_each(|ratio| *ratio -= mean);
         let own = self.left.iter().map(|ratio| ratio * ratio).sum::<f32>();

@@ -50,6 +50,8 @@ const GLARE: f32 = 0.75;
 /// Smallest standard deviation of the surface's nearness, as a share of it, and of its redness: the errors of matching and noise.
 const NEARNESS_FLOOR: f32 = 0.006;
 const REDNESS_FLOOR: f32 = 0.02;
+/// Pixels whose classes are computed at once.
+const PIXELS_AT_ONCE: usize = 64;
 /// Number of classes of redness and of brightness for learned colours.
 const REDS: usize = 16;
 const BRIGHTS: usize = 8;
@@ -145,11 +147,11 @@ fn median(sorted: &mut Vec<f32>, values: impl Iterator<Item = f32>) -> Option<(f
 }
 
 /// Class of a colour: see [`REDS`] and [`BRIGHTS`].
-fn class_of(redness: f32, bright: f32) -> usize {
-    let red = ((redness + 0.2) / 0.8 * REDS as f32).clamp(0.0, REDS as f32 - 1.0) as usize;
+fn class_of(redness: f32, bright: f32) -> i32 {
+    let red = ((redness + 0.2) / 0.8 * REDS as f32).clamp(0.0, REDS as f32 - 1.0) as i32;
     // Finer where it is dark.
-    let bright = (bright.max(0.0).sqrt() * BRIGHTS as f32).min(BRIGHTS as f32 - 1.0) as usize;
-    red * BRIGHTS + bright
+    let bright = (bright.max(0.0).sqrt() * BRIGHTS as f32).min(BRIGHTS as f32 - 1.0) as i32;
+    red * BRIGHTS as i32 + bright
 }
 
 /// Redness (0 gray) and brightness (0 to 1) of a colour: blue, green and red from 0 to 255.
@@ -199,7 +201,9 @@ impl Silhouette {
     /// Whether a pixel of the picture belongs to the instrument.
     pub fn contains(&self, x: usize, y: usize) -> bool {
         let r = &self.region;
-        x >= r.x_px && y >= r.y_px && self.mask().contains((x - r.x_px) / r.pitch, (y - r.y_px) / r.pitch)
+        // Cells of one pixel need no division.
+        let cell = |px: usize| if r.pitch == 1 { px } else { px / r.pitch };
+        x >= r.x_px && y >= r.y_px && self.mask().contains(cell(x - r.x_px), cell(y - r.y_px))
     }
 
     /// Whether a pixel of the instrument is known to have the depth of the surface around it, as a thin end has in a matcher's map.
@@ -212,11 +216,24 @@ impl Silhouette {
         column < r.width && row < r.height && self.near[row * r.width + column] < BEFORE
     }
 
-    /// What the colours learned of the last instrument say of a pixel (blue, green, red), of either view: above 0 it is instrument, below 0
-    /// tissue. None where none were learned.
-    pub fn log_ratio(&self, pixel: [u8; 3]) -> Option<f32> {
-        let (redness, bright) = shade(pixel.map(f32::from));
-        self.log_ratios.get(class_of(redness, bright)).copied()
+    /// What the colours learned of the last instrument say of each pixel of a row (blue, green, red), of either view: above 0 it is instrument, below
+    /// 0 tissue. None where none were learned.
+    pub fn log_ratios(&self, row: &[u8], ratios: &mut Vec<f32>) -> Option<()> {
+        if self.log_ratios.is_empty() {
+            return None;
+        }
+        ratios.clear();
+        let mut classes = [0; PIXELS_AT_ONCE];
+        for pixels in row.as_chunks::<3>().0.chunks(PIXELS_AT_ONCE) {
+            // A loop of its own, so that quotients and roots are computed side by side.
+            for (class, pixel) in classes.iter_mut().zip(pixels) {
+                let (redness, bright) = shade(pixel.map(f32::from));
+                *class = class_of(redness, bright);
+            }
+            let ratio = |class: &i32| self.log_ratios.get(*class as usize).copied().unwrap_or_default();
+            ratios.extend(classes.iter().take(pixels.len()).map(ratio));
+        }
+        Some(())
     }
 
     /// A tip of [`Silhouette::mask`] in px of the picture.
@@ -236,6 +253,10 @@ impl Silhouette {
         for plane in [&mut self.redness, &mut self.bright, &mut self.near] {
             plane.clear();
             plane.resize(count, f32::NAN);
+        }
+        if self.region.pitch == 1 {
+            self.take(cues);
+            return;
         }
         // Large cells are sampled: the mean of sixteen pixels says as much as that of all.
         let step = (self.region.pitch / SAMPLES).max(1);
@@ -263,6 +284,28 @@ impl Silhouette {
                 }
                 if n > 0.0 {
                     self.near[index] = sum / n;
+                }
+            }
+        }
+    }
+
+    /// As [`Silhouette::sample`] for cells of one pixel.
+    fn take(&mut self, cues: &Cues<'_>) {
+        let Region { x_px, y_px, width, .. } = self.region;
+        let planes = self.redness.chunks_exact_mut(width).zip(self.bright.chunks_exact_mut(width));
+        for (y, ((redness, bright), near)) in (y_px..).zip(planes.zip(self.near.chunks_exact_mut(width))) {
+            if let Some(picture) = &cues.picture {
+                let pixels = picture.row(y)[3 * x_px..3 * (x_px + width)].as_chunks::<3>().0;
+                for ((redness, bright), pixel) in redness.iter_mut().zip(bright).zip(pixels) {
+                    (*redness, *bright) = shade(pixel.map(f32::from));
+                }
+            }
+            if let Some(nearness) = cues.nearness {
+                for (x, near) in (x_px..).zip(near) {
+                    let value = nearness(x, y);
+                    if value.is_finite() && value > 0.0 {
+                        *near = value;
+                    }
                 }
             }
         }
@@ -356,7 +399,7 @@ impl Silhouette {
         let tool_cells = count(&is_tool);
         let (is_deep, is_steel) = (count(&stands) * 4 > tool_cells, count(&is_gray) * 4 > tool_cells);
         for index in known() {
-            let of = class_of(self.redness[index], self.bright[index]);
+            let of = class_of(self.redness[index], self.bright[index]) as usize;
             if if is_deep { stands(index) } else { is_tool(index) && (!is_steel || is_gray(index)) } {
                 tool[of] += 1.0;
                 tools += 1.0;
@@ -375,7 +418,7 @@ impl Silhouette {
             let (redness, bright) = (self.redness[index], self.bright[index]);
             let mut log_ratio = 0.0;
             if redness.is_finite() {
-                log_ratio = self.log_ratios[class_of(redness, bright)];
+                log_ratio = self.log_ratios[class_of(redness, bright) as usize];
                 self.colour[index] = log_ratio;
             }
             // Both cues together, before anything was learned, say where; the learned colours say how far.
