@@ -7,6 +7,7 @@ use std::io::{Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use sha2::{Digest, Sha256};
 
@@ -46,6 +47,10 @@ impl Fingerprint {
 pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
+
+/// How long [`SealedWriter::seal`] waits for a file that is in use, and between two tries.
+const BUSY_LIMIT: Duration = Duration::from_secs(5);
+const BUSY_PAUSE: Duration = Duration::from_millis(10);
 
 /// Copies all of `from`; the fingerprint is that of the bytes that were written.
 fn copy(from: &mut impl Read, to: &mut impl Write) -> std::io::Result<Fingerprint> {
@@ -120,17 +125,25 @@ impl SealedWriter {
         self.file.write_all(bytes)
     }
 
-    /// Ends writing: from here on the kernel refuses every change, also by this process.
+    /// Ends writing: from here on the kernel refuses every change, also by this process. Waits while the kernel uses pages of the file, as it does
+    /// for moments on a busy machine.
     ///
     /// # Errors
-    /// The kernel refuses the seals.
+    /// The kernel refuses the seals, or the file is in use for longer than [`BUSY_LIMIT`].
     pub fn seal(self) -> std::io::Result<File> {
         let seals = libc::F_SEAL_WRITE | libc::F_SEAL_GROW | libc::F_SEAL_SHRINK | libc::F_SEAL_SEAL;
-        // SAFETY: a plain system call on a file descriptor that `self` owns.
-        if unsafe { libc::fcntl(self.file.as_raw_fd(), libc::F_ADD_SEALS, seals) } != 0 {
-            return Err(std::io::Error::last_os_error());
+        let begun = Instant::now();
+        loop {
+            // SAFETY: a plain system call on a file descriptor that `self` owns.
+            if unsafe { libc::fcntl(self.file.as_raw_fd(), libc::F_ADD_SEALS, seals) } == 0 {
+                return Ok(self.file);
+            }
+            let error = std::io::Error::last_os_error();
+            if error.raw_os_error() != Some(libc::EBUSY) || begun.elapsed() > BUSY_LIMIT {
+                return Err(error);
+            }
+            std::thread::sleep(BUSY_PAUSE);
         }
-        Ok(self.file)
     }
 }
 
@@ -180,6 +193,27 @@ pub fn readable(message: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sealing_waits_while_the_file_is_in_use() {
+        let mut writer = SealedWriter::new(Path::new("busy")).unwrap();
+        writer.append(b"abc").unwrap();
+        // SAFETY: a new mapping of a file that is open and three bytes long.
+        let mapped = unsafe {
+            let (rights, fd) = (libc::PROT_READ | libc::PROT_WRITE, writer.file.as_raw_fd());
+            libc::mmap(std::ptr::null_mut(), 3, rights, libc::MAP_SHARED, fd, 0)
+        };
+        assert_ne!(mapped, libc::MAP_FAILED);
+        let address = mapped as usize;
+        let other = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(100));
+            // SAFETY: the mapping made above, which nobody reads or writes.
+            unsafe { libc::munmap(address as *mut libc::c_void, 3) }
+        });
+        let sealed = writer.seal().unwrap();
+        assert_eq!(other.join().unwrap(), 0);
+        assert!((&sealed).write_all(b"x").is_err());
+    }
 
     #[test]
     fn a_sealed_copy_refuses_every_change() {

@@ -148,7 +148,7 @@ pub fn test(workspace: &Workspace, args: &[String]) -> Result<ExitCode> {
     if let Err(error) = steps(workspace, &request, &mut tally) {
         eprintln!("error: {error:#}");
         if let Some(mib) = free_mib(&workspace.target).filter(|mib| *mib < LEAST_FREE_MIB) {
-            eprintln!("only {mib} MiB are free in {}: the build needs 25 GiB", workspace.target.display());
+            eprintln!("only {mib} MiB are free in {}: the build needs 15 GiB", workspace.target.display());
         }
         if tally.failed() == 0 {
             // The outermost context is the step's name.
