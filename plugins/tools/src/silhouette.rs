@@ -254,10 +254,6 @@ impl Silhouette {
             plane.clear();
             plane.resize(count, f32::NAN);
         }
-        if self.region.pitch == 1 {
-            self.take(cues);
-            return;
-        }
         // Large cells are sampled: the mean of sixteen pixels says as much as that of all.
         let step = (self.region.pitch / SAMPLES).max(1);
         for index in 0..count {
@@ -284,28 +280,6 @@ impl Silhouette {
                 }
                 if n > 0.0 {
                     self.near[index] = sum / n;
-                }
-            }
-        }
-    }
-
-    /// As [`Silhouette::sample`] for cells of one pixel.
-    fn take(&mut self, cues: &Cues<'_>) {
-        let Region { x_px, y_px, width, .. } = self.region;
-        let planes = self.redness.chunks_exact_mut(width).zip(self.bright.chunks_exact_mut(width));
-        for (y, ((redness, bright), near)) in (y_px..).zip(planes.zip(self.near.chunks_exact_mut(width))) {
-            if let Some(picture) = &cues.picture {
-                let pixels = picture.row(y)[3 * x_px..3 * (x_px + width)].as_chunks::<3>().0;
-                for ((redness, bright), pixel) in redness.iter_mut().zip(bright).zip(pixels) {
-                    (*redness, *bright) = shade(pixel.map(f32::from));
-                }
-            }
-            if let Some(nearness) = cues.nearness {
-                for (x, near) in (x_px..).zip(near) {
-                    let value = nearness(x, y);
-                    if value.is_finite() && value > 0.0 {
-                        *near = value;
-                    }
                 }
             }
         }
