@@ -38,3 +38,29 @@ impl Default for Simd {
         Self::detect()
     }
 }
+
+/// Calls `$body` compiled for AVX2 where `$simd`, a [`Simd`], allows it, and compiled plainly elsewhere.
+///
+/// `$body` is an `#[inline(always)]` function, so each instance is vectorised for its own target.
+#[macro_export]
+macro_rules! dispatch {
+    ($simd:expr, $body:ident ( $($name:ident : $ty:ty),* $(,)? ) $(-> $ret:ty)?) => {{
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn with_avx2($($name: $ty),*) $(-> $ret)? {
+                $body($($name),*)
+            }
+            if $simd.avx2() {
+                // SAFETY: `Simd` allows AVX2 only where the processor has it.
+                unsafe { with_avx2($($name),*) }
+            } else {
+                $body($($name),*)
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            $body($($name),*)
+        }
+    }};
+}

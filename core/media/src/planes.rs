@@ -1,7 +1,7 @@
 //! Pixels as encoders take them and decoders make them.
 
-use panoscope_base::Simd;
 use panoscope_base::gray::convert_row;
+use panoscope_base::{Simd, dispatch};
 
 /// Columns and rows, px.
 type Size = (usize, usize);
@@ -81,29 +81,8 @@ pub fn bgr_to_i420(bgr: &[u8], size: Size, to: Size, is_full_range: bool, planes
 /// Blocks of chroma that are made at once; their sums lie on the stack.
 const BLOCKS: usize = 256;
 
-/// Calls `$body`, an `#[inline(always)]` function, compiled for AVX2 where the processor has it, and compiled plainly elsewhere.
-macro_rules! dispatch {
-    ($body:ident ( $($name:ident : $ty:ty),* $(,)? )) => {{
-        #[cfg(target_arch = "x86_64")]
-        {
-            #[target_feature(enable = "avx2")]
-            fn with_avx2($($name: $ty),*) {
-                $body($($name),*);
-            }
-            if Simd::detect().avx2() {
-                // SAFETY: `Simd` allows AVX2 only where the processor has it.
-                unsafe { with_avx2($($name),*) };
-            } else {
-                $body($($name),*);
-            }
-        }
-        #[cfg(not(target_arch = "x86_64"))]
-        $body($($name),*);
-    }};
-}
-
 fn chroma_row(matrix: &Matrix, rows: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]) {
-    dispatch!(chroma_blocks(matrix: &Matrix, rows: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]));
+    dispatch!(Simd::detect(), chroma_blocks(matrix: &Matrix, rows: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]));
 }
 
 /// Chroma of two rows. Each step is a loop without branches over one kind of number, which compilers make vectors of.
@@ -144,7 +123,7 @@ fn luma_row(matrix: &Matrix, is_full_range: bool, bgr: &[u8], luma: &mut [u8], t
         // The same weights, in 1/16384.
         convert_row(Simd::detect(), bgr, 3, &mut luma[..width]);
     } else {
-        dispatch!(weighted_luma(matrix: &Matrix, bgr: &[u8], luma: &mut [u8]));
+        dispatch!(Simd::detect(), weighted_luma(matrix: &Matrix, bgr: &[u8], luma: &mut [u8]));
     }
     if to_width > width {
         luma[width] = luma[width - 1];

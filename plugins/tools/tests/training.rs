@@ -41,3 +41,8 @@ fn folds_and_their_predictions_pass_their_tests() {
 fn networks_and_the_training_loop_pass_their_tests() {
     passes("test_training", &["torch", "cv2", "numpy", "onnx", "tomllib"]);
 }
+
+#[test]
+fn the_segmenter_passes_its_tests() {
+    passes("test_masks", &["torch", "torchvision", "cv2", "numpy", "onnx", "onnxruntime"]);
+}

@@ -14,16 +14,14 @@ class is not sure. With --learned-from, the folders of the frames that it learne
 """
 
 import argparse
-import inspect
 import json
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from instruments import pictures
+from instruments import onnx_store, pictures
 from instruments.data import CLASSES, letterbox, normal_name, read
 from instruments.networks import DESCRIPTIONS, SOURCES, Exported, build
 from instruments.onnx_store import store_half, write, write_card
@@ -52,11 +50,7 @@ def calibration_metadata(path, classes):
 
 def export(model, kind, path, width, height, half, classes, calibration=None):
     x = torch.zeros(1, 3, height, width)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="The shape inference of prim::Constant")
-        # PyTorch 2 has a second exporter, which needs another package; this one is in every version.
-        other = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
-        torch.onnx.export(model, x, str(path), opset_version=13, input_names=["images"], output_names=["output", pictures.OUTPUT], **other)
+    onnx_store.export(model, x, path, ["output", pictures.OUTPUT])
     metadata = {
         "names": str(dict(enumerate(classes))),
         "task": "detect",

@@ -9,7 +9,6 @@ labels N (from 1), scores N and masks N x 1 x 40 x 40 inside their boxes. Needs 
 
 import argparse
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,10 @@ import torch
 from torch import nn
 
 from instruments.data import CLASSES, letterbox
-from instruments.folding import fold_all, wide_stem
 from instruments.mask_rcnn import MaskRcnn
-from instruments.onnx_store import store_half, write, write_card
+from instruments.onnx_store import export, store_half, write, write_card
 
-SOURCE = "phantom frames of this repository; m2cai16-tool-locations (Jin et al. 2018) with outlines guessed from boxes; backbone from YOLOX-nano of Megvii (Apache-2.0)"
+SOURCE = "phantom frames of this repository; m2cai16-tool-locations (Jin et al. 2018) with outlines guessed from boxes; backbone and neck of the detector `instruments` (EfficientNet-Lite0, Apache-2.0)"
 LICENCE = "research use: the training frames state no licence; no medical device"
 
 
@@ -30,12 +28,7 @@ class Exported(nn.Module):
 
     def __init__(self, model):
         super().__init__()
-        backbone = fold_all(model.backbone)
-        first = wide_stem(backbone.stem[0])
-        # Red first and 0..1 instead of blue first and 0..255.
-        first.weight.data = first.weight.data.flip(1) * 255.0
-        backbone.stem = nn.Sequential(first, nn.SiLU())
-        backbone.wide_stem = True
+        model.pyramid.fold()
         self.model = model
 
     def forward(self, x):
@@ -76,12 +69,7 @@ def main():
     x = blue_first.flip(1) / 255.0
     names = ["boxes", "labels", "scores", "masks"]
     count = {0: "instances"}
-    with torch.no_grad(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore")
-        torch.onnx.export(
-            Exported(folded).eval(), x, str(a.out), opset_version=13, input_names=["images"], output_names=names,
-            dynamic_axes={n: count for n in names},
-        )
+    export(Exported(folded).eval(), x, a.out, names, dynamic_axes={n: count for n in names})
     metadata = {
         "names": str(dict(enumerate(CLASSES))),
         "task": "segment",
@@ -89,7 +77,7 @@ def main():
         "stride": "32",
         "imgsz": str([a.height, a.width]),
         "batch": "1",
-        "description": "Mask R-CNN on a YOLOX-nano backbone, surgical instruments",
+        "description": "Mask R-CNN on EfficientNet-Lite0 with a PAN neck, surgical instruments",
         "source": SOURCE,
         "license": LICENCE,
     }

@@ -538,6 +538,25 @@ class Loop(unittest.TestCase):
             for name, value in states[0].items():
                 self.assertTrue(torch.equal(value, states[1][name]), name)
 
+    def test_what_each_change_costs_is_measured_on_frames_kept_out(self):
+        with tempfile.TemporaryDirectory() as folder:
+            folder = Path(folder)
+            tiny_data(folder / "data")
+            (folder / "run" / "fold1").mkdir(parents=True)
+            weights = folder / "run" / "fold1" / "weights.pt"
+            torch.save(randomised(networks.build("yolox-nano", 7)).state_dict(), weights)
+            command = [sys.executable, "-B", HERE / "measure_changes.py", "--data", folder / "data", "--folds", folder / "data" / "folds.toml"]
+            command += ["--fold", "1", "--weights", weights, "--network", "yolox-nano", "--width", "96", "--height", "64", "--threads", "1"]
+            done = subprocess.run(command, capture_output=True, text=True)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("on 3 frames of fold 1", done.stdout)
+            self.assertIn("| change | run/fold1 |", done.stdout)
+            rows = [line.split("|")[1].strip(" `") for line in done.stdout.splitlines() if line.startswith("| ")]
+            self.assertEqual(rows[1:], ["none", *augment.NAMES])
+            command[command.index("1")] = "4"
+            wrong = subprocess.run(command, capture_output=True, text=True)
+            self.assertIn("there is no fold 4; there are 1, 2", wrong.stderr)
+
 
 if __name__ == "__main__":
     unittest.main()

@@ -25,15 +25,16 @@ from instruments.data import CLASSES
 from instruments.mask_rcnn import MaskRcnn, start_from
 from instruments.mask_score import mask_ap50
 from instruments.outlines import Mixed, read_coco, read_real
+from instruments.training import Pause
 
 
 def arguments():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--phantom", type=Path, help="folder of make_phantom_frames.py")
+    p.add_argument("--phantom", type=Path, nargs="+", default=[], help="folders of make_phantom_frames.py")
     p.add_argument("--data", type=Path, help="real frames with boxes (VOC, COCO, YOLO) or with outlines (VIA)")
     p.add_argument("--split", default="train")
     p.add_argument("--val-split", default="val")
-    p.add_argument("--start", type=Path, help="a trained detector (weights.pt) or a YOLOX-nano ONNX file, for the backbone")
+    p.add_argument("--start", type=Path, help="a trained lite0 detector (weights.pt), for backbone and neck")
     p.add_argument("--out", required=True, type=Path)
     p.add_argument("--steps", type=int, default=3000, help="learning steps altogether")
     p.add_argument("--minutes", type=float, default=0, help="ends early after so long in this call, with the rate brought down in time; 0 never")
@@ -44,6 +45,10 @@ def arguments():
     p.add_argument("--rate", type=float, default=1e-3)
     p.add_argument("--width", type=int, default=384)
     p.add_argument("--height", type=int, default=224)
+    p.add_argument("--compile", action="store_true", help="compile backbone and neck first; needs a C++ compiler")
+    p.add_argument("--workers", type=int, default=0, help="processes that make the samples; 0: a thread")
+    p.add_argument("--bf16", action="store_true", help="compute backbone and neck in bfloat16")
+    p.add_argument("--pause-while", type=Path, metavar="FILE", help="wait between batches while FILE exists")
     p.add_argument("--seed", type=int, default=1)
     p.add_argument("--threads", type=int, default=2)
     return p.parse_args()
@@ -57,8 +62,8 @@ def main():
     cv2.setNumThreads(1)
     torch.manual_seed(a.seed)
     a.out.mkdir(parents=True, exist_ok=True)
-    phantom = read_coco(a.phantom, "train", a.width, a.height) if a.phantom else []
-    phantom_val = read_coco(a.phantom, "val", a.width, a.height) if a.phantom else []
+    phantom = [f for folder in a.phantom for f in read_coco(folder, "train", a.width, a.height)]
+    phantom_val = [f for folder in a.phantom for f in read_coco(folder, "val", a.width, a.height)]
     real = read_real(a.data, a.split, a.width, a.height, a.out) if a.data else []
     real_val = read_real(a.data, a.val_split, a.width, a.height, a.out) if a.data else []
     if not (phantom or real):
@@ -70,15 +75,17 @@ def main():
     model = MaskRcnn(len(CLASSES))
     if a.start:
         start_from(model, a.start)
-        # Its first layers stay as the detector's: they take half of a step's time and change least (Girshick et al. freeze them too).
-        for part in (model.backbone.stem, model.backbone.dark2):
-            part.requires_grad_(False)
+        # It knows instruments well and takes most of a step's time.
+        model.fix_backbone()
     average = copy.deepcopy(model).eval()
-    backbone = [p for n, p in model.named_parameters() if n.startswith("backbone.") and ".pyramid." not in n and p.requires_grad]
-    fresh = [p for n, p in model.named_parameters() if not n.startswith("backbone.") or ".pyramid." in n]
-    # The backbone has learnt what instruments look like: it is only bent a little.
+    model.bf16 = a.bf16
+    if a.compile:
+        model.pyramid.compile()
+    features = [p for n, p in model.named_parameters() if n.startswith("pyramid.features.") and p.requires_grad]
+    fresh = [p for n, p in model.named_parameters() if not n.startswith("pyramid.features.")]
+    # The neck has learnt what instruments look like: it is only bent a little.
     shares = (0.2 if a.start else 1.0, 1.0)
-    optimiser = torch.optim.AdamW([{"params": backbone}, {"params": fresh}], lr=a.rate, weight_decay=1e-4)
+    optimiser = torch.optim.AdamW([{"params": features}, {"params": fresh}], lr=a.rate, weight_decay=1e-4)
     state_file, step, best = a.out / "state.pt", 0, -1.0
     if state_file.exists():
         state = torch.load(state_file)
@@ -87,7 +94,7 @@ def main():
         optimiser.load_state_dict(state["optimiser"])
         step, best = state["step"], state["best"]
         print(f"goes on after step {step}", flush=True)
-    begun = time.time()
+    begun, pause = time.time(), Pause(a.pause_while)
     while step < a.steps:
         model.train()
         # Sampling of proposals draws from PyTorch's generator: the same after a resumption.
@@ -98,7 +105,9 @@ def main():
         sums, epoch_begun = {}, time.time()
         count = min(a.epoch, a.steps - step)
         plan = [((step + i) * a.batch, plain) for i in range(count)]
-        for x, targets in batches(samples, plan, a.batch):
+        for x, targets in batches(samples, plan, a.batch, workers=a.workers):
+            paused_s = pause.wait()
+            begun, epoch_begun = begun + paused_s, epoch_begun + paused_s
             if a.minutes:
                 progress = max(step / a.steps, (time.time() - begun) / (60 * a.minutes))
             else:

@@ -17,8 +17,8 @@ from .yolox import STRIDES, Conv, CspLayer, Separable
 STAGES = ((1, 3, 1, 1, 16), (2, 3, 2, 6, 24), (2, 5, 2, 6, 40), (3, 3, 2, 6, 80), (3, 5, 1, 6, 112), (4, 5, 2, 6, 192), (1, 3, 1, 6, 320))
 # Width and depth factors.
 SCALES = {"lite0": (1.0, 1.0), "lite1": (1.0, 1.1), "lite2": (1.1, 1.2)}
-# Stages after which strides 8, 16 and 32 are complete.
-TAPS = (2, 4, 6)
+# Stages after which strides 8, 16 and 32 are complete; the one of stride 4.
+TAPS, FINE_TAP = (2, 4, 6), 1
 # Pictures are shifted and scaled as for the ImageNet training, after BGR became RGB.
 MEAN, DEVIATION = 127.0, 128.0
 
@@ -90,14 +90,20 @@ class Backbone(nn.Module):
         self.stages = nn.ModuleList(stages)
         self.channels = tuple(channels(STAGES[t][4]) for t in TAPS)
 
-    def forward(self, x):
-        return self.after_stem(self.stem((x.flip(1) - MEAN) / DEVIATION))
+    @staticmethod
+    def normal(x):
+        """BGR 0..255 as the ImageNet training saw pictures."""
+        return (x.flip(1) - MEAN) / DEVIATION
 
-    def after_stem(self, x):
+    def forward(self, x):
+        return self.after_stem(self.stem(self.normal(x)))
+
+    def after_stem(self, x, taps=TAPS):
+        """The features after the stages `taps`."""
         found = []
         for i, stage in enumerate(self.stages):
             x = stage(x)
-            if i in TAPS:
+            if i in taps:
                 found.append(x)
         return found
 
@@ -144,17 +150,33 @@ def with_relu(module):
     return module
 
 
-class LiteDetector(nn.Module):
-    """Input and output as those of `Yolox`: B x 3 x H x W, BGR 0..255; per level raw B x (4 + 1 + C) x h x w."""
+class LiteFeatures(nn.Module):
+    """Backbone and PAN neck: B x 3 x H x W, BGR 0..255, becomes B x `inner` x h x w at strides 8, 16 and 32."""
 
-    def __init__(self, classes, kind="lite0", inner=80):
+    def __init__(self, kind="lite0", inner=80):
         super().__init__()
-        self.classes = classes
         self.backbone = Backbone(kind)
         self.laterals = nn.ModuleList(Conv(c, inner) for c in self.backbone.channels)
         csp = lambda: CspLayer(2 * inner, inner, 1, shortcut=False)
         self.top_down4, self.top_down3, self.bottom_up4, self.bottom_up5 = csp(), csp(), csp(), csp()
         self.down3, self.down4 = Separable(inner, inner, 3, 2), Separable(inner, inner, 3, 2)
+        with_relu(self)
+
+    def neck(self, features):
+        l3, l4, l5 = (lateral(f) for lateral, f in zip(self.laterals, features))
+        up = lambda x: F.interpolate(x, scale_factor=2, mode="nearest")
+        t4 = self.top_down4(torch.cat((up(l5), l4), 1))
+        p3 = self.top_down3(torch.cat((up(t4), l3), 1))
+        p4 = self.bottom_up4(torch.cat((self.down3(p3), t4), 1))
+        return p3, p4, self.bottom_up5(torch.cat((self.down4(p4), l5), 1))
+
+
+class LiteDetector(LiteFeatures):
+    """Input and output as those of `Yolox`: B x 3 x H x W, BGR 0..255; per level raw B x (4 + 1 + C) x h x w."""
+
+    def __init__(self, classes, kind="lite0", inner=80):
+        super().__init__(kind, inner)
+        self.classes = classes
         tower = lambda: nn.Sequential(Separable(inner, inner), Separable(inner, inner))
         self.class_towers = nn.ModuleList(tower() for _ in STRIDES)
         self.box_towers = nn.ModuleList(tower() for _ in STRIDES)
@@ -178,14 +200,8 @@ class LiteDetector(nn.Module):
         return features[0], self.neck_and_heads(features)
 
     def neck_and_heads(self, features):
-        l3, l4, l5 = (lateral(f) for lateral, f in zip(self.laterals, features))
-        up = lambda x: F.interpolate(x, scale_factor=2, mode="nearest")
-        t4 = self.top_down4(torch.cat((up(l5), l4), 1))
-        p3 = self.top_down3(torch.cat((up(t4), l3), 1))
-        p4 = self.bottom_up4(torch.cat((self.down3(p3), t4), 1))
-        p5 = self.bottom_up5(torch.cat((self.down4(p4), l5), 1))
         levels = []
-        for i, p in enumerate((p3, p4, p5)):
+        for i, p in enumerate(self.neck(features)):
             near = self.box_towers[i](p)
             levels.append(torch.cat((self.box_heads[i](near), self.object_heads[i](near), self.class_heads[i](self.class_towers[i](p))), 1))
         return levels

@@ -1,18 +1,20 @@
-"""Mask R-CNN (He et al. 2017) on the detector's backbone: feature pyramid, proposals, box and mask heads of torchvision, made light."""
+"""Mask R-CNN (He et al. 2017) on the detector's backbone and neck: proposals, box and mask heads of torchvision, made light."""
 
 import torch
+import torch.nn.functional as F
 from torch import nn
 from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
 from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.mask_rcnn import MaskRCNNHeads, MaskRCNNPredictor
 from torchvision.models.detection.roi_heads import RoIHeads
 from torchvision.models.detection.rpn import AnchorGenerator, RegionProposalNetwork, RPNHead
-from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
-from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
+from torchvision.ops import MultiScaleRoIAlign
 
-from .yolox import Yolox, load_onnx
+from .folding import fold_all, raw_stem
+from .lite import FINE_TAP, STAGES, TAPS, LiteFeatures
 
-CHANNELS = 64
+#: Channels of a level of the neck, and of the heads' own convolutions.
+CHANNELS, INNER = 80, 64
 LEVELS = ["0", "1", "2"]
 #: Side of a mask, px: thin shafts lie across their boxes, 28 would leave them two pixels.
 MASK_PX = 40
@@ -52,23 +54,33 @@ class Heads(RoIHeads):
         return matched, labels
 
 
-class Backbone(nn.Module):
-    """YOLOX-nano's dark2 to dark5 with a feature pyramid of strides 8, 16, 32 and a pooled 64."""
+class Pyramid(nn.Module):
+    """Backbone and neck of the `lite0` detector: strides 8, 16 and 32, 64 pooled from the last, and `fine` of stride 4 for the masks."""
 
     def __init__(self):
         super().__init__()
-        whole = Yolox(1)
-        self.stem, self.dark2, self.dark3 = whole.stem, whole.dark2, whole.dark3
-        self.dark4, self.dark5 = whole.dark4, whole.dark5
-        self.pyramid = FeaturePyramidNetwork([64, 128, 256], CHANNELS, extra_blocks=LastLevelMaxPool())
-        self.wide_stem = False
+        self.features = LiteFeatures("lite0", CHANNELS)
+        self.fine_own = nn.Conv2d(STAGES[FINE_TAP][4], INNER, 1)
+        self.fine_deep = nn.Conv2d(CHANNELS, INNER, 1)
+        self.first = None
 
     def forward(self, x):
-        if not self.wide_stem:
-            x = torch.cat((x[..., ::2, ::2], x[..., 1::2, ::2], x[..., ::2, 1::2], x[..., 1::2, 1::2]), 1)
-        c3 = self.dark3(self.dark2(self.stem(x)))
-        c4 = self.dark4(c3)
-        return self.pyramid({"0": c3, "1": c4, "2": self.dark5(c4)})
+        backbone = self.features.backbone
+        # A folded network takes red first and 0..1 (`fold`).
+        x = self.first(x) if self.first is not None else backbone.stem(backbone.normal(x))
+        own, *levels = backbone.after_stem(x, (FINE_TAP, *TAPS))
+        p3, p4, p5 = self.features.neck(levels)
+        deep = F.interpolate(self.fine_deep(p3), scale_factor=2, mode="bilinear", align_corners=False)
+        return {"0": p3, "1": p4, "2": p5, "pool": F.max_pool2d(p5, 1, 2), "fine": self.fine_own(own) + deep}
+
+    def fold(self):
+        """Puts normalisations into the convolutions; takes red first and 0..1 from then on."""
+        first = raw_stem(self.features.backbone.stem)
+        margin, conv, _ = first
+        margin.value /= 255.0
+        conv.weight.data = conv.weight.data.flip(1) * 255.0
+        fold_all(self.features)
+        self.first = first
 
 
 class MaskRcnn(nn.Module):
@@ -79,7 +91,9 @@ class MaskRcnn(nn.Module):
 
     def __init__(self, classes):
         super().__init__()
-        self.backbone = Backbone()
+        self.pyramid = Pyramid()
+        #: Whether backbone and neck compute in bfloat16.
+        self.bf16 = False
         anchors = AnchorGenerator(((28,), (56,), (112,), (208,)), ((0.5, 1.0, 2.0),) * 4)
         self.proposals = Proposals(
             anchors,
@@ -105,38 +119,41 @@ class MaskRcnn(nn.Module):
             score_thresh=0.05,
             nms_thresh=0.5,
             detections_per_img=20,
-            mask_roi_pool=MultiScaleRoIAlign(LEVELS, MASK_PX // 2, 2),
-            mask_head=MaskRCNNHeads(CHANNELS, (CHANNELS,) * 3, 1),
-            mask_predictor=MaskRCNNPredictor(CHANNELS, CHANNELS, classes + 1),
+            mask_roi_pool=MultiScaleRoIAlign(["fine"], MASK_PX // 2, 2),
+            mask_head=MaskRCNNHeads(INNER, (INNER,) * 3, 1),
+            mask_predictor=MaskRCNNPredictor(INNER, INNER, classes + 1),
         )
 
     def forward(self, x, targets=None):
-        features = self.backbone(x)
+        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.bf16):
+            features = self.pyramid(x)
+        features = {k: v.float() for k, v in features.items()}
         sizes = [(x.shape[-2], x.shape[-1])] * x.shape[0]
-        found, losses = self.proposals(ImageList(x, sizes), features, targets)
+        found, losses = self.proposals(ImageList(x, sizes), {k: v for k, v in features.items() if k != "fine"}, targets)
         if targets is not None:
             self.heads.ignored = [t["ignored"] for t in targets]
         result, more = self.heads(features, found, sizes, targets)
         return {**losses, **more} if targets is not None else result
 
+    def fix_backbone(self):
+        """Fixes the backbone; the neck and the heads learn."""
+        self.pyramid.features.backbone.requires_grad_(False)
+
     def train(self, mode=True):
-        """The backbone's normalisation keeps the detector's statistics: a batch here is small and mixed from unlike sources."""
+        """Normalisations keep the detector's statistics: a batch here is small and mixed from unlike sources."""
         super().train(mode)
-        for module in self.backbone.modules():
+        for module in self.pyramid.modules():
             if isinstance(module, nn.BatchNorm2d):
                 module.eval()
         return self
 
 
 def start_from(model, path):
-    """Takes the backbone of a trained detector: weights.pt or state.pt of train_detector.py, or a YOLOX-nano ONNX file."""
-    if path.suffix == ".onnx":
-        state = load_onnx(Yolox(1), path).state_dict()
-    else:
-        state = torch.load(path, map_location="cpu")
-        state = state.get("average", state)
-    wanted = {k for k in model.backbone.state_dict() if not k.startswith("pyramid.")}
+    """Takes backbone and neck of a trained `lite0` detector: weights.pt or state.pt of train_detector.py."""
+    state = torch.load(path, map_location="cpu", weights_only=True)
+    state = state.get("average", state)
+    wanted = set(model.pyramid.features.state_dict())
     missing = wanted - state.keys()
     if missing:
-        raise ValueError(f"{path}: no weights for {sorted(missing)[0]} and {len(missing) - 1} more: not a detector of train_detector.py")
-    model.backbone.load_state_dict({k: state[k] for k in wanted}, strict=False)
+        raise ValueError(f"{path}: no weights for {sorted(missing)[0]} and {len(missing) - 1} more: not a `lite0` detector of train_detector.py")
+    model.pyramid.features.load_state_dict({k: state[k] for k in wanted})

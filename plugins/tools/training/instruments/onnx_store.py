@@ -1,10 +1,23 @@
 """ONNX files after export: metadata, and weights kept in half the bytes."""
 
+import inspect
+import warnings
+
 import numpy as np
 import onnx
+import torch
 from onnx import helper, numpy_helper
 
 from .pictures import OUTPUT as FEATURES
+
+
+def export(model, x, path, outputs, **options):
+    """Writes `model` as an ONNX file with the input `images`, by the exporter that every version of PyTorch has."""
+    # PyTorch 2 has a second exporter, which needs another package.
+    other = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore")
+        torch.onnx.export(model, x, str(path), opset_version=13, input_names=["images"], output_names=outputs, **options, **other)
 
 
 def store_half(graph, least=64):
