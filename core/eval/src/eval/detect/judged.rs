@@ -14,6 +14,8 @@ pub struct JudgeInputs {
     /// Picture by picture.
     pub finds: Vec<Vec<Find>>,
     pub boxes: Scores,
+    /// Bounds of the boxes' AP at 0.5, for frames of the data set of the folds.
+    pub bounds: Option<folds::Bounds>,
     /// Where both truth and model have outlines.
     pub masks: Option<Scores>,
     /// Median time of the node.

@@ -114,6 +114,11 @@ impl Judge<'_> {
 
     /// Runs, scores, draws, compares; adds figures.
     fn one(&mut self, case: &str, node: Node, model: &Path, truth: Truth) -> Result<()> {
+        self.judge(case, node, model, truth, false)
+    }
+
+    /// [`Self::one`] for frames of the data set of the folds: `with_bounds` adds bounds of AP50.
+    fn judge(&mut self, case: &str, node: Node, model: &Path, truth: Truth, with_bounds: bool) -> Result<()> {
         let found = find::run(self.session, node, model, &truth, &self.options.settings)?;
         let objects: Vec<_> = truth.pictures.iter().map(|p| p.objects.clone()).collect();
         let classes = truth.classes.len();
@@ -126,7 +131,9 @@ impl Judge<'_> {
                 selfcheck::compare(self.session, &self.options.python, &truth, &found.finds, Shape::Mask, masks)?;
             }
         }
-        let judged = JudgeInputs { case: case.to_owned(), node, truth, finds: found.finds, boxes, masks, ms: found.ms };
+        let bounds = if with_bounds { Some(folds::bounds(&truth, &found.finds)?) } else { None };
+        let (case, finds, ms) = (case.to_owned(), found.finds, found.ms);
+        let judged = JudgeInputs { case, node, truth, finds, boxes, bounds, masks, ms };
         self.draw(&judged)?;
         self.report(&judged, model);
         self.judged.push(judged);
@@ -184,7 +191,7 @@ impl Judge<'_> {
                 name.clone(),
                 c.truths.to_string(),
                 c.finds.to_string(),
-                percent(c.ap[0]),
+                j.bounds.as_ref().map_or_else(|| percent(c.ap[0]), |b| folds::words(c.ap[0], b.classes[k])),
                 percent(c.mean_ap()),
                 percent(c.voc),
                 percent(c.best_f1.0),
@@ -209,6 +216,13 @@ impl Judge<'_> {
             folds::FLOOR,
             percent(error(None))
         );
+        if let Some(bounds) = &j.bounds {
+            note!(
+                self.session,
+                "mAP50 and what 95 % of samples of blocks of frames lie between: {} %",
+                folds::words(j.boxes.ap_at(0), bounds.mean)
+            );
+        }
         let input =
             format!("{}, {} frames", model.file_name().unwrap_or_default().to_string_lossy(), j.truth.pictures.len());
         let mut figure = |name: String, value: f64| {
@@ -220,6 +234,10 @@ impl Judge<'_> {
         if j.node == Node::Yolo {
             // The one figure that has a name of its own.
             let name = if case == "left_out" { "map50_left_out".to_owned() } else { format!("map50/{case}") };
+            if let Some(bounds) = &j.bounds {
+                figure(format!("{name}_low"), bounds.mean[0]);
+                figure(format!("{name}_high"), bounds.mean[1]);
+            }
             figure(name, j.boxes.ap_at(0));
             figure(format!("map50_voc/{case}"), j.boxes.voc());
             figure(format!("map/{case}"), j.boxes.ap());
@@ -243,7 +261,7 @@ impl Judge<'_> {
         let Some(folder) = self.data("test", "m2cai16-tool-locations") else { return Ok(()) };
         let Some(model) = self.model("test", self.detector(), "--model") else { return Ok(()) };
         let truth = truth::read(self.session, &folder, Some("test"), None)?;
-        self.one("test", Node::Yolo, &model, truth)
+        self.judge("test", Node::Yolo, &model, truth, true)
     }
 
     fn held_out(&mut self) -> Result<()> {
@@ -258,7 +276,7 @@ impl Judge<'_> {
         if truth.pictures.is_empty() {
             bail!("no frame is of the operations {}", self.options.held_out.join(", "));
         }
-        self.one("left_out", Node::Yolo, &model, truth)
+        self.judge("left_out", Node::Yolo, &model, truth, true)
     }
 
     fn polygons(&mut self) -> Result<()> {

@@ -159,6 +159,7 @@ mod tests {
             truth: Truth { classes: classes.iter().map(|c| (*c).to_owned()).collect(), pictures: vec![picture] },
             finds: vec![Vec::new()],
             boxes: Scores { classes: classes.iter().map(score).collect() },
+            bounds: None,
             masks: None,
             ms: 1.0,
         }

@@ -139,6 +139,25 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
     Ok(Fold { name: name.to_owned(), frames, blocks: blocks.len(), scores, samples, beside, boxes })
 }
 
+/// What 95 % of the resamples of average precisions at 0.5 lie between, and of their mean.
+pub(super) struct Bounds {
+    pub classes: Vec<[f64; 2]>,
+    pub mean: [f64; 2],
+}
+
+/// Bounds for frames of the data set of the file of folds that ships, drawn from its blocks.
+///
+/// # Errors
+/// There is no such file, or a picture is not named like one of the data set.
+pub(super) fn bounds(truth: &Truth, finds: &[Vec<Find>]) -> Result<Bounds> {
+    let blocks = Blocks::of(&truth.pictures, &Folds::read(None)?)?;
+    let objects: Vec<_> = truth.pictures.iter().map(|p| p.objects.clone()).collect();
+    let ranking = Ranking::new(&objects, finds, truth.classes.len());
+    let samples = resampled(&[ranking], &blocks, truth.pictures.len(), 1).pop().unwrap_or_default();
+    let class = |k: usize| interval(samples.iter().map(|sample| sample[k]));
+    Ok(Bounds { classes: (0..truth.classes.len()).map(class).collect(), mean: interval(means(&samples).into_iter()) })
+}
+
 /// Draws curves, confusions and contact sheets of a fold.
 fn draw(folder: &Path, name: &str, truth: &Truth, finds: &[Vec<Find>], scores: &Scores) -> Result<()> {
     let file = |what: &str| folder.join(format!("fold{name}_{what}.png"));
@@ -155,7 +174,7 @@ fn means(samples: &[Vec<f64>]) -> Vec<f64> {
 }
 
 /// A value with its bounds as text, in percent.
-fn words(value: f64, [low, high]: [f64; 2]) -> String {
+pub(super) fn words(value: f64, [low, high]: [f64; 2]) -> String {
     if value.is_nan() {
         return "-".to_owned();
     }
