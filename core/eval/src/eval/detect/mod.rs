@@ -191,7 +191,9 @@ impl Judge<'_> {
                 name.clone(),
                 c.truths.to_string(),
                 c.finds.to_string(),
-                j.bounds.as_ref().map_or_else(|| percent(c.ap[0]), |b| folds::words(c.ap[0], b.classes[k])),
+                j.bounds
+                    .as_ref()
+                    .map_or_else(|| percent(c.ap[0]), |b| format!("{} %", folds::words(c.ap[0], b.classes[k]))),
                 percent(c.mean_ap()),
                 percent(c.voc),
                 percent(c.best_f1.0),
