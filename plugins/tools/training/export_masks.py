@@ -9,6 +9,7 @@ labels N (from 1), scores N and masks N x 1 x 40 x 40 inside their boxes. Needs 
 
 import argparse
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,9 @@ def main():
     x = blue_first.flip(1) / 255.0
     names = ["boxes", "labels", "scores", "masks"]
     count = {0: "instances"}
-    export(Exported(folded).eval(), x, a.out, names, dynamic_axes={n: count for n in names})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore")
+        export(Exported(folded).eval(), x, a.out, names, dynamic_axes={n: count for n in names})
     metadata = {
         "names": str(dict(enumerate(CLASSES))),
         "task": "segment",

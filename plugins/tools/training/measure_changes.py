@@ -65,6 +65,8 @@ def main():
     except fold_files.FoldsError as wrong:
         raise SystemExit(str(wrong)) from None
     frames = [f for split in file.splits for f in read(a.data, split) if f.group in operations][:: a.every]
+    if not frames:
+        raise SystemExit(f"{a.data}: no frame of the operations {', '.join(operations)}")
     frames = [f.load(a.width * 5 // 4) for f in frames]
     statistics = [lab_statistics(f.picture) for f in frames]
     models = []

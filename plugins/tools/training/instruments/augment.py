@@ -151,7 +151,7 @@ CHANGES = {
 }
 COLOUR_SHARE = 0.5
 NAMES = ("colour", *CHANGES)
-# Those that the detector which ships learned with.
+# Those that the detectors of earlier versions learned with; the one that ships learned with all.
 USUAL = frozenset(NAMES) - {"white_balance", "blood", "highlight"}
 
 

@@ -16,7 +16,7 @@ def export(model, x, path, outputs, **options):
     # PyTorch 2 has a second exporter, which needs another package.
     other = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
     with torch.no_grad(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore")
+        warnings.filterwarnings("ignore", message="The shape inference of prim::Constant")
         torch.onnx.export(model, x, str(path), opset_version=13, input_names=["images"], output_names=outputs, **options, **other)
 
 

@@ -131,7 +131,7 @@ impl Judge<'_> {
                 selfcheck::compare(self.session, &self.options.python, &truth, &found.finds, Shape::Mask, masks)?;
             }
         }
-        let bounds = if with_bounds { Some(folds::bounds(&truth, &found.finds)?) } else { None };
+        let bounds = if with_bounds { folds::bounds(self.session, &truth, &objects, &found.finds)? } else { None };
         let (case, finds, ms) = (case.to_owned(), found.finds, found.ms);
         let judged = JudgeInputs { case, node, truth, finds, boxes, bounds, masks, ms };
         self.draw(&judged)?;

@@ -9,7 +9,7 @@ use crate::error::{Context, FileAction, OnFile, Result, bail, ensure};
 use crate::inputs::shipped_file;
 
 /// Where the file of folds that ships stands in the repository.
-const SHIPPED: &str = "plugins/tools/training/folds.toml";
+pub const SHIPPED: &str = "plugins/tools/training/folds.toml";
 
 /// Folds of whole operations.
 #[derive(Clone, Debug, Deserialize)]
@@ -30,6 +30,11 @@ pub struct Folds {
 }
 
 impl Folds {
+    /// Whether the file that ships is there: installed packages leave the training out.
+    pub fn ships() -> bool {
+        shipped_file(Path::new(SHIPPED)).is_some()
+    }
+
     /// Reads `path`, or the file that ships.
     ///
     /// # Errors

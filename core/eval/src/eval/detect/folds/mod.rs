@@ -8,7 +8,7 @@ mod resample;
 use std::path::{Path, PathBuf};
 
 pub(super) use self::calibrate::{FLOOR, outcomes};
-use self::file::Folds;
+use self::file::{Folds, SHIPPED};
 use self::resample::{Blocks, RESAMPLES, interval, resampled};
 use super::picture;
 use super::truth::{self, Truth};
@@ -16,7 +16,7 @@ use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 use crate::figures::Figure;
 use crate::session::{Session, check_cancelled, note};
 use crate::text_table::table;
-use panoscope_imaging::detect::{Find, Ranking, Scores, Shape, mean, score};
+use panoscope_imaging::detect::{Find, Object, Ranking, Scores, Shape, mean, score};
 
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
@@ -145,17 +145,27 @@ pub(super) struct Bounds {
     pub mean: [f64; 2],
 }
 
-/// Bounds for frames of the data set of the file of folds that ships, drawn from its blocks.
+/// Bounds for frames of the data set of the file of folds that ships, drawn from its blocks; none, with a note, where that file is not installed.
+/// `objects` are those of `truth`, picture by picture.
 ///
 /// # Errors
-/// There is no such file, or a picture is not named like one of the data set.
-pub(super) fn bounds(truth: &Truth, finds: &[Vec<Find>]) -> Result<Bounds> {
+/// The file is damaged, or a picture is not named like one of the data set.
+pub(super) fn bounds(
+    session: &dyn Session,
+    truth: &Truth,
+    objects: &[Vec<Object>],
+    finds: &[Vec<Find>],
+) -> Result<Option<Bounds>> {
+    if !Folds::ships() {
+        note!(session, "skipped: bounds of AP50: there is no {SHIPPED} here");
+        return Ok(None);
+    }
     let blocks = Blocks::of(&truth.pictures, &Folds::read(None)?)?;
-    let objects: Vec<_> = truth.pictures.iter().map(|p| p.objects.clone()).collect();
-    let ranking = Ranking::new(&objects, finds, truth.classes.len());
+    let ranking = Ranking::new(objects, finds, truth.classes.len());
     let samples = resampled(&[ranking], &blocks, truth.pictures.len(), 1).pop().unwrap_or_default();
     let class = |k: usize| interval(samples.iter().map(|sample| sample[k]));
-    Ok(Bounds { classes: (0..truth.classes.len()).map(class).collect(), mean: interval(means(&samples).into_iter()) })
+    let classes = (0..truth.classes.len()).map(class).collect();
+    Ok(Some(Bounds { classes, mean: interval(means(&samples).into_iter()) }))
 }
 
 /// Draws curves, confusions and contact sheets of a fold.
