@@ -257,6 +257,19 @@ impl<'a> Open<'a> {
     }
 }
 
+impl panoscope_base::Report for Open<'_> {
+    fn warn(&self, message: &str) {
+        Open::warn(self, message);
+    }
+
+    fn info(&self, message: &str) {
+        Open::info(self, message);
+    }
+
+    /// A node that opens has no metrics: does nothing.
+    fn metric(&self, _: &str, _: f64) {}
+}
+
 /// The call that completes a node's files.
 pub struct Finish<'a> {
     host: &'a abi::Host,

@@ -203,6 +203,23 @@ pub static PACKAGES: &[Package] = &[
     package(Purpose::Test, "orthanc", [None, None, None], Evidence::Program("Orthanc")),
     package(Purpose::Test, "dcmtk", [Some("dcmtk"), None, Some("dcmtk")], Evidence::Program("dump2dcm")),
     package(Purpose::Test, "dicom3tools", [None, None, None], Evidence::Program("dciodvfy")),
+    // A GPU that the processor plays.
+    package(
+        Purpose::Test,
+        "libvulkan1",
+        [Some("vulkan-loader"), Some("vulkan-icd-loader"), Some("vulkan-loader")],
+        Evidence::PkgConfig("vulkan"),
+    ),
+    package(
+        Purpose::Test,
+        "mesa-vulkan-drivers",
+        [Some("mesa-vulkan-drivers"), Some("vulkan-swrast"), None],
+        Evidence::AnyFile(&[
+            "/usr/share/vulkan/icd.d/lvp_icd.x86_64.json",
+            "/usr/share/vulkan/icd.d/lvp_icd.aarch64.json",
+            "/usr/share/vulkan/icd.d/lvp_icd.json",
+        ]),
+    ),
     package(Purpose::Test, "chromium", [Some("chromium"), Some("chromium"), None], Evidence::Program("chromium")),
     package(
         Purpose::Wheels,

@@ -5,6 +5,7 @@ mod evaluate;
 mod filter;
 mod matcher;
 mod measure;
+mod on_device;
 mod rectify;
 mod reproject;
 mod shrunk;

@@ -1,5 +1,6 @@
 //! `rectify`: turns both views so that a point lies on one row in both (thesis, fig. 3.5).
 
+use panoscope_gpu::{Device, Rectifier, RectifyJob, given_up};
 use panoscope_imaging::shrink::shrink;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
@@ -46,6 +47,9 @@ pub struct RectifyNodeParams {
     /// 0 finds the smallest factor whose views are at most 1280 px wide: 2 for 1920 px, 3 for 3840.
     #[param(default = 1, range = 0..=8)]
     scale: usize,
+    /// What shrinks and turns the views. A GPU makes the same bytes; it pays for views of 1920x1080 and more. Without one the processor does it, with a warning.
+    #[param(default = "cpu")]
+    device: Device,
 }
 
 /// Width of the views that a `scale` of 0 leaves as they are, px.
@@ -73,6 +77,9 @@ struct Maps {
     target: Calibration,
     /// `None` when the views are rectified already.
     tables: Option<[RemapTable; 2]>,
+    /// The same on the GPU.
+    rectifier: Option<Rectifier>,
+    device: Device,
 }
 
 /// See the module.
@@ -92,7 +99,7 @@ fn is_level(source: &Calibration, target: &Calibration, rectification: &Rectific
 }
 
 impl Maps {
-    fn new(source: &Calibration, factor: usize, cx: &Context<'_>) -> Result<Self> {
+    fn new(source: &Calibration, factor: usize, device: Device, cx: &Context<'_>) -> Result<Self> {
         let small = calibration::shrunk(source, factor as u32);
         let rectification = calibration::rectification(&small)?;
         let target = match source.is_rectified {
@@ -100,7 +107,10 @@ impl Maps {
             _ => small,
         };
         if source.is_rectified != 0 || is_level(&small, &target, &rectification) {
-            return Ok(Self { source: *source, factor, target, tables: None });
+            // Views that stay as they are need nothing.
+            let gpu = if factor > 1 { device } else { Device::Cpu };
+            let rectifier = gpu.open(cx, |gpu| Rectifier::new(gpu, factor, None));
+            return Ok(Self { source: *source, factor, target, tables: None, rectifier, device });
         }
         let (left, right) = (calibration::camera(&small.left)?, calibration::camera(&small.right)?);
         let all = Rect::whole(rectification.width, rectification.height);
@@ -108,8 +118,28 @@ impl Maps {
             RemapTable::left(&left, &rectification, all, cx.pool())?,
             RemapTable::right(&right, &rectification, all, cx.pool())?,
         ];
-        Ok(Self { source: *source, factor, target, tables: Some(tables) })
+        let rectifier = device.open(cx, |gpu| Rectifier::new(gpu, factor, Some(tables.each_ref())));
+        Ok(Self { source: *source, factor, target, tables: Some(tables), rectifier, device })
     }
+}
+
+/// Shrinks and turns both views on the GPU. Whether it did; a GPU that fails is given up.
+fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<'_>) -> Result<bool> {
+    let Some(rectifier) = &mut maps.rectifier else { return Ok(false) };
+    let size = (maps.target.left.width as usize, maps.target.left.height as usize);
+    let slots = [(&input.left, &mut out.left), (&input.right, &mut out.right)];
+    let mut jobs = [None, None];
+    for (job, (view, slot)) in jobs.iter_mut().zip(slots) {
+        if slot.is_read() {
+            *job = Some(RectifyJob { view: view.view(), out: slot.alloc(size.0, size.1)? });
+        }
+    }
+    if let Err(error) = rectifier.run(jobs, cx.pool()) {
+        cx.warn(&given_up(&error));
+        maps.rectifier = None;
+        return Ok(false);
+    }
+    Ok(true)
 }
 
 /// Hands a view on, shrunk and turned by the map, if there is one.
@@ -192,18 +222,20 @@ impl Node for Rectify {
         }
         let given = input.calibration.as_deref().or(self.maps.as_ref().map(|maps| &maps.source)).copied();
         if let Some(given) = given
-            && self.maps.as_ref().is_none_or(|maps| maps.factor != factor || !calibration::same(&maps.source, &given))
+            && self.maps.as_ref().is_none_or(|maps| {
+                maps.factor != factor || maps.device != params.device || !calibration::same(&maps.source, &given)
+            })
         {
-            if self.maps.as_ref().is_some_and(|maps| maps.factor == factor) {
+            if self.maps.as_ref().is_some_and(|maps| !calibration::same(&maps.source, &given)) {
                 cx.info("the calibration has changed: new maps");
             }
             self.maps = None;
-            self.maps = Some(Maps::new(&given, factor, cx)?);
+            self.maps = Some(Maps::new(&given, factor, params.device, cx)?);
             if std::mem::replace(&mut self.is_passing, false) {
                 cx.info("a calibration has arrived: the views are rectified from now on");
             }
         }
-        let Some(maps) = &self.maps else {
+        let Some(maps) = &mut self.maps else {
             if params.uncalibrated == Uncalibrated::Pass {
                 if !std::mem::replace(&mut self.is_passing, true) {
                     cx.warn("no calibration has arrived: the views stay as they are, and nothing is known of their depth. Connect `calibration`");
@@ -229,6 +261,9 @@ impl Node for Rectify {
             }
         }
         out.calibration.set(maps.target)?;
+        if make_on_gpu(maps, &input, &mut out, cx)? {
+            return Ok(());
+        }
         let [left, right] = match &maps.tables {
             Some([left, right]) => [Some(left), Some(right)],
             None => [None, None],

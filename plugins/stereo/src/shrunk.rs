@@ -4,8 +4,10 @@
 //! counts their pixels; each value stands for a block of pixels.
 
 use panoscope_imaging::features::{GrayBuffer, shrink_gray};
-use panoscope_imaging::stereo::{BlockMatcher, StereoError, StereoKernel, Tile};
+use panoscope_imaging::stereo::{StereoError, StereoKernel, Tile};
 use panoscope_imaging::{Parallel, Rect, SharedMut, View, ViewMut};
+
+use crate::on_device::DeviceMatcher;
 
 /// Rows of a map per chunk.
 const ROWS: usize = 32;
@@ -13,7 +15,7 @@ const ROWS: usize = 32;
 /// A block matcher on views shrunk by a whole factor.
 pub struct Shrunk {
     /// Its parameters are in shrunk pixels; its range is set by each call.
-    pub kernel: BlockMatcher,
+    pub kernel: DeviceMatcher,
     /// Pixels of a view per shrunk pixel, each way.
     pub factor: usize,
     views: [GrayBuffer; 2],
@@ -23,7 +25,7 @@ pub struct Shrunk {
 
 impl Shrunk {
     /// A matcher on views of full size.
-    pub fn new(kernel: BlockMatcher) -> Self {
+    pub fn new(kernel: DeviceMatcher) -> Self {
         Self { kernel, factor: 1, views: Default::default(), maps: Default::default(), tiles: Vec::new() }
     }
 
@@ -181,7 +183,7 @@ mod tests {
         let left: Vec<u8> = (0..W * H).map(|i| texture(i % W, i / W)).collect();
         let right: Vec<u8> = (0..W * H).map(|i| texture(i % W + 40, i / W)).collect();
         let params = BlockMatchingParams { block_px: 9, ..BlockMatchingParams::default() };
-        let mut shrunk = Shrunk::new(BlockMatcher::new(params).expect("good parameters"));
+        let mut shrunk = Shrunk::new(DeviceMatcher::new(params).expect("good parameters"));
         shrunk.factor = 2;
         let mut map = vec![0.0; W * H];
         let views = [View::new(&left[..], W, H, 1), View::new(&right[..], W, H, 1)];

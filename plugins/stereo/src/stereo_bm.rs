@@ -1,10 +1,12 @@
 //! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
 
-use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, PairMatcher};
+use panoscope_gpu::Device;
+use panoscope_imaging::stereo::{BlockMatchingParams, PairMatcher};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
 use crate::coarse::factor;
 use crate::matcher::{In, Out, SearchWindow, check_kernel, process};
+use crate::on_device::DeviceMatcher;
 use crate::shrunk::Shrunk;
 
 /// Parameters.
@@ -31,6 +33,9 @@ pub struct StereoBmParams {
     /// 640, 3 from 1440, 4 from 2560.
     #[param(default = 1, range = 0..=8)]
     scale: usize,
+    /// What matches the views, with the same disparities. A GPU pays when large views are not shrunk. Without one the processor matches, with a warning.
+    #[param(default = "cpu")]
+    device: Device,
 }
 
 /// Smallest window that the kernel compares.
@@ -72,8 +77,9 @@ impl Node for StereoBm {
         check_kernel(check, params.kernel(1).validate());
     }
 
-    fn open(_: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
-        let kernel = BlockMatcher::new(params.kernel(1))?;
+    fn open(open: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
+        let mut kernel = DeviceMatcher::new(params.kernel(1))?;
+        kernel.choose(params.device, open);
         Ok(Self { kernel: Shrunk::new(kernel), matcher: PairMatcher::new()? })
     }
 
@@ -86,7 +92,10 @@ impl Node for StereoBm {
     ) -> Result<()> {
         self.kernel.factor = factor(params.scale, input.left.width());
         self.kernel.kernel.set_params(params.kernel(self.kernel.factor))?;
+        self.kernel.kernel.choose(params.device, cx);
         let search = (&params.search, params.left_right_px);
-        process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)
+        process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)?;
+        self.kernel.kernel.report_fault(cx);
+        Ok(())
     }
 }

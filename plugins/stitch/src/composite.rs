@@ -1,8 +1,10 @@
 //! `composite`: overlapping views and their homographies in, one wide picture out (thesis, chapter 2.2 and Alg. 2.3).
 
+use panoscope_gpu::{Device, Warper, given_up};
+use panoscope_imaging::Report;
 use panoscope_imaging::stitch::{
-    self, BlendMethod, BorderMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, SeamCost,
-    SeamMethod,
+    self, BlendMethod, BorderMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, Painter,
+    SeamCost, SeamMethod,
 };
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
@@ -131,6 +133,43 @@ pub struct CompositeNodeParams {
     /// Output while a frame's registration is lost or implausible.
     #[param(default = "last")]
     pub(crate) on_lost: OnLost,
+    /// What draws panoramas of two views, up to the transition along the seam. A GPU rounds positions differently now and then, by 1/64 px; it pays for
+    /// views of 1920x1080 and more. Without one, and for more views, the processor draws.
+    #[param(default = "cpu")]
+    pub(crate) device: Device,
+}
+
+/// The compositor of a node, and what it draws with.
+pub(crate) struct Drawer {
+    pub kernel: Compositor,
+    device: Device,
+    /// Seams found since the node was opened.
+    seams: u64,
+}
+
+impl Drawer {
+    pub(crate) fn new(params: &CompositeNodeParams, report: &dyn Report) -> Self {
+        let mut drawer = Self { kernel: Compositor::new(params.kernel()), device: Device::Cpu, seams: 0 };
+        drawer.choose(params.device, report);
+        drawer
+    }
+
+    fn choose(&mut self, device: Device, report: &dyn Report) {
+        if device != self.device {
+            self.device = device;
+            let painter = device.open(report, Warper::new);
+            self.kernel.set_painter(painter.map(|warper| Box::new(warper) as Box<dyn Painter>));
+        }
+    }
+
+    /// Follows changed parameters.
+    pub(crate) fn set_params(&mut self, params: &CompositeNodeParams, report: &dyn Report) {
+        let wanted = params.kernel();
+        if *self.kernel.params() != wanted {
+            self.kernel.set_params(wanted);
+        }
+        self.choose(params.device, report);
+    }
 }
 
 impl CompositeNodeParams {
@@ -207,9 +246,7 @@ pub struct Out<'f> {
 
 /// See the module.
 pub struct Composite {
-    kernel: Compositor,
-    /// Seams found since the node was opened.
-    seams: u64,
+    drawer: Drawer,
 }
 
 /// Where the views of a tick come from: two of them with their homography, or a list with one homography for each but the first.
@@ -299,19 +336,22 @@ pub(crate) struct Slots<'s, 'f> {
     pub shown: &'s mut Slot<'f, Gray8>,
 }
 
-/// Draws the panorama of a tick and fills the outputs beside it; `seams` counts the seams found.
+/// Draws the panorama of a tick and fills the outputs beside it.
 pub(crate) fn draw(
-    kernel: &mut Compositor,
-    seams: &mut u64,
+    drawer: &mut Drawer,
     cx: &Context<'_>,
     (views, maps, state): (&[View<'_, u8>], &[[f64; 9]], GeometryState),
     slots: Slots<'_, '_>,
 ) -> Result<()> {
+    let Drawer { kernel, seams, .. } = drawer;
     let canvas = kernel.canvas(views, maps, state)?;
     let mask_is_read = slots.mask.is_read();
     let mut panorama = slots.panorama.alloc(canvas.width, canvas.height)?;
     let mut mask = if mask_is_read { Some(slots.mask.alloc(canvas.width, canvas.height)?) } else { None };
     let report = kernel.compose(views, maps, state, cx.pool(), &mut panorama, mask.as_mut())?;
+    if let Some(reason) = kernel.take_painter_fault() {
+        cx.warn(&given_up(&reason));
+    }
     cx.metric("seam_cost_levels", f64::from(report.seam_cost));
     cx.metric("seam_ms", report.seam_time.as_secs_f64() * 1e3);
     *seams += u64::from(report.seam_found);
@@ -357,8 +397,8 @@ impl Node for Composite {
         check_views(check);
     }
 
-    fn open(_: &Open<'_>, params: &CompositeNodeParams) -> Result<Self> {
-        Ok(Self { kernel: Compositor::new(params.kernel()), seams: 0 })
+    fn open(open: &Open<'_>, params: &CompositeNodeParams) -> Result<Self> {
+        Ok(Self { drawer: Drawer::new(params, open) })
     }
 
     fn process<'f>(
@@ -368,10 +408,7 @@ impl Node for Composite {
         mut out: Out<'f>,
         params: &CompositeNodeParams,
     ) -> Result<()> {
-        let wanted = params.kernel();
-        if *self.kernel.params() != wanted {
-            self.kernel.set_params(wanted);
-        }
+        self.drawer.set_params(params, cx);
         let inputs = SceneInputs {
             pair: [input.left.as_ref(), input.right.as_ref()],
             homography: input.homography.as_deref(),
@@ -380,11 +417,11 @@ impl Node for Composite {
         };
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
-        if params.on_lost == OnLost::Skip && !self.kernel.accepts(views, maps, scene.state)? {
+        if params.on_lost == OnLost::Skip && !self.drawer.kernel.accepts(views, maps, scene.state)? {
             return Ok(());
         }
         let Out { panorama, mask, canvas, shown } = &mut out;
         let slots = Slots { panorama, mask, canvas, shown };
-        draw(&mut self.kernel, &mut self.seams, cx, (views, maps, scene.state), slots)
+        draw(&mut self.drawer, cx, (views, maps, scene.state), slots)
     }
 }

@@ -1,16 +1,14 @@
 //! `composite_mesh`: views, their homographies and their disparity in, one wide picture without parallax at the seam out.
 
 use panoscope_imaging::geometry;
-use panoscope_imaging::stitch::{
-    Compositor, Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners,
-};
+use panoscope_imaging::stitch::{Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners};
 use panoscope_node::abi::{self, Calibration, Homography, Roi};
 use panoscope_node::{
     Bgr8, Context, Disparity, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData,
     Validation, Value, View, error,
 };
 
-use crate::composite::{CompositeNodeParams, OnLost, Scene, SceneInputs, Slots, check_views, draw};
+use crate::composite::{CompositeNodeParams, Drawer, OnLost, Scene, SceneInputs, Slots, check_views, draw};
 use crate::register_grid;
 
 /// Columns of the table of vertices: their place in the panorama, from the left view's origin, and what they show of each view.
@@ -136,14 +134,13 @@ impl BlindWatch {
 
 /// See the module.
 pub struct CompositeMesh {
-    kernel: Compositor,
+    drawer: Drawer,
     blind: BlindWatch,
     /// One for each further view.
     followers: Vec<MeshFollower>,
     /// Disparity that several maps make together.
     joined: Vec<f32>,
     rows: Vec<f64>,
-    seams: u64,
 }
 
 /// Appends the vertices, row after row.
@@ -255,10 +252,12 @@ impl CompositeMesh {
             if let Some(report) = self.follow(cx, (scene, view), disparity, input.calibration.as_deref())? {
                 all = Some(all.map_or(report, |others| worst(others, report)));
             }
-            self.kernel.set_mesh(view, self.followers[view - 1].mesh());
+            self.drawer.kernel.set_mesh(view, self.followers[view - 1].mesh());
         }
         let is_pair = input.views.is_none();
-        self.kernel.set_mesh(0, self.followers.first().filter(|_| is_pair).and_then(MeshFollower::reference_mesh));
+        self.drawer
+            .kernel
+            .set_mesh(0, self.followers.first().filter(|_| is_pair).and_then(MeshFollower::reference_mesh));
         self.joined = joined;
         Ok(all)
     }
@@ -307,15 +306,13 @@ impl Node for CompositeMesh {
         }
     }
 
-    fn open(_: &Open<'_>, params: &CompositeMeshParams) -> Result<Self> {
-        let kernel = Compositor::new(params.composite.kernel());
+    fn open(open: &Open<'_>, params: &CompositeMeshParams) -> Result<Self> {
         Ok(Self {
-            kernel,
+            drawer: Drawer::new(&params.composite, open),
             blind: BlindWatch::default(),
             followers: Vec::new(),
             joined: Vec::new(),
             rows: Vec::new(),
-            seams: 0,
         })
     }
 
@@ -326,10 +323,7 @@ impl Node for CompositeMesh {
         mut out: Out<'f>,
         params: &CompositeMeshParams,
     ) -> Result<()> {
-        let wanted = params.composite.kernel();
-        if *self.kernel.params() != wanted {
-            self.kernel.set_params(wanted);
-        }
+        self.drawer.set_params(&params.composite, cx);
         let inputs = SceneInputs {
             pair: [input.left.as_ref(), input.right.as_ref()],
             homography: input.homography.as_deref(),
@@ -350,7 +344,7 @@ impl Node for CompositeMesh {
             }
         }
         let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
-        if params.composite.on_lost == OnLost::Skip && !self.kernel.accepts(views, maps, scene.state)? {
+        if params.composite.on_lost == OnLost::Skip && !self.drawer.kernel.accepts(views, maps, scene.state)? {
             return Ok(());
         }
         if out.mesh.is_read() {
@@ -358,6 +352,6 @@ impl Node for CompositeMesh {
         }
         let Out { panorama, mask, canvas, shown, .. } = &mut out;
         let slots = Slots { panorama, mask, canvas, shown };
-        draw(&mut self.kernel, &mut self.seams, cx, (views, maps, scene.state), slots)
+        draw(&mut self.drawer, cx, (views, maps, scene.state), slots)
     }
 }

@@ -15,7 +15,7 @@ use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, most_lanes};
 use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// Columns beyond each side of a tile that are matched with it.
-const MARGIN_PX: usize = 8;
+pub const TILE_MARGIN_PX: usize = 8;
 /// Smallest number of rows of a band.
 const BAND_ROWS: usize = 32;
 
@@ -204,7 +204,7 @@ impl BlockMatcher {
             let tile = &tiles[index];
             let area = tile.area.clamped(width, height);
             // Beyond its sides a tile's pixels compete for the same right ones.
-            let roi = tile.widened(MARGIN_PX, width).clamped(width, height);
+            let roi = tile.widened(TILE_MARGIN_PX, width).clamped(width, height);
             let Some(span) = Span::new(roi, width, tile.first_px, tile.search_px, radius) else { return };
             // SAFETY: `Parallel::run` calls each index once, and the memory of a tile belongs to its index.
             let TileWork { band, line } = unsafe { &mut work.part(index, 1)[0] };

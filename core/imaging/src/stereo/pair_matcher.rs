@@ -187,7 +187,7 @@ impl PairMatcher {
         if let Some(right) = &mut right
             && (is_whole || right_is_read)
         {
-            self.field.clear_outside(&mut disparity, right, roi);
+            self.field.clear_outside(&mut disparity, right, right_is_read, roi);
         }
         self.speckles.remove(&mut disparity, roi, params.speckle_area_px, SPECKLE_STEP_PX);
         self.strip.fill(views, roi, &mut disparity);

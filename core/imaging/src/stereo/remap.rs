@@ -102,6 +102,26 @@ impl RemapTable {
         self.avx2 = false;
     }
 
+    /// Columns and rows of the camera's image.
+    pub fn source_size(&self) -> (usize, usize) {
+        self.source_size
+    }
+
+    /// Columns and rows of the rectified view.
+    pub fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// For each pixel of the rectangle, row after row: the row of its upper left source pixel times 65,536, and that pixel's column.
+    pub fn corners(&self) -> &[u32] {
+        &self.corner
+    }
+
+    /// For each pixel of the rectangle: fractions in 1/32 px, down times 256 and right; 65,535 where the camera does not see.
+    pub fn fractions(&self) -> &[u16] {
+        &self.fraction
+    }
+
     /// The rectangle this map fills.
     pub fn roi(&self) -> Rect {
         self.roi

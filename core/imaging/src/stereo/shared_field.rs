@@ -24,9 +24,15 @@ pub struct SharedField {
 }
 
 impl SharedField {
-    /// Sets pixels left of the shared field to NaN in `disparity` (left view, px, inside `roi`), and pixels right of it in `right`, the
-    /// right view's map of the same match, in the rows of `roi`. Rows where the other view's border is not matched stay unchanged.
-    pub fn clear_outside(&mut self, disparity: &mut ViewMut<'_, f32>, right: &mut ViewMut<'_, f32>, roi: Rect) {
+    /// Sets pixels left of the shared field to NaN in `disparity` (left view, px, inside `roi`), and, if that map is read, pixels right of it in `right`,
+    /// the right view's map of the same match, in the rows of `roi`. Rows where the other view's border is not matched stay unchanged.
+    pub fn clear_outside(
+        &mut self,
+        disparity: &mut ViewMut<'_, f32>,
+        right: &mut ViewMut<'_, f32>,
+        right_is_read: bool,
+        roi: Rect,
+    ) {
         let roi = roi.clamped(disparity.width.min(right.width), disparity.height.min(right.height));
         if roi.is_empty() {
             return;
@@ -50,7 +56,7 @@ impl SharedField {
                     disparity.row_mut(y)[roi.x..until].fill(f32::NAN);
                 }
             }
-            if let Some(d) = at_row(&self.borders[1], row) {
+            if right_is_read && let Some(d) = at_row(&self.borders[1], row) {
                 let from = (end as f32 - d + SLACK_PX).clamp(0.0, right.width as f32) as usize;
                 right.row_mut(y)[from..].fill(f32::NAN);
             }
@@ -140,7 +146,12 @@ mod tests {
         let (map, map_right) = (left.clone(), right.clone());
         let mut field = SharedField::default();
         let left_view = &mut ViewMut::new(&mut left, SIZE.0, SIZE.1, 1);
-        field.clear_outside(left_view, &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1), Rect::whole(SIZE.0, SIZE.1));
+        field.clear_outside(
+            left_view,
+            &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1),
+            true,
+            Rect::whole(SIZE.0, SIZE.1),
+        );
         for y in 0..SIZE.1 {
             let at = y * SIZE.0..(y + 1) * SIZE.0;
             let (row, before) = (&left[at.clone()], &map[at.clone()]);
@@ -164,7 +175,7 @@ mod tests {
             let [left, right] = &mut maps;
             let (left, right) =
                 (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-            SharedField::default().clear_outside(left, right, Rect::whole(SIZE.0, SIZE.1));
+            SharedField::default().clear_outside(left, right, true, Rect::whole(SIZE.0, SIZE.1));
             assert!(maps[1 - unknown].iter().all(|d| *d == 5.0));
         }
     }
@@ -174,7 +185,7 @@ mod tests {
         let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
         let [left, right] = &mut maps;
         let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-        SharedField::default().clear_outside(left, right, Rect { x: 0, y: 20, width: SIZE.0, height: 30 });
+        SharedField::default().clear_outside(left, right, true, Rect { x: 0, y: 20, width: SIZE.0, height: 30 });
         for map in &maps {
             for (y, row) in map.chunks_exact(SIZE.0).enumerate() {
                 let gone = row.iter().filter(|d| d.is_nan()).count();

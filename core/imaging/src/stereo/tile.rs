@@ -16,7 +16,7 @@ pub struct Tile {
 
 impl Tile {
     /// The area with up to `columns` more on both sides, inside a view of `width` columns.
-    pub(super) fn widened(&self, columns: usize, width: usize) -> Rect {
+    pub fn widened(&self, columns: usize, width: usize) -> Rect {
         let x = self.area.x.saturating_sub(columns);
         let end = (self.area.x + self.area.width + columns).min(width);
         Rect { x, width: end.saturating_sub(x), ..self.area }

@@ -2,6 +2,7 @@
 
 use super::border::Border;
 use super::canvas::{Bounds, CanvasHolder};
+use super::drawing::Painter;
 use super::mark;
 use super::mesh::{Mapping, Mesh, MeshGrid};
 use super::paint::{Layers, Step, Warp, levels_of};
@@ -27,6 +28,8 @@ pub struct Compositor {
     has_new_mesh: bool,
     pub(super) layers: Layers,
     border: Border,
+    painter: Option<Box<dyn Painter>>,
+    painter_fault: Option<String>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,6 +70,22 @@ impl Compositor {
         for step in &mut self.layers.steps {
             step.seam.forget();
         }
+    }
+
+    /// Lets `painter` draw the panoramas of one and of two views, up to their blending; the processor draws all others. A painter that fails is given up.
+    pub fn set_painter(&mut self, painter: Option<Box<dyn Painter>>) {
+        self.painter = painter;
+        self.painter_fault = None;
+    }
+
+    /// Whether a painter is set that has not failed.
+    pub fn has_painter(&self) -> bool {
+        self.painter.is_some()
+    }
+
+    /// Why the painter was given up, once.
+    pub fn take_painter_fault(&mut self) -> Option<String> {
+        self.painter_fault.take()
     }
 
     /// Forgets canvas, seam, gains and geometry, as after a cut in the video. Work memory stays.
@@ -257,7 +276,12 @@ impl Compositor {
         let begun = std::time::Instant::now();
         let (seam_found, seam_cost) = self.layers.plan(&self.params, views, may_learn, moved, p.canvas, pool, avx2);
         let seam_time = begun.elapsed();
-        self.layers.paint(&self.params, views, p.canvas, pool, out, avx2);
+        let painter = self.painter.as_deref_mut().filter(|_| views.len() <= 2);
+        if let Err(reason) = self.layers.paint(&self.params, views, p.canvas, pool, out, avx2, painter) {
+            self.painter = None;
+            self.painter_fault = Some(reason);
+            let _ = self.layers.paint(&self.params, views, p.canvas, pool, out, avx2, None);
+        }
         if let Some(mask) = mask_out {
             self.layers.paint_mask(mask, pool);
         }

@@ -11,6 +11,7 @@ mod compositor;
 pub mod correspond;
 pub mod cut;
 pub mod disparity_plane;
+mod drawing;
 pub mod evaluate;
 mod graph_cut;
 pub mod grid;
@@ -30,6 +31,7 @@ mod tests;
 pub mod warp;
 
 pub use compositor::Compositor;
+pub use drawing::{Drawing, DrawnMesh, DrawnView, Painter, Runs};
 pub use graph_cut::GridCut;
 pub use grid::{CellPoint, GridParams, GridRegistration, RectifiedView, RegisterGrid};
 pub use mesh::{Lattice, Mesh, MeshFollower, MeshParams, MeshReport};

@@ -1,6 +1,7 @@
 //! Draws a frame: exposure and seam on the coarse samples, then pixels.
 
 use super::blend::{self, Blender, Ranges};
+use super::drawing::{Drawing, DrawnMesh, DrawnView, Painter, Runs};
 use super::graph_cut::GridCut;
 use super::mesh::{Mapping, Mesh, MeshGrid};
 use super::params::*;
@@ -30,6 +31,8 @@ pub(super) struct Layers {
     pub(super) joined: Joined,
     pub(super) cut: GridCut,
     pub(super) blender: Blender,
+    /// Which view each pixel shows, for a painter.
+    pub(super) runs: Runs,
 }
 
 /// Geometry of one view on the canvas.
@@ -141,7 +144,39 @@ impl Layers {
         (found_any, worst_cost)
     }
 
-    /// Draws all views.
+    /// Lets `painter` draw one or two views up to their blending.
+    fn hand_over(
+        &mut self,
+        views: &[View<u8>],
+        canvas: Canvas,
+        painter: &mut (dyn Painter + 'static),
+        pool: &dyn Parallel,
+        out: &mut ViewMut<u8>,
+        avx2: bool,
+    ) -> Result<(), String> {
+        let second = self.steps.get(1).filter(|_| views.len() > 1);
+        let second = second.map(|step| (&step.segments, step.zone, &step.ranges));
+        self.runs.build((canvas.width, canvas.height), &self.spans[0], second);
+        let drawn = |view: usize| {
+            let (warp, mesh) = (&self.warps[view], self.meshes[view].given());
+            Source::new(&views[view], warp, mesh, &self.gains[view], avx2).drawn(&warp.source_from_canvas)
+        };
+        let both;
+        let one;
+        let views = if views.len() > 1 {
+            both = [drawn(0), drawn(1)];
+            &both[..]
+        } else {
+            one = [drawn(0)];
+            &one[..]
+        };
+        painter.paint(&Drawing { views, runs: &self.runs }, out, pool)
+    }
+
+    /// Draws all views; with a painter, one or two, only their blending, after the painter has drawn the rest.
+    ///
+    /// # Errors
+    /// Those of the painter.
     pub(super) fn paint(
         &mut self,
         params: &CompositeParams,
@@ -150,7 +185,15 @@ impl Layers {
         pool: &dyn Parallel,
         out: &mut ViewMut<u8>,
         avx2: bool,
-    ) {
+        painter: Option<&mut (dyn Painter + 'static)>,
+    ) -> Result<(), String> {
+        let is_drawn = painter.is_some();
+        if let Some(painter) = painter {
+            self.hand_over(views, canvas, painter, pool, out, avx2)?;
+            if views.len() == 1 || self.steps[1].zone.is_none() {
+                return Ok(());
+            }
+        }
         let stride = out.stride;
         let first = Source::new(&views[0], &self.warps[0], self.meshes[0].given(), &self.gains[0], avx2);
         let spans = &self.spans[0];
@@ -166,7 +209,7 @@ impl Layers {
                     paint_first(&first, spans[y], y, row, &mut work);
                 }
             });
-            return;
+            return Ok(());
         }
         let levels = levels_of(params);
         for k in 1..views.len() {
@@ -184,7 +227,7 @@ impl Layers {
                     for y in rows(chunk) {
                         // SAFETY: rows are split between chunks.
                         let row = unsafe { target.part(y * stride, canvas.width * 3) };
-                        if k == 1 {
+                        if k == 1 && !is_drawn {
                             paint_first(&first, spans[y], y, row, &mut work);
                         }
                         let inside = zone.filter(|z| y >= z.y && y < z.y + z.height);
@@ -198,7 +241,10 @@ impl Layers {
                                 out: d,
                             }
                         });
-                        paint_new(&source, step.segments.row(y), y, row, blended, &mut work);
+                        if is_drawn && blended.is_none() {
+                            continue;
+                        }
+                        paint_new(&source, step.segments.row(y), y, row, blended, is_drawn, &mut work);
                     }
                 });
             }
@@ -226,6 +272,7 @@ impl Layers {
                 });
             }
         }
+        Ok(())
     }
 
     /// Draws 255 where a view lies.
@@ -310,6 +357,16 @@ impl<'a> Source<'a> {
         Self { view: *view, source_from_canvas, shift, moved, gain: taps::fixed_gain(gain), avx2 }
     }
 
+    /// As a painter takes it.
+    fn drawn(&self, source_from_canvas: &[f64; 9]) -> DrawnView<'a> {
+        let mesh = match &self.source_from_canvas {
+            Mapping::Mesh(grid) => Some(DrawnMesh::of(grid)),
+            Mapping::Plane(_) => None,
+        };
+        let (source_from_canvas, gain) = (*source_from_canvas, self.gain);
+        DrawnView { view: self.view, source_from_canvas, mesh, shift: self.shift, moved: self.moved, gain }
+    }
+
     /// Samples up to a block of canvas pixels from `(x, y)` on into `work.pixels`.
     fn sample(&self, x: usize, y: usize, count: usize, work: &mut Work) {
         let v = &self.view;
@@ -366,13 +423,14 @@ struct Blended<'a> {
     out: &'a mut [i16],
 }
 
-/// Draws the new view where it is shown alone; in the blend zone writes differences and weights.
+/// Draws the new view where it is shown alone, unless it is drawn there already; in the blend zone writes differences and weights.
 fn paint_new(
     source: &Source,
     segments: &[Segment],
     y: usize,
     row: &mut [u8],
     blended: Option<Blended>,
+    is_drawn: bool,
     work: &mut Work,
 ) {
     let width = row.len() / 3;
@@ -394,6 +452,9 @@ fn paint_new(
         }
         extend_row(segments, (n0, n1), out);
         (hidden, shown) = (zone.x + active.0, zone.x + active.1);
+    }
+    if is_drawn {
+        return;
     }
     // Inside the active columns the picture so far stays: the blend adds to it.
     for segment in segments {

@@ -7,6 +7,7 @@ pub mod folds;
 mod judged;
 mod phantom;
 mod picture;
+mod real_tips;
 pub mod reliability;
 mod selfcheck;
 mod tables;
@@ -305,27 +306,45 @@ impl Judge<'_> {
         }
         for (name, from) in cases {
             let tips = phantom::tips(self.session, from)?;
-            let found = tips.errors_px.len();
-            note!(
-                self.session,
-                "tips from {name}: {found} of {} found, median {:.1} px, {:.2} mm",
-                tips.seen,
-                Tips::median(&tips.errors_px),
-                Tips::median(&tips.errors_mm)
+            self.report_tips(name, &tips, &format!("phantom 640x360, one instrument, {} tips", tips.seen));
+        }
+        let Some(folder) = self.data("tips on real pictures", "cholec_polygons") else { return Ok(()) };
+        let truth = truth::read(self.session, &folder, None, None)?;
+        for (name, node, model) in [("real_masks", Node::MaskRcnn, masks), ("real_boxes", Node::Yolo, boxes)] {
+            let Some(model) = model else { continue };
+            let tips = real_tips::run(self.session, &truth, node, &model)?;
+            self.report_tips(
+                name,
+                &tips,
+                &format!("{} real pictures, {} ends of outlines", truth.pictures.len(), tips.seen),
             );
-            let one = |k: &(&str, usize, usize, f64)| format!("{} {}/{} {:.1} px", k.0, k.2, k.1, k.3);
-            note!(self.session, "  {}", tips.kinds.iter().map(one).collect::<Vec<_>>().join(", "));
-            let input = format!("phantom 640x360, one instrument, {} tips", tips.seen);
-            let mut figure = |what: &str, value: f64, unit| {
-                if !value.is_nan() {
-                    self.figures.push(Figure::new(&format!("{what}/{name}"), value, unit, &input));
-                }
-            };
-            figure("tip_error_px", Tips::median(&tips.errors_px), "px");
-            figure("tip_error_mm", Tips::median(&tips.errors_mm), "mm");
-            figure("tip_found", found as f64 / tips.seen.max(1) as f64, "1");
         }
         Ok(())
+    }
+
+    fn report_tips(&mut self, name: &str, tips: &Tips, input: &str) {
+        let found = tips.errors_px.len();
+        let in_space = if tips.errors_mm.is_empty() {
+            String::new()
+        } else {
+            format!(", {:.2} mm", Tips::median(&tips.errors_mm))
+        };
+        note!(
+            self.session,
+            "tips from {name}: {found} of {} found, median {:.1} px{in_space}",
+            tips.seen,
+            Tips::median(&tips.errors_px)
+        );
+        let one = |k: &(String, usize, usize, f64)| format!("{} {}/{} {:.1} px", k.0, k.2, k.1, k.3);
+        note!(self.session, "  {}", tips.kinds.iter().map(one).collect::<Vec<_>>().join(", "));
+        let mut figure = |what: &str, value: f64, unit| {
+            if !value.is_nan() {
+                self.figures.push(Figure::new(&format!("{what}/{name}"), value, unit, input));
+            }
+        };
+        figure("tip_error_px", Tips::median(&tips.errors_px), "px");
+        figure("tip_error_mm", Tips::median(&tips.errors_mm), "mm");
+        figure("tip_found", found as f64 / tips.seen.max(1) as f64, "1");
     }
 
     /// The truth that was named.

@@ -57,7 +57,7 @@ pub struct Tips {
     /// Distances in space of those with a valid position, mm.
     pub errors_mm: Vec<f64>,
     /// Per kind of instrument: tips seen, found, and their median distance in px.
-    pub kinds: Vec<(&'static str, usize, usize, f64)>,
+    pub kinds: Vec<(String, usize, usize, f64)>,
 }
 
 impl Tips {
@@ -78,9 +78,18 @@ pub enum From<'a> {
     Model(Node, &'a Path),
 }
 
-fn lines(path: &Path) -> Result<Vec<Value>> {
+/// Lines of a JSONL table.
+pub fn read_lines(path: &Path) -> Result<Vec<Value>> {
     let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     text.lines().map(|l| serde_json::from_str(l).with_context(|| format!("{} is damaged", path.display()))).collect()
+}
+
+/// Position of a line's tip in the picture, px, and in space, mm.
+pub fn place(line: &Value) -> Option<([f64; 2], Option<Vec<f64>>)> {
+    let tip = line.get("tip")?;
+    let xyz = tip.get("xyz_mm").and_then(Value::as_array);
+    let xyz = xyz.and_then(|v| v.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>());
+    Some(([tip.get("u_px")?.as_f64()?, tip.get("v_px")?.as_f64()?], xyz))
 }
 
 /// Runs scenes with one instrument each through `tool_tip` with the true depth.
@@ -119,13 +128,8 @@ pub fn tips(session: &dyn Session, from: From<'_>) -> Result<Tips> {
         let path = scratch.path().join("eval.toml");
         let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], pace: Pace::Free };
         run::run(session, &plan)?;
-        let (found, real) = (lines(&scratch.path().join("found.jsonl"))?, lines(&scratch.path().join("truth.jsonl"))?);
-        let place = |line: &Value| -> Option<([f64; 2], Option<Vec<f64>>)> {
-            let tip = line.get("tip")?;
-            let xyz = tip.get("xyz_mm").and_then(Value::as_array);
-            let xyz = xyz.and_then(|v| v.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>());
-            Some(([tip.get("u_px")?.as_f64()?, tip.get("v_px")?.as_f64()?], xyz))
-        };
+        let read = |name: &str| read_lines(&scratch.path().join(name));
+        let (found, real) = (read("found.jsonl")?, read("truth.jsonl")?);
         let seq = |line: &Value| line.get("seq").and_then(Value::as_u64);
         let (seen_before, found_before) = (out.seen, out.errors_px.len());
         for line in &real {
@@ -138,7 +142,7 @@ pub fn tips(session: &dyn Session, from: From<'_>) -> Result<Tips> {
             }
         }
         let own = &out.errors_px[found_before..];
-        out.kinds.push((kind, out.seen - seen_before, own.len(), Tips::median(own)));
+        out.kinds.push(((*kind).to_owned(), out.seen - seen_before, own.len(), Tips::median(own)));
     }
     Ok(out)
 }

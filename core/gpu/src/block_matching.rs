@@ -1,0 +1,445 @@
+//! Block matching on the device.
+//!
+//! One kernel filters both views, one matches the pixels of a view against the other one. It runs for the right view first, whose winners the
+//! left-right check of the left view reads. No cost is stored: a workgroup goes through the disparities with the winners of its pixels at hand.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use panoscope_imaging::stereo::block_matching::TILE_MARGIN_PX;
+use panoscope_imaging::stereo::{BlockMatchingParams, Tile};
+use panoscope_imaging::{Parallel, Rect, View, ViewMut};
+
+use crate::device::{Gpu, GpuError};
+use crate::kernel::{GROUP, Kernel};
+use crate::memory::{Store, Transfer, each_row, picture_bytes};
+
+/// Columns and rows of a workgroup's block in the shader.
+const BLOCK: [usize; 2] = [64, 32];
+/// Words in front of the jobs of a call, of a job, and of the sizes of a view.
+const CALL_WORDS: usize = 8;
+const JOB_WORDS: usize = 12;
+const FILTER_WORDS: usize = 8;
+/// Columns that a row of a filtered view has in addition: three before, one behind.
+const PLANE_MARGIN: usize = 4;
+/// Result that nobody reads.
+const NOWHERE: usize = 0xffff_ffff;
+/// Workgroups in a row of a dispatch.
+const GROUPS_PER_ROW: usize = 32_768;
+/// Bytes that starts of parts in the upload are multiples of.
+const ALIGNMENT: usize = 16;
+const MAX_SEARCH_PX: usize = 512;
+const MAX_MIN_DISPARITY_PX: u32 = 1 << 20;
+
+/// Pixels of the left view, and what they are compared with.
+#[derive(Clone, Debug)]
+struct Region {
+    /// Columns and rows whose disparity is found.
+    columns: Range<usize>,
+    rows: Range<usize>,
+    /// Columns that compete for right pixels.
+    competing: Range<usize>,
+    /// Smallest disparity, px, and number of disparities.
+    min: i64,
+    lanes: usize,
+}
+
+impl Region {
+    /// The columns of `roi` whose search overlaps a right view of `width` columns; see `Span` of `panoscope-imaging`.
+    fn new(roi: Rect, width: usize, min: i32, search_px: usize) -> Option<Self> {
+        let (lanes, min) = (search_px.next_multiple_of(32), i64::from(min));
+        let start = roi.x.max(min.max(0) as usize);
+        let end = (width as i64 + min + lanes as i64 - 1).clamp(0, (roi.x + roi.width) as i64) as usize;
+        let competing = start..end;
+        let rows = roi.y..roi.y + roi.height;
+        (start < end && !rows.is_empty()).then_some(Self { columns: start..end, rows, competing, min, lanes })
+    }
+
+    /// The region of a tile of views of this size, as `BlockMatcher::compute_tiles` matches it.
+    fn of_tile(tile: &Tile, (width, height): (usize, usize)) -> Option<Self> {
+        let area = tile.area.clamped(width, height);
+        let roi = tile.widened(TILE_MARGIN_PX, width).clamped(width, height);
+        let region = Self::new(roi, width, tile.first_px, tile.search_px)?;
+        let columns = region.columns.start.max(area.x)..region.columns.end.min(area.x + area.width);
+        (!columns.is_empty()).then_some(Self { columns, ..region })
+    }
+
+    /// Columns of a right view of `width` columns that its pixels are compared with.
+    fn right_columns(&self, width: usize) -> Range<usize> {
+        let first = self.columns.start as i64 - self.min - self.lanes as i64 + 1;
+        let end = self.columns.end as i64 - self.min;
+        first.max(0) as usize..end.clamp(0, width as i64) as usize
+    }
+}
+
+/// Where a part of a result is: `columns` of `rows` of a map, row after row from value `start` on.
+#[derive(Clone, Debug)]
+struct Part {
+    columns: Range<usize>,
+    rows: Range<usize>,
+    start: usize,
+}
+
+impl Part {
+    /// Copies its row `y`, if it has one, from the result into the map's.
+    fn copy_row(&self, result: &[u8], y: usize, row: &mut [f32]) {
+        if !self.rows.contains(&y) {
+            return;
+        }
+        let start = 4 * (self.start + (y - self.rows.start) * self.columns.len());
+        for (value, bytes) in row[self.columns.clone()].iter_mut().zip(result[start..].as_chunks().0) {
+            *value = f32::from_le_bytes(*bytes);
+        }
+    }
+}
+
+/// Pixels of one view that are matched over one range, as the shader reads them.
+struct Job<'a> {
+    columns: &'a Range<usize>,
+    rows: &'a Range<usize>,
+    /// Column of the other view that lane 0 of column 0 is compared with.
+    shift: i64,
+    lanes: usize,
+    /// Columns of the other view that compete.
+    others: &'a Range<usize>,
+    /// Where the winners of the right view's pixels are, their first column, their columns.
+    winners: [usize; 3],
+    output: usize,
+}
+
+/// What one call asks of the device.
+#[derive(Debug, Default)]
+struct Plan {
+    /// Columns of the views, first row of the planes, radius of the window.
+    width: usize,
+    first_row: usize,
+    radius: usize,
+    /// Jobs as the shader reads them.
+    jobs: Vec<i32>,
+    /// Blocks of the left and the right view's jobs.
+    blocks: [Vec<u32>; 2],
+    /// Parts of the left and the right map.
+    parts: [Vec<Part>; 2],
+    /// Words of all winners and of the result.
+    winners: usize,
+    result: usize,
+}
+
+impl Plan {
+    /// Adds the jobs of a region: the left view's and, for the check or the right map, the right view's.
+    fn add(&mut self, region: &Region, is_checked: bool, has_right: bool) {
+        let Region { columns, rows, competing, min, lanes } = region;
+        let (shift, lanes) = (*min, *lanes);
+        let right_columns = region.right_columns(self.width);
+        let winners = [self.winners, right_columns.start, right_columns.len()];
+        if is_checked || has_right {
+            self.winners += right_columns.len() * rows.len();
+            let output = if has_right { self.output(1, &right_columns, rows) } else { NOWHERE };
+            self.push(1, &Job { columns: &right_columns, rows, shift, lanes, others: competing, winners, output });
+        }
+        let output = self.output(0, columns, rows);
+        let shift = 1 - shift - lanes as i64;
+        self.push(0, &Job { columns, rows, shift, lanes, others: &(0..self.width), winners, output });
+    }
+
+    /// Makes room for a part of a map; returns where it starts.
+    fn output(&mut self, side: usize, columns: &Range<usize>, rows: &Range<usize>) -> usize {
+        let start = self.result;
+        self.result += columns.len() * rows.len();
+        self.parts[side].push(Part { columns: columns.clone(), rows: rows.clone(), start });
+        start
+    }
+
+    /// Adds a job of the left (0) or right (1) view, and its blocks.
+    fn push(&mut self, side: usize, job: &Job<'_>) {
+        let number = (self.jobs.len() / JOB_WORDS) as u32;
+        let words = |words: &[usize]| words.iter().map(|word| *word as u32 as i32).collect::<Vec<i32>>();
+        self.jobs.extend(words(&[job.columns.start, job.columns.end, job.rows.start - self.first_row, job.rows.len()]));
+        self.jobs.push(job.shift as i32);
+        self.jobs.extend(words(&[job.lanes, job.others.start, job.others.end]));
+        self.jobs.extend(words(&job.winners));
+        self.jobs.extend(words(&[job.output]));
+        let matched = BLOCK[0] - 2 * self.radius;
+        for y in 0..job.rows.len().div_ceil(BLOCK[1]) as u32 {
+            for x in 0..job.columns.len().div_ceil(matched) as u32 {
+                self.blocks[side].extend([number, x | (y << 16)]);
+            }
+        }
+    }
+}
+
+/// What a view needs on the device.
+#[derive(Debug, Default)]
+struct Side {
+    view: Store,
+    sizes: Store,
+    plane: Store,
+    blocks: Store,
+}
+
+/// Block matcher on a device, with its memory there, which only grows.
+///
+/// Finds the same disparities as [`BlockMatcher`], but for the last bits of their fractions.
+///
+/// [`BlockMatcher`]: panoscope_imaging::stereo::BlockMatcher
+#[derive(Debug)]
+pub struct GpuBlockMatcher {
+    gpu: Arc<Gpu>,
+    filter: Kernel,
+    /// For the pixels of the left and of the right view.
+    matching: [Kernel; 2],
+    sides: [Side; 2],
+    call: Store,
+    winners: Store,
+    result: Store,
+    transfer: Transfer,
+}
+
+impl GpuBlockMatcher {
+    /// Prepares a device.
+    ///
+    /// # Errors
+    /// [`GpuError::Failed`] when it does not take a shader.
+    pub fn new(gpu: Arc<Gpu>) -> Result<Self, GpuError> {
+        let filter = Kernel::new(&gpu, "block matching filter", &[include_str!("shaders/block_matching_filter.wgsl")])?;
+        let matching = |constant: &str| {
+            Kernel::new(&gpu, "block matching", &[constant, include_str!("shaders/block_matching.wgsl")])
+        };
+        let matching = [matching("const IS_LEFT = true;\n")?, matching("const IS_LEFT = false;\n")?];
+        let (sides, call, winners, result, transfer) = Default::default();
+        Ok(Self { gpu, filter, matching, sides, call, winners, result, transfer })
+    }
+
+    /// The device.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// Matches the pixels of `roi` of a rectified gray pair; see [`BlockMatcher::compute`], whose maps it fills.
+    ///
+    /// # Errors
+    /// [`GpuError::Input`] for a parameter out of range and for pictures and maps that do not fit together; errors of the device.
+    ///
+    /// [`BlockMatcher::compute`]: panoscope_imaging::stereo::BlockMatcher::compute
+    pub fn compute(
+        &mut self,
+        params: &BlockMatchingParams,
+        left: View<'_, u8>,
+        right: View<'_, u8>,
+        roi: Rect,
+        disparity: &mut ViewMut<'_, f32>,
+        disparity_right: Option<&mut ViewMut<'_, f32>>,
+        pool: &dyn Parallel,
+    ) -> Result<(), GpuError> {
+        check(params, [&left, &right], [Some(&*disparity), disparity_right.as_deref()])?;
+        let roi = roi.clamped(left.width, left.height);
+        let region = Region::new(roi, left.width, params.min_disparity_px, params.search_px);
+        let regions: Vec<Region> = region.into_iter().collect();
+        let has_right = disparity_right.is_some();
+        self.run(params, [left, right], &regions, has_right, |parts, result| {
+            fill(disparity, &parts[0], result, pool);
+            if let Some(map) = disparity_right {
+                fill(map, &parts[1], result, pool);
+            }
+        })
+    }
+
+    /// Matches each of `tiles` of a rectified gray pair over its own range, in place of the range of the parameters; see
+    /// [`BlockMatcher::compute_tiles`], whose map it fills.
+    ///
+    /// # Errors
+    /// As [`GpuBlockMatcher::compute`]; [`GpuError::Input`] for a range that is empty or too wide too.
+    ///
+    /// [`BlockMatcher::compute_tiles`]: panoscope_imaging::stereo::BlockMatcher::compute_tiles
+    pub fn compute_tiles(
+        &mut self,
+        params: &BlockMatchingParams,
+        left: View<'_, u8>,
+        right: View<'_, u8>,
+        tiles: &[Tile],
+        disparity: &mut ViewMut<'_, f32>,
+        pool: &dyn Parallel,
+    ) -> Result<(), GpuError> {
+        check(params, [&left, &right], [Some(&*disparity), None])?;
+        for tile in tiles {
+            let is_far = tile.first_px.unsigned_abs() > MAX_MIN_DISPARITY_PX;
+            if is_far || !(1..=MAX_SEARCH_PX).contains(&tile.search_px) {
+                let what = format!(
+                    "a tile searches {} disparities from {} px on; accepted are 1 to {MAX_SEARCH_PX}, at most {MAX_MIN_DISPARITY_PX} px from 0",
+                    tile.search_px, tile.first_px
+                );
+                return Err(GpuError::Input { what });
+            }
+        }
+        let size = (left.width, left.height);
+        let regions: Vec<Region> = tiles.iter().filter_map(|tile| Region::of_tile(tile, size)).collect();
+        self.run(params, [left, right], &regions, false, |parts, result| fill(disparity, &parts[0], result, pool))
+    }
+
+    fn run(
+        &mut self,
+        params: &BlockMatchingParams,
+        views: [View<'_, u8>; 2],
+        regions: &[Region],
+        has_right: bool,
+        read: impl FnOnce(&[Vec<Part>; 2], &[u8]),
+    ) -> Result<(), GpuError> {
+        let done = self.try_run(params, views, regions, has_right, read);
+        if done.is_err() {
+            self.transfer.forget();
+        }
+        done
+    }
+
+    fn try_run(
+        &mut self,
+        params: &BlockMatchingParams,
+        views: [View<'_, u8>; 2],
+        regions: &[Region],
+        has_right: bool,
+        read: impl FnOnce(&[Vec<Part>; 2], &[u8]),
+    ) -> Result<(), GpuError> {
+        let (width, height, radius) = (views[0].width, views[0].height, params.block_px / 2);
+        let rows = regions.iter().map(|region| &region.rows);
+        let Some((first, end)) = rows.map(|r| (r.start, r.end)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) else {
+            read(&Default::default(), &[]);
+            return Ok(());
+        };
+        // Rows of the planes, and of the views that they are filtered from.
+        let plane = first.saturating_sub(radius)..(end + radius).min(height);
+        let source = plane.start.saturating_sub(1)..(plane.end + 1).min(height);
+        let mut plan = Plan { width, first_row: plane.start, radius, ..Plan::default() };
+        for region in regions {
+            plan.add(region, params.left_right_px.is_some(), has_right);
+        }
+
+        // One upload holds: sizes of both views, the call, the blocks of both, the rows of both views.
+        let sources = views.map(|view| rows_of(&view, &source));
+        let filter_words = |view: &View<'_, u8>| {
+            let cap = i32::from(params.prefilter_cap);
+            let [width, rows, source_rows, stride] = [width, plane.len(), source.len(), view.stride].map(|n| n as i32);
+            [width, rows, (plane.start - source.start) as i32, source_rows, stride, cap, 0, 0]
+        };
+        let call: [i32; CALL_WORDS] = [
+            width as i32,
+            plane.len() as i32,
+            radius as i32,
+            i32::from(params.prefilter_cap) * 0x0101_0101,
+            params.texture_threshold.min(u32::from(u16::MAX)) as i32,
+            params.uniqueness_percent as i32,
+            params.left_right_px.map_or(u32::from(u16::MAX), |px| px.min(u32::from(u16::MAX))) as i32,
+            0,
+        ];
+        let mut words = Vec::new();
+        let mut starts = Vec::new();
+        let mut put = |values: &mut dyn Iterator<Item = i32>| {
+            starts.push(words.len() as u64);
+            words.extend(values.flat_map(i32::to_le_bytes));
+            words.resize(words.len().next_multiple_of(ALIGNMENT), 0_u8);
+        };
+        put(&mut views.iter().take(1).flat_map(filter_words));
+        put(&mut views.iter().skip(1).flat_map(filter_words));
+        put(&mut call.into_iter().chain(plan.jobs.iter().copied()));
+        for blocks in &plan.blocks {
+            put(&mut [blocks.len() as i32 / 2, 0].into_iter().chain(blocks.iter().map(|word| *word as i32)));
+        }
+        starts.push(words.len() as u64);
+        starts.push(words.len() as u64 + picture_bytes(&sources[0]));
+        let total = starts[6] + picture_bytes(&sources[1]);
+
+        let gpu = &*self.gpu;
+        let mut up = self.transfer.begin(gpu, total)?;
+        up.slice(..words.len()).copy_from_slice(&words);
+        for (start, view) in starts[5..].iter().zip(&sources) {
+            up.slice(*start as usize..*start as usize + view.data.len()).copy_from_slice(view.data);
+        }
+        drop(up);
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut send = |part: usize, store: &mut Store, bytes: u64| {
+            self.transfer.send(&mut encoder, starts[part], store.reserve(gpu, bytes)?, bytes);
+            Ok(())
+        };
+        send(2, &mut self.call, starts[3] - starts[2])?;
+        for (k, (side, view)) in self.sides.iter_mut().zip(&sources).enumerate() {
+            send(k, &mut side.sizes, 4 * FILTER_WORDS as u64)?;
+            send(3 + k, &mut side.blocks, starts[4 + k] - starts[3 + k])?;
+            send(5 + k, &mut side.view, picture_bytes(view))?;
+            side.plane.reserve(gpu, 4 * ((width + PLANE_MARGIN) * plane.len()) as u64)?;
+        }
+        self.winners.reserve(gpu, 4 * plan.winners as u64)?;
+        let result = self.result.reserve(gpu, 4 * plan.result as u64)?;
+
+        let missing = || gpu.failed("a buffer is missing");
+        let buffer = |store: &Store| store.buffer().cloned().ok_or_else(missing);
+        let mut planes = Vec::new();
+        for side in &self.sides {
+            let held = [buffer(&side.sizes)?, buffer(&side.view)?, buffer(&side.plane)?];
+            self.filter.encode(gpu, &mut encoder, &held.each_ref(), [width + PLANE_MARGIN, plane.len()]);
+            planes.extend(held.into_iter().skip(2));
+        }
+        // The left view needs the right one's winners.
+        for k in [1, 0] {
+            let count = plan.blocks[k].len() / 2;
+            if count == 0 {
+                continue;
+            }
+            let [call, blocks, winners] = [&self.call, &self.sides[k].blocks, &self.winners].map(buffer);
+            let (call, blocks, winners) = (call?, blocks?, winners?);
+            let held = [&call, &blocks, &planes[k], &planes[1 - k], &winners, result];
+            let groups = [count.min(GROUPS_PER_ROW), count.div_ceil(GROUPS_PER_ROW)];
+            let threads = [0, 1].map(|axis| groups[axis] * GROUP[axis] as usize);
+            self.matching[k].encode(gpu, &mut encoder, &held, threads);
+        }
+        self.transfer.finish(gpu, encoder, result, 4 * plan.result as u64, || {}, |bytes| read(&plan.parts, bytes))
+    }
+}
+
+/// These rows of a view, with their padding.
+fn rows_of<'a>(view: &View<'a, u8>, rows: &Range<usize>) -> View<'a, u8> {
+    let end = (rows.end * view.stride).min(view.data.len());
+    View { data: &view.data[rows.start * view.stride..end], height: rows.len(), ..*view }
+}
+
+/// Writes the parts of a map, and NaN elsewhere.
+fn fill(map: &mut ViewMut<'_, f32>, parts: &[Part], result: &[u8], pool: &dyn Parallel) {
+    each_row(map, pool, |y, row| {
+        match parts {
+            [part] if part.rows.contains(&y) => {
+                row[..part.columns.start].fill(f32::NAN);
+                row[part.columns.end..].fill(f32::NAN);
+            }
+            _ => row.fill(f32::NAN),
+        }
+        parts.iter().for_each(|part| part.copy_row(result, y, row));
+    });
+}
+
+/// Checks parameters, and that views and maps have one size and one channel.
+fn check(
+    params: &BlockMatchingParams,
+    [left, right]: [&View<'_, u8>; 2],
+    maps: [Option<&ViewMut<'_, f32>>; 2],
+) -> Result<(), GpuError> {
+    params.validate().map_err(|e| GpuError::Input { what: e.to_string() })?;
+    let size = [left.width, left.height, 1];
+    let maps = maps.map(|map| map.map_or(size, |map| [map.width, map.height, map.channels]));
+    let found = [
+        ("left view", [left.width, left.height, left.channels]),
+        ("right view", [right.width, right.height, right.channels]),
+        ("disparity", maps[0]),
+        ("right disparity", maps[1]),
+    ];
+    if let Some((name, [width, height, channels])) = found.iter().find(|(_, found)| *found != size) {
+        let what = format!(
+            "{name} is {width}x{height} in {channels} channels; {}x{} in 1 is needed, as of the left view",
+            left.width, left.height
+        );
+        return Err(GpuError::Input { what });
+    }
+    // As on the processor.
+    if left.width > 65_000 {
+        let what = format!("a view of {} columns; at most 65000 are matched", left.width);
+        return Err(GpuError::Input { what });
+    }
+    Ok(())
+}

@@ -1,0 +1,19 @@
+//! Image work on a GPU through Vulkan: the same results as the functions of `panoscope-imaging`, but for rounding.
+//!
+//! [`Gpu::shared`] finds the device, once in a process. Each kernel keeps its memory on the device and takes and gives pictures in the host's
+//! memory: a frame costs a copy there and a copy back, which pays for pictures of 1920x1080 and more.
+//! Nothing needs a GPU: whoever uses a kernel keeps the function of `panoscope-imaging` for the case that there is none, or that it fails.
+
+mod block_matching;
+mod choice;
+mod device;
+mod kernel;
+mod memory;
+mod rectify;
+mod warp;
+
+pub use block_matching::GpuBlockMatcher;
+pub use choice::{Device, given_up};
+pub use device::{CHOICE, Gpu, GpuError};
+pub use rectify::{Rectifier, RectifyJob};
+pub use warp::Warper;

@@ -1,0 +1,97 @@
+//! Block matching on the processor or on the GPU, which find the same disparities.
+
+use panoscope_gpu::{Device, GpuBlockMatcher, GpuError, given_up};
+use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, StereoError, StereoKernel, Tile, project_right};
+use panoscope_imaging::{Parallel, Rect, Report, View, ViewMut};
+
+/// A block matcher that works on the device of its choice.
+pub struct DeviceMatcher {
+    processor: BlockMatcher,
+    gpu: Option<GpuBlockMatcher>,
+    device: Device,
+    fault: Option<String>,
+}
+
+impl DeviceMatcher {
+    /// A matcher on the processor.
+    ///
+    /// # Errors
+    /// A parameter is out of range.
+    pub fn new(params: BlockMatchingParams) -> Result<Self, StereoError> {
+        Ok(Self { processor: BlockMatcher::new(params)?, gpu: None, device: Device::Cpu, fault: None })
+    }
+
+    /// Changes the parameters; memory is kept.
+    ///
+    /// # Errors
+    /// A parameter is out of range.
+    pub fn set_params(&mut self, params: BlockMatchingParams) -> Result<(), StereoError> {
+        self.processor.set_params(params)
+    }
+
+    /// Chooses the device.
+    pub fn choose(&mut self, device: Device, report: &dyn Report) {
+        if device != self.device {
+            self.device = device;
+            self.gpu = device.open(report, GpuBlockMatcher::new);
+        }
+    }
+
+    /// Whether the GPU did its work; one that failed is given up.
+    fn is_done(&mut self, worked: Result<(), GpuError>) -> bool {
+        if let Err(error) = &worked {
+            self.gpu = None;
+            self.fault = Some(error.to_string());
+        }
+        worked.is_ok()
+    }
+
+    /// Warns when the GPU has failed since the last call.
+    pub fn report_fault(&mut self, report: &dyn Report) {
+        if let Some(reason) = self.fault.take() {
+            report.warn(&given_up(&reason));
+        }
+    }
+}
+
+impl StereoKernel for DeviceMatcher {
+    fn match_roi(
+        &mut self,
+        range: (i32, usize),
+        views: [View<'_, u8>; 2],
+        roi: Rect,
+        pool: &dyn Parallel,
+        mut disparity: ViewMut<'_, f32>,
+        mut disparity_right: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError> {
+        if let Some(gpu) = &mut self.gpu {
+            let (min_disparity_px, search_px) = range;
+            let params = BlockMatchingParams { min_disparity_px, search_px, ..self.processor.params().clone() };
+            params.validate()?;
+            let worked = gpu.compute(&params, views[0], views[1], roi, &mut disparity, disparity_right.as_mut(), pool);
+            if self.is_done(worked) {
+                return Ok(());
+            }
+        }
+        self.processor.match_roi(range, views, roi, pool, disparity, disparity_right)
+    }
+
+    fn match_tiles(
+        &mut self,
+        tiles: &[Tile],
+        views: [View<'_, u8>; 2],
+        left_right_px: Option<f32>,
+        pool: &dyn Parallel,
+        mut disparity: ViewMut<'_, f32>,
+        mut disparity_right: ViewMut<'_, f32>,
+    ) -> Result<(), StereoError> {
+        if let Some(gpu) = &mut self.gpu {
+            let worked = gpu.compute_tiles(self.processor.params(), views[0], views[1], tiles, &mut disparity, pool);
+            if self.is_done(worked) {
+                project_right(&mut disparity, &mut disparity_right, left_right_px, pool);
+                return Ok(());
+            }
+        }
+        self.processor.match_tiles(tiles, views, left_right_px, pool, disparity, disparity_right)
+    }
+}

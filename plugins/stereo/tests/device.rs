@@ -1,0 +1,75 @@
+//! Nodes on the GPU: the same bytes as on the processor, which also does the work where there is none.
+
+mod common;
+
+use common::{SIZE, bgr, pair, rectified};
+use panoscope_node::abi::Calibration;
+use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
+use panoscope_node::{Bgr8, Disparity, Gray8};
+use panoscope_stereo::{Rectify, StereoBm};
+
+type TestResult = Result<(), HarnessError>;
+
+/// Either a GPU computes, or a warning says why the processor does.
+fn says_what_computes<N>(node: &Harness<N>) {
+    let lines: Vec<_> = node.logs().iter().map(|line| (line.level, line.message.as_str())).collect();
+    let on_gpu = matches!(&lines[..], [(Level::Info, message)] if message.starts_with("computes on "));
+    let without =
+        matches!(&lines[..], [(Level::Warn, message)] if message.contains("the processor computes the pictures: "));
+    assert!(on_gpu || without, "{lines:?}");
+}
+
+#[test]
+fn rectified_views_do_not_depend_on_the_device() -> TestResult {
+    let (left, right) = pair(|_, _| 40.0, 0.0);
+    let mut cameras = Calibration { is_rectified: 0, ..rectified(300.0, 15.0) };
+    cameras.left.distortion[0] = -0.1;
+    cameras.right.distortion[1] = 0.05;
+    for scale in [1, 2] {
+        let mut made = Vec::new();
+        for device in ["cpu", "gpu"] {
+            let mut node =
+                Harness::<Rectify>::from_toml(&format!("params = {{ scale = {scale}, device = \"{device}\" }}"))?;
+            for _ in 0..2 {
+                node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left));
+                node.input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right));
+                let out = node.input_value("calibration", cameras).process()?;
+                made.push([out.plane::<Bgr8>("left")?.data.to_vec(), out.plane::<Bgr8>("right")?.data.to_vec()]);
+            }
+            if device == "gpu" {
+                says_what_computes(&node);
+            }
+        }
+        assert!(made[0][0].iter().any(|value| *value > 0));
+        assert!(made.iter().all(|views| *views == made[0]), "scale {scale}");
+    }
+    Ok(())
+}
+
+#[test]
+fn disparities_do_not_depend_on_the_device() -> TestResult {
+    let (left, right) = pair(|x, _| 30.0 + x / 40.0, 0.0);
+    for scale in [1, 2] {
+        let mut made = Vec::new();
+        for device in ["cpu", "gpu"] {
+            let params = format!("params = {{ search_px = 64, scale = {scale}, device = \"{device}\" }}");
+            let mut node = Harness::<StereoBm>::open(Setup::new(&params))?;
+            node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &left)
+                .input_image::<Gray8>("right", SIZE.0, SIZE.1, &right);
+            let out = node.process()?;
+            let maps = ["disparity", "disparity_right"];
+            let maps = maps.map(|name| out.plane::<Disparity>(name).map(|map| map.data.to_vec()));
+            let [map, map_right] = maps;
+            made.push([map?, map_right?]);
+            if device == "gpu" {
+                says_what_computes(&node);
+            }
+        }
+        for (of_cpu, of_gpu) in made[0].iter().flatten().zip(made[1].iter().flatten()) {
+            let is_same = (of_cpu.is_nan() && of_gpu.is_nan()) || (of_cpu - of_gpu).abs() < 1e-3;
+            assert!(is_same, "scale {scale}: {of_cpu} and {of_gpu}");
+        }
+        assert!(made[0][0].iter().any(|value| value.is_finite()));
+    }
+    Ok(())
+}
