@@ -184,6 +184,11 @@ impl TipFinder {
     /// mask's main direction, or for a wide mask (a bag, open jaws) the line from the entry through the mask's middle. The tip is where the mask ends
     /// on the other side, in the middle of its end; where it forks there into two jaws, the middle of both ends. `None` for an empty mask.
     pub fn of_mask(&mut self, mask: Mask<'_>) -> Option<TipPixel> {
+        self.of_mask_towards(mask, None)
+    }
+
+    /// As [`Self::of_mask`], for an instrument that is known to point about in this direction, whatever its mask touches.
+    pub fn of_mask_towards(&mut self, mask: Mask<'_>, towards: Option<[f64; 2]>) -> Option<TipPixel> {
         let (width, height) = (mask.width as f64, mask.height as f64);
         self.last = None;
         let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
@@ -225,7 +230,7 @@ impl TipFinder {
             let (x, y) = (cx + t * axis[0], cy + t * axis[1]);
             x.min(y).min(width - 1.0 - x).min(height - 1.0 - y)
         };
-        let enters_low = match from_entry {
+        let enters_low = match towards.or(from_entry) {
             Some(v) => v[0] * axis[0] + v[1] * axis[1] >= 0.0,
             None => from_border(low) <= from_border(high),
         };
@@ -394,11 +399,9 @@ impl TipFinder {
     }
 }
 
-/// The tip of a box (left, top, right, bottom). Detectors box the working end; its shaft comes from the border that the box is nearest to, and
-/// the tip is where the line from there through the box's centre leaves the box. Rough: half the box's width is its error.
-pub fn tip_of_box(corners: [f32; 4], width: usize, height: usize) -> TipPixel {
+/// Where the instrument in a box (left, top, right, bottom) points: away from the border that the box is nearest to, for its shaft comes from there.
+pub fn direction_of_box(corners: [f32; 4], width: usize, height: usize) -> [f64; 2] {
     let [x0, y0, x1, y1] = corners.map(f64::from);
-    let (cx, cy) = ((x0 + x1) / 2.0, (y0 + y1) / 2.0);
     let gaps =
         [(x0, [-1.0, 0.0]), (width as f64 - x1, [1.0, 0.0]), (y0, [0.0, -1.0]), (height as f64 - y1, [0.0, 1.0])];
     let touching = gaps.iter().filter(|(gap, _)| *gap <= 2.0).fold([0.0, 0.0], |s, (_, d)| [s[0] + d[0], s[1] + d[1]]);
@@ -409,7 +412,15 @@ pub fn tip_of_box(corners: [f32; 4], width: usize, height: usize) -> TipPixel {
         towards = [weigh(gaps[0].0, gaps[1].0), weigh(gaps[2].0, gaps[3].0)];
     }
     let norm = towards[0].hypot(towards[1]).max(1e-12);
-    let direction = [-towards[0] / norm, -towards[1] / norm];
+    [-towards[0] / norm, -towards[1] / norm]
+}
+
+/// The tip of a box (left, top, right, bottom). Detectors box the working end; the tip is where the line from its centre in
+/// [`direction_of_box`] leaves the box. Rough: half the box's width is its error.
+pub fn tip_of_box(corners: [f32; 4], width: usize, height: usize) -> TipPixel {
+    let [x0, y0, x1, y1] = corners.map(f64::from);
+    let (cx, cy) = ((x0 + x1) / 2.0, (y0 + y1) / 2.0);
+    let direction = direction_of_box(corners, width, height);
     let reach = |d: f64, half: f64| if d.abs() > 1e-9 { half / d.abs() } else { f64::INFINITY };
     let t = reach(direction[0], (x1 - x0) / 2.0).min(reach(direction[1], (y1 - y0) / 2.0));
     let t = if t.is_finite() { t } else { 0.0 };

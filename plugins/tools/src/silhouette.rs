@@ -45,6 +45,9 @@ const MOST_OF: f32 = 0.7;
 const GRAY: f32 = 1.5;
 /// Log-likelihood ratio of the learned colours from which a cell beside the instrument is added to it.
 const GROWS: f32 = 1.0;
+/// Weight of redness, and most that the share of a colour in the box says beside its share around it, where nothing is known of nearness.
+const ALONE: f32 = 2.0;
+const MOST_SHARE: f32 = 2.0;
 /// Brightness from which a gray cell may be glare on wet tissue.
 const GLARE: f32 = 0.75;
 /// Smallest standard deviation of the surface's nearness, as a share of it, and of its redness: the errors of matching and noise.
@@ -112,6 +115,8 @@ pub struct Silhouette {
     redness: Vec<f32>,
     bright: Vec<f32>,
     near: Vec<f32>,
+    /// Whether colours alone distinguish the instrument: nothing is known of nearness.
+    is_by_colour: bool,
     /// Score for an instrument, and the score before colours were learned.
     score: Vec<f32>,
     first: Vec<f32>,
@@ -181,6 +186,10 @@ impl Silhouette {
         if !is_known.contains(&true) {
             return false;
         }
+        self.is_by_colour = !is_known[1];
+        if self.is_by_colour {
+            self.judge_colours_alone();
+        }
         self.colour.clear();
         self.log_ratios.clear();
         self.first.clone_from(&self.score);
@@ -196,6 +205,11 @@ impl Silhouette {
     /// The instrument's pixels, in cells: see [`Silhouette::place`].
     pub fn mask(&self) -> Mask<'_> {
         Mask::new(&self.bits, self.region.width, self.region.height)
+    }
+
+    /// Whether colours alone distinguished the last instrument, which is then cut off at its box: the mask does not say where it enters.
+    pub fn is_by_colour(&self) -> bool {
+        self.is_by_colour
     }
 
     /// Whether a pixel of the picture belongs to the instrument.
@@ -301,6 +315,27 @@ impl Silhouette {
             *score += gray.clamp(MOST_AGAINST, MOST_FOR);
         }
         true
+    }
+
+    /// Makes the score of redness count for both cues, and adds how much more often a colour occurs in the box than around it: steel that mirrors tissue is
+    /// hardly less red than pale tissue, but there is more of it in the box.
+    fn judge_colours_alone(&mut self) {
+        let Self { is_in_box, redness, bright, score, .. } = self;
+        let class = |index: usize| redness[index].is_finite().then(|| class_of(redness[index], bright[index]) as usize);
+        // Cells of each colour around the box and in it.
+        let mut counts = [[1.0_f32; REDS * BRIGHTS]; 2];
+        for index in 0..score.len() {
+            if let Some(class) = class(index) {
+                counts[usize::from(is_in_box[index])][class] += 1.0;
+            }
+        }
+        let [around, inside] = counts.map(|counts| counts.map(|count| count / counts.iter().sum::<f32>()));
+        for (index, score) in score.iter_mut().enumerate() {
+            if let Some(class) = class(index) {
+                let share = (inside[class] / around[class]).ln().clamp(-MOST_SHARE, MOST_SHARE);
+                *score = ALONE * *score + share;
+            }
+        }
     }
 
     /// Adds the score of nearness: in front of the surface, a plane fitted after nearer cells are dropped.
@@ -477,7 +512,9 @@ impl Silhouette {
         self.bits.resize(row * height, 0);
         self.grow(best);
         self.join_jaw(best, best_cells);
-        for (index, _) in self.part.iter().enumerate().filter(|(_, part)| **part == best) {
+        // What hangs together with it by colour outside the box is mostly tissue.
+        let is_within = |index: usize| !self.is_by_colour || self.is_in_box[index];
+        for (index, _) in self.part.iter().enumerate().filter(|(index, part)| **part == best && is_within(*index)) {
             let (x, y) = (index % width, index / width);
             self.bits[y * row + x / 8] |= 0x80 >> (x % 8);
         }

@@ -15,7 +15,7 @@ use panoscope_tracking::tracker::UNKNOWN_CLASS;
 use crate::candidates::iou;
 use crate::hidden_jaw::{HiddenJaw, KnownEnd, Lens, Pixels};
 use crate::second_view::SecondView;
-use crate::shaft::{End, Mask, TipFinder, TipPixel, tip_of_box};
+use crate::shaft::{End, Mask, TipFinder, TipPixel, direction_of_box, tip_of_box};
 use crate::silhouette::{Cues, Silhouette};
 use crate::yolo::UNKNOWN;
 
@@ -259,7 +259,9 @@ impl ToolTip {
     /// The tip of the instrument in a box, if it can be segmented.
     fn cut_tip(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<TipPixel> {
         let is_cut = self.silhouette.cut(corners, cues);
-        let tip = is_cut.then(|| self.finder.of_mask(self.silhouette.mask())).flatten();
+        let (width, height) = cues.size;
+        let towards = self.silhouette.is_by_colour().then(|| direction_of_box(corners, width, height));
+        let tip = is_cut.then(|| self.finder.of_mask_towards(self.silhouette.mask(), towards)).flatten();
         tip.map(|tip| self.silhouette.place(tip))
     }
 

@@ -151,6 +151,39 @@ fn a_tool_is_cut_out_of_its_box_by_picture_or_depth() -> Result<(), HarnessError
     Ok(())
 }
 
+/// A bar of pale steel that mirrors the red around it, from the right border to a tip, on tissue of two kinds in patches of 6 px.
+fn mirroring_instrument([u, v]: [f64; 2]) -> Vec<u8> {
+    let mut picture = Vec::with_capacity(3 * WIDTH * HEIGHT);
+    for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
+        let hash = ((x / 6 * 7919 + y / 6 * 104_729) as u32).wrapping_mul(0x9e37_79b9) >> 24;
+        let is_steel = x as f64 >= u && (y as f64 - v - 0.15 * (u - x as f64)).abs() <= 6.0;
+        let [blue, green, red] = match (is_steel, hash < 128) {
+            (true, _) => [128, 138, 178],
+            (false, true) => [60, 80, 190],
+            (false, false) => [84, 110, 176],
+        };
+        let shade = (hash % 12) as u8;
+        picture.extend([blue + shade, green + shade, red + shade]);
+    }
+    picture
+}
+
+#[test]
+fn steel_that_mirrors_tissue_is_cut_out_by_its_colours_alone() -> Result<(), HarnessError> {
+    for tip in [[62.0, 60.0], [80.0, 70.0]] {
+        let (x0, y0) = (tip[0] as f32 - 6.0, tip[1] as f32 - 22.0);
+        let item =
+            Detection { x_px: x0, y_px: y0, width_px: 64.0, height_px: 34.0, score: 0.9, class_index: 0, track_id: -1 };
+        let mut node = Harness::<ToolTip>::from_toml("")?;
+        node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
+        node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &mirroring_instrument(tip));
+        let found: Tip = node.process()?.value("tip")?;
+        let off = (found.u_px - tip[0]).hypot(found.v_px - tip[1]);
+        assert!(off < 6.0, "{off} px off {tip:?}: {found:?}");
+    }
+    Ok(())
+}
+
 #[test]
 fn a_box_without_an_instrument_gives_the_boxes_end() -> Result<(), HarnessError> {
     // Nothing but tissue: whatever the cues make of it, the tip stays within the box and its depth is the tissue's.
