@@ -153,7 +153,7 @@ fn main() {
     let choice = std::env::var(CHOICE).ok();
     let gpu = match Gpu::open(choice.as_deref()) {
         Ok(gpu) => Arc::new(gpu),
-        Err(e) => return println!("skipped: {e}"),
+        Err(e) => return panoscope_testing::skipped!("{e}"),
     };
     let pool = Threads::new(2);
     println!("{}\n{:<32} {:>9} {:>12} {:>12} {:>7}", gpu.name(), "", "views", "processor", "GPU", "times");

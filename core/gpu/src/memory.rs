@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError, mpsc};
+use std::time::Duration;
 
 use panoscope_imaging::{Parallel, View, ViewMut};
 use wgpu::{Buffer, BufferDescriptor, BufferUsages, BufferViewMut, CommandEncoder, MapMode, PollType};
@@ -12,6 +13,9 @@ use crate::device::{Gpu, GpuError};
 pub fn row_bytes(width: usize) -> usize {
     width.div_ceil(4) * 12
 }
+
+/// Time within which the end of work that is done is reported.
+const ANSWER: Duration = Duration::from_secs(5);
 
 /// A buffer that grows.
 #[derive(Debug, Default)]
@@ -99,7 +103,8 @@ impl Transfer {
         meanwhile();
         gpu.device.poll(PollType::wait_indefinitely()).map_err(|e| gpu.failed(e))?;
         gpu.check()?;
-        match seen.try_recv() {
+        // Another thread that waits for its own work may be the one that reports this.
+        match seen.recv_timeout(ANSWER) {
             Ok(Ok(())) => {}
             Ok(Err(e)) => return Err(gpu.failed(e)),
             Err(_) => return Err(gpu.failed("it did not answer")),
