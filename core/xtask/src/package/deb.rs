@@ -17,8 +17,8 @@ const DEPENDS: &str = "gstreamer1.0-plugins-base, gstreamer1.0-plugins-good";
 
 /// The same for codecs, for what the windows load, and for programs that users start themselves.
 const RECOMMENDS: &str = "ffmpeg, gstreamer1.0-libav, gstreamer1.0-nice, gstreamer1.0-plugins-bad, gstreamer1.0-plugins-ugly, gstreamer1.0-rtsp, \
-                          libegl1, libgl1, libwayland-client0, libx11-6, libx11-xcb1, libxcursor1, libxi6, libxkbcommon-x11-0, libxkbcommon0, libxrandr2, \
-                          v4l-utils";
+                          libegl1, libgl1, libvulkan1, libwayland-client0, libx11-6, libx11-xcb1, libxcursor1, libxi6, libxkbcommon-x11-0, libxkbcommon0, \
+                          libxrandr2, v4l-utils";
 
 const DESCRIPTION: &str = "stereo endoscope panoramas, depth and guidance
  Panoscope runs graphs of image-processing nodes on the live pictures of two
