@@ -86,8 +86,10 @@ impl Ended {
     }
 }
 
+/// The program with its signals as a shell gives them, also where who runs the tests ignores some, as `nohup` does.
 fn command(arguments: &[&str]) -> Command {
-    let mut command = Command::new(PROGRAM);
+    let mut command = Command::new("env");
+    command.args(["--default-signal=HUP,INT,TERM", PROGRAM]);
     command.env("PANOSCOPE_PLUGIN_PATH", plugin_path()).args(arguments);
     command
 }
