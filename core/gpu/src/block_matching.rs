@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use panoscope_imaging::stereo::block_matching::TILE_MARGIN_PX;
-use panoscope_imaging::stereo::{BlockMatchingParams, Tile};
+use panoscope_imaging::stereo::{BlockMatchingParams, Span, Tile};
 use panoscope_imaging::{Parallel, Rect, View, ViewMut};
 
 use crate::device::{Gpu, GpuError};
@@ -45,14 +45,11 @@ struct Region {
 }
 
 impl Region {
-    /// The columns of `roi` whose search overlaps a right view of `width` columns; see `Span` of `panoscope-imaging`.
+    /// The columns of `roi` whose search overlaps a right view of `width` columns.
     fn new(roi: Rect, width: usize, min: i32, search_px: usize) -> Option<Self> {
-        let (lanes, min) = (search_px.next_multiple_of(32), i64::from(min));
-        let start = roi.x.max(min.max(0) as usize);
-        let end = (width as i64 + min + lanes as i64 - 1).clamp(0, (roi.x + roi.width) as i64) as usize;
-        let competing = start..end;
-        let rows = roi.y..roi.y + roi.height;
-        (start < end && !rows.is_empty()).then_some(Self { columns: start..end, rows, competing, min, lanes })
+        let Span { x0, count, lanes, .. } = Span::new(roi, width, min, search_px, 0)?;
+        let (columns, rows) = (x0..x0 + count, roi.y..roi.y + roi.height);
+        Some(Self { competing: columns.clone(), columns, rows, min: min.into(), lanes })
     }
 
     /// The region of a tile of views of this size, as `BlockMatcher::compute_tiles` matches it.
@@ -210,11 +207,6 @@ impl GpuBlockMatcher {
         Ok(Self { gpu, filter, matching, sides, call, winners, result, transfer })
     }
 
-    /// The device.
-    pub fn gpu(&self) -> &Gpu {
-        &self.gpu
-    }
-
     /// Matches the pixels of `roi` of a rectified gray pair; see [`BlockMatcher::compute`], whose maps it fills.
     ///
     /// # Errors
@@ -284,21 +276,6 @@ impl GpuBlockMatcher {
         has_right: bool,
         read: impl FnOnce(&[Vec<Part>; 2], &[u8]),
     ) -> Result<(), GpuError> {
-        let done = self.try_run(params, views, regions, has_right, read);
-        if done.is_err() {
-            self.transfer.forget();
-        }
-        done
-    }
-
-    fn try_run(
-        &mut self,
-        params: &BlockMatchingParams,
-        views: [View<'_, u8>; 2],
-        regions: &[Region],
-        has_right: bool,
-        read: impl FnOnce(&[Vec<Part>; 2], &[u8]),
-    ) -> Result<(), GpuError> {
         let (width, height, radius) = (views[0].width, views[0].height, params.block_px / 2);
         let rows = regions.iter().map(|region| &region.rows);
         let Some((first, end)) = rows.map(|r| (r.start, r.end)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) else {
@@ -348,12 +325,11 @@ impl GpuBlockMatcher {
         let total = starts[6] + picture_bytes(&sources[1]);
 
         let gpu = &*self.gpu;
-        let mut up = self.transfer.begin(gpu, total)?;
-        up.slice(..words.len()).copy_from_slice(&words);
+        let up = self.transfer.begin(gpu, total)?;
+        up.write(0, &words)?;
         for (start, view) in starts[5..].iter().zip(&sources) {
-            up.slice(*start as usize..*start as usize + view.data.len()).copy_from_slice(view.data);
+            up.write(*start as usize, view.data)?;
         }
-        drop(up);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let mut send = |part: usize, store: &mut Store, bytes: u64| {
             self.transfer.send(&mut encoder, starts[part], store.reserve(gpu, bytes)?, bytes);

@@ -51,17 +51,16 @@ impl Store {
 pub struct Transfer {
     up: Store,
     down: Store,
+    /// A frame has begun and not come back: one that failed may have left its memory with the device.
+    is_open: bool,
 }
 
 impl Transfer {
     /// Memory of `bytes` bytes to be filled with what goes to the device.
-    pub fn begin(&mut self, gpu: &Gpu, bytes: u64) -> Result<BufferViewMut, GpuError> {
-        let buffer = self.up.reserve_as(gpu, bytes, BufferUsages::MAP_WRITE | BufferUsages::COPY_SRC)?;
-        buffer.slice(..).get_mapped_range_mut().map_err(|e| gpu.failed(e))
-    }
-
-    /// As [`Self::begin`], to be filled part by part.
-    pub fn begin_parts<'t>(&'t mut self, gpu: &'t Gpu, bytes: u64) -> Result<Filling<'t>, GpuError> {
+    pub fn begin<'t>(&'t mut self, gpu: &'t Gpu, bytes: u64) -> Result<Filling<'t>, GpuError> {
+        if std::mem::replace(&mut self.is_open, true) {
+            *self = Self { is_open: true, ..Self::default() };
+        }
         let buffer = self.up.reserve_as(gpu, bytes, BufferUsages::MAP_WRITE | BufferUsages::COPY_SRC)?;
         Ok(Filling { gpu, buffer })
     }
@@ -113,12 +112,8 @@ impl Transfer {
         read(&view);
         drop(view);
         down.unmap();
+        self.is_open = false;
         Ok(())
-    }
-
-    /// Forgets its memory, as after a failure, which may have left it with the device.
-    pub fn forget(&mut self) {
-        *self = Self::default();
     }
 }
 

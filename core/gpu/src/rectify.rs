@@ -85,46 +85,11 @@ impl Rectifier {
         Ok(Self { gpu, kernel, factor, sizes, sides, target, transfer })
     }
 
-    /// The device.
-    pub fn gpu(&self) -> &Gpu {
-        &self.gpu
-    }
-
     /// Rectifies the left view, the right view, or both; `None` leaves a side out.
     ///
     /// # Errors
     /// [`GpuError::Input`] for a picture whose size is not that of the maps; errors of the device.
     pub fn run(&mut self, jobs: [Option<RectifyJob<'_, '_>>; 2], pool: &dyn Parallel) -> Result<(), GpuError> {
-        let done = self.try_run(jobs, pool);
-        if done.is_err() {
-            self.transfer.forget();
-        }
-        done
-    }
-
-    /// Size of what a job makes.
-    fn made(&self, job: &RectifyJob<'_, '_>) -> Result<(usize, usize), GpuError> {
-        let small = (job.view.width / self.factor, job.view.height / self.factor);
-        let (wanted, made) = self.sizes.map_or((small, small), |[from, to]| (from, to));
-        let is_color = (job.view.channels, job.out.channels) == (3, 3);
-        if small != wanted || (job.out.width, job.out.height) != made || !is_color || small.0 < 2 || small.1 < 2 {
-            let what = format!(
-                "a view of {}x{} in {} channels, shrunk by {}, for a map of {}x{} to {}x{}",
-                job.view.width,
-                job.view.height,
-                job.view.channels,
-                self.factor,
-                wanted.0,
-                wanted.1,
-                job.out.width,
-                job.out.height
-            );
-            return Err(GpuError::Input { what });
-        }
-        Ok(made)
-    }
-
-    fn try_run(&mut self, jobs: [Option<RectifyJob<'_, '_>>; 2], pool: &dyn Parallel) -> Result<(), GpuError> {
         // Sizes of both calls of both sides stand in front of the views.
         let mut words = [0_u32; 4 * SIZE_BYTES as usize / 4];
         let mut view_bytes = [0; 2];
@@ -159,7 +124,7 @@ impl Rectifier {
         }
         let head = 4 * SIZE_BYTES;
         let gpu = &*self.gpu;
-        let up = self.transfer.begin_parts(gpu, head + view_bytes.iter().sum::<u64>())?;
+        let up = self.transfer.begin(gpu, head + view_bytes.iter().sum::<u64>())?;
         let words: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
         up.write(0, &words)?;
         let mut from = words.len();
@@ -217,5 +182,27 @@ impl Rectifier {
                 }
             },
         )
+    }
+
+    /// Size of what a job makes.
+    fn made(&self, job: &RectifyJob<'_, '_>) -> Result<(usize, usize), GpuError> {
+        let small = (job.view.width / self.factor, job.view.height / self.factor);
+        let (wanted, made) = self.sizes.map_or((small, small), |[from, to]| (from, to));
+        let is_color = (job.view.channels, job.out.channels) == (3, 3);
+        if small != wanted || (job.out.width, job.out.height) != made || !is_color || small.0 < 2 || small.1 < 2 {
+            let what = format!(
+                "a view of {}x{} in {} channels, shrunk by {}, for a map of {}x{} to {}x{}",
+                job.view.width,
+                job.view.height,
+                job.view.channels,
+                self.factor,
+                wanted.0,
+                wanted.1,
+                job.out.width,
+                job.out.height
+            );
+            return Err(GpuError::Input { what });
+        }
+        Ok(made)
     }
 }

@@ -147,29 +147,11 @@ impl Warper {
         })
     }
 
-    /// The device.
-    pub fn gpu(&self) -> &Gpu {
-        &self.gpu
-    }
-
     /// Draws a panorama; see [`Painter::paint`].
     ///
     /// # Errors
     /// When a picture does not fit into the device or the device fails.
     pub fn draw(
-        &mut self,
-        drawing: &Drawing<'_>,
-        out: &mut ViewMut<'_, u8>,
-        pool: &dyn Parallel,
-    ) -> Result<(), GpuError> {
-        let drawn = self.try_draw(drawing, out, pool);
-        if drawn.is_err() {
-            self.transfer.forget();
-        }
-        drawn
-    }
-
-    fn try_draw(
         &mut self,
         drawing: &Drawing<'_>,
         out: &mut ViewMut<'_, u8>,
@@ -218,7 +200,7 @@ impl Warper {
 
         let gpu = &*self.gpu;
         let target_bytes = (row_bytes(columns.len()) * out.height) as u64;
-        let up = self.transfer.begin_parts(gpu, self.words.len() as u64 + view_bytes)?;
+        let up = self.transfer.begin(gpu, self.words.len() as u64 + view_bytes)?;
         up.write(0, &self.words)?;
         let mut from = self.words.len();
         for upload in &uploads {

@@ -58,6 +58,7 @@ const PIXELS_AT_ONCE: usize = 64;
 /// Number of classes of redness and of brightness for learned colours.
 const REDS: usize = 16;
 const BRIGHTS: usize = 8;
+const COLOURS: usize = REDS * BRIGHTS;
 /// Limit of the final log-likelihood ratio of colour or nearness.
 const LOG_RATIO_LIMIT: f32 = 3.0;
 /// Smallest and largest share of the box's cells that an instrument covers.
@@ -157,6 +158,12 @@ fn class_of(redness: f32, bright: f32) -> i32 {
     // Finer where it is dark.
     let bright = (bright.max(0.0).sqrt() * BRIGHTS as f32).min(BRIGHTS as f32 - 1.0) as i32;
     red * BRIGHTS as i32 + bright
+}
+
+/// How much more often each class of colours occurs among the `own` cells than among the `other` ones, as logarithm, at most `most` either way.
+fn log_ratios(own: &[f32; COLOURS], other: &[f32; COLOURS], most: f32) -> [f32; COLOURS] {
+    let [owns, others] = [own, other].map(|counts| counts.iter().sum::<f32>());
+    std::array::from_fn(|of| ((own[of] / owns) / (other[of] / others)).ln().clamp(-most, most))
 }
 
 /// Redness (0 gray) and brightness (0 to 1) of a colour: blue, green and red from 0 to 255.
@@ -323,17 +330,17 @@ impl Silhouette {
         let Self { is_in_box, redness, bright, score, .. } = self;
         let class = |index: usize| redness[index].is_finite().then(|| class_of(redness[index], bright[index]) as usize);
         // Cells of each colour around the box and in it.
-        let mut counts = [[1.0_f32; REDS * BRIGHTS]; 2];
+        let mut counts = [[1.0_f32; COLOURS]; 2];
         for index in 0..score.len() {
             if let Some(class) = class(index) {
                 counts[usize::from(is_in_box[index])][class] += 1.0;
             }
         }
-        let [around, inside] = counts.map(|counts| counts.map(|count| count / counts.iter().sum::<f32>()));
+        let [around, inside] = counts;
+        let ratios = log_ratios(&inside, &around, MOST_SHARE);
         for (index, score) in score.iter_mut().enumerate() {
             if let Some(class) = class(index) {
-                let share = (inside[class] / around[class]).ln().clamp(-MOST_SHARE, MOST_SHARE);
-                *score = ALONE * *score + share;
+                *score = ALONE * *score + ratios[class];
             }
         }
     }
@@ -396,8 +403,7 @@ impl Silhouette {
 
     /// Learns the colours of instrument and surroundings from the present score, and scores all cells again.
     fn learn_colours(&mut self) {
-        let (mut tool, mut tissue) = ([1.0_f32; REDS * BRIGHTS], [1.0_f32; REDS * BRIGHTS]);
-        let (mut tools, mut tissues) = (tool.len() as f32, tissue.len() as f32);
+        let (mut tool, mut tissue) = ([1.0_f32; COLOURS], [1.0_f32; COLOURS]);
         let known = || (0..self.score.len()).filter(|index| self.redness[*index].is_finite());
         let is_tool = |index: usize| self.score[index] > FIRST_GUESS && self.is_in_box[index];
         // Pale tissue looks like steel, and tissue that bulges stands before the surface: where some cells are both gray and near, colours are learned
@@ -411,16 +417,12 @@ impl Silhouette {
             let of = class_of(self.redness[index], self.bright[index]) as usize;
             if if is_deep { stands(index) } else { is_tool(index) && (!is_steel || is_gray(index)) } {
                 tool[of] += 1.0;
-                tools += 1.0;
             } else if self.score[index] < FIRST_GUESS / 2.0 {
                 tissue[of] += 1.0;
-                tissues += 1.0;
             }
         }
         self.log_ratios.clear();
-        let ratio =
-            |of: usize| ((tool[of] / tools) / (tissue[of] / tissues)).ln().clamp(-LOG_RATIO_LIMIT, LOG_RATIO_LIMIT);
-        self.log_ratios.extend((0..tool.len()).map(ratio));
+        self.log_ratios.extend(log_ratios(&tool, &tissue, LOG_RATIO_LIMIT));
         self.colour.clear();
         self.colour.resize(self.score.len(), f32::NAN);
         for index in 0..self.score.len() {

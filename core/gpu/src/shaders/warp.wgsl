@@ -42,10 +42,6 @@ struct Canvas {
 @group(0) @binding(4) var<storage, read> runs: array<u32>;
 @group(0) @binding(5) var<storage, read_write> target_words: array<u32>;
 
-fn vertex(at: i32) -> vec2<f32> {
-    return vertices[at];
-}
-
 // Position in the view, in 1/64 px.
 fn locate(index: u32, x: i32, y: i32) -> vec2<i32> {
     let place = &canvas.places[index];
@@ -66,8 +62,8 @@ fn locate(index: u32, x: i32, y: i32) -> vec2<i32> {
         let across = g.x - f32(cell.x);
         let above = mesh.x + cell.y * mesh.y + cell.x;
         let below = above + mesh.y;
-        let left = vertex(above) + down * (vertex(below) - vertex(above));
-        let right = vertex(above + 1) + down * (vertex(below + 1) - vertex(above + 1));
+        let left = vertices[above] + down * (vertices[below] - vertices[above]);
+        let right = vertices[above + 1] + down * (vertices[below + 1] - vertices[above + 1]);
         at = left + (right - left) * across;
     } else {
         let away = vec2<f32>(f32(x), f32(y)) - (*place).middle.xy;

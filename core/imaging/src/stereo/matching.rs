@@ -10,11 +10,17 @@ use super::prefilter::PaddedPlane;
 use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 
 /// Left columns and geometry shared by all rows of one call.
-pub(super) struct Span {
+#[derive(Clone, Debug)]
+pub struct Span {
+    /// First left column that is matched.
     pub x0: usize,
+    /// Left columns that are matched.
     pub count: usize,
+    /// Disparities that are searched: whole blocks of 32.
     pub lanes: usize,
+    /// Radius of the window, px.
     pub radius: usize,
+    /// Smallest disparity, px.
     pub min: i32,
     /// Output pixels whose every lane lies inside the right view.
     pub inside: Range<usize>,

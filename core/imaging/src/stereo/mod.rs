@@ -48,6 +48,7 @@ pub use confidence::{Confidence, ConfidenceParams};
 pub use error::StereoError;
 pub use evaluate::{BAD_PX, DepthScore, DisparityScore, MapScorer, SurfaceScore, score_disparity, score_surface};
 pub use formats::FloatImage;
+pub use matching::Span;
 pub use pair_matcher::{PairMatcher, PairParams, StereoKernel};
 pub use rectify::{Rectification, RectifiedCamera, RectifyParams};
 pub use remap::RemapTable;

@@ -40,13 +40,10 @@ impl SharedField {
         let end = roi.x + roi.width;
         let [first, last] = &mut self.borders;
         border_disparities(right.as_view(), 0..COLUMNS.min(right.width), roi, &mut self.known, first);
-        border_disparities(
-            disparity.as_view(),
-            end.saturating_sub(COLUMNS).max(roi.x)..end,
-            roi,
-            &mut self.known,
-            last,
-        );
+        if right_is_read {
+            let columns = end.saturating_sub(COLUMNS).max(roi.x)..end;
+            border_disparities(disparity.as_view(), columns, roi, &mut self.known, last);
+        }
         for row in 0..roi.height {
             let y = roi.y + row;
             // What the right view's first column shows lies `d` columns from the left view's border, and the other way round.

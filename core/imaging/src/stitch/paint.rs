@@ -161,16 +161,9 @@ impl Layers {
             let (warp, mesh) = (&self.warps[view], self.meshes[view].given());
             Source::new(&views[view], warp, mesh, &self.gains[view], avx2).drawn(&warp.source_from_canvas)
         };
-        let both;
-        let one;
-        let views = if views.len() > 1 {
-            both = [drawn(0), drawn(1)];
-            &both[..]
-        } else {
-            one = [drawn(0)];
-            &one[..]
-        };
-        painter.paint(&Drawing { views, runs: &self.runs }, out, pool)
+        let count = views.len();
+        let views = [drawn(0), drawn(count - 1)];
+        painter.paint(&Drawing { views: &views[..count], runs: &self.runs }, out, pool)
     }
 
     /// Draws all views; with a painter, one or two, only their blending, after the painter has drawn the rest.

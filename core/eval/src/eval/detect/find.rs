@@ -1,7 +1,7 @@
 //! What a model finds: the real nodes on the real pictures, run by the engine.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::truth::{Truth, normal_name, read_found};
 use crate::error::{Context, Result, bail};
@@ -65,14 +65,12 @@ pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, setti
     let scratch = Folder::new("panoscope-eval")?;
     let out = scratch.path().join("found.json");
     let params = node_params(node, model, settings);
-    let absolute = |p: &PathBuf| std::path::absolute(p).unwrap_or_else(|_| p.clone());
-    let files: String = truth.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect();
     let text = format!(
         "mode = \"batch\"\nplugins = [\"capture\", \"tools\", \"sinks\"]\n\
          [nodes.files]\ntype = \"capture\"\nparams = {{ left = {} , pace = \"off\" }}\n\
          [nodes.find]\ntype = \"{}\"\nbudget_ms = 60000\ninputs = {{ image = \"files.left\" }}\nparams = {{ {params} }}\n\
          [nodes.out]\ntype = \"write_table\"\ninputs = {{ {} = \"find.{}\" }}\nparams = {{ path = {} }}\n",
-        toml::Value::String(files),
+        toml::Value::String(truth.file_list()),
         node.name(),
         node.port(),
         node.port(),

@@ -67,6 +67,17 @@ impl Tips {
         sorted.sort_by(f64::total_cmp);
         sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
     }
+
+    /// Tips seen and found so far.
+    pub fn count(&self) -> [usize; 2] {
+        [self.seen, self.errors_px.len()]
+    }
+
+    /// Ends a kind of instrument, of which `before` tips had been seen and found when it began.
+    pub fn end_kind(&mut self, name: &str, before: [usize; 2]) {
+        let own = &self.errors_px[before[1]..];
+        self.kinds.push((name.to_owned(), self.seen - before[0], own.len(), Self::median(own)));
+    }
 }
 
 /// What the tip is found from.
@@ -82,6 +93,11 @@ pub enum From<'a> {
 pub fn read_lines(path: &Path) -> Result<Vec<Value>> {
     let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     text.lines().map(|l| serde_json::from_str(l).with_context(|| format!("{} is damaged", path.display()))).collect()
+}
+
+/// Number of a line's tick.
+pub fn seq(line: &Value) -> Option<u64> {
+    line.get("seq").and_then(Value::as_u64)
 }
 
 /// Position of a line's tip in the picture, px, and in space, mm.
@@ -130,8 +146,7 @@ pub fn tips(session: &dyn Session, from: From<'_>) -> Result<Tips> {
         run::run(session, &plan)?;
         let read = |name: &str| read_lines(&scratch.path().join(name));
         let (found, real) = (read("found.jsonl")?, read("truth.jsonl")?);
-        let seq = |line: &Value| line.get("seq").and_then(Value::as_u64);
-        let (seen_before, found_before) = (out.seen, out.errors_px.len());
+        let before = out.count();
         for line in &real {
             let Some((uv, xyz)) = place(line) else { continue };
             out.seen += 1;
@@ -141,8 +156,7 @@ pub fn tips(session: &dyn Session, from: From<'_>) -> Result<Tips> {
                 out.errors_mm.push(a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt());
             }
         }
-        let own = &out.errors_px[found_before..];
-        out.kinds.push(((*kind).to_owned(), out.seen - seen_before, own.len(), Tips::median(own)));
+        out.end_kind(kind, before);
     }
     Ok(out)
 }

@@ -1,9 +1,9 @@
 //! How far found tips lie from the ends of labelled outlines, on real pictures.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::find::Node;
-use super::phantom::{Tips, place, read_lines};
+use super::phantom::{Tips, place, read_lines, seq};
 use super::truth::Truth;
 use crate::error::Result;
 use crate::inputs::{Folder, quoted};
@@ -39,8 +39,6 @@ fn end_of(mask: &Mask) -> Option<[f64; 2]> {
 /// node gives one for that class; its error is the distance to the nearest end of that class.
 pub fn run(session: &dyn Session, truth: &Truth, node: Node, model: &Path) -> Result<Tips> {
     let scratch = Folder::new("panoscope-tips")?;
-    let absolute = |p: &PathBuf| std::path::absolute(p).unwrap_or_else(|_| p.clone());
-    let files: String = truth.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect();
     let inputs = match node {
         Node::Yolo => "detections = \"find.detections\", image = \"files.left\"",
         Node::MaskRcnn => "instances = \"find.instances\"",
@@ -50,7 +48,7 @@ pub fn run(session: &dyn Session, truth: &Truth, node: Node, model: &Path) -> Re
         "mode = \"batch\"\nplugins = [\"capture\", \"tools\", \"sinks\"]\n\
          [nodes.files]\ntype = \"capture\"\nparams = {{ left = {}, pace = \"off\", rate_hz = 1.0 }}\n\
          [nodes.find]\ntype = \"{}\"\nbudget_ms = 60000\ninputs = {{ image = \"files.left\" }}\nparams = {{ model = {} }}\n",
-        toml::Value::String(files),
+        toml::Value::String(truth.file_list()),
         node.name(),
         quoted(model),
     );
@@ -67,22 +65,20 @@ pub fn run(session: &dyn Session, truth: &Truth, node: Node, model: &Path) -> Re
     let mut tips = Tips::default();
     for (class, name) in truth.classes.iter().enumerate() {
         let found = read_lines(&scratch.path().join(format!("tip{class}.jsonl")))?;
-        let (seen_before, found_before) = (tips.seen, tips.errors_px.len());
-        for (seq, picture) in truth.pictures.iter().enumerate() {
+        let before = tips.count();
+        for (number, picture) in truth.pictures.iter().enumerate() {
             let own = picture.objects.iter().filter(|object| object.class == class);
             let ends: Vec<[f64; 2]> = own.filter_map(|object| end_of(object.mask.as_ref()?)).collect();
             if ends.is_empty() {
                 continue;
             }
             tips.seen += 1;
-            let line =
-                found.iter().find(|line| line.get("seq").and_then(serde_json::Value::as_u64) == Some(seq as u64));
+            let line = found.iter().find(|line| seq(line) == Some(number as u64));
             let Some((uv, _)) = line.and_then(place) else { continue };
             let distances = ends.iter().map(|end| (end[0] - uv[0]).hypot(end[1] - uv[1]));
             tips.errors_px.push(distances.fold(f64::INFINITY, f64::min));
         }
-        let own = &tips.errors_px[found_before..];
-        tips.kinds.push((name.clone(), tips.seen - seen_before, own.len(), Tips::median(own)));
+        tips.end_kind(name, before);
     }
     Ok(tips)
 }

@@ -61,6 +61,12 @@ impl Truth {
         })
     }
 
+    /// Absolute paths of the pictures, a line each, as `capture` takes them.
+    pub fn file_list(&self) -> String {
+        let absolute = |p: &PathBuf| std::path::absolute(p).unwrap_or_else(|_| p.clone());
+        self.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect()
+    }
+
     /// Whether any object has an outline.
     pub fn has_masks(&self) -> bool {
         self.pictures.iter().any(|p| p.objects.iter().any(|o| o.mask.is_some()))
