@@ -4,12 +4,81 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
+use crate::clock;
 use crate::leave::Leave;
 use crate::sync::lock;
+
+/// A thread that gives way to the one that woke it expects to run again within this time.
+const SHORT_WAY_NS: u64 = 100_000;
+/// Time without giving way after one that took longer; twice as long after the next one, up to the second value.
+const PAUSE_NS: [u64; 2] = [250_000_000, 32_000_000_000];
+
+/// The pause of all threads of the process: they share the processors.
+static PAUSE: Pause = Pause::new();
+
+/// When threads do not give way, because it has taken long.
+struct Pause {
+    until_ns: AtomicU64,
+    next_ns: AtomicU64,
+}
+
+impl Pause {
+    const fn new() -> Self {
+        Self { until_ns: AtomicU64::new(0), next_ns: AtomicU64::new(PAUSE_NS[0]) }
+    }
+
+    fn is_over(&self, now_ns: u64) -> bool {
+        now_ns >= self.until_ns.load(Ordering::Relaxed)
+    }
+
+    /// A thread has given way for so long.
+    fn gave_way(&self, start_ns: u64, end_ns: u64) {
+        if end_ns.saturating_sub(start_ns) < SHORT_WAY_NS {
+            self.next_ns.store(PAUSE_NS[0], Ordering::Relaxed);
+        } else {
+            let pause_ns = self.next_ns.load(Ordering::Relaxed);
+            self.until_ns.store(end_ns + pause_ns, Ordering::Relaxed);
+            self.next_ns.store((2 * pause_ns).min(PAUSE_NS[1]), Ordering::Relaxed);
+        }
+    }
+}
+
+/// Lets the thread that wakes another one return to its wait first.
+///
+/// A kernel may run the woken thread at once on the processor of its waker, which then has yet to finish its own tick. A third thread that is woken
+/// meanwhile is moved to another processor, and waking a thread on a sleeping processor takes several times as long. Where other programs want the
+/// processor, giving way lasts a time slice, so it is tried seldom there.
+#[derive(Default)]
+struct Courtesy {
+    /// A thread is inside the call that wakes this one.
+    is_waking: AtomicBool,
+}
+
+impl Courtesy {
+    /// Wakes a thread. No other thread may be inside this call.
+    fn wake(&self, thread: &std::thread::Thread) {
+        self.is_waking.store(true, Ordering::Relaxed);
+        thread.unpark();
+        self.is_waking.store(false, Ordering::Relaxed);
+    }
+
+    /// Called by the woken thread.
+    fn give_way(&self) {
+        if !self.is_waking.load(Ordering::Relaxed) {
+            return;
+        }
+        let start_ns = clock::now_ns();
+        if PAUSE.is_over(start_ns) {
+            std::thread::yield_now();
+            PAUSE.gave_way(start_ns, clock::now_ns());
+        }
+    }
+}
 
 /// The node's own thread. The thread registers itself and parks here; any thread may wake it; a change of the graph retires it.
 pub(crate) struct Runner {
     thread: Mutex<Option<std::thread::Thread>>,
+    courtesy: Courtesy,
     wake: AtomicBool,
     retired: AtomicBool,
     has_thread: AtomicBool,
@@ -24,6 +93,7 @@ impl Runner {
     pub fn new() -> Self {
         Self {
             thread: Mutex::new(None),
+            courtesy: Courtesy::default(),
             wake: AtomicBool::new(false),
             retired: AtomicBool::new(false),
             has_thread: AtomicBool::new(false),
@@ -56,7 +126,7 @@ impl Runner {
     pub fn wake(&self) {
         self.wake.store(true, Ordering::Release);
         if let Some(thread) = &*lock(&self.thread) {
-            thread.unpark();
+            self.courtesy.wake(thread);
         }
     }
 
@@ -65,6 +135,7 @@ impl Runner {
         while !self.wake.swap(false, Ordering::Acquire) {
             std::thread::park();
         }
+        self.courtesy.give_way();
     }
 
     /// Parks the calling thread until somebody wakes it or, where there is a limit, this time is over. May return early.
@@ -108,5 +179,30 @@ impl Runner {
         let before = self.chain_ns.load(Ordering::Relaxed);
         let faded = if before == u64::MAX { 0 } else { before - before / 8 };
         self.chain_ns.store(ns.max(faded), Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_stop_giving_way_where_it_takes_long() {
+        let pause = Pause::new();
+        assert!(pause.is_over(0));
+        pause.gave_way(1_000, 2_000);
+        assert!(pause.is_over(2_000), "a short way costs nothing");
+        // Each long one doubles the pause, up to the longest.
+        let mut now_ns = 10_000;
+        for pause_ms in [250, 500, 1_000, 2_000, 4_000, 8_000, 16_000, 32_000, 32_000] {
+            let end_ns = now_ns + 3_000_000;
+            pause.gave_way(now_ns, end_ns);
+            now_ns = end_ns + pause_ms * 1_000_000;
+            assert!(!pause.is_over(now_ns - 1) && pause.is_over(now_ns), "{pause_ms} ms");
+        }
+        // A short one makes the next pause short again.
+        pause.gave_way(now_ns, now_ns + 1_000);
+        pause.gave_way(now_ns, now_ns + 3_000_000);
+        assert!(pause.is_over(now_ns + 253_000_000));
     }
 }
