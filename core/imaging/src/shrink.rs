@@ -44,21 +44,30 @@ fn shrink_row<'p>(simd: Simd, rows: &dyn Fn(usize) -> &'p [u8], factor: usize, c
         let span = target.len() * factor;
         let source = at * per_tile * factor..at * per_tile * factor + span;
         let (sums, means) = (&mut sums[..span], &mut means[..span]);
+        let line = |dy: usize| &rows(dy)[source.clone()];
         match factor {
             2 => {
-                let (above, below) = (&rows(0)[source.clone()], &rows(1)[source]);
-                dispatch!(simd, add_two(above: &[u8], below: &[u8], sums: &mut [u16]));
+                let lines = [line(0), line(1)];
+                dispatch!(simd, two(lines: [&[u8]; 2], channels: usize, sums: &mut [u16], means: &mut [u8]));
+            }
+            3 => {
+                let lines = [line(0), line(1), line(2)];
+                dispatch!(simd, three(lines: [&[u8]; 3], channels: usize, sums: &mut [u16], means: &mut [u8]));
+            }
+            4 => {
+                let lines = [line(0), line(1), line(2), line(3)];
+                dispatch!(simd, four(lines: [&[u8]; 4], channels: usize, sums: &mut [u16], means: &mut [u8]));
             }
             _ => {
                 sums.fill(0);
                 for dy in 0..factor {
-                    let line = &rows(dy)[source.clone()];
+                    let line = line(dy);
                     dispatch!(simd, add(line: &[u8], sums: &mut [u16]));
                 }
+                let sums = &*sums;
+                dispatch!(simd, mean(sums: &[u16], factor: usize, channels: usize, means: &mut [u8]));
             }
         }
-        let sums = &*sums;
-        dispatch!(simd, mean(sums: &[u16], factor: usize, channels: usize, means: &mut [u8]));
         match channels {
             3 => pick::<3>(means, block, target),
             _ => (0..channels).for_each(|channel| {
@@ -85,29 +94,49 @@ fn add(line: &[u8], sums: &mut [u16]) {
     }
 }
 
-#[inline(always)]
-fn add_two(above: &[u8], below: &[u8], sums: &mut [u16]) {
-    for (sum, (&a, &b)) in sums.iter_mut().zip(above.iter().zip(below)) {
-        *sum = u16::from(a) + u16::from(b);
-    }
-}
-
 /// The mean of the block that begins at each value; only those at the beginning of a block are used.
 #[inline(always)]
 fn mean(sums: &[u16], factor: usize, channels: usize, means: &mut [u8]) {
     let block = factor * channels;
     let starts = sums.len() - block + channels;
-    if factor == 2 {
-        for ((mean, &a), &b) in means[..starts].iter_mut().zip(sums).zip(&sums[channels..]) {
-            *mean = ((a + b + 2) >> 2) as u8;
-        }
-        return;
-    }
     let area = (factor * factor) as f32;
     for (at, mean) in means[..starts].iter_mut().enumerate() {
         let sum: u16 = (0..factor).map(|dx| sums[at + dx * channels]).sum();
         // Exact: a quotient that is no whole number is at least 1/256 away from one.
         *mean = ((f32::from(sum) + (area * 0.5).floor()) / area) as u8;
+    }
+}
+
+#[inline(always)]
+fn two(lines: [&[u8]; 2], channels: usize, sums: &mut [u16], means: &mut [u8]) {
+    blocks(lines, channels, sums, means);
+}
+
+#[inline(always)]
+fn three(lines: [&[u8]; 3], channels: usize, sums: &mut [u16], means: &mut [u8]) {
+    blocks(lines, channels, sums, means);
+}
+
+#[inline(always)]
+fn four(lines: [&[u8]; 4], channels: usize, sums: &mut [u16], means: &mut [u8]) {
+    blocks(lines, channels, sums, means);
+}
+
+/// As [`add`] for all rows and then [`mean`], where the compiler knows the factor: many values at once, and no division.
+#[inline(always)]
+fn blocks<const N: usize>(lines: [&[u8]; N], channels: usize, sums: &mut [u16], means: &mut [u8]) {
+    const { assert!(N >= 2 && N <= 4, "beyond 4 the product below is not exact") }
+    let count = sums.len();
+    let lines = lines.map(|line| &line[..count]);
+    for (at, sum) in sums.iter_mut().enumerate() {
+        *sum = lines.iter().map(|line| u16::from(line[at])).sum();
+    }
+    let starts = count - (N - 1) * channels;
+    let parts: [&[u16]; N] = std::array::from_fn(|dx| &sums[dx * channels..][..starts]);
+    let (half, reciprocal) = ((N * N / 2) as u16, 65_536_u32.div_ceil((N * N) as u32));
+    for (at, mean) in means[..starts].iter_mut().enumerate() {
+        let sum: u16 = parts.iter().map(|part| part[at]).sum();
+        *mean = ((u32::from(sum + half) * reciprocal) >> 16) as u8;
     }
 }
 
