@@ -82,8 +82,9 @@ pub struct CompositeNodeParams {
     /// Method that finds the seam between two views.
     #[param(default = "graph_cut")]
     seam: Seam,
-    /// Factor by which the overlap is shrunk before the seam is found; 1 finds it at full size.
-    #[param(default = 10, range = 1..=64)]
+    /// Factor by which the overlap is shrunk before the seam is found; 1 finds it at full size. 0 finds the factor from the width of the views: 10 up
+    /// to 1280 px, 15 for 1920, 30 for 3840.
+    #[param(default = 0, range = 0..=64)]
     seam_scale: u32,
     /// Largest number of frames before the seam is found again.
     #[param(default = 15, range = 1..=10000, unit = "frames")]

@@ -7,9 +7,11 @@
 use super::picture::Picture;
 use crate::Rect;
 use crate::geometry::{Homography, Point};
-use crate::stitch::warp::{self, BLOCK, Block, Pixels, Span, UNIT_GAIN};
+use crate::stitch::warp::{self, Block, Pixels, Span, UNIT_GAIN};
 use crate::{Parallel, SharedMut, Simd, ViewMut};
 
+/// Pixels that are weighed together.
+const RUN: usize = 64;
 /// Rows per chunk.
 const ROWS: usize = 16;
 /// Sums per pixel: blue, green, red, weight.
@@ -143,12 +145,12 @@ impl Canvas {
                 let Some((start, end)) = clip(spans, y, part) else { continue };
                 // SAFETY: each row belongs to one chunk.
                 let row = unsafe { sums.part((y * width + start) * LANES, (end - start) * LANES) };
-                for (index, out) in row.chunks_mut(BLOCK * LANES).enumerate() {
-                    let (x, count) = (start + index * BLOCK, out.len() / LANES);
+                for (index, out) in row.chunks_mut(RUN * LANES).enumerate() {
+                    let (x, count) = (start + index * RUN, out.len() / LANES);
                     ready.sample(x, y, count, &mut block, &mut pixels, avx2);
                     let (m, over) = ready.along(x, y);
                     // Two plain loops, which the compiler turns into vector code.
-                    let weights: [f32; BLOCK] = std::array::from_fn(|i| {
+                    let weights: [f32; RUN] = std::array::from_fn(|i| {
                         let (a, b) = nearness(&m, i as f32, over);
                         weight_of(a * b)
                     });
@@ -246,8 +248,8 @@ impl Canvas {
                 let Some((start, end)) = clip(spans, y, whole) else { continue };
                 // SAFETY: each row belongs to one chunk.
                 let row = unsafe { target.part(y * stride + start * 3, (end - start) * 3) };
-                for (index, out) in row.chunks_mut(BLOCK * 3).enumerate() {
-                    let (x, count) = (start + index * BLOCK, out.len() / 3);
+                for (index, out) in row.chunks_mut(RUN * 3).enumerate() {
+                    let (x, count) = (start + index * RUN, out.len() / 3);
                     ready.sample(x, y, count, &mut block, &mut pixels, avx2);
                     let (m, over) = ready.along(x, y);
                     let known = sums[(y * width + x) * LANES..].as_chunks::<LANES>().0;

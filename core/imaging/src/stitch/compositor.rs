@@ -331,7 +331,7 @@ impl Compositor {
 
     /// Brings the geometry of all views onto the canvas.
     fn place(&mut self, p: &Prepared) {
-        let scale = self.params.cell_px();
+        let scale = self.params.cell_px(self.sizes[0].0);
         let (columns, rows) = (p.canvas.width.div_ceil(scale), p.canvas.height.div_ceil(scale));
         let step = scale as f64 / TAPS as f64;
         let shift = [1.0, 0.0, -f64::from(p.canvas.left), 0.0, 1.0, -f64::from(p.canvas.top), 0.0, 0.0, 1.0];

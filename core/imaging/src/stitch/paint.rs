@@ -98,7 +98,7 @@ impl Layers {
         pool: &dyn Parallel,
         avx2: bool,
     ) -> (bool, f32) {
-        let scale = params.cell_px();
+        let scale = params.cell_px(views[0].width);
         for ((warp, mesh), view) in self.warps.iter_mut().zip(&self.meshes).zip(views) {
             let Warp { source_from_tap, origins, tap_step, taps, .. } = warp;
             let by_mesh =
@@ -124,7 +124,7 @@ impl Layers {
             if step.seam.is_due(params, may_learn) {
                 step.seam.doubt(self.meshes[k].given(), self.meshes[0].given(), canvas, scale);
             }
-            let found = step.seam.update(params, k == 1, may_learn, &mut self.cut);
+            let found = step.seam.update(params, scale, k == 1, may_learn, &mut self.cut);
             found_any |= found;
             worst_cost = worst_cost.max(step.seam.cost_along());
             if moved || step.labels != step.seam.take {
@@ -220,10 +220,14 @@ impl Layers {
                     for y in rows(chunk) {
                         // SAFETY: rows are split between chunks.
                         let row = unsafe { target.part(y * stride, canvas.width * 3) };
-                        if k == 1 && !is_drawn {
-                            paint_first(&first, spans[y], y, row, &mut work);
-                        }
                         let inside = zone.filter(|z| y >= z.y && y < z.y + z.height);
+                        if k == 1 && !is_drawn {
+                            let needed = inside.map_or((0, 0), |z| {
+                                let (a, b) = step.ranges.needed(y - z.y);
+                                (z.x + a, z.x + b)
+                            });
+                            paint_base(&first, step.segments.row(y), needed, y, row, &mut work);
+                        }
                         let blended = inside.map(|z| {
                             // SAFETY: rows are split between chunks.
                             let d = unsafe { differences.part((y - z.y) * z.width * LANES, z.width * LANES) };
@@ -405,6 +409,31 @@ fn paint_first(source: &Source, span: Span, y: usize, row: &mut [u8], work: &mut
     row[end * 3..].fill(0);
     if start < end {
         source.draw(start, end, y, row, work);
+    }
+}
+
+/// As [`paint_first`] where a second view is to be drawn over the first: leaves out what that will hide, but for the columns `needed`, whose differences
+/// are blended.
+fn paint_base(
+    source: &Source,
+    segments: &[Segment],
+    needed: (usize, usize),
+    y: usize,
+    row: &mut [u8],
+    work: &mut Work,
+) {
+    for segment in segments {
+        let (start, end) = (segment.start as usize, segment.end as usize);
+        match segment.kind {
+            BASE_ONLY | BASE_SHOWN => source.draw(start, end, y, row, work),
+            NEW_SHOWN => {
+                if let Some((a, b)) = segment.clip(needed.0, needed.1) {
+                    source.draw(a, b, y, row, work);
+                }
+            }
+            NEW_ONLY => {}
+            _ => row[start * 3..end * 3].fill(0),
+        }
     }
 }
 

@@ -85,7 +85,8 @@ pub struct CompositeParams {
     pub seam: SeamMethod,
     /// Cost of the seam between two cells.
     pub seam_cost: SeamCost,
-    /// Canvas pixels per seam cell, each way (thesis: 10 at 640x480, 1 in its conventional pipeline). 1..=64.
+    /// Canvas pixels per seam cell, each way (thesis: 10 at 640x480, 1 in its conventional pipeline). 1..=64; 0 finds it from the width of the
+    /// reference view: 10 up to 1280 px, more in proportion beyond.
     pub seam_scale: usize,
     /// Frames after which the seam is found anew at the latest; 1 = every frame.
     pub seam_interval_frames: u32,
@@ -122,9 +123,12 @@ pub struct CompositeParams {
 }
 
 impl CompositeParams {
-    /// Pixels along a side of a cell of the coarse grid that seams and exposures work on.
-    pub(super) fn cell_px(&self) -> usize {
-        self.seam_scale.clamp(1, 64)
+    /// Pixels along a side of a cell of the coarse grid that seams and exposures work on, for a reference view of so many columns.
+    pub(super) fn cell_px(&self, width: usize) -> usize {
+        match self.seam_scale {
+            0 => (width / 128).clamp(10, 64),
+            cell_px => cell_px.min(64),
+        }
     }
 }
 

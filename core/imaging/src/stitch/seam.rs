@@ -140,9 +140,17 @@ impl Seam {
         if count == 0 { 0.0 } else { (sum / f64::from(count)) as f32 }
     }
 
-    /// Updates the labels: finds a new seam when it is due (and `may_find`), else keeps the old one. Returns whether it found one.
-    pub fn update(&mut self, params: &CompositeParams, strip: bool, may_find: bool, cut: &mut GridCut) -> bool {
-        let found = self.label(params, strip, may_find, cut);
+    /// Updates the labels, of cells with sides of `cell_px`: finds a new seam when it is due (and `may_find`), else keeps the old one. Returns
+    /// whether it found one.
+    pub fn update(
+        &mut self,
+        params: &CompositeParams,
+        cell_px: usize,
+        strip: bool,
+        may_find: bool,
+        cut: &mut GridCut,
+    ) -> bool {
+        let found = self.label(params, cell_px, strip, may_find, cut);
         self.find_changes();
         found
     }
@@ -154,7 +162,14 @@ impl Seam {
         !self.known || (may_find && is_old)
     }
 
-    fn label(&mut self, params: &CompositeParams, strip: bool, may_find: bool, cut: &mut GridCut) -> bool {
+    fn label(
+        &mut self,
+        params: &CompositeParams,
+        cell_px: usize,
+        strip: bool,
+        may_find: bool,
+        cut: &mut GridCut,
+    ) -> bool {
         for (take, class) in self.take.iter_mut().zip(&self.class) {
             match *class {
                 BASE => *take = 0,
@@ -171,7 +186,7 @@ impl Seam {
             return false;
         }
         if params.seam_cost == SeamCost::Transition {
-            self.gather(params.blend_px / 2 / params.cell_px());
+            self.gather(params.blend_px / 2 / cell_px);
         }
         for i in 0..self.columns * self.rows {
             self.weight[i] = match params.seam_cost {
@@ -505,7 +520,7 @@ mod tests {
                 seam_scale: 10,
                 ..CompositeParams::default()
             };
-            assert!(seam.update(&params, true, true, &mut GridCut::default()));
+            assert!(seam.update(&params, 10, true, true, &mut GridCut::default()));
             seam.take[..columns].iter().position(|take| *take == 1).expect("a crossing")
         };
         assert_eq!(crossing(SeamCost::Color, 24), 9);

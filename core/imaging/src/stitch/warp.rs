@@ -1,12 +1,14 @@
-//! Perspective warp, bilinear, in blocks of 64 output pixels.
+//! Perspective warp, bilinear, in blocks of output pixels.
 //!
-//! Coordinates are f32 relative to each block's f64 start (error below 1/1000 px), positions are
+//! Coordinates are f32 relative to an f64 start every 64 pixels (error below 1/1000 px), positions are
 //! rounded to 1/64 px. The portable and the AVX2 path give the same bytes.
 
 use crate::View;
 
-/// Output pixels per block.
-pub const BLOCK: usize = 64;
+/// Output pixels per block: enough that what is prepared once for a block does not count.
+pub const BLOCK: usize = 256;
+/// Output pixels from one start of a perspective to the next.
+const REACH: usize = 64;
 /// Output pixels that are located together.
 pub const GROUP: usize = 8;
 /// A group may begin anywhere in a block.
@@ -20,18 +22,44 @@ pub const UNIT_GAIN: [i16; 4] = [16384, 16384, 16384, 0];
 #[repr(C, align(64))]
 pub struct Block {
     /// Byte offset of the upper left neighbour. What is behind a block of pixels has no meaning.
-    pub offset: [u32; ROOM],
+    pub(super) offset: [u32; ROOM],
     /// Horizontal weights in 1/64: left in the low byte, right in the high byte.
-    pub horizontal: [u16; ROOM],
+    pub(super) horizontal: [u16; ROOM],
     /// Vertical weight of the lower row, Q14.
-    pub vertical: [u16; ROOM],
-    /// Whether the positions lie on a line, so that both ends bound the rows between them.
-    pub is_line: bool,
+    pub(super) vertical: [u16; ROOM],
+    /// Pixels that are located, in whole groups.
+    located: usize,
+    /// None of their offsets is larger.
+    farthest: usize,
+}
+
+impl Block {
+    /// Forgets what was located.
+    pub(super) fn clear(&mut self) {
+        (self.located, self.farthest) = (0, 0);
+    }
+
+    /// Counts pixels `first .. end`, which follow those so far, and whose positions lie on a line: both ends bound the rows between them, but for rounding by one, and a column is less
+    /// than a stride.
+    fn reaches(&mut self, first: usize, end: usize, stride: usize) {
+        if first < end {
+            let ends = self.offset[first].max(self.offset[end - 1]) as usize;
+            self.farthest = self.farthest.max(ends + 2 * stride);
+            self.located = end;
+        }
+    }
+
+    /// Counts any pixels, which follow those so far.
+    fn reaches_any(&mut self, first: usize, end: usize) {
+        let farthest = self.offset[first..end].iter().fold(0, |most, offset| most.max(*offset));
+        self.farthest = self.farthest.max(farthest as usize);
+        self.located = end;
+    }
 }
 
 impl Default for Block {
     fn default() -> Self {
-        Self { offset: [0; ROOM], horizontal: [64; ROOM], vertical: [0; ROOM], is_line: true }
+        Self { offset: [0; ROOM], horizontal: [64; ROOM], vertical: [0; ROOM], located: 0, farthest: 0 }
     }
 }
 
@@ -46,7 +74,7 @@ impl Default for Pixels {
     }
 }
 
-/// Fills `block` for the output pixels `(x .. x + count, y)`, count at most 64; `source_from_output` maps output pixels to
+/// Fills `block` for the output pixels `(x .. x + count, y)`, count at most [`BLOCK`]; `source_from_output` maps output pixels to
 /// those of a `width` x `height` BGR view with `stride`. Positions outside are clamped to the border.
 pub fn locate(
     source_from_output: &[f64; 9],
@@ -60,69 +88,57 @@ pub fn locate(
     avx2: bool,
 ) {
     let m = source_from_output;
-    let (x, y) = (x as f64, y as f64);
-    let along = |r: usize| (m[r] * x + m[r + 1] * y + m[r + 2]) as f32;
-    let start = [along(0), along(3), along(6)];
-    let step = [m[0] as f32, m[3] as f32, m[6] as f32];
-    let limit = [(width - 1) as f32, (height - 1) as f32];
-    let last = [width as i32 - 2, height as i32 - 2];
-    block.is_line = true;
-    let count = count.min(BLOCK).div_ceil(8) * 8;
-    #[cfg(target_arch = "x86_64")]
-    if avx2 {
-        // SAFETY: the caller found AVX2 on this CPU; count is a multiple of 8 of at most 64.
-        unsafe { locate_avx2(start, step, limit, last, stride as i32, count, block) };
-        return;
+    let source = Source::new(width, height, stride);
+    let count = count.min(BLOCK).div_ceil(GROUP) * GROUP;
+    block.clear();
+    for first in (0..count).step_by(REACH) {
+        let (x, y) = ((x + first) as f64, y as f64);
+        let along = |r: usize| (m[r] * x + m[r + 1] * y + m[r + 2]) as f32;
+        let start = [along(0), along(3), along(6)];
+        let step = [m[0] as f32, m[3] as f32, m[6] as f32];
+        let pixels = (first, (count - first).min(REACH));
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: the caller found AVX2 on this CPU; whole groups inside the block.
+            unsafe { locate_avx2(start, step, &source, pixels, block) };
+            block.reaches(first, first + pixels.1, stride);
+            continue;
+        }
+        locate_body(start, step, &source, pixels, block);
+        block.reaches(first, first + pixels.1, stride);
     }
     let _ = avx2;
-    locate_body(start, step, limit, last, stride as i32, count, block);
 }
 
+/// # Safety
+/// The processor has AVX2, and `count` pixels from `first` on are whole groups inside the block.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn locate_avx2(
-    s: [f32; 3],
-    d: [f32; 3],
-    limit: [f32; 2],
-    last: [i32; 2],
-    stride: i32,
-    count: usize,
-    block: &mut Block,
-) {
+unsafe fn locate_avx2(s: [f32; 3], d: [f32; 3], source: &Source, (first, count): (usize, usize), block: &mut Block) {
     use std::arch::x86_64::*;
     let one = _mm256_set1_ps(1.0);
     let s = [_mm256_set1_ps(s[0]), _mm256_set1_ps(s[1]), _mm256_set1_ps(s[2])];
     let d = [_mm256_set1_ps(d[0]), _mm256_set1_ps(d[1]), _mm256_set1_ps(d[2])];
-    let first = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
-    let mut i = 0;
-    while i < count {
-        let t = _mm256_add_ps(first, _mm256_set1_ps(i as f32));
+    let lanes = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
+    for i in (0..count).step_by(GROUP) {
+        let t = _mm256_add_ps(lanes, _mm256_set1_ps(i as f32));
         // Multiply and add stay apart, so that the portable path gives the same bits.
         let along = |k: usize| _mm256_add_ps(s[k], _mm256_mul_ps(d[k], t));
         let scale = _mm256_div_ps(one, along(2));
         let at = [_mm256_mul_ps(along(0), scale), _mm256_mul_ps(along(1), scale)];
-        // SAFETY: i + 8 <= 64, as count is a multiple of 8 of at most 64.
-        unsafe { store(block, i, at, limit, last, stride) };
-        i += 8;
+        // SAFETY: the group lies inside the block, by the caller's promise.
+        unsafe { store(block, first + i, at, source.limit, source.last, source.stride) };
     }
 }
 
 #[inline]
-fn locate_body(
-    s: [f32; 3],
-    d: [f32; 3],
-    limit: [f32; 2],
-    last: [i32; 2],
-    stride: i32,
-    count: usize,
-    block: &mut Block,
-) {
+fn locate_body(s: [f32; 3], d: [f32; 3], source: &Source, (first, count): (usize, usize), block: &mut Block) {
     for i in 0..count {
         let t = i as f32;
         let scale = 1.0 / (s[2] + d[2] * t);
         let u = (s[0] + d[0] * t) * scale;
         let v = (s[1] + d[1] * t) * scale;
-        put(block, i, [u, v], limit, last, stride);
+        put(block, first + i, [u, v], source.limit, source.last, source.stride);
     }
 }
 
@@ -158,6 +174,15 @@ pub struct Source {
     stride: i32,
 }
 
+#[cfg(target_arch = "x86_64")]
+impl Source {
+    /// Whether a position needs no clamping, and its offset is a sum of products of 16-bit numbers.
+    fn is_well_inside(&self, at: [f32; 2]) -> bool {
+        let fits = self.stride.max(self.last[0]).max(self.last[1]) <= i32::from(i16::MAX);
+        fits && at.iter().zip(self.last).all(|(at, last)| *at >= 0.0 && *at <= last as f32)
+    }
+}
+
 impl Source {
     /// A `width` x `height` BGR view with `stride`.
     pub fn new(width: usize, height: usize, stride: usize) -> Self {
@@ -186,13 +211,31 @@ pub struct Line {
 }
 
 impl Line {
+    /// The cell that output pixel `i` of the block lies in, and where in it. The cell never falls from one pixel to the next.
+    #[inline(always)]
+    fn place(&self, i: usize) -> (usize, f32) {
+        let along = self.start + self.step * i as f32;
+        let cell = along.max(0.0).min(self.last as f32) as usize;
+        (cell, along - cell as f32)
+    }
+
     /// Position in the view of output pixel `i` of the block.
     #[inline(always)]
     fn at(&self, i: usize) -> [f32; 2] {
-        let along = self.start + self.step * i as f32;
-        let cell = along.max(0.0).min(self.last as f32) as usize;
-        let t = along - cell as f32;
+        let (cell, t) = self.place(i);
         self.nodes.map(|nodes| nodes[cell] + (nodes[cell + 1] - nodes[cell]) * t)
+    }
+
+    /// End of the whole groups from output pixel `first` on that lie in its cell, at most `end`.
+    #[cfg(target_arch = "x86_64")]
+    fn end_of_cell(&self, first: usize, end: usize) -> usize {
+        let (cell, t) = self.place(first);
+        let inside = if cell >= self.last { end - first } else { ((1.0 - t) / self.step) as usize + 1 };
+        let mut to = end.min(first + inside / GROUP * GROUP);
+        while to > first && self.place(to - 1).0 != cell {
+            to -= GROUP;
+        }
+        to
     }
 }
 
@@ -212,6 +255,7 @@ pub fn locate_line(line: &Line, (first, end): (usize, usize), source: &Source, b
     for i in first..end {
         put(block, i, line.at(i), source.limit, source.last, source.stride);
     }
+    block.reaches_any(first, end);
 }
 
 /// # Safety
@@ -219,6 +263,32 @@ pub fn locate_line(line: &Line, (first, end): (usize, usize), source: &Source, b
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 unsafe fn locate_line_avx2(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block) {
+    let mut i = first;
+    while i < end {
+        let to = line.end_of_cell(i, end);
+        // Between both ends positions change evenly.
+        if to > i && source.is_well_inside(line.at(i)) && source.is_well_inside(line.at(to - 1)) {
+            // SAFETY: whole groups inside the block, in one cell, and their positions lie inside the view as just checked.
+            unsafe { locate_in_cell_avx2(line, (i, to), source, block) };
+            block.reaches(i, to, source.stride as usize);
+            i = to;
+        } else {
+            let to = to.max(i + GROUP);
+            // SAFETY: whole groups inside the block, by the caller's promise.
+            unsafe { locate_across_avx2(line, (i, to), source, block) };
+            block.reaches_any(i, to);
+            i = to;
+        }
+    }
+}
+
+/// Output pixels of any cells.
+///
+/// # Safety
+/// The processor has AVX2; `first..end` are whole groups inside the block.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+unsafe fn locate_across_avx2(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block) {
     use std::arch::x86_64::*;
     // SAFETY: arrays of eight numbers.
     let nodes = line.nodes.map(|nodes| unsafe { _mm256_loadu_ps(nodes.as_ptr()) });
@@ -235,15 +305,55 @@ unsafe fn locate_line_avx2(line: &Line, (first, end): (usize, usize), source: &S
             let (a, b) = (_mm256_permutevar8x32_ps(nodes, cell), _mm256_permutevar8x32_ps(nodes, next));
             _mm256_add_ps(a, _mm256_mul_ps(_mm256_sub_ps(b, a), t))
         });
-        // SAFETY: `i` is at most 56, by the caller's promise.
+        // SAFETY: the group lies inside the block, by the caller's promise.
         unsafe { store(block, i, at, source.limit, source.last, source.stride) };
+    }
+}
+
+/// Output pixels of one cell, whose positions need no clamping: half the work of [`locate_across_avx2`], with the same bits.
+///
+/// # Safety
+/// The processor has AVX2; `first..end` are whole groups inside the block.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+unsafe fn locate_in_cell_avx2(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block) {
+    use std::arch::x86_64::*;
+    let cell = line.place(first).0;
+    let [x, y] = line.nodes.map(|nodes| (_mm256_set1_ps(nodes[cell]), _mm256_set1_ps(nodes[cell + 1] - nodes[cell])));
+    let (start, step) = (_mm256_set1_ps(line.start), _mm256_set1_ps(line.step));
+    let cell = _mm256_set1_ps(cell as f32);
+    let lanes = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
+    let (units, half, part) = (_mm256_set1_ps(64.0), _mm256_set1_ps(0.5), _mm256_set1_epi32(63));
+    // Row times stride plus column times 3.
+    let bytes = _mm256_set1_epi32(source.stride | 3 << 16);
+    let (unit, both) = (_mm256_set1_epi32(64), _mm256_set1_epi32(255));
+    for i in (first..end).step_by(GROUP) {
+        // Multiply and add stay apart, so that the portable path gives the same bits.
+        let steps = _mm256_mul_ps(step, _mm256_add_ps(lanes, _mm256_set1_ps(i as f32)));
+        let t = _mm256_sub_ps(_mm256_add_ps(start, steps), cell);
+        let place = |(from, change): (__m256, __m256)| {
+            let at = _mm256_add_ps(from, _mm256_mul_ps(change, t));
+            let at = _mm256_cvttps_epi32(_mm256_add_ps(_mm256_mul_ps(at, units), half));
+            (_mm256_srli_epi32(at, 6), _mm256_and_si256(at, part))
+        };
+        let ((column, fx), (row, fy)) = (place(x), place(y));
+        let offset = _mm256_madd_epi16(_mm256_or_si256(row, _mm256_slli_epi32(column, 16)), bytes);
+        let horizontal = _mm256_add_epi32(_mm256_mullo_epi16(fx, both), unit);
+        let vertical = _mm256_slli_epi32(fy, 8);
+        let packed = _mm256_permute4x64_epi64(_mm256_packus_epi32(horizontal, vertical), 0xD8);
+        // SAFETY: the group lies inside the block, by the caller's promise, and the arrays end after it.
+        unsafe {
+            _mm256_storeu_si256(block.offset.as_mut_ptr().add(i).cast(), offset);
+            _mm_storeu_si128(block.horizontal.as_mut_ptr().add(i).cast(), _mm256_castsi256_si128(packed));
+            _mm_storeu_si128(block.vertical.as_mut_ptr().add(i).cast(), _mm256_extracti128_si256(packed, 1));
+        }
     }
 }
 
 /// As [`put`] for eight output pixels: `at` are their columns and rows.
 ///
 /// # Safety
-/// `i` is at most 64.
+/// `i` is at most [`BLOCK`].
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
@@ -268,7 +378,7 @@ unsafe fn store(
     let horizontal = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32(fx, 8), fx), _mm256_set1_epi32(64));
     let vertical = _mm256_slli_epi32(fy, 8);
     let both = _mm256_permute4x64_epi64(_mm256_packus_epi32(horizontal, vertical), 0xD8);
-    // SAFETY: the arrays have 72 elements, and `i` is at most 64, by the caller's promise.
+    // SAFETY: the arrays have room for a group after each pixel of the block, by the caller's promise.
     unsafe {
         _mm256_storeu_si256(block.offset.as_mut_ptr().add(i).cast(), offset);
         _mm_storeu_si128(block.horizontal.as_mut_ptr().add(i).cast(), _mm256_castsi256_si128(both));
@@ -289,12 +399,10 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
     #[cfg(target_arch = "x86_64")]
     if avx2 && view.data.len() >= view.stride + 8 {
         let padded = count.div_ceil(8) * 8;
-        // Along a line the source row rises or falls all the way, but for rounding by one, and a column is less than a stride: both ends
-        // bound the block. Other blocks, and those at the very bottom, are checked pixel by pixel.
-        let ends = block.offset[0].max(block.offset[padded.max(1) - 1]) as usize + 2 * view.stride;
         let fits = |far: usize| far + view.stride + 8 <= view.data.len();
+        let farthest = || block.offset[..padded].iter().fold(0, |most, offset| most.max(*offset)) as usize;
         // Each neighbour pair is loaded as 8 bytes: the last two pixels of a view without padding go the slow way.
-        if (block.is_line && fits(ends)) || fits(block.offset[..padded].iter().fold(0, |m, o| m.max(*o)) as usize) {
+        if padded <= block.located && (fits(block.farthest) || fits(farthest())) {
             // SAFETY: the caller found AVX2 on this CPU; every load is inside the view, as just checked.
             unsafe { sample_avx2(view.data.as_ptr(), view.stride, block, padded, gain, out) };
             return;
@@ -317,7 +425,7 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
 }
 
 /// # Safety
-/// For each of the first `count` offsets (a multiple of 8, at most 64), `offset + stride + 8` bytes must be readable.
+/// For each of the first `count` offsets (a multiple of 8, at most [`BLOCK`]), `offset + stride + 8` bytes must be readable.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 unsafe fn sample_avx2(
@@ -342,7 +450,7 @@ unsafe fn sample_avx2(
         unsafe { _mm_castpd_si128(_mm_loadh_pd(_mm_load_sd(a.cast()), b.cast())) }
     };
     let four = |i: usize| {
-        // SAFETY: offsets lie inside the view (caller's promise); i + 4 <= 64.
+        // SAFETY: offsets lie inside the view (caller's promise); four of the block.
         unsafe {
             let o = block.offset.as_ptr().add(i);
             let (p0, p1) = (source.add(*o as usize), source.add(*o.add(1) as usize));
@@ -363,7 +471,7 @@ unsafe fn sample_avx2(
     let mut i = 0;
     while i < count {
         let packed = _mm256_permute4x64_epi64(_mm256_packus_epi16(four(i), four(i + 4)), 0xD8);
-        // SAFETY: i + 8 <= 64 pixels of 4 bytes.
+        // SAFETY: eight pixels of the block, 4 bytes each.
         unsafe { _mm256_storeu_si256(out.0.as_mut_ptr().add(4 * i).cast(), packed) };
         i += 8;
     }
@@ -392,7 +500,7 @@ fn pack_bgr_avx2(pixels: &Pixels, out: &mut [u8]) -> usize {
     let squeeze = _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1);
     let mut i = 0;
     while 3 * i + 16 <= out.len() {
-        // SAFETY: 16 bytes are readable (out.len() / 3 <= 64 pixels) and writable (loop condition).
+        // SAFETY: 16 bytes are readable (out.len() / 3 pixels of the block) and writable (loop condition).
         unsafe {
             let four = _mm_loadu_si128(pixels.0.as_ptr().add(4 * i).cast());
             _mm_storeu_si128(out.as_mut_ptr().add(3 * i).cast(), _mm_shuffle_epi8(four, squeeze));
