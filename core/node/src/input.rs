@@ -9,7 +9,7 @@ use crate::View;
 use crate::abi;
 use crate::error::{NodeError, Result};
 use crate::host;
-use crate::packet::{Packet, Plain, Plane};
+use crate::packet::{Bgr8, Gray8, Packet, Plain, Plane};
 use crate::port::{PortField, RawCall, nameless};
 
 /// A type that wraps one frame.
@@ -260,6 +260,53 @@ impl<'f> AnyImage<'f> {
     /// The frame as the host describes it.
     pub fn frame(&self) -> &'f abi::Frame {
         self.frame
+    }
+}
+
+/// A picture in colour (BGR) or in gray, as it arrives: for nodes that need little of its gray, or need it seldom. The host makes the gray of an
+/// `Image<'f, Gray8>` whole, in every tick.
+#[derive(Clone, Copy)]
+pub struct Picture<'f> {
+    frame: &'f abi::Frame,
+    view: View<'f, u8>,
+}
+
+impl<'f> FromFrame<'f> for Picture<'f> {
+    const PORT: abi::Port = nameless("image", 0, abi::format_bit(Bgr8::FORMAT) | abi::format_bit(Gray8::FORMAT), 0);
+
+    fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
+        let channels = match frame.format {
+            Bgr8::FORMAT => Bgr8::CHANNELS,
+            Gray8::FORMAT => Gray8::CHANNELS,
+            other => {
+                return Err(NodeError::new(format!(
+                    "a picture in colour or gray was expected, format {other} arrived"
+                )));
+            }
+        };
+        let (data, stride) = elements(frame, channels)?;
+        Ok(Self { frame, view: View::with_stride(data, frame.width as usize, frame.height as usize, channels, stride) })
+    }
+}
+
+impl<'f> Picture<'f> {
+    pub(crate) fn raw_frame(&self) -> &abi::Frame {
+        self.frame
+    }
+
+    /// Columns in px.
+    pub fn width(&self) -> usize {
+        self.view.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.view.height
+    }
+
+    /// The pixels: 3 channels, or 1.
+    pub fn view(&self) -> View<'f, u8> {
+        self.view
     }
 }
 

@@ -27,7 +27,7 @@ pub mod validation;
 pub use context::{Context, Finish, Open, Pool};
 pub use detections::{Detections, Instances};
 pub use error::{NodeError, Result};
-pub use input::{AnyImage, Cloud, Image, List, Retained, Text, Value};
+pub use input::{AnyImage, Cloud, Image, List, Picture, Retained, Text, Value};
 pub use output::Slot;
 pub use packet::{
     AnyFormat, Bgr8, Confidence, Depth, Disparity, Gray8, Gray16, GrayF32, LabeledDetections, LabeledInstances, Mask,

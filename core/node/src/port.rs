@@ -86,7 +86,7 @@ impl<'f> Ports<'f> for NoPorts {
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is not a port type",
     label = "not a port",
-    note = "inputs are `Image<'f, Gray8>`, `AnyImage<'f>`, `Value<'f, T>`, `Text<'f>`, `Table<'f>`, `Cloud<'f>`, `Detections<'f>`, `Instances<'f>`, in `Option<...>` or `List<'f, ...>` if wanted; outputs are `Slot<'f, T>`"
+    note = "inputs are `Image<'f, Gray8>`, `AnyImage<'f>`, `Picture<'f>`, `Value<'f, T>`, `Text<'f>`, `Table<'f>`, `Cloud<'f>`, `Detections<'f>`, `Instances<'f>`, in `Option<...>` or `List<'f, ...>` if wanted; outputs are `Slot<'f, T>`"
 )]
 pub trait PortField<'f>: Sized {
     /// Port declaration without name and doc.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use crate::abi;
 use crate::context::{Context, has};
 use crate::detections::{Detections, Instances};
-use crate::input::{AnyImage, Cloud, Image, Value};
+use crate::input::{AnyImage, Cloud, Image, Picture, Value};
 
 /// An input packet whose age a node can ask for.
 pub trait Timed {
@@ -35,7 +35,7 @@ macro_rules! timed {
         }
     )*};
 }
-timed!(AnyImage, Cloud, Detections);
+timed!(AnyImage, Picture, Cloud, Detections);
 
 impl Timed for Instances<'_> {
     fn timed_frame(&self) -> &abi::Frame {
