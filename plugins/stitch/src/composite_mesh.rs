@@ -2,7 +2,7 @@
 
 use panoscope_imaging::geometry;
 use panoscope_imaging::stitch::{Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners};
-use panoscope_node::abi::{self, Calibration, Homography, Roi};
+use panoscope_node::abi::{self, Calibration, Camera, Homography, Roi};
 use panoscope_node::{
     Bgr8, Context, Disparity, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData,
     Validation, Value, View, error,
@@ -75,7 +75,8 @@ pub struct In<'f> {
     right: Option<Image<'f, Bgr8>>,
     /// Maps right-view pixels to left-view pixels: where only the right camera sees.
     homography: Option<Value<'f, Homography>>,
-    /// Disparity of the left rectified view, full size: where both cameras see. Without it the homography places the right view alone.
+    /// Disparity of the left rectified view, as large as the views or smaller by a whole factor: where both cameras see. Without it the homography
+    /// places the right view alone.
     disparity: Option<Image<'f, Disparity>>,
     /// Calibration of the views. Unconnected, they are taken as rectified.
     calibration: Option<Value<'f, Calibration>>,
@@ -159,15 +160,16 @@ fn push_vertices(rows: &mut Vec<f64>, view: Option<usize>, mesh: &Mesh, referenc
 
 /// The first view and a further one, as the disparity sees them.
 fn cameras(calibration: Option<&Calibration>, sizes: [(usize, usize); 2]) -> Result<[RectifiedView; 2]> {
-    let [left, right] = register_grid::views(calibration, sizes);
-    if [left.size, right.size] != sizes {
-        let [(width, height), (right_width, right_height)] = sizes;
+    let of = |camera: &Camera| (camera.width as usize, camera.height as usize);
+    let known = calibration.map_or(sizes, |c| [of(&c.left), of(&c.right)]);
+    if known != sizes {
+        let [[(width, height), (right_width, right_height)], [left, right]] = [sizes, known];
         return Err(error!(
             "the views are {width}x{height} and {right_width}x{right_height}, the calibration is for {}x{} and {}x{}: connect the calibration of these views",
-            left.size.0, left.size.1, right.size.0, right.size.1
+            left.0, left.1, right.0, right.1
         ));
     }
-    Ok([left, right])
+    Ok(register_grid::views(calibration, sizes)?)
 }
 
 /// Takes from each map what the ones before it do not know.
@@ -219,6 +221,7 @@ impl CompositeMesh {
             return Ok(None);
         }
         let [first, other] = cameras(calibration, sizes)?;
+        register_grid::check_map((disparity.width, disparity.height), first.size)?;
         let map = geometry::Homography(map);
         Ok(Some(self.followers[view - 1].update(disparity, &first, &other, &map, cx.pool())))
     }

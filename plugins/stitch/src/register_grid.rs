@@ -1,11 +1,13 @@
 //! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
 
+use panoscope_calibration::packet;
 use panoscope_imaging::features::RegisterSurf;
 use panoscope_imaging::geometry::RansacParams;
-use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid};
+use panoscope_imaging::stereo::StereoError;
+use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid, map_factor};
 use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{
-    Choice, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Validation, Value,
+    Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Picture, Ports, Result, Validation, Value, error,
 };
 
 use crate::register_surf;
@@ -74,15 +76,15 @@ impl RegisterGridParams {
 /// Inputs of the registration.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Disparity of the left rectified view, full size.
+    /// Disparity of the left rectified view, as large as the pictures to stitch or smaller by a whole factor.
     disparity: Option<Image<'f, Disparity>>,
     /// Calibration of the pictures to stitch. The homography is between these pictures, not between the rectified views, unless the calibration says
     /// that they are rectified. Unconnected, they are taken as rectified.
     calibration: Option<Value<'f, Calibration>>,
     /// Left view: with `right`, registered by its features in a tick without a disparity.
-    left: Option<Image<'f, Gray8>>,
+    left: Option<Picture<'f>>,
     /// Right view of the same instant.
-    right: Option<Image<'f, Gray8>>,
+    right: Option<Picture<'f>>,
 }
 
 /// See the module.
@@ -137,13 +139,32 @@ fn rectified(size: (usize, usize)) -> RectifiedView {
 }
 
 /// Both views of a calibration; without one, views of these sizes that are rectified already.
-pub(crate) fn views(calibration: Option<&Calibration>, sizes: [(usize, usize); 2]) -> [RectifiedView; 2] {
-    let Some(c) = calibration else { return sizes.map(rectified) };
+///
+/// # Errors
+/// The calibration does not say how its cameras are rectified, and that cannot be computed.
+pub(crate) fn views(
+    calibration: Option<&Calibration>,
+    sizes: [(usize, usize); 2],
+) -> std::result::Result<[RectifiedView; 2], StereoError> {
+    let Some(c) = calibration else { return Ok(sizes.map(rectified)) };
     let is_rectified = c.is_rectified != 0;
-    [
+    let is_stated = is_rectified || c.left_projection[0] != 0.0;
+    let c = if is_stated { *c } else { packet::with_rectification(c, &packet::rectification(c)?) };
+    Ok([
         view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified),
         view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified),
-    ]
+    ])
+}
+
+/// Refuses a disparity map that does not belong to a picture of this size.
+pub(crate) fn check_map(map: (usize, usize), picture: (usize, usize)) -> Result<()> {
+    match map_factor(map, picture) {
+        Some(_) => Ok(()),
+        None => Err(error!(
+            "the disparity is {}x{}, the left view {}x{}: connect the disparity of these views, as large as they are or smaller by a whole factor",
+            map.0, map.1, picture.0, picture.1
+        )),
+    }
 }
 
 impl RegisterGridNode {
@@ -217,7 +238,10 @@ impl Node for RegisterGridNode {
             cx.info("there is a disparity: the views are registered by it from now on");
         }
         let size = (disparity.width(), disparity.height());
-        let [left, right] = views(input.calibration.as_deref(), [size; 2]);
+        // Without a calibration the pictures tell their own size.
+        let picture = input.left.as_ref().map_or(size, |left| (left.width(), left.height()));
+        let [left, right] = views(input.calibration.as_deref(), [picture; 2])?;
+        check_map(size, left.size)?;
         let found = self.kernel.register(disparity.view(), &left, &right);
         cx.metric("grid_points", found.points as f64);
         let found = Registered {

@@ -96,6 +96,30 @@ fn with_a_disparity_the_panorama_is_whole() {
 }
 
 #[test]
+fn a_smaller_disparity_does_as_well() {
+    let large = map();
+    let small = |y: usize| large[y * SIZE.0..(y + 1) * SIZE.0].iter().step_by(2).map(|d| d / 2.0);
+    let small: Vec<f32> = (0..SIZE.1).step_by(2).flat_map(small).collect();
+    let made = |size: (usize, usize), map: &[f32]| {
+        let mut node = node("");
+        let [left, right] = views();
+        node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &left)
+            .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &right)
+            .input_image::<Disparity>("disparity", size.0, size.1, map)
+            .input_value("homography", plane(abi::STATE_FRESH));
+        node.process().map(|out| {
+            let panorama = out.plane::<Bgr8>("panorama").unwrap();
+            let size = (panorama.width, panorama.height);
+            Made { panorama: panorama.data.to_vec(), size, canvas: out.value("canvas").unwrap(), mesh: None }
+        })
+    };
+    let whole = difference(&made((SIZE.0 / 2, SIZE.1 / 2), &small).expect("a panorama"));
+    assert!(whole < 8.0, "{whole} levels");
+    let error = made((SIZE.0, SIZE.1 / 2), &large[..SIZE.0 * SIZE.1 / 2]).err().expect("an error").to_string();
+    assert!(error.contains("320x120") && error.contains("320x240") && error.contains("whole factor"), "{error}");
+}
+
+#[test]
 fn the_mesh_is_held_while_depth_or_homography_is_lost() {
     let mut node = node("");
     let good = tick(&mut node, Some(&map()), plane(abi::STATE_FRESH));

@@ -138,3 +138,45 @@ fn features_that_no_plane_explains_are_not_called_fresh() {
     assert_eq!((found.state, found.inliers), (abi::STATE_LOST, 0));
     assert!(node.logs().iter().any(|line| line.message.contains("`max_rms_px` allows 4")), "{:?}", node.logs());
 }
+
+/// Every other pixel of a map, in its own pixels.
+fn half(map: &[f32]) -> Vec<f32> {
+    let pixels = |y: usize| map[y * SIZE.0..(y + 1) * SIZE.0].iter().step_by(2);
+    (0..SIZE.1).step_by(2).flat_map(pixels).map(|d| d / 2.0).collect()
+}
+
+#[test]
+fn a_smaller_map_registers_the_pictures_that_it_belongs_to() {
+    let mut node = Harness::<RegisterGridNode>::open(Setup::new("")).unwrap();
+    let (width, height) = (SIZE.0 / 2, SIZE.1 / 2);
+    node.input_image::<Disparity>("disparity", width, height, &half(&steps(0.0)))
+        .input_value("calibration", calibration());
+    let found: Homography = node.process().unwrap().value("homography").unwrap();
+    assert!((found.left_from_right[2] - 60.0).abs() < 0.5, "{:?}", found.left_from_right);
+    // Without a calibration the left view tells the size of the pictures.
+    let mut node = Harness::<RegisterGridNode>::open(Setup::new("")).unwrap();
+    let gray = vec![80_u8; SIZE.0 * SIZE.1];
+    node.input_image::<Disparity>("disparity", width, height, &half(&steps(0.0)))
+        .input_image::<Gray8>("left", SIZE.0, SIZE.1, &gray)
+        .input_image::<Gray8>("right", SIZE.0, SIZE.1, &gray);
+    let found: Homography = node.process().unwrap().value("homography").unwrap();
+    assert!((found.left_from_right[2] - 60.0).abs() < 0.5, "{:?}", found.left_from_right);
+    // A map of other pictures does not.
+    node.input_image::<Disparity>("disparity", 200, 120, &vec![60.0; 200 * 120])
+        .input_value("calibration", calibration());
+    let error = node.process().err().expect("an error").to_string();
+    assert!(error.contains("200x120") && error.contains("320x240") && error.contains("whole factor"), "{error}");
+}
+
+#[test]
+fn a_calibration_without_a_rectification_is_rectified() {
+    let mut bare = calibration();
+    (bare.left_projection, bare.right_projection, bare.is_rectified) = ([0.0; 12], [0.0; 12], 0);
+    bare.right_from_left_rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    bare.right_from_left_mm = [-15.0, 0.0, 0.0];
+    let mut node = Harness::<RegisterGridNode>::open(Setup::new("")).unwrap();
+    node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &steps(0.0)).input_value("calibration", bare);
+    let found: Homography = node.process().unwrap().value("homography").unwrap();
+    assert_eq!(found.state, abi::STATE_FRESH);
+    assert!((found.left_from_right[2] - 60.0).abs() < 0.5, "{:?}", found.left_from_right);
+}

@@ -79,7 +79,7 @@ fn widths(session: &dyn Session, options: &Options) -> Result<Vec<Cost>> {
     sizes.map(of_size).collect()
 }
 
-/// A graph that makes a panorama of each of so many pairs of cameras.
+/// A graph that makes a panorama of each of so many pairs of cameras, as `graphs/panorama_large.toml` does.
 fn panoramas(pairs: &Pairs, count: usize, parts: &Path, out: &Path) -> String {
     let mut text = "mode = \"live\"\nplugins = [\"capture\", \"stereo\", \"sinks\"]\n".to_owned();
     let part = |name: &str| quoted(&parts.join(name));
@@ -87,15 +87,13 @@ fn panoramas(pairs: &Pairs, count: usize, parts: &Path, out: &Path) -> String {
     for at in 0..count {
         let views =
             format!("left = \"pair{at}.left\", right = \"pair{at}.right\", calibration = \"pair{at}.calibration\"");
-        let ports = ["left", "right", "disparity", "calibration"].map(|port| format!("{port} = \"views{at}.{port}\""));
         let file = quoted(&out.join(format!("panorama{at}.png")));
         let _ = write!(
             text,
-            "[nodes.pair{at}]\n{}[nodes.views{at}]\ngraph = {matching}\ninputs = {{ {views} }}\nparams = {{ scale = 0 }}\n\
-             [nodes.wide{at}]\ngraph = {panorama}\ninputs = {{ {} }}\n\
+            "[nodes.pair{at}]\n{}[nodes.views{at}]\ngraph = {matching}\ninputs = {{ {views} }}\nparams = {{ picture_scale = 0, scale = 0 }}\n\
+             [nodes.wide{at}]\ngraph = {panorama}\ninputs = {{ {views}, disparity = \"views{at}.disparity\" }}\n\
              [nodes.still{at}]\ntype = \"write_images\"\ninputs = {{ image = \"wide{at}.panorama\" }}\nparams = {{ path = {file}, at_end = true }}\n",
             pairs.node("off", CAMERA_HZ),
-            ports.join(", "),
         );
     }
     text

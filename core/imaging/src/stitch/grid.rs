@@ -4,6 +4,7 @@
 //! partner in the right rectified view is `Q = P - (d, 0)`. Both are carried back to the cameras' own pictures, and RANSAC
 //! finds the homography between them. Algorithm 2 of that chapter keeps it still.
 
+use super::coarse::{enlarged, map_factor};
 use super::disparity_plane::{DisparityPlane, Sample};
 use crate::Rect;
 use crate::View;
@@ -75,7 +76,7 @@ pub enum CellPoint {
     Median,
 }
 
-/// Parameters of [`RegisterGrid`].
+/// Parameters of [`RegisterGrid`]. Lengths are in pixels of the pictures, also where the disparity map is smaller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridParams {
     /// Rows of the grid (9 in chapter 4).
@@ -149,10 +150,46 @@ pub struct GridRegistration {
     pub kept: bool,
 }
 
+impl GridParams {
+    /// The same in pixels of maps that are smaller by a factor.
+    fn shrunk(self, factor: usize) -> Self {
+        let px = |length: f64| length / factor as f64;
+        Self {
+            step_px: self.step_px.div_ceil(factor),
+            ransac: RansacParams { threshold_px: px(self.ransac.threshold_px), ..self.ransac },
+            stability_px: px(self.stability_px),
+            max_rms_px: px(self.max_rms_px),
+            ..self
+        }
+    }
+}
+
+impl GridRegistration {
+    /// The same in pixels of pictures of these sizes, which are larger by a factor.
+    fn enlarged(self, factor: usize, [left, right]: [(usize, usize); 2]) -> Self {
+        let whole = |small: &Rect, (width, height): (usize, usize)| {
+            Rect::new(small.x * factor, small.y * factor, small.width * factor, small.height * factor)
+                .clamped(width, height)
+        };
+        Self {
+            left_from_right: enlarged(&self.left_from_right, factor),
+            rms_px: self.rms_px * factor as f64,
+            refused_rms_px: self.refused_rms_px.map(|px| px * factor as f64),
+            roi_left: whole(&self.roi_left, left),
+            roi_right: whole(&self.roi_right, right),
+            ..self
+        }
+    }
+}
+
 /// Registers disparity maps one after the other. Allocates only for a larger grid than before.
 #[derive(Clone, Debug, Default)]
 pub struct RegisterGrid {
     params: GridParams,
+    /// By how much the last map was smaller than the pictures; 0 before the first.
+    factor: usize,
+    /// The parameters in pixels of that map, as all that follows.
+    scaled: GridParams,
     ransac: Ransac,
     from: Vec<Point>,
     to: Vec<Point>,
@@ -173,6 +210,8 @@ const PLANE_PAIRS: usize = 5;
 const MOST_PLANE_PX: f64 = 4.0;
 /// An overlap of less than this part of a side is narrow.
 const NARROW_PART: usize = 3;
+/// Pixels of a cell that are read, about; more are spaced further apart.
+const MOST_CELL_PIXELS: usize = 300;
 /// Smallest number of columns used per cell.
 const LEAST_CELL_STEPS: usize = 2;
 /// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
@@ -200,7 +239,7 @@ fn bounds(counts: &[u32], total: u32, step: usize) -> (usize, usize) {
 impl RegisterGrid {
     /// A registration without history.
     pub fn new(params: GridParams) -> Self {
-        Self { params, ransac: Ransac::new(), ..Self::default() }
+        Self { params, scaled: params, ransac: Ransac::new(), ..Self::default() }
     }
 
     /// The parameters that were last set.
@@ -211,6 +250,7 @@ impl RegisterGrid {
     /// Changes the parameters; the previous frame's result stays.
     pub fn set_params(&mut self, params: GridParams) {
         self.params = params;
+        self.scaled = params.shrunk(self.factor.max(1));
     }
 
     /// Forgets the previous frame.
@@ -219,10 +259,32 @@ impl RegisterGrid {
         self.failures = 0;
     }
 
-    /// Registers by one disparity map: px of the left rectified view at full size, NaN where unmatched.
+    /// Registers by one disparity map: px of the left rectified view, NaN where unmatched. The map has the size of the pictures, or is smaller by a
+    /// whole factor, see [`map_factor`].
     ///
     /// A failure is a state, not an error: the next frame searches the whole map.
     pub fn register(
+        &mut self,
+        disparity: View<'_, f32>,
+        left: &RectifiedView,
+        right: &RectifiedView,
+    ) -> GridRegistration {
+        let factor = map_factor((disparity.width, disparity.height), left.size).unwrap_or(1);
+        if factor != self.factor {
+            self.reset();
+            self.factor = factor;
+            self.scaled = self.params.shrunk(factor);
+        }
+        if factor == 1 {
+            return self.register_map(disparity, left, right);
+        }
+        let [small_left, small_right] = [left, right].map(|view| view.shrunk(factor));
+        let found = self.register_map(disparity, &small_left, &small_right);
+        found.enlarged(factor, [left.size, right.size])
+    }
+
+    /// Registers by a map as large as the pictures.
+    fn register_map(
         &mut self,
         disparity: View<'_, f32>,
         left: &RectifiedView,
@@ -237,7 +299,7 @@ impl RegisterGrid {
             roi_right: whole(right),
             ..GridRegistration::default()
         };
-        let params = self.params;
+        let params = self.scaled;
         let accepted = |fit: &RansacFit| {
             fit.inliers >= params.min_inliers.max(4) && params.plausibility.accepts(&fit.homography, right.size)
         };
@@ -282,7 +344,7 @@ impl RegisterGrid {
     /// No homography from this map: the previous one is held, for some frames.
     fn failed(&mut self, mut result: GridRegistration) -> GridRegistration {
         self.failures += 1;
-        if self.memory.is_some() && self.failures <= self.params.hold_frames {
+        if self.memory.is_some() && self.failures <= self.scaled.hold_frames {
             result.state = RegistrationState::Held;
         }
         result
@@ -290,9 +352,9 @@ impl RegisterGrid {
 
     /// The homography of a plane in space, for an overlap too narrow to determine more; `mask` becomes its inliers.
     fn fit_plane(&mut self, left: &RectifiedView, right: &RectifiedView) -> Option<RansacFit> {
-        let RansacParams { threshold_px, seed, .. } = self.params.ransac;
+        let RansacParams { threshold_px, seed, .. } = self.scaled.ransac;
         let threshold_px = threshold_px.min(MOST_PLANE_PX);
-        let plane = DisparityPlane::fit(&self.samples, threshold_px, self.params.min_inliers, seed)?;
+        let plane = DisparityPlane::fit(&self.samples, threshold_px, self.scaled.min_inliers, seed)?;
         // Exact for pinhole cameras; lens distortion is averaged over the view.
         let (mut from, mut to) = ([[0.0; 2]; PLANE_PAIRS * PLANE_PAIRS], [[0.0; 2]; PLANE_PAIRS * PLANE_PAIRS]);
         for index in 0..PLANE_PAIRS * PLANE_PAIRS {
@@ -347,25 +409,28 @@ impl RegisterGrid {
         let (width, height) = (disparity.width, disparity.height);
         // Rectified views differ from the pictures by little, so that the pictures' overlap places the grid.
         let known = self.memory.filter(|_| self.failures == 0);
-        let step = self.params.step_px.max(1);
+        let step = self.scaled.step_px.max(1);
         let area = match known {
             Some(map) => overlap_roi(&map, right.size.0, right.size.1, width, height),
             None => self.shared_area(disparity, step),
         };
         self.is_narrow = area.width * NARROW_PART < width || area.height * NARROW_PART < height;
-        let (rows, columns) = (self.params.rows.max(1), self.params.columns.max(1));
+        let (rows, columns) = (self.scaled.rows.max(1), self.scaled.columns.max(1));
         self.samples.clear();
         self.samples.reserve(rows * columns);
         self.from.reserve(rows * columns);
         self.to.reserve(rows * columns);
         self.mask.reserve((rows * columns).saturating_sub(self.mask.len()));
         self.ransac.reserve(rows * columns);
-        self.stability.reserve(rows * columns, self.params.anchor_fit);
+        self.stability.reserve(rows * columns, self.scaled.anchor_fit);
         // Cells of a narrow overlap still hold some pixels each.
         let columns = columns.min(area.width / (LEAST_CELL_STEPS * step));
         if columns == 0 || area.height < rows {
             return;
         }
+        // A median of some hundred pixels is as good as one of thousands.
+        let in_cell = area.width / columns * (area.height / rows);
+        let step = step.max((in_cell / MOST_CELL_PIXELS).isqrt());
         for row in 0..rows {
             let (y0, y1) = (area.y + row * area.height / rows, area.y + (row + 1) * area.height / rows);
             for column in 0..columns {
@@ -412,10 +477,10 @@ impl RegisterGrid {
             }
         }
         let valid = self.cell.len();
-        if valid == 0 || (valid as f32) < self.params.least_valid * looked as f32 {
+        if valid == 0 || (valid as f32) < self.scaled.least_valid * looked as f32 {
             return None;
         }
-        match self.params.point {
+        match self.scaled.point {
             CellPoint::Peak => Some((peak.1, peak.0)),
             CellPoint::Median => {
                 let (_, &mut median, _) = self.cell.select_nth_unstable_by(valid / 2, f32::total_cmp);
@@ -467,6 +532,34 @@ mod tests {
             assert!(error < 0.2, "{error} px at {x}, {y}");
         }
         assert!(found.roi_left.x > 180 && found.roi_left.width > 400, "{:?}", found.roi_left);
+    }
+
+    #[test]
+    fn a_small_map_registers_large_pictures() {
+        let (small, camera) = (plane(), camera());
+        let large = RectifiedView {
+            size: (1920, 1440),
+            focal_px: [2250.0; 2],
+            centre_px: [958.5 + 1.0, 718.5 + 1.0],
+            rectified_focal_px: [2250.0; 2],
+            rectified_centre_px: [958.5 + 1.0, 718.5 + 1.0],
+            ..camera
+        };
+        assert_eq!(large.shrunk(3), camera);
+        let mut register =
+            RegisterGrid::new(GridParams { stability_px: 0.0, anchor_fit: 0.0, ..GridParams::default() });
+        let found = register.register(View::new(&small, 640, 480, 1), &large, &large);
+        assert_eq!(found.state, RegistrationState::Fresh);
+        for [x, y] in [[300.0, 50.0], [600.0, 400.0], [450.0, 240.0]] {
+            let [d, at] = [200.0 + x / 40.0 - y / 30.0, 0.0].map(|d| [3.0 * (x - d) + 1.0, 3.0 * y + 1.0]);
+            let error = found.left_from_right.squared_error(d, at).sqrt();
+            assert!(error < 0.6, "{error} px at {x}, {y}");
+        }
+        assert!(found.roi_left.x > 540 && found.roi_left.width > 1200, "{:?}", found.roi_left);
+        // The same map of pictures of its own size starts anew.
+        let found = register.register(View::new(&small, 640, 480, 1), &camera, &camera);
+        let error = found.left_from_right.squared_error([300.0 - 205.8333, 50.0], [300.0, 50.0]).sqrt();
+        assert!(found.state == RegistrationState::Fresh && error < 0.2, "{error} px");
     }
 
     #[test]

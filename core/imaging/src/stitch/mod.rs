@@ -7,6 +7,7 @@
 mod blend;
 mod border;
 mod canvas;
+mod coarse;
 mod compositor;
 pub mod correspond;
 pub mod cut;
@@ -30,6 +31,7 @@ mod taps;
 mod tests;
 pub mod warp;
 
+pub use coarse::map_factor;
 pub use compositor::Compositor;
 pub use drawing::{Drawing, DrawnMesh, DrawnView, Painter, Runs};
 pub use graph_cut::GridCut;

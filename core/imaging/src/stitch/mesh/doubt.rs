@@ -36,6 +36,12 @@ impl Doubt {
         self.px.clone_from(&other.px);
     }
 
+    /// Becomes the doubt on pictures that are larger by a factor, in pixels of the small ones.
+    pub fn enlarge(&mut self, small: &Self, factor: usize) {
+        self.copy_from(small);
+        self.cell_px *= factor;
+    }
+
     /// Forgets all observations.
     pub fn reset(&mut self, cell_px: usize, columns: usize, rows: usize) {
         (self.cell_px, self.columns, self.rows) = (cell_px, columns, rows);

@@ -8,6 +8,7 @@ use super::energy::{Energy, Stiffness};
 use super::fitted::Fitted;
 use super::observe::{Observations, Sampling};
 use super::relax::{Continuation, Relax};
+use super::scaled::Scaled;
 use super::{Lattice, Mesh};
 use crate::geometry::{Homography, Point, overlap_roi};
 use crate::{Parallel, Rect, Simd, View};
@@ -54,7 +55,7 @@ const SETTLED_PX: f64 = 0.2;
 /// Cells beyond a border for whose vertices the mesh is solved. Those further off follow the last ones: [`Relax`] replaces them. With 2 a steep scene
 /// at 20 mm lost two thirds of its accuracy; from 4 on hardly anything changes.
 const SOLVED_BEYOND_CELLS: f64 = 6.0;
-/// A mesh that moves by less than this stays as it is, px: what follows from it need not be computed again.
+/// A mesh that moves by less than this stays as it is, px of the pictures: what follows from it need not be computed again.
 const DEAD_BAND_PX: f64 = 0.02;
 /// The mesh starts afresh when the share of the lines in which nothing is observed falls by more than this: where it guessed it may be so far off that
 /// what is observed there now would pass for mistakes.
@@ -192,6 +193,7 @@ pub struct MeshFollower {
     blind_at_start: f64,
     energy: Energy,
     relax: Relax,
+    pub(super) scaled: Scaled,
 }
 
 impl MeshFollower {
@@ -216,23 +218,16 @@ impl MeshFollower {
         self.mesh.lattice = self.lattice;
         self.mesh.source.clear();
         self.reference.source.clear();
+        self.scaled.clear();
     }
 
-    /// The mesh of the last frame; `None` before the first good one.
-    pub fn mesh(&self) -> Option<&Mesh> {
-        (!self.mesh.source.is_empty()).then_some(&self.mesh)
+    /// The mesh, and that of the reference view, between pictures as large as the map.
+    pub(super) fn of_map(&self) -> [&Mesh; 2] {
+        [&self.mesh, &self.reference]
     }
 
-    /// The mesh that draws the reference view so that it fits the other one also where that leaves the reference view's plane; `None` where the
-    /// reference view stays as it is.
-    pub fn reference_mesh(&self) -> Option<&Mesh> {
-        (!self.reference.source.is_empty()).then_some(&self.reference)
-    }
-
-    /// Brings the mesh up to a frame with a good homography; without one the mesh of the last frame stands.
-    ///
-    /// `disparity`: px of the left rectified view at full size, NaN where unmatched. The mesh maps the left picture to the right one.
-    pub fn update(
+    /// Brings the mesh up to a frame, with a map as large as the pictures.
+    pub(super) fn update_map(
         &mut self,
         disparity: View<'_, f32>,
         left: &RectifiedView,
@@ -582,9 +577,10 @@ impl MeshFollower {
     fn publish(&mut self, steady: bool) {
         let mesh = &mut self.mesh;
         let positions = self.drawn.iter().copied();
+        let dead_band_px = DEAD_BAND_PX / self.scaled.factor() as f64;
         if steady && mesh.lattice == self.lattice && mesh.source.len() == self.lattice.len() {
             let near =
-                |(new, old): (Point, &[f32; 2])| (0..2).all(|k| (new[k] - f64::from(old[k])).abs() < DEAD_BAND_PX);
+                |(new, old): (Point, &[f32; 2])| (0..2).all(|k| (new[k] - f64::from(old[k])).abs() < dead_band_px);
             if positions.clone().zip(&mesh.source).all(near) {
                 return;
             }

@@ -15,6 +15,7 @@ mod follow;
 mod locate;
 mod observe;
 mod relax;
+mod scaled;
 #[cfg(test)]
 mod tests;
 

@@ -86,6 +86,46 @@ fn the_mesh_follows_curved_tissue() {
 }
 
 #[test]
+fn a_small_map_makes_a_mesh_of_large_pictures() {
+    use super::super::coarse::{enlarged, enlarged_px, shrunk_px};
+    const FACTOR: usize = 3;
+    let small = camera();
+    let large = RectifiedView {
+        size: (SIZE.0 * FACTOR, SIZE.1 * FACTOR),
+        focal_px: small.focal_px.map(|px| px * FACTOR as f64),
+        centre_px: small.centre_px.map(|px| enlarged_px(px, FACTOR)),
+        rectified_focal_px: small.rectified_focal_px.map(|px| px * FACTOR as f64),
+        rectified_centre_px: small.rectified_centre_px.map(|px| enlarged_px(px, FACTOR)),
+        ..small
+    };
+    let known = map(hills, 0.3, 0);
+    let plane = plane();
+    let [mut of_small, mut of_large] = [0, 1].map(|_| MeshFollower::new(MeshParams::default()));
+    let expected = update(&mut of_small, &known, &plane);
+    let view = View::new(&known[..], SIZE.0, SIZE.1, 1);
+    let found = of_large.update(view, &large, &large, &enlarged(&plane, FACTOR), &Serial);
+    assert_eq!((found.observations, found.is_held), (expected.observations, false));
+    assert!((found.residual_px - 3.0 * expected.residual_px).abs() < 1e-3, "{found:?}, {expected:?}");
+    for which in [MeshFollower::mesh, MeshFollower::reference_mesh] {
+        let [small, large] = [&of_small, &of_large].map(|follower| which(follower).expect("a mesh"));
+        for at in [[300.0, 50.0], [471.3, 402.9], [600.0, 240.0], [635.0, 470.0]] {
+            // Each is bilinear in its own cells, which lie a third of a pixel apart.
+            let expected = small.map(at).expect("inside");
+            let found = large.map(at.map(|px| enlarged_px(px, FACTOR))).expect("inside");
+            let off = (0..2).map(|k| (shrunk_px(found[k], FACTOR) - expected[k]).abs()).fold(0.0, f64::max);
+            assert!(off < 0.05, "{off} px at {at:?}");
+        }
+        assert_eq!(large.doubt_px([900.0, 600.0]), small.doubt_px([300.0, 200.0]));
+    }
+    // What stays where it is does so exactly.
+    let bounds = [&of_small, &of_large].map(|follower| follower.reference_mesh().and_then(Mesh::moved));
+    let [Some([low, _]), Some([large_low, _])] = bounds else { panic!("a part is moved: {bounds:?}") };
+    assert!((0..2).all(|k| (large_low[k] - 3.0 * low[k]).abs() <= 1.0), "{large_low:?}, {low:?}");
+    // A map of another size starts anew.
+    assert!(update(&mut of_large, &known, &plane).is_new);
+}
+
+#[test]
 fn the_mesh_fades_into_the_homography_without_stretching_it() {
     let mut follower = MeshFollower::new(MeshParams::default());
     update(&mut follower, &map(hills, 0.3, 0), &plane());
