@@ -120,11 +120,9 @@ impl PortFiles<'_> {
 
     fn take(&mut self, tick: &Tick, value: Value<'_>) -> Result<(), ExportError> {
         let mut line = CsvFields::default();
-        for (name, number) in [("tick", tick.seq.to_string()), ("source", tick.source.to_string())] {
-            line.cells.push((name.to_owned(), number));
-        }
-        // As whole numbers: a float would round the time.
-        line.cells.push(("capture_ns".to_owned(), tick.capture_ns.to_string()));
+        line.integer("tick", tick.seq.into());
+        line.integer("source", tick.source.into());
+        line.integer("capture_ns", tick.capture_ns.into());
         match &value {
             Value::Picture(picture) => return self.picture(tick, picture),
             Value::Cloud(points, width) => {
@@ -144,20 +142,22 @@ impl PortFiles<'_> {
                 if let Some(masks) = Picture::of_masks(boxes) {
                     self.picture(tick, &masks)?;
                 }
+                let head = line.len();
                 for item in boxes.items() {
-                    let mut line = line.clone();
+                    line.truncate(head);
                     fields::detection(&item, boxes.label(item.class_index).unwrap_or(""), &mut line);
-                    self.table.push(line);
+                    self.table.push(&line);
                 }
                 return Ok(());
             }
             Value::Table(table) => {
+                let head = line.len();
                 for row in 0..table.rows() {
-                    let mut line = line.clone();
+                    line.truncate(head);
                     for (column, name) in table.names().enumerate() {
                         line.number(name, table.value(row, column).unwrap_or(f64::NAN));
                     }
-                    self.table.push(line);
+                    self.table.push(&line);
                 }
                 return Ok(());
             }
@@ -169,7 +169,7 @@ impl PortFiles<'_> {
             Value::Scalar(value) => fields::scalar(value, &mut line),
             Value::Text(text) => line.text("text", text),
         }
-        self.table.push(line);
+        self.table.push(&line);
         Ok(())
     }
 }
@@ -218,7 +218,7 @@ fn write_index(folder: &Path, reports: &[PortReport]) -> Result<(), ExportError>
                 line.text("left_out", why);
             }
         }
-        index.push(line);
+        index.push(&line);
     }
     write_file(&folder.join(INDEX), |out| out.write_all(index.text().as_bytes()))
 }

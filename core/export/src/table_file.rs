@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use panoscope_formats::fields::{CsvFields, csv_cell};
+use panoscope_formats::fields::{CsvFields, csv_line};
 
 /// Lines with named cells. Columns stand in the order in which they first appear.
 #[derive(Debug, Default)]
@@ -14,13 +14,13 @@ pub struct TableFile {
 
 impl TableFile {
     /// Adds a line.
-    pub fn push(&mut self, line: CsvFields) {
-        let mut cells: Vec<(usize, String)> = Vec::with_capacity(line.cells.len());
-        for (name, cell) in line.cells {
+    pub fn push(&mut self, line: &CsvFields) {
+        let mut cells: Vec<(usize, String)> = Vec::with_capacity(line.len());
+        for (name, cell) in line.iter() {
             // A table may have two columns of one name.
             let mut number = 1;
             let column = loop {
-                let name = if number == 1 { name.clone() } else { format!("{name}_{number}") };
+                let name = if number == 1 { name.to_owned() } else { format!("{name}_{number}") };
                 let column = self.columns.iter().position(|column| *column == name).unwrap_or_else(|| {
                     self.columns.push(name);
                     self.columns.len() - 1
@@ -30,7 +30,7 @@ impl TableFile {
                 }
                 number += 1;
             };
-            cells.push((column, cell));
+            cells.push((column, cell.to_owned()));
         }
         self.lines.push(cells);
     }
@@ -43,8 +43,7 @@ impl TableFile {
     /// The file.
     pub fn text(&self) -> String {
         let mut out = String::new();
-        let names: Vec<String> = self.columns.iter().map(|name| csv_cell(name)).collect();
-        let _ = writeln!(out, "{}", names.join(","));
+        csv_line(&mut out, &self.columns);
         let mut row = vec![""; self.columns.len()];
         for line in &self.lines {
             row.fill("");
@@ -58,19 +57,19 @@ impl TableFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use panoscope_formats::fields::Fields;
 
-    fn line(cells: &[(&str, &str)]) -> CsvFields {
-        CsvFields {
-            prefix: String::new(),
-            cells: cells.iter().map(|(n, c)| ((*n).to_owned(), (*c).to_owned())).collect(),
-        }
+    fn line(cells: &[(&str, f64)]) -> CsvFields {
+        let mut line = CsvFields::default();
+        cells.iter().for_each(|(name, value)| line.number(name, *value));
+        line
     }
 
     #[test]
     fn columns_are_those_of_all_lines() {
         let mut file = TableFile::default();
-        file.push(line(&[("tick", "0"), ("x_mm", "1.5")]));
-        file.push(line(&[("tick", "1"), ("a,b", "2"), ("x_mm", "3"), ("x_mm", "4")]));
+        file.push(&line(&[("tick", 0.0), ("x_mm", 1.5)]));
+        file.push(&line(&[("tick", 1.0), ("a,b", 2.0), ("x_mm", 3.0), ("x_mm", 4.0)]));
         assert_eq!(file.text(), "tick,x_mm,\"a,b\",x_mm_2\n0,1.5,,\n1,3,2,4\n");
         assert_eq!(file.len(), 2);
     }

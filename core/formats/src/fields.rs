@@ -1,5 +1,7 @@
 //! The fields of packets in tables, declared once for JSON lines and CSV.
 
+use std::fmt::{self, Write as _};
+
 use panoscope_abi::{self as abi, Detection, Homography, Joints, Pose, Roi, Scalar, Tip};
 use panoscope_base::packet::name as padded;
 
@@ -113,38 +115,144 @@ impl Fields for JsonFields<'_> {
     }
 }
 
-/// Cells of one CSV line, with their column names.
+/// Cells of one CSV line, with the names of their columns. Keeps its memory when it is cleared.
 #[derive(Clone, Debug, Default)]
 pub struct CsvFields {
-    /// Put before every column's name.
-    pub prefix: String,
-    /// Column name and cell.
-    pub cells: Vec<(String, String)>,
+    prefix: String,
+    /// Names and cells, one after the other.
+    text: String,
+    /// Where each name and each cell ends in `text`.
+    ends: Vec<[usize; 2]>,
 }
 
 impl CsvFields {
-    fn push(&mut self, name: &str, cell: String) {
-        self.cells.push((format!("{}{name}", self.prefix), cell));
+    /// Removes all cells and the prefix.
+    pub fn clear(&mut self) {
+        self.prefix.clear();
+        self.truncate(0);
+    }
+
+    /// Removes all cells but the first ones.
+    pub fn truncate(&mut self, cells: usize) {
+        self.ends.truncate(cells);
+        self.text.truncate(self.ends.last().map_or(0, |[_, end]| *end));
+    }
+
+    /// Puts a text before the names of the columns that follow.
+    pub fn set_prefix(&mut self, parts: &[&str]) {
+        self.prefix.clear();
+        self.prefix.extend(parts.iter().copied());
+    }
+
+    /// Number of cells.
+    pub fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// Whether it has no cell.
+    pub fn is_empty(&self) -> bool {
+        self.ends.is_empty()
+    }
+
+    /// Name of the column and cell at an index.
+    pub fn get(&self, index: usize) -> Option<(&str, &str)> {
+        let [name_end, end] = *self.ends.get(index)?;
+        let start = index.checked_sub(1).map_or(0, |before| self.ends[before][1]);
+        Some((&self.text[start..name_end], &self.text[name_end..end]))
+    }
+
+    /// Names of columns and cells.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
+        (0..self.len()).filter_map(|index| self.get(index))
+    }
+
+    /// Adds a whole number. [`Fields::number`] would round large ones.
+    pub fn integer(&mut self, name: &str, value: i128) {
+        self.push(format_args!("{name}"), |out| {
+            let _ = write!(out, "{value}");
+        });
+    }
+
+    fn push(&mut self, name: fmt::Arguments<'_>, cell: impl FnOnce(&mut String)) {
+        let _ = write!(self.text, "{}{name}", self.prefix);
+        let name_end = self.text.len();
+        cell(&mut self.text);
+        self.ends.push([name_end, self.text.len()]);
+    }
+
+    fn push_number(&mut self, name: fmt::Arguments<'_>, value: f64) {
+        self.push(name, |out| {
+            if value.is_finite() {
+                let _ = write!(out, "{value}");
+            }
+        });
     }
 }
 
-/// A cell, quoted where RFC 4180 asks for it.
-pub fn csv_cell(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
+/// Appends a cell, quoted where RFC 4180 asks for it.
+pub fn csv_cell(out: &mut String, text: &str) {
+    if !text.contains([',', '"', '\n', '\r']) {
+        out.push_str(text);
+        return;
+    }
+    out.push('"');
+    for (index, part) in text.split('"').enumerate() {
+        out.push_str(if index == 0 { "" } else { "\"\"" });
+        out.push_str(part);
+    }
+    out.push('"');
+}
+
+/// Appends a line of cells that are yet to be quoted.
+pub fn csv_line(out: &mut String, cells: &[String]) {
+    for (index, cell) in cells.iter().enumerate() {
+        out.push_str(if index == 0 { "" } else { "," });
+        csv_cell(out, cell);
+    }
+    out.push('\n');
 }
 
 impl Fields for CsvFields {
     fn number(&mut self, name: &str, value: f64) {
-        self.push(name, if value.is_finite() { value.to_string() } else { String::new() });
+        self.push_number(format_args!("{name}"), value);
     }
 
     fn numbers(&mut self, name: &str, values: &[f64]) {
         for (index, value) in values.iter().enumerate() {
-            self.number(&format!("{name}_{index}"), *value);
+            self.push_number(format_args!("{name}_{index}"), *value);
         }
     }
 
     fn text(&mut self, name: &str, value: &str) {
-        self.push(name, csv_cell(value));
+        self.push(format_args!("{name}"), |out| csv_cell(out, value));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_that_follow_the_head_are_replaced() {
+        let mut line = CsvFields::default();
+        line.integer("capture_ns", (1 << 60) + 1);
+        line.set_prefix(&["tip", "."]);
+        line.numbers("xyz_mm", &[1.5, f64::NAN]);
+        let head = line.len();
+        line.text("name", "a \"b\", c");
+        let cells: Vec<_> = line.iter().collect();
+        let expected = [
+            ("capture_ns", "1152921504606846977"),
+            ("tip.xyz_mm_0", "1.5"),
+            ("tip.xyz_mm_1", ""),
+            ("tip.name", "\"a \"\"b\"\", c\""),
+        ];
+        assert_eq!(cells, expected);
+        line.truncate(head);
+        line.set_prefix(&[]);
+        line.number("score", 0.25);
+        assert_eq!((line.len(), line.get(3), line.get(4)), (4, Some(("score", "0.25")), None));
+        line.clear();
+        assert!(line.is_empty());
     }
 }

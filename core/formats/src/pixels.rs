@@ -17,7 +17,7 @@ pub enum Pixels<'a> {
     F32(View<'a, f32>),
 }
 
-impl Pixels<'_> {
+impl<'a> Pixels<'a> {
     /// Columns and rows.
     pub fn size(&self) -> (usize, usize) {
         match self {
@@ -35,6 +35,18 @@ impl Pixels<'_> {
             Self::Rgba8(_) => "rgba8",
             Self::Gray16(_) => "gray16",
             Self::F32(_) => "f32",
+        }
+    }
+
+    /// The pixels as BGR rows without padding: those of the frame where it has them, else of `buffer`, which is reused. `None` for 16-bit and float
+    /// pixels.
+    pub fn bgr<'b>(&self, buffer: &'b mut Vec<u8>) -> Option<&'b [u8]>
+    where
+        'a: 'b,
+    {
+        match self {
+            Self::Bgr8(v) if v.stride == 3 * v.width => v.data.get(..3 * v.width * v.height),
+            _ => self.to_bgr(buffer).then_some(buffer),
         }
     }
 
@@ -70,5 +82,16 @@ mod tests {
         assert!(Pixels::Gray8(View::new(&[9], 1, 1, 1)).to_bgr(&mut out));
         assert_eq!(out, [9, 9, 9]);
         assert!(!Pixels::F32(View::new(&[0.5], 1, 1, 1)).to_bgr(&mut out));
+    }
+
+    #[test]
+    fn rows_without_padding_are_not_copied() {
+        let mut buffer = Vec::new();
+        let data = [1, 2, 3, 4, 5, 6, 99];
+        let whole = Pixels::Bgr8(View::new(&data, 1, 2, 3)).bgr(&mut buffer).unwrap().as_ptr();
+        assert_eq!((whole, buffer.len()), (data.as_ptr(), 0));
+        let padded = [1, 2, 3, 99, 4, 5, 6];
+        assert_eq!(Pixels::Bgr8(View::with_stride(&padded, 1, 2, 3, 4)).bgr(&mut buffer), Some(&data[..6]));
+        assert_eq!(Pixels::F32(View::new(&[0.5], 1, 1, 1)).bgr(&mut buffer), None);
     }
 }

@@ -12,9 +12,11 @@ use panoscope_node::{
 
 use crate::formats::coco::{Coco, run_lengths};
 use crate::target::{Growing, Pattern, SinkError, Wholes, check_name, check_path, claim};
-use panoscope_formats::fields::{self, CsvFields, Fields, JsonFields, csv_cell};
+use panoscope_formats::fields::{self, CsvFields, Fields, JsonFields};
 use panoscope_formats::json;
 
+/// Cells of the tick itself in each line of a CSV file.
+const TICK_CELLS: usize = 3;
 const ENDINGS: &str = "jsonl, ndjson, csv, json";
 /// Inputs that COCO's form has no room for.
 const NOT_IN_COCO: [&str; 8] = ["table", "scalar", "homography", "roi", "tip", "pose", "joints", "text"];
@@ -60,11 +62,7 @@ pub struct Settings {
 enum Form {
     /// Whole lines are handed to the system one by one, so that a crash leaves a file of whole lines.
     Lines(Growing),
-    Csv {
-        file: Growing,
-        columns: Vec<String>,
-        loss_reported: bool,
-    },
+    Csv(Csv),
     /// Written at the end; the journal holds what has come so far, in case that the end does not.
     Coco {
         coco: Coco,
@@ -73,6 +71,76 @@ enum Form {
         /// The file to write, known once the first tick has come.
         begun: Option<PathBuf>,
     },
+}
+
+/// A CSV file.
+struct Csv {
+    file: Growing,
+    columns: Vec<String>,
+    loss_reported: bool,
+    /// Cells of one line; keeps its memory.
+    cells: CsvFields,
+}
+
+impl Csv {
+    fn new(file: Growing) -> Self {
+        Self { file, columns: Vec::new(), loss_reported: false, cells: CsvFields::default() }
+    }
+
+    /// Appends the lines of a tick to `out`: one per table row or box, else one. Gives their number.
+    fn push_tick(&mut self, cx: &Context<'_>, input: &In<'_>, out: &mut String) -> u64 {
+        let mut cells = std::mem::take(&mut self.cells);
+        csv_head(&mut cells, cx, input);
+        let head = cells.len();
+        let mut lines = 0;
+        let boxes = input.instances.map(|instances| instances.detections()).or(input.detections);
+        match (&input.table, boxes) {
+            (Some(table), _) => {
+                for row in table.rows() {
+                    cells.truncate(head);
+                    for (name, value) in table.names().zip(row) {
+                        cells.number(name, *value);
+                    }
+                    lines += self.push_line(cx, &cells, out);
+                }
+            }
+            (None, Some(boxes)) => {
+                for item in boxes.items() {
+                    cells.truncate(head);
+                    fields::detection(item, boxes.label(item.class_index), &mut cells);
+                    lines += self.push_line(cx, &cells, out);
+                }
+            }
+            (None, None) => lines += self.push_line(cx, &cells, out),
+        }
+        self.cells = cells;
+        lines
+    }
+
+    /// Appends a line to `out`, after the names of the columns if it is the first one. Gives 1, or 0 where there was nothing to write.
+    fn push_line(&mut self, cx: &Context<'_>, cells: &CsvFields, out: &mut String) -> u64 {
+        // An empty tick has nothing to name columns after.
+        if cells.len() <= TICK_CELLS && self.columns.is_empty() {
+            return 0;
+        }
+        if self.columns.is_empty() {
+            self.columns.extend(cells.iter().map(|(name, _)| name.to_owned()));
+            fields::csv_line(out, &self.columns);
+        }
+        for (index, name) in self.columns.iter().enumerate() {
+            out.push_str(if index == 0 { "" } else { "," });
+            out.push_str(cells.iter().find(|(n, _)| n == name).map_or("", |(_, cell)| cell));
+        }
+        out.push('\n');
+        let mut names = cells.iter().map(|(name, _)| name);
+        if !self.loss_reported
+            && let Some(name) = names.find(|name| self.columns.iter().all(|column| column != name))
+        {
+            self.loss_reported = true;
+            cx.warn(&format!("column `{name}` came after the file's first line and is left out: .jsonl would keep it"));
+        }
+        1
+    }
 }
 
 /// Writes numbers.
@@ -115,7 +183,7 @@ impl Node for WriteTable {
         let file = Growing::new(&path);
         let image_name = if params.image_name.is_empty() { "{seq}.png" } else { &params.image_name };
         let form = match ending.as_str() {
-            "csv" => Form::Csv { file, columns: Vec::new(), loss_reported: false },
+            "csv" => Form::Csv(Csv::new(file)),
             "json" => {
                 let image_name = Pattern::new(image_name.as_ref());
                 Form::Coco { coco: Coco::default(), image_name, journal: file, begun: None }
@@ -133,41 +201,19 @@ impl Node for WriteTable {
                 file.append(cx, self.line.as_bytes())?;
                 self.lines += 1;
             }
-            Form::Csv { file, columns, loss_reported } => {
+            Form::Csv(csv) => {
                 if input.detections.is_some() && input.table.is_some() {
                     return Err(NodeError::new(
                         "a CSV file has one kind of line: give `table` and `detections` a `write_table` each, or write .jsonl",
                     ));
                 }
-                let (columns_before, lines_before) = (columns.len(), self.lines);
-                for cells in csv_lines(cx, &input) {
-                    // An empty tick has nothing to name columns after.
-                    if cells.len() <= 3 && columns.is_empty() {
-                        continue;
-                    }
-                    if columns.is_empty() {
-                        columns.extend(cells.iter().map(|(name, _)| name.clone()));
-                        let names: Vec<String> = columns.iter().map(|name| csv_cell(name)).collect();
-                        let _ = writeln!(self.line, "{}", names.join(","));
-                    }
-                    for (index, name) in columns.iter().enumerate() {
-                        let cell = cells.iter().find(|(n, _)| n == name).map_or("", |(_, cell)| cell);
-                        let _ = write!(self.line, "{}{cell}", if index == 0 { "" } else { "," });
-                    }
-                    self.line.push('\n');
-                    self.lines += 1;
-                    if !*loss_reported && let Some((name, _)) = cells.iter().find(|(name, _)| !columns.contains(name)) {
-                        *loss_reported = true;
-                        cx.warn(&format!(
-                            "column `{name}` came after the file's first line and is left out: .jsonl would keep it"
-                        ));
-                    }
-                }
-                if let Err(error) = file.append(cx, self.line.as_bytes()) {
-                    columns.truncate(columns_before);
-                    self.lines = lines_before;
+                let columns_before = csv.columns.len();
+                let lines = csv.push_tick(cx, &input, &mut self.line);
+                if let Err(error) = csv.file.append(cx, self.line.as_bytes()) {
+                    csv.columns.truncate(columns_before);
                     return Err(error);
                 }
+                self.lines += lines;
             }
             Form::Coco { coco, image_name, journal, begun } => {
                 let others = [
@@ -216,7 +262,7 @@ impl Node for WriteTable {
 
     fn finish(&mut self, cx: &Finish<'_>) -> Result<()> {
         match &mut self.form {
-            Form::Lines(file) | Form::Csv { file, .. } => file.finish(cx),
+            Form::Lines(file) | Form::Csv(Csv { file, .. }) => file.finish(cx),
             Form::Coco { begun, .. } => {
                 if begun.is_none() {
                     let file = cx.begin_file(&self.path, true)?;
@@ -331,42 +377,19 @@ fn json_boxes(out: &mut String, name: &str, detections: &Detections<'_>, masks: 
     out.push(']');
 }
 
-/// The lines of a tick: one per table row or box, else one.
-fn csv_lines(cx: &Context<'_>, input: &In<'_>) -> Vec<Vec<(String, String)>> {
+/// The cells that all lines of a tick begin with.
+fn csv_head(head: &mut CsvFields, cx: &Context<'_>, input: &In<'_>) {
     let tick = cx.tick();
-    let mut head = CsvFields::default();
+    head.clear();
     head.number("seq", tick.seq as f64);
     head.number("source", f64::from(tick.source));
     head.number("capture_ms", tick.capture_ns as f64 / 1e6);
     each_value(input, |name, parts| {
-        head.prefix = format!("{name}.");
-        parts(&mut head);
+        head.set_prefix(&[name, "."]);
+        parts(head);
     });
-    head.prefix.clear();
+    head.set_prefix(&[]);
     if let Some(text) = &input.text {
         head.text("text", text);
-    }
-    let boxes = input.instances.map(|instances| instances.detections()).or(input.detections);
-    match (&input.table, boxes) {
-        (Some(table), _) => table
-            .rows()
-            .map(|row| {
-                let mut line = head.clone();
-                for (name, value) in table.names().zip(row) {
-                    line.number(name, *value);
-                }
-                line.cells
-            })
-            .collect(),
-        (None, Some(boxes)) => boxes
-            .items()
-            .iter()
-            .map(|item| {
-                let mut line = head.clone();
-                fields::detection(item, boxes.label(item.class_index), &mut line);
-                line.cells
-            })
-            .collect(),
-        (None, None) => vec![head.cells],
     }
 }

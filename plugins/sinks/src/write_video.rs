@@ -141,12 +141,12 @@ impl Node for WriteVideo {
         let Some(pixels) = pixels_of(&input.image) else {
             return Err(NodeError::new("the image's format is unknown"));
         };
-        if !pixels.to_bgr(&mut self.bgr) {
+        let Some(bgr) = pixels.bgr(&mut self.bgr) else {
             let name = pixels.name();
             return Err(NodeError::new(format!(
                 "a video holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
             )));
-        }
+        };
         let size_px = pixels.size();
         let first = *self.size_px.get_or_insert(size_px);
         if size_px != first && !self.size_warned {
@@ -163,7 +163,7 @@ impl Node for WriteVideo {
             Time::Capture => cx.tick().capture_ns,
             Time::Passed => cx.clock_ns().unwrap_or(cx.tick().capture_ns),
         };
-        let picture = Picture { bgr: &self.bgr, size_px, at_ns, quality_pct: params.quality };
+        let picture = Picture { bgr, size_px, at_ns, quality_pct: params.quality };
         self.writer.push(&picture, |path| {
             let file = cx.begin_file(path, params.replace)?;
             if file != path {
