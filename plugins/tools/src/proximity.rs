@@ -1,6 +1,7 @@
 //! `proximity`: distances of tips to tissue and to each other, and warnings of both (thesis, section 1.2.3).
 
 use std::fmt::Write;
+use std::ops::Range;
 use std::time::Duration;
 
 use panoscope_node::abi::{Calibration, Tip};
@@ -11,7 +12,7 @@ use panoscope_node::{
 use panoscope_tracking::proximity::{Hysteresis, Lens, Rule, Surface};
 use panoscope_tracking::real_time::RealTime;
 
-use crate::silhouette::{Cues, Silhouette};
+use crate::silhouette::{Cues, Nearness, Silhouette};
 
 /// Inputs.
 #[derive(Ports)]
@@ -129,6 +130,15 @@ struct Known {
     key: i64,
 }
 
+/// Depth by column and row, mm.
+struct Depths<'a>(&'a dyn Fn(usize, usize) -> f32);
+
+impl Nearness for Depths<'_> {
+    fn extend_row(&self, y: usize, columns: Range<usize>, values: &mut Vec<f32>) {
+        values.extend(columns.map(|x| 1.0 / (self.0)(x, y)));
+    }
+}
+
 fn distance(a: &Tip, b: &Tip) -> f64 {
     a.xyz_mm.iter().zip(b.xyz_mm).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
@@ -177,8 +187,7 @@ impl Proximity {
             check("detections", found.image_size())?;
             let picture = input.image.and_then(|image| image.as_plane::<Bgr8>()).map(|image| image.view());
             let picture = picture.filter(|view| (view.width, view.height) == size);
-            let nearness = |x: usize, y: usize| 1.0 / depth_mm(x, y);
-            let cues = Cues { size, picture, nearness: Some(&nearness) };
+            let cues = Cues { size, picture, nearness: Some(&Depths(depth_mm)) };
             for item in found.items() {
                 let corners = [item.x_px, item.y_px, item.x_px + item.width_px, item.y_px + item.height_px];
                 let is_cut = self.silhouette.cut(corners, &cues);

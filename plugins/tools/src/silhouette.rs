@@ -5,32 +5,14 @@
 //! instrument and of this tissue, as in GrabCut (Rother, Kolmogorov, Blake 2004) with histograms instead of mixtures and without a cut; the largest
 //! connected part in the box is the instrument.
 
-use panoscope_node::View;
+mod cells;
+mod plane;
 
 use crate::shaft::{End, Mask, TipPixel};
+use cells::{COLOURS, Cells, FEWEST_CELLS, Region, class_of, shade};
+pub use cells::{Cues, Nearness};
+use plane::{Sums, positions, solve};
 
-/// Cues that distinguish an instrument from tissue; at least one of both.
-#[derive(Clone, Copy)]
-pub struct Cues<'a> {
-    /// Width and height of the picture, px.
-    pub size: (usize, usize),
-    /// Blue, green, red.
-    pub picture: Option<View<'a, u8>>,
-    /// Something that grows as 1/depth does (disparity); NaN where unknown.
-    pub nearness: Option<&'a dyn Fn(usize, usize) -> f32>,
-}
-
-/// Margin around a box in which its instrument is searched: as a share of the box's sides, and the least, px.
-const MARGIN: f32 = 0.15;
-const MARGIN_PX: f32 = 6.0;
-/// Most cells along the longer side of the region.
-const MOST_CELLS: f32 = 128.0;
-/// Pixels of a large cell that are read, each way, at least.
-const SAMPLES: usize = 4;
-/// Fewest cells of a region that can be segmented.
-const FEWEST_CELLS: usize = 64;
-/// Brightness (sum of three channels) below which colour fades to gray.
-const DARK: f32 = 36.0;
 /// Limits of a single cue, against and for an instrument, in standard deviations.
 const MOST_FOR: f32 = 5.0;
 const MOST_AGAINST: f32 = -2.0;
@@ -55,67 +37,22 @@ const NEARNESS_FLOOR: f32 = 0.006;
 const REDNESS_FLOOR: f32 = 0.02;
 /// Pixels whose classes are computed at once.
 const PIXELS_AT_ONCE: usize = 64;
-/// Number of classes of redness and of brightness for learned colours.
-const REDS: usize = 16;
-const BRIGHTS: usize = 8;
-const COLOURS: usize = REDS * BRIGHTS;
 /// Limit of the final log-likelihood ratio of colour or nearness.
 const LOG_RATIO_LIMIT: f32 = 3.0;
+/// What a cell is while colours are learned: an instrument, one that is gray, one that is gray and near; tissue.
+const TOOL: u8 = 1;
+const GRAY_TOOL: u8 = 2;
+const NEAR_TOOL: u8 = 4;
+const TISSUE: u8 = 8;
 /// Smallest and largest share of the box's cells that an instrument covers.
 const COVERS: (f32, f32) = (0.04, 0.9);
-
-/// A region of the picture as cells.
-#[derive(Clone, Copy, Debug, Default)]
-struct Region {
-    x_px: usize,
-    y_px: usize,
-    /// Pixels along one side of a cell.
-    pitch: usize,
-    width: usize,
-    height: usize,
-    /// First and last cells of the box itself: left, top, right, bottom.
-    own: [usize; 4],
-}
-
-impl Region {
-    fn around([x0, y0, x1, y1]: [f32; 4], (width, height): (usize, usize)) -> Option<Self> {
-        let all = [x0, y0, x1, y1];
-        if !all.iter().all(|v| v.is_finite()) || x1 <= x0 || y1 <= y0 {
-            return None;
-        }
-        let clip = |v: f32, most: usize| v.clamp(0.0, most as f32) as usize;
-        let (dx, dy) = (((x1 - x0) * MARGIN).max(MARGIN_PX), ((y1 - y0) * MARGIN).max(MARGIN_PX));
-        let (left, top) = (clip(x0 - dx, width), clip(y0 - dy, height));
-        let (right, bottom) = (clip((x1 + dx).ceil(), width), clip((y1 + dy).ceil(), height));
-        let pitch = ((right - left).max(bottom - top) as f32 / MOST_CELLS).ceil().max(1.0) as usize;
-        let (columns, rows) = ((right - left) / pitch, (bottom - top) / pitch);
-        if columns * rows < FEWEST_CELLS {
-            return None;
-        }
-        let cell =
-            |v: f32, from: usize, most: usize| (((v - from as f32) / pitch as f32).max(0.0) as usize).min(most - 1);
-        let own = [cell(x0, left, columns), cell(y0, top, rows), cell(x1, left, columns), cell(y1, top, rows)];
-        Some(Self { x_px: left, y_px: top, pitch, width: columns, height: rows, own })
-    }
-
-    /// Pixels of the picture that a cell covers.
-    fn pixels(&self, index: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
-        let x = self.x_px + index % self.width * self.pitch;
-        let y = self.y_px + index / self.width * self.pitch;
-        (x..x + self.pitch, y..y + self.pitch)
-    }
-}
 
 /// Segments instruments; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct Silhouette {
-    region: Region,
+    cells: Cells,
     /// Per cell: whether it is in the box.
     is_in_box: Vec<bool>,
-    /// Per cell: redness (0 gray), brightness (0 to 1), nearness; NaN where unknown.
-    redness: Vec<f32>,
-    bright: Vec<f32>,
-    near: Vec<f32>,
     /// Whether colours alone distinguish the instrument: nothing is known of nearness.
     is_by_colour: bool,
     /// Score for an instrument, and the score before colours were learned.
@@ -130,6 +67,8 @@ pub struct Silhouette {
     sorted: Vec<f32>,
     columns: Vec<f64>,
     blurred: Vec<f32>,
+    /// Per cell: what it is while colours are learned.
+    kind: Vec<u8>,
     part: Vec<u32>,
     /// Parts and their cells in the box.
     others: Vec<(u32, usize)>,
@@ -152,23 +91,10 @@ fn median(sorted: &mut Vec<f32>, values: impl Iterator<Item = f32>) -> Option<(f
     Some((centre, 1.4826 * *distance))
 }
 
-/// Class of a colour: see [`REDS`] and [`BRIGHTS`].
-fn class_of(redness: f32, bright: f32) -> i32 {
-    let red = ((redness + 0.2) / 0.8 * REDS as f32).clamp(0.0, REDS as f32 - 1.0) as i32;
-    // Finer where it is dark.
-    let bright = (bright.max(0.0).sqrt() * BRIGHTS as f32).min(BRIGHTS as f32 - 1.0) as i32;
-    red * BRIGHTS as i32 + bright
-}
-
 /// How much more often each class of colours occurs among the `own` cells than among the `other` ones, as logarithm, at most `most` either way.
 fn log_ratios(own: &[f32; COLOURS], other: &[f32; COLOURS], most: f32) -> [f32; COLOURS] {
     let [owns, others] = [own, other].map(|counts| counts.iter().sum::<f32>());
     std::array::from_fn(|of| ((own[of] / owns) / (other[of] / others)).ln().clamp(-most, most))
-}
-
-/// Redness (0 gray) and brightness (0 to 1) of a colour: blue, green and red from 0 to 255.
-fn shade([b, g, r]: [f32; 3]) -> (f32, f32) {
-    ((r - b) / (r + g + b + DARK), (r + g + b) / (3.0 * 255.0))
 }
 
 impl Silhouette {
@@ -176,19 +102,18 @@ impl Silhouette {
     pub fn cut(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> bool {
         self.bits.clear();
         let Some(region) = Region::around(corners, cues.size) else { return false };
-        self.region = region;
+        self.cells.sample(region, cues);
         let [left, top, right, bottom] = region.own;
         self.is_in_box.clear();
         self.is_in_box.resize(region.width * region.height, false);
         for row in self.is_in_box.chunks_exact_mut(region.width).take(bottom + 1).skip(top) {
             row[left..=right].fill(true);
         }
-        self.sample(cues);
         self.score.clear();
         self.score.resize(region.width * region.height, 0.0);
         let is_known = [self.judge_redness(), self.judge_nearness()];
         if !is_known[1] {
-            self.near.fill(f32::NAN);
+            self.cells.near.fill(f32::NAN);
         }
         if !is_known.contains(&true) {
             return false;
@@ -211,7 +136,7 @@ impl Silhouette {
 
     /// The instrument's pixels, in cells: see [`Silhouette::place`].
     pub fn mask(&self) -> Mask<'_> {
-        Mask::new(&self.bits, self.region.width, self.region.height)
+        Mask::new(&self.bits, self.cells.region.width, self.cells.region.height)
     }
 
     /// Whether colours alone distinguished the last instrument, which is then cut off at its box: the mask does not say where it enters.
@@ -221,7 +146,7 @@ impl Silhouette {
 
     /// Whether a pixel of the picture belongs to the instrument.
     pub fn contains(&self, x: usize, y: usize) -> bool {
-        let r = &self.region;
+        let r = &self.cells.region;
         // Cells of one pixel need no division.
         let cell = |px: usize| if r.pitch == 1 { px } else { px / r.pitch };
         x >= r.x_px && y >= r.y_px && self.mask().contains(cell(x - r.x_px), cell(y - r.y_px))
@@ -229,12 +154,12 @@ impl Silhouette {
 
     /// Whether a pixel of the instrument is known to have the depth of the surface around it, as a thin end has in a matcher's map.
     pub fn has_surface_depth(&self, x: usize, y: usize) -> bool {
-        let r = &self.region;
+        let r = &self.cells.region;
         if x < r.x_px || y < r.y_px {
             return false;
         }
         let (column, row) = ((x - r.x_px) / r.pitch, (y - r.y_px) / r.pitch);
-        column < r.width && row < r.height && self.near[row * r.width + column] < BEFORE
+        column < r.width && row < r.height && self.cells.near[row * r.width + column] < BEFORE
     }
 
     /// What the colours learned of the last instrument say of each pixel of a row (blue, green, red), of either view: above 0 it is instrument, below
@@ -259,56 +184,19 @@ impl Silhouette {
 
     /// A tip of [`Silhouette::mask`] in px of the picture.
     pub fn place(&self, tip: TipPixel) -> TipPixel {
-        let pitch = self.region.pitch as f64;
+        let pitch = self.cells.region.pitch as f64;
         let to_px = |cell: f64, from: usize| from as f64 + (cell + 0.5) * pitch - 0.5;
         let end = |e: End| End {
-            u_px: to_px(e.u_px, self.region.x_px),
-            v_px: to_px(e.v_px, self.region.y_px),
+            u_px: to_px(e.u_px, self.cells.region.x_px),
+            v_px: to_px(e.v_px, self.cells.region.y_px),
             direction: e.direction,
         };
         TipPixel { tip: end(tip.tip), jaws: tip.jaws.map(|jaws| jaws.map(end)) }
     }
 
-    fn sample(&mut self, cues: &Cues<'_>) {
-        let count = self.region.width * self.region.height;
-        for plane in [&mut self.redness, &mut self.bright, &mut self.near] {
-            plane.clear();
-            plane.resize(count, f32::NAN);
-        }
-        // Large cells are sampled: the mean of sixteen pixels says as much as that of all.
-        let step = (self.region.pitch / SAMPLES).max(1);
-        for index in 0..count {
-            let (xs, ys) = self.region.pixels(index);
-            let rows = || ys.clone().step_by(step);
-            if let Some(picture) = &cues.picture {
-                let (mut sum, mut n) = ([0_u32; 3], 0);
-                for y in rows() {
-                    for pixel in picture.row(y)[3 * xs.start..3 * xs.end].chunks_exact(3).step_by(step) {
-                        sum.iter_mut().zip(pixel).for_each(|(s, v)| *s += u32::from(*v));
-                        n += 1;
-                    }
-                }
-                (self.redness[index], self.bright[index]) = shade(sum.map(|s| s as f32 / n as f32));
-            }
-            if let Some(nearness) = cues.nearness {
-                let (mut sum, mut n) = (0.0, 0.0);
-                for y in rows() {
-                    let values = xs.clone().step_by(step).map(|x| nearness(x, y));
-                    for value in values.filter(|v| v.is_finite() && *v > 0.0) {
-                        sum += value;
-                        n += 1.0;
-                    }
-                }
-                if n > 0.0 {
-                    self.near[index] = sum / n;
-                }
-            }
-        }
-    }
-
     /// Adds the score of redness: less red than around the box indicates an instrument.
     fn judge_redness(&mut self) -> bool {
-        let Self { is_in_box, redness, sorted, score, gray, .. } = self;
+        let Self { cells: Cells { redness, .. }, is_in_box, sorted, score, gray, .. } = self;
         gray.clear();
         gray.resize(redness.len(), f32::NAN);
         let outside =
@@ -327,8 +215,8 @@ impl Silhouette {
     /// Makes the score of redness count for both cues, and adds how much more often a colour occurs in the box than around it: steel that mirrors tissue is
     /// hardly less red than pale tissue, but there is more of it in the box.
     fn judge_colours_alone(&mut self) {
-        let Self { is_in_box, redness, bright, score, .. } = self;
-        let class = |index: usize| redness[index].is_finite().then(|| class_of(redness[index], bright[index]) as usize);
+        let Self { cells: Cells { redness, class, .. }, is_in_box, score, .. } = self;
+        let class = |index: usize| redness[index].is_finite().then(|| usize::from(class[index]));
         // Cells of each colour around the box and in it.
         let mut counts = [[1.0_f32; COLOURS]; 2];
         for index in 0..score.len() {
@@ -347,7 +235,7 @@ impl Silhouette {
 
     /// Adds the score of nearness: in front of the surface, a plane fitted after nearer cells are dropped.
     fn judge_nearness(&mut self) -> bool {
-        let Self { region, near, sorted, columns, score, .. } = self;
+        let Self { cells: Cells { region, near, .. }, sorted, columns, score, .. } = self;
         let known = near.iter().filter(|v| v.is_finite()).count();
         if known * 2 < near.len() {
             return false;
@@ -366,21 +254,18 @@ impl Silhouette {
         };
         let mut deviation = f32::INFINITY;
         for round in 0..6 {
-            let (mut m, mut v) = ([[0.0_f64; 3]; 3], [0.0_f64; 3]);
-            for (p, value) in cells(near, columns, row).filter(|(_, value)| value.is_finite()) {
-                let rest = over(&plane, p, value);
+            let mut sums = Sums::default();
+            for (y, values) in near.chunks_exact(region.width).enumerate() {
+                let y = row(y);
                 // Nearer things go first, those far behind later: the surface is what most cells lie on.
-                if round > 0 && !(-3.0 * deviation..=1.2 * deviation).contains(&rest) {
-                    continue;
-                }
-                for row in 0..3 {
-                    (0..3).for_each(|column| m[row][column] += p[row] * p[column]);
-                    v[row] += p[row] * f64::from(value);
-                }
+                sums.add_row(columns, values, y, |x, value| {
+                    round == 0 || (-3.0 * deviation..=1.2 * deviation).contains(&over(&plane, [1.0, x, y], value))
+                });
             }
+            let (m, v) = sums.equations();
             let Some(fitted) = solve(m, v) else { break };
             plane = fitted;
-            let rests = cells(near, columns, row).map(|(p, value)| over(&plane, p, value));
+            let rests = positions(near, columns, row).map(|(p, value)| over(&plane, p, value));
             let kept = rests.filter(|rest| round == 0 || (-3.0 * deviation..=1.2 * deviation).contains(rest));
             let Some((_, spread)) = median(sorted, kept) else { break };
             deviation = spread.max(floor);
@@ -404,21 +289,32 @@ impl Silhouette {
     /// Learns the colours of instrument and surroundings from the present score, and scores all cells again.
     fn learn_colours(&mut self) {
         let (mut tool, mut tissue) = ([1.0_f32; COLOURS], [1.0_f32; COLOURS]);
-        let known = || (0..self.score.len()).filter(|index| self.redness[*index].is_finite());
-        let is_tool = |index: usize| self.score[index] > FIRST_GUESS && self.is_in_box[index];
         // Pale tissue looks like steel, and tissue that bulges stands before the surface: where some cells are both gray and near, colours are learned
         // from those, else from gray ones, where there are any.
-        let is_gray = |index: usize| is_tool(index) && self.gray[index] > GRAY;
-        let stands = |index: usize| is_gray(index) && self.near[index] > BEFORE;
-        let count = |kind: &dyn Fn(usize) -> bool| known().filter(|index| kind(*index)).count();
-        let tool_cells = count(&is_tool);
-        let (is_deep, is_steel) = (count(&stands) * 4 > tool_cells, count(&is_gray) * 4 > tool_cells);
-        for index in known() {
-            let of = class_of(self.redness[index], self.bright[index]) as usize;
-            if if is_deep { stands(index) } else { is_tool(index) && (!is_steel || is_gray(index)) } {
-                tool[of] += 1.0;
-            } else if self.score[index] < FIRST_GUESS / 2.0 {
-                tissue[of] += 1.0;
+        let Self { cells: Cells { redness, near, .. }, is_in_box, gray, score, kind, .. } = self;
+        kind.clear();
+        let cues = redness.iter().zip(gray).zip(near);
+        kind.extend(cues.zip(score.iter().zip(is_in_box)).map(|(((redness, gray), near), (score, is_in_box))| {
+            let is_known = redness.is_finite();
+            let is_tool = is_known & (*score > FIRST_GUESS) & *is_in_box;
+            let is_gray = is_tool & (*gray > GRAY);
+            let is_tissue = is_known & (*score < FIRST_GUESS / 2.0);
+            let flags =
+                [(is_tool, TOOL), (is_gray, GRAY_TOOL), (is_gray & (*near > BEFORE), NEAR_TOOL), (is_tissue, TISSUE)];
+            flags.iter().map(|(is_set, flag)| u8::from(*is_set) * flag).sum::<u8>()
+        }));
+        let count = |flag: u8| kind.iter().filter(|kind| **kind & flag != 0).count();
+        let (tools, grays, nears) = (count(TOOL), count(GRAY_TOOL), count(NEAR_TOOL));
+        let learned = match () {
+            () if nears * 4 > tools => NEAR_TOOL,
+            () if grays * 4 > tools => GRAY_TOOL,
+            () => TOOL,
+        };
+        for (kind, class) in self.kind.iter().zip(&self.cells.class) {
+            if kind & learned != 0 {
+                tool[usize::from(*class)] += 1.0;
+            } else if kind & TISSUE != 0 {
+                tissue[usize::from(*class)] += 1.0;
             }
         }
         self.log_ratios.clear();
@@ -426,10 +322,9 @@ impl Silhouette {
         self.colour.clear();
         self.colour.resize(self.score.len(), f32::NAN);
         for index in 0..self.score.len() {
-            let (redness, bright) = (self.redness[index], self.bright[index]);
             let mut log_ratio = 0.0;
-            if redness.is_finite() {
-                log_ratio = self.log_ratios[class_of(redness, bright) as usize];
+            if self.cells.redness[index].is_finite() {
+                log_ratio = self.log_ratios[usize::from(self.cells.class[index])];
                 self.colour[index] = log_ratio;
             }
             // Both cues together, before anything was learned, say where; the learned colours say how far.
@@ -440,7 +335,7 @@ impl Silhouette {
 
     /// Smooths the score over 3 x 3 cells.
     fn blur(&mut self) {
-        let (width, height) = (self.region.width, self.region.height);
+        let (width, height) = (self.cells.region.width, self.cells.region.height);
         self.blurred.clear();
         self.blurred.resize(self.score.len(), 0.0);
         for (y, out) in self.blurred.chunks_exact_mut(width).enumerate() {
@@ -468,7 +363,7 @@ impl Silhouette {
 
     /// Keeps the largest connected part; parts count by their cells in the box.
     fn largest(&mut self) -> bool {
-        let (width, height) = (self.region.width, self.region.height);
+        let (width, height) = (self.cells.region.width, self.cells.region.height);
         let count = width * height;
         self.part.clear();
         self.part.resize(count, 0);
@@ -505,7 +400,7 @@ impl Silhouette {
                 (best, best_cells) = (parts, cells);
             }
         }
-        let own = self.region.own;
+        let own = self.cells.region.own;
         let share = best_cells as f32 / ((own[2] - own[0] + 1) * (own[3] - own[1] + 1)) as f32;
         if !(COVERS.0..=COVERS.1).contains(&share) {
             return false;
@@ -543,7 +438,7 @@ impl Silhouette {
     /// Adds what has the instrument's colours and hangs together with it: ends that are thinner than a matcher's window have the depth of the
     /// tissue behind them, and smoothing takes them away.
     fn grow(&mut self, best: u32) {
-        let (width, height) = (self.region.width, self.region.height);
+        let (width, height) = (self.cells.region.width, self.cells.region.height);
         if self.colour.len() != self.part.len() {
             return;
         }
@@ -553,7 +448,7 @@ impl Silhouette {
             let (x, y) = (index as usize % width, index as usize / width);
             for row in y.saturating_sub(1)..(y + 2).min(height) {
                 for next in row * width + x.saturating_sub(1)..row * width + (x + 2).min(width) {
-                    let is_glare = self.bright[next] > GLARE;
+                    let is_glare = self.cells.bright[next] > GLARE;
                     if self.part[next] != best && self.colour[next] >= GROWS && self.gray[next] > GRAY && !is_glare {
                         self.part[next] = best;
                         self.queue.push(next as u32);
@@ -562,34 +457,4 @@ impl Silhouette {
             }
         }
     }
-}
-
-/// Position on a plane (1, column, row) and value of each cell; `row` gives the position of a row.
-fn cells<'a>(
-    values: &'a [f32],
-    columns: &'a [f64],
-    row: impl Fn(usize) -> f64 + 'a,
-) -> impl Iterator<Item = ([f64; 3], f32)> + 'a {
-    values.chunks_exact(columns.len()).enumerate().flat_map(move |(y, values)| {
-        let y = row(y);
-        columns.iter().zip(values).map(move |(x, value)| ([1.0, *x, y], *value))
-    })
-}
-
-/// Solves three equations by Cramer's rule; none where they are singular.
-fn solve(m: [[f64; 3]; 3], v: [f64; 3]) -> Option<[f64; 3]> {
-    let det = |a: [[f64; 3]; 3]| {
-        a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1]) - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])
-            + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0])
-    };
-    let whole = det(m);
-    let scale = m.iter().flatten().fold(0.0_f64, |most, v| most.max(v.abs()));
-    if whole.abs() <= 1e-9 * scale.powi(3) {
-        return None;
-    }
-    Some([0, 1, 2].map(|column| {
-        let mut with = m;
-        (0..3).for_each(|row| with[row][column] = v[row]);
-        det(with) / whole
-    }))
 }

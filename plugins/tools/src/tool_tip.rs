@@ -1,6 +1,7 @@
 //! `tool_tip`: the leading tool's tip, in the picture and, where depth is known, in space (thesis, chapter 6).
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 use nalgebra::Vector3;
 use panoscope_node::abi::{Calibration, Detection, Tip};
@@ -16,7 +17,7 @@ use crate::candidates::iou;
 use crate::hidden_jaw::{HiddenJaw, KnownEnd, Lens, Pixels};
 use crate::second_view::SecondView;
 use crate::shaft::{End, Mask, TipFinder, TipPixel, direction_of_box, tip_of_box};
-use crate::silhouette::{Cues, Silhouette};
+use crate::silhouette::{Cues, Nearness, Silhouette};
 use crate::yolo::UNKNOWN;
 
 /// Inputs.
@@ -216,13 +217,14 @@ impl Space<'_> {
             (None, None) => f32::NAN,
         }
     }
+}
 
-    /// A value proportional to 1/depth.
-    fn nearness(&self, x: usize, y: usize) -> f32 {
+impl Nearness for Space<'_> {
+    fn extend_row(&self, y: usize, columns: Range<usize>, values: &mut Vec<f32>) {
         match (&self.depth, &self.disparity) {
-            (_, Some(view)) => view.row(y)[x],
-            (Some(view), None) => 1.0 / view.row(y)[x],
-            (None, None) => f32::NAN,
+            (_, Some(view)) => values.extend_from_slice(&view.row(y)[columns]),
+            (Some(view), None) => values.extend(view.row(y)[columns].iter().map(|depth_mm| 1.0 / depth_mm)),
+            (None, None) => values.extend(columns.map(|_| f32::NAN)),
         }
     }
 }
@@ -377,9 +379,8 @@ impl Node for ToolTip {
             let thin = STRIP_SHARE * width;
             (x1 - x0 < thin && (x0 < 2.0 || x1 > width - 2.0)) || (y1 - y0 < thin && (y0 < 2.0 || y1 > height - 2.0))
         };
-        let nearness = |x: usize, y: usize| space.nearness(x, y);
         let has_depth = depth_size == Some(size);
-        let cues = Cues { size, picture, nearness: if has_depth { Some(&nearness) } else { None } };
+        let cues = Cues { size, picture, nearness: has_depth.then_some(&space as &dyn Nearness) };
         let kept = self
             .kept
             .take()
