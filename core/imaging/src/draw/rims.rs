@@ -41,8 +41,11 @@ pub fn is_known(corner: &Corner) -> bool {
 /// Off the camera's axis points on one line of sight differ in x and y too. That is no distance across: a step in depth near the picture's edge would
 /// pass for a slope.
 pub fn is_steep(a: [f32; 3], b: [f32; 3], slope: f32) -> bool {
-    let across = (b[0] / b[2] - a[0] / a[2]).hypot(b[1] / b[2] - a[1] / a[2]) * (a[2] + b[2]) / 2.0;
-    (b[2] - a[2]).abs() > slope * across.max(1e-6)
+    // Squares, and one division for the four of x / z and y / z.
+    let scale = (a[2] + b[2]) / (2.0 * a[2] * b[2]);
+    let [x, y] = [0, 1].map(|k| (b[k] * a[2] - a[k] * b[2]) * scale);
+    let (rise, across2) = (b[2] - a[2], x * x + y * y);
+    rise * rise > slope * slope * across2.max(1e-12)
 }
 
 /// The index `step` from `at`. The picture's own edge is no rim: what lies beyond it is like what lies opposite.
