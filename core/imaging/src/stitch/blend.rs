@@ -64,6 +64,8 @@ pub struct Blender {
     sizes: Vec<(usize, usize)>,
     fine: Vec<Vec<i16>>,
     blended: Vec<Vec<i16>>,
+    /// Weights of level 0 in one lane, where only they are blurred; so are those of the levels above.
+    weights: Vec<i16>,
     scratch: Vec<i16>,
     scratch_row: usize,
 }
@@ -96,6 +98,7 @@ impl Blender {
             }
             (w, h) = (w.div_ceil(2), h.div_ceil(2));
         }
+        self.weights.reserve((width * height).saturating_sub(self.weights.len()));
         self.sizes.reserve((levels + 1).saturating_sub(self.sizes.len()));
         let scratch = CHUNKS * 3 * (width + 2 * PAD + 2) * LANES;
         self.scratch.reserve(scratch.saturating_sub(self.scratch.len()));
@@ -135,29 +138,57 @@ impl Blender {
 
     /// Builds the levels, and collapses them down to level 1. With `bands == false` only the weights are blurred (feather).
     pub fn build(&mut self, bands: bool, ranges: &Ranges, pool: &dyn Parallel, avx2: bool) {
-        let top = self.sizes.len() - 1;
-        for level in 0..top {
-            self.down(level, (level == 0).then_some(ranges), pool, avx2);
-        }
-        let (w, h) = self.sizes[top];
-        if top == 0 {
+        if self.sizes.len() == 1 {
             return;
         }
-        let (fine, blended) = (&self.fine[top][..w * h * LANES], &mut self.blended[top][..w * h * LANES]);
         if bands {
+            self.build_of::<LANES>(ranges, pool, avx2);
+        } else {
+            self.take_weights(ranges, pool, avx2);
+            self.build_of::<1>(ranges, pool, avx2);
+        }
+    }
+
+    /// Fills `weights` where the filters read them.
+    fn take_weights(&mut self, ranges: &Ranges, pool: &dyn Parallel, avx2: bool) {
+        let (w, h) = self.sizes[0];
+        at_least(&mut self.weights, w * h);
+        let (source, target) = (&self.fine[0], SharedMut::new(&mut self.weights));
+        let (chunks, per) = split(h);
+        pool.run(chunks, &|chunk| {
+            for y in chunk * per..(chunk * per + per).min(h) {
+                let (a, b) = ranges.needed(y);
+                // SAFETY: row y belongs to this chunk alone.
+                let out = unsafe { target.part(y * w + a, b - a) };
+                pyramid::weights_of(&source[(y * w + a) * LANES..(y * w + b) * LANES], out, avx2);
+            }
+        });
+    }
+
+    /// Builds the levels of `N` lanes: all of them, or the weights alone.
+    fn build_of<const N: usize>(&mut self, ranges: &Ranges, pool: &dyn Parallel, avx2: bool) {
+        let top = self.sizes.len() - 1;
+        for level in 0..top {
+            self.down::<N>(level, (level == 0).then_some(ranges), pool, avx2);
+        }
+        let (w, h) = self.sizes[top];
+        let (fine, blended) = (&self.fine[top][..w * h * N], &mut self.blended[top][..w * h * N]);
+        if N == LANES {
             pyramid::weigh(fine, fine, blended, avx2);
         } else {
             blended.copy_from_slice(fine);
         }
         for level in (1..top).rev() {
-            self.up(level, bands, pool, avx2);
+            self.up::<N>(level, pool, avx2);
         }
     }
 
-    fn down(&mut self, level: usize, ranges: Option<&Ranges>, pool: &dyn Parallel, avx2: bool) {
+    fn down<const N: usize>(&mut self, level: usize, ranges: Option<&Ranges>, pool: &dyn Parallel, avx2: bool) {
         let ((w, h), (cw, ch)) = (self.sizes[level], self.sizes[level + 1]);
         let (head, tail) = self.fine.split_at_mut(level + 1);
-        let (source, target) = (&head[level], SharedMut::new(&mut tail[0]));
+        let source = if N == 1 && level == 0 { &self.weights } else { &head[level] };
+        let target = SharedMut::new(&mut tail[0]);
+        let halve = if N == 1 { pyramid::horizontal_down_one } else { pyramid::horizontal_down };
         let scratch = SharedMut::new(&mut self.scratch);
         let row_len = self.scratch_row;
         let (chunks, per) = split(ch);
@@ -169,16 +200,16 @@ impl Blender {
                 let (low, high) = (a.saturating_sub(PAD), (b + PAD).min(w));
                 let row = |d: isize| {
                     let y = (2 * y as isize + d).clamp(0, h as isize - 1) as usize;
-                    &source[(y * w + low) * LANES..(y * w + high) * LANES]
+                    &source[(y * w + low) * N..(y * w + high) * N]
                 };
                 let rows = [row(-2), row(-1), row(0), row(1), row(2)];
-                pyramid::vertical_down(rows, &mut tmp[(PAD + low) * LANES..(PAD + high) * LANES], avx2);
-                pyramid::pad_row(tmp, low, high, w);
+                pyramid::vertical_down(rows, &mut tmp[(PAD + low) * N..(PAD + high) * N], avx2);
+                pyramid::pad_row::<N>(tmp, low, high, w);
                 // SAFETY: row y belongs to this chunk alone.
-                let out = unsafe { target.part(y * cw * LANES, cw * LANES) };
+                let out = unsafe { target.part(y * cw * N, cw * N) };
                 let (a, b) = (a / 2, b.div_ceil(2));
-                pyramid::horizontal_down(&tmp[2 * a * LANES..], &mut out[a * LANES..b * LANES], avx2);
-                let out = out.as_chunks_mut::<LANES>().0;
+                halve(&tmp[2 * a * N..], &mut out[a * N..b * N], avx2);
+                let out = out.as_chunks_mut::<N>().0;
                 let (first, last) = (out[a], out[b - 1]);
                 out[..a].fill(first);
                 out[b..].fill(last);
@@ -186,7 +217,7 @@ impl Blender {
         });
     }
 
-    fn up(&mut self, level: usize, bands: bool, pool: &dyn Parallel, avx2: bool) {
+    fn up<const N: usize>(&mut self, level: usize, pool: &dyn Parallel, avx2: bool) {
         let (w, h) = self.sizes[level];
         let (head, tail) = self.blended.split_at_mut(level + 1);
         let (target, coarse_blended) = (SharedMut::new(&mut head[level]), &tail[0]);
@@ -201,12 +232,12 @@ impl Blender {
             let (tmp, wide) = tmp.split_at_mut(row_len);
             for y in chunk * per..(chunk * per + per).min(h) {
                 // SAFETY: row y belongs to this chunk alone.
-                let out = unsafe { target.part(y * w * LANES, w * LANES) };
-                expand(coarse_blended, coarse_size, y, 0, tmp, out, avx2);
-                if bands {
-                    let wide = &mut wide[..w * LANES];
-                    expand(coarse, coarse_size, y, 0, tmp, wide, avx2);
-                    pyramid::add_band(&fine[y * w * LANES..(y + 1) * w * LANES], wide, out, avx2);
+                let out = unsafe { target.part(y * w * N, w * N) };
+                expand::<N>(coarse_blended, coarse_size, y, 0, tmp, out, avx2);
+                if N == LANES {
+                    let wide = &mut wide[..w * N];
+                    expand::<N>(coarse, coarse_size, y, 0, tmp, wide, avx2);
+                    pyramid::add_band(&fine[y * w * N..(y + 1) * w * N], wide, out, avx2);
                 }
             }
         });
@@ -232,17 +263,19 @@ impl Blender {
             let (wide, out) = rest.split_at_mut(row_len);
             for y in chunk * per..(chunk * per + per).min(h) {
                 let (a, b) = ranges.active(y);
-                let (wide, out) = (&mut wide[..(b - a) * LANES], &mut out[..(b - a) * LANES]);
+                let out = &mut out[..(b - a) * LANES];
                 let row = &fine[(y * w + a) * LANES..(y * w + b) * LANES];
                 if top == 0 {
                     pyramid::weigh(row, row, out, avx2);
                 } else if bands {
-                    expand(blended, coarse_size, y, a, tmp, out, avx2);
-                    expand(coarse, coarse_size, y, a, tmp, wide, avx2);
+                    let wide = &mut wide[..(b - a) * LANES];
+                    expand::<LANES>(blended, coarse_size, y, a, tmp, out, avx2);
+                    expand::<LANES>(coarse, coarse_size, y, a, tmp, wide, avx2);
                     pyramid::add_band(row, wide, out, avx2);
                 } else {
-                    expand(blended, coarse_size, y, a, tmp, wide, avx2);
-                    pyramid::weigh(row, wide, out, avx2);
+                    let wide = &mut wide[..b - a];
+                    expand::<1>(blended, coarse_size, y, a, tmp, wide, avx2);
+                    pyramid::weigh_by_one(row, wide, out, avx2);
                 }
                 write(y, out, row);
             }
@@ -251,19 +284,28 @@ impl Blender {
 }
 
 /// Row `y` of the level below `coarse`, doubled in both directions, from column `from` (even) on.
-fn expand(coarse: &[i16], (w, h): (usize, usize), y: usize, from: usize, tmp: &mut [i16], out: &mut [i16], avx2: bool) {
+fn expand<const N: usize>(
+    coarse: &[i16],
+    (w, h): (usize, usize),
+    y: usize,
+    from: usize,
+    tmp: &mut [i16],
+    out: &mut [i16],
+    avx2: bool,
+) {
     let first = from / 2;
-    let (low, high) = (first.saturating_sub(PAD), (first + (out.len() / LANES).div_ceil(2) + PAD).min(w));
-    let row = |y: usize| &coarse[(y * w + low) * LANES..(y * w + high) * LANES];
+    let (low, high) = (first.saturating_sub(PAD), (first + (out.len() / N).div_ceil(2) + PAD).min(w));
+    let row = |y: usize| &coarse[(y * w + low) * N..(y * w + high) * N];
     let (c, n) = (y / 2, (y / 2 + 1).min(h - 1));
-    let centre = &mut tmp[(PAD + low) * LANES..(PAD + high) * LANES];
+    let centre = &mut tmp[(PAD + low) * N..(PAD + high) * N];
     if y.is_multiple_of(2) {
         pyramid::vertical_even(row(c.saturating_sub(1)), row(c), row(n), centre, avx2);
     } else {
         pyramid::vertical_odd(row(c), row(n), centre, avx2);
     }
-    pyramid::pad_row(tmp, low, high, w);
-    pyramid::horizontal_up(&tmp[first * LANES..], out, avx2);
+    pyramid::pad_row::<N>(tmp, low, high, w);
+    let double = if N == 1 { pyramid::horizontal_up_one } else { pyramid::horizontal_up };
+    double(&tmp[first * N..], out, avx2);
 }
 
 /// Writes `8 * (base - pixels)` and the weight; `base` is BGR and gives the number of pixels.

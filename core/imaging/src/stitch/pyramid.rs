@@ -1,4 +1,5 @@
-//! Pyramid kernels on rows of four i16 lanes per pixel: difference in B, G, R (1/8 level) and weight (1024 = one).
+//! Pyramid kernels on rows of four i16 lanes per pixel: difference in B, G, R (1/8 level) and weight (1024 = one). Where only weights are blurred, rows
+//! have one lane: the weight.
 //!
 //! With values up to 2040 every intermediate sum fits in 16 bits. Reconstruction is exact: where all weights are
 //! one (or zero) the collapsed pyramid gives back the difference (or zero) to the bit.
@@ -66,6 +67,18 @@ dispatch!(
     horizontal_up, horizontal_up_avx2, horizontal_up_body, manual, (padded: &[i16], out: &mut [i16])
 );
 dispatch!(
+    /// Takes the weights, lane 3, out of a row.
+    weights_of, weights_of_avx2, weights_of_body, (pixels: &[i16], out: &mut [i16])
+);
+dispatch!(
+    /// Halves a padded row of one lane.
+    horizontal_down_one, horizontal_down_one_avx2, horizontal_down_one_body, (padded: &[i16], out: &mut [i16])
+);
+dispatch!(
+    /// Doubles a padded row of one lane.
+    horizontal_up_one, horizontal_up_one_avx2, horizontal_up_one_body, (padded: &[i16], out: &mut [i16])
+);
+dispatch!(
     /// `blended += weight * (fine - coarse)`; the weight stands in lane 3 of `fine`.
     add_band, add_band_avx2, add_band_body, manual, (fine: &[i16], coarse: &[i16], blended: &mut [i16])
 );
@@ -73,15 +86,17 @@ dispatch!(
     /// `out = weight * values`; the weight stands in lane 3 of `weights`.
     weigh, weigh_avx2, weigh_body, (values: &[i16], weights: &[i16], out: &mut [i16])
 );
+dispatch!(
+    /// As [`weigh`], with weights of one lane.
+    weigh_by_one, weigh_by_one_avx2, weigh_by_one_body, (values: &[i16], weights: &[i16], out: &mut [i16])
+);
 
 #[inline(always)]
 fn vertical_down_body([a, b, c, d, e]: [&[i16]; 5], out: &mut [i16]) {
     let n = out.len();
     let (a, b, c, d, e) = (&a[..n], &b[..n], &c[..n], &d[..n], &e[..n]);
     for i in 0..n {
-        let outer = a[i].wrapping_add(e[i]);
-        let inner = b[i].wrapping_add(d[i]).wrapping_add(c[i]).wrapping_shl(2);
-        out[i] = outer.wrapping_add(inner).wrapping_add(c[i].wrapping_shl(1)).wrapping_add(8) >> 4;
+        out[i] = fifth([a[i], b[i], c[i], d[i], e[i]]);
     }
 }
 
@@ -91,10 +106,53 @@ fn horizontal_down_body(padded: &[i16], out: &mut [i16]) {
     for (i, o) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
         let p: &[i16] = &source[2 * i * LANES..2 * i * LANES + 5 * LANES];
         for l in 0..LANES {
-            let outer = p[l].wrapping_add(p[16 + l]);
-            let inner = p[4 + l].wrapping_add(p[12 + l]).wrapping_add(p[8 + l]).wrapping_shl(2);
-            o[l] = outer.wrapping_add(inner).wrapping_add(p[8 + l].wrapping_shl(1)).wrapping_add(8) >> 4;
+            o[l] = fifth([p[l], p[4 + l], p[8 + l], p[12 + l], p[16 + l]]);
         }
+    }
+}
+
+#[inline(always)]
+fn weights_of_body(pixels: &[i16], out: &mut [i16]) {
+    for (o, p) in out.iter_mut().zip(pixels.as_chunks::<LANES>().0) {
+        *o = p[3];
+    }
+}
+
+#[inline(always)]
+fn horizontal_down_one_body(padded: &[i16], out: &mut [i16]) {
+    let source = &padded[PAD - 2..];
+    let n = out.len();
+    // Pairs of neighbours, one pair later, and the pixel after those.
+    let (near, mid) = (source.as_chunks::<2>().0, source[2..].as_chunks::<2>().0);
+    let far = source[4..].as_chunks::<2>().0;
+    let last = far.len().min(n);
+    for ((o, near), (mid, far)) in out[..last].iter_mut().zip(near).zip(mid.iter().zip(far)) {
+        *o = fifth([near[0], near[1], mid[0], mid[1], far[0]]);
+    }
+    for (i, o) in out.iter_mut().enumerate().skip(last) {
+        let p = &source[2 * i..2 * i + 5];
+        *o = fifth([p[0], p[1], p[2], p[3], p[4]]);
+    }
+}
+
+/// `(a + 4 b + 6 c + 4 d + e) / 16`.
+#[inline(always)]
+fn fifth([a, b, c, d, e]: [i16; 5]) -> i16 {
+    let inner = b.wrapping_add(d).wrapping_add(c).wrapping_shl(2);
+    a.wrapping_add(e).wrapping_add(inner).wrapping_add(c.wrapping_shl(1)).wrapping_add(8) >> 4
+}
+
+#[inline(always)]
+fn horizontal_up_one_body(padded: &[i16], out: &mut [i16]) {
+    let source = &padded[PAD - 1..];
+    let (pairs, rest) = out.as_chunks_mut::<2>();
+    let n = pairs.len();
+    let (a, b, c) = (&source[..n], &source[1..n + 1], &source[2..n + 2]);
+    for (i, o) in pairs.iter_mut().enumerate() {
+        *o = [even(a[i], b[i], c[i]), odd(b[i], c[i])];
+    }
+    if let [o] = rest {
+        *o = even(source[n], source[n + 1], source[n + 2]);
     }
 }
 
@@ -166,6 +224,16 @@ fn weigh_body(values: &[i16], weights: &[i16], out: &mut [i16]) {
     for ((v, w), o) in values.iter().zip(weights).zip(out.as_chunks_mut::<LANES>().0) {
         for l in 0..LANES {
             o[l] = scale(v[l], w[3]);
+        }
+    }
+}
+
+#[inline(always)]
+fn weigh_by_one_body(values: &[i16], weights: &[i16], out: &mut [i16]) {
+    let values = values.as_chunks::<LANES>().0;
+    for ((v, w), o) in values.iter().zip(weights).zip(out.as_chunks_mut::<LANES>().0) {
+        for l in 0..LANES {
+            o[l] = scale(v[l], *w);
         }
     }
 }
@@ -251,8 +319,8 @@ mod simd {
 
 /// Repeats the border pixels of a padded row of `width` pixels into its padding, where `low..high` is filled and
 /// reaches the border.
-pub fn pad_row(padded: &mut [i16], low: usize, high: usize, width: usize) {
-    let padded = padded.as_chunks_mut::<LANES>().0;
+pub fn pad_row<const N: usize>(padded: &mut [i16], low: usize, high: usize, width: usize) {
+    let padded = padded.as_chunks_mut::<N>().0;
     if low == 0 {
         let first = padded[PAD];
         padded[..PAD].fill(first);
@@ -276,7 +344,7 @@ mod tests {
         };
         for width in 1..40 {
             let mut row: Vec<i16> = (0..(width + 2 * PAD + 2) * LANES).map(|_| value()).collect();
-            pad_row(&mut row, 0, width, width);
+            pad_row::<LANES>(&mut row, 0, width, width);
             let mut fine: Vec<i16> = (0..2 * width * LANES).map(|_| value()).collect();
             fine.as_chunks_mut::<LANES>().0.iter_mut().for_each(|p| p[3] = p[3].abs().min(ONE));
             let run = |avx2: bool| {
@@ -288,6 +356,29 @@ mod tests {
                 (down, up, band)
             };
             assert_eq!(run(false), run(crate::Simd::detect().avx2()), "width {width}");
+        }
+    }
+    #[test]
+    fn weights_alone_are_blurred_as_with_the_differences() {
+        let avx2 = crate::Simd::detect().avx2();
+        for width in 1..70 {
+            let pixels: Vec<i16> = (0..(width + 2 * PAD + 2) * LANES).map(|at| (at * at * 37 % 1025) as i16).collect();
+            let mut ones = vec![0; width + 2 * PAD + 2];
+            for simd in [false, avx2] {
+                weights_of(&pixels, &mut ones, simd);
+                let (mut down, mut up) = (vec![0; width.div_ceil(2) * LANES], vec![0; (2 * width - 1) * LANES]);
+                horizontal_down(&pixels, &mut down, simd);
+                horizontal_up(&pixels, &mut up, simd);
+                let (mut down_one, mut up_one) = (vec![0; width.div_ceil(2)], vec![0; 2 * width - 1]);
+                horizontal_down_one(&ones, &mut down_one, simd);
+                horizontal_up_one(&ones, &mut up_one, simd);
+                let weights = |of: &[i16]| of.as_chunks::<LANES>().0.iter().map(|p| p[3]).collect::<Vec<i16>>();
+                assert_eq!((weights(&down), weights(&up)), (down_one, up_one.clone()), "width {width}");
+                let (mut weighed, mut by_one) = (vec![0; up.len()], vec![0; up.len()]);
+                weigh(&up, &up, &mut weighed, simd);
+                weigh_by_one(&up, &up_one, &mut by_one, simd);
+                assert_eq!(weighed, by_one, "width {width}");
+            }
         }
     }
 }
