@@ -1,9 +1,12 @@
 //! Perspective warp, bilinear, in blocks of output pixels.
 //!
-//! Coordinates are f32 relative to an f64 start every 64 pixels (error below 1/1000 px), positions are
-//! rounded to 1/64 px. The portable and the AVX2 path give the same bytes.
+//! By a matrix, coordinates are f32 relative to an f64 start every 64 pixels (error below 1/1000 px); by a mesh, steps of 1/65536 px from each vertex
+//! on (error below 1/500 px). Positions are rounded to 1/64 px. The portable and the AVX2 path give the same bytes.
+
+mod line;
 
 use crate::View;
+pub use line::{Line, NODES, locate_line};
 
 /// Output pixels per block: enough that what is prepared once for a block does not count.
 pub const BLOCK: usize = 256;
@@ -23,10 +26,8 @@ pub const UNIT_GAIN: [i16; 4] = [16384, 16384, 16384, 0];
 pub struct Block {
     /// Byte offset of the upper left neighbour. What is behind a block of pixels has no meaning.
     pub(super) offset: [u32; ROOM],
-    /// Horizontal weights in 1/64: left in the low byte, right in the high byte.
-    pub(super) horizontal: [u16; ROOM],
-    /// Vertical weight of the lower row, Q14.
-    pub(super) vertical: [u16; ROOM],
+    /// Weights, from the low byte on: of the left and of the right column in 1/64, and of the lower row in Q14, two bytes.
+    pub(super) weights: [u32; ROOM],
     /// Pixels that are located, in whole groups.
     located: usize,
     /// None of their offsets is larger.
@@ -39,8 +40,8 @@ impl Block {
         (self.located, self.farthest) = (0, 0);
     }
 
-    /// Counts pixels `first .. end`, which follow those so far, and whose positions lie on a line: both ends bound the rows between them, but for rounding by one, and a column is less
-    /// than a stride.
+    /// Counts pixels `first .. end`, which follow those so far, and whose positions lie on a line: both ends bound the rows between them, but for
+    /// rounding by one, and a column is less than a stride.
     fn reaches(&mut self, first: usize, end: usize, stride: usize) {
         if first < end {
             let ends = self.offset[first].max(self.offset[end - 1]) as usize;
@@ -59,7 +60,7 @@ impl Block {
 
 impl Default for Block {
     fn default() -> Self {
-        Self { offset: [0; ROOM], horizontal: [64; ROOM], vertical: [0; ROOM], located: 0, farthest: 0 }
+        Self { offset: [0; ROOM], weights: [64; ROOM], located: 0, farthest: 0 }
     }
 }
 
@@ -145,12 +146,12 @@ fn locate_body(s: [f32; 3], d: [f32; 3], source: &Source, (first, count): (usize
 /// Notes where output pixel `i` reads its source: position `at`, clamped to the view.
 #[inline(always)]
 fn put(block: &mut Block, i: usize, at: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) {
-    (block.offset[i], block.horizontal[i], block.vertical[i]) = located(at, limit, last, stride);
+    (block.offset[i], block.weights[i]) = located(at, limit, last, stride);
 }
 
 /// Offset and weights of a position, see [`Block`].
 #[inline(always)]
-fn located([u, v]: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) -> (u32, u16, u16) {
+fn located([u, v]: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) -> (u32, u32) {
     // NaN falls to zero here, so that the conversions below always see a number in range.
     let u = if u > 0.0 { u } else { 0.0 };
     let v = if v > 0.0 { v } else { 0.0 };
@@ -161,9 +162,13 @@ fn located([u, v]: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) -> (u
     let (u, v): (i32, i32) = unsafe { ((u * 64.0 + 0.5).to_int_unchecked(), (v * 64.0 + 0.5).to_int_unchecked()) };
     let column = (u >> 6).min(last[0]);
     let row = (v >> 6).min(last[1]);
-    let fx = u - (column << 6);
-    let fy = v - (row << 6);
-    ((row * stride + column * 3) as u32, ((64 - fx) | (fx << 8)) as u16, (fy << 8) as u16)
+    ((row * stride + column * 3) as u32, weights(u - (column << 6), v - (row << 6)))
+}
+
+/// Weights of a pixel between four: `fx` and `fy` are its distances from the upper left one in 1/64.
+#[inline(always)]
+fn weights(fx: i32, fy: i32) -> u32 {
+    ((64 - fx) | (fx << 8) | (fy << 24)) as u32
 }
 
 /// The view that a block reads.
@@ -172,15 +177,6 @@ pub struct Source {
     limit: [f32; 2],
     last: [i32; 2],
     stride: i32,
-}
-
-#[cfg(target_arch = "x86_64")]
-impl Source {
-    /// Whether a position needs no clamping, and its offset is a sum of products of 16-bit numbers.
-    fn is_well_inside(&self, at: [f32; 2]) -> bool {
-        let fits = self.stride.max(self.last[0]).max(self.last[1]) <= i32::from(i16::MAX);
-        fits && at.iter().zip(self.last).all(|(at, last)| *at >= 0.0 && *at <= last as f32)
-    }
 }
 
 impl Source {
@@ -192,161 +188,10 @@ impl Source {
             stride: stride as i32,
         }
     }
-}
 
-/// Vertices of a mesh that are held along a row of output pixels.
-pub const NODES: usize = 8;
-
-/// A row of output pixels across a mesh: between neighbouring vertices positions in the view change evenly.
-#[derive(Clone, Copy, Debug)]
-pub struct Line {
-    /// Columns and rows of the vertices in the view, px.
-    pub nodes: [[f32; NODES]; 2],
-    /// The last cell between two vertices, at most `NODES - 2`.
-    pub last: usize,
-    /// Where output pixel 0 of the block lies, in cells from the first vertex.
-    pub start: f32,
-    /// Cells per output pixel.
-    pub step: f32,
-}
-
-impl Line {
-    /// The cell that output pixel `i` of the block lies in, and where in it. The cell never falls from one pixel to the next.
-    #[inline(always)]
-    fn place(&self, i: usize) -> (usize, f32) {
-        let along = self.start + self.step * i as f32;
-        let cell = along.max(0.0).min(self.last as f32) as usize;
-        (cell, along - cell as f32)
-    }
-
-    /// Position in the view of output pixel `i` of the block.
-    #[inline(always)]
-    fn at(&self, i: usize) -> [f32; 2] {
-        let (cell, t) = self.place(i);
-        self.nodes.map(|nodes| nodes[cell] + (nodes[cell + 1] - nodes[cell]) * t)
-    }
-
-    /// End of the whole groups from output pixel `first` on that lie in its cell, at most `end`.
-    #[cfg(target_arch = "x86_64")]
-    fn end_of_cell(&self, first: usize, end: usize) -> usize {
-        let (cell, t) = self.place(first);
-        let inside = if cell >= self.last { end - first } else { ((1.0 - t) / self.step) as usize + 1 };
-        let mut to = end.min(first + inside / GROUP * GROUP);
-        while to > first && self.place(to - 1).0 != cell {
-            to -= GROUP;
-        }
-        to
-    }
-}
-
-/// Notes where output pixels `first .. end` read their source, clamped to the view; whole groups of [`GROUP`] inside the block.
-pub fn locate_line(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block, avx2: bool) {
-    assert!(
-        line.last + 2 <= NODES && end <= BLOCK && (end - first).is_multiple_of(GROUP),
-        "the line fits into the block"
-    );
-    #[cfg(target_arch = "x86_64")]
-    if avx2 {
-        // SAFETY: the caller found AVX2 on this CPU; the groups are inside the block, as just checked.
-        unsafe { locate_line_avx2(line, (first, end), source, block) };
-        return;
-    }
-    let _ = avx2;
-    for i in first..end {
-        put(block, i, line.at(i), source.limit, source.last, source.stride);
-    }
-    block.reaches_any(first, end);
-}
-
-/// # Safety
-/// The processor has AVX2; `first..end` are whole groups inside the block.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-unsafe fn locate_line_avx2(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block) {
-    let mut i = first;
-    while i < end {
-        let to = line.end_of_cell(i, end);
-        // Between both ends positions change evenly.
-        if to > i && source.is_well_inside(line.at(i)) && source.is_well_inside(line.at(to - 1)) {
-            // SAFETY: whole groups inside the block, in one cell, and their positions lie inside the view as just checked.
-            unsafe { locate_in_cell_avx2(line, (i, to), source, block) };
-            block.reaches(i, to, source.stride as usize);
-            i = to;
-        } else {
-            let to = to.max(i + GROUP);
-            // SAFETY: whole groups inside the block, by the caller's promise.
-            unsafe { locate_across_avx2(line, (i, to), source, block) };
-            block.reaches_any(i, to);
-            i = to;
-        }
-    }
-}
-
-/// Output pixels of any cells.
-///
-/// # Safety
-/// The processor has AVX2; `first..end` are whole groups inside the block.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-unsafe fn locate_across_avx2(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block) {
-    use std::arch::x86_64::*;
-    // SAFETY: arrays of eight numbers.
-    let nodes = line.nodes.map(|nodes| unsafe { _mm256_loadu_ps(nodes.as_ptr()) });
-    let (start, step, last) = (_mm256_set1_ps(line.start), _mm256_set1_ps(line.step), _mm256_set1_ps(line.last as f32));
-    let lanes = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
-    for i in (first..end).step_by(GROUP) {
-        // Multiply and add stay apart, so that the portable path gives the same bits.
-        let steps = _mm256_mul_ps(step, _mm256_add_ps(lanes, _mm256_set1_ps(i as f32)));
-        let along = _mm256_add_ps(start, steps);
-        let cell = _mm256_cvttps_epi32(_mm256_min_ps(_mm256_max_ps(along, _mm256_setzero_ps()), last));
-        let t = _mm256_sub_ps(along, _mm256_cvtepi32_ps(cell));
-        let next = _mm256_add_epi32(cell, _mm256_set1_epi32(1));
-        let at = nodes.map(|nodes| {
-            let (a, b) = (_mm256_permutevar8x32_ps(nodes, cell), _mm256_permutevar8x32_ps(nodes, next));
-            _mm256_add_ps(a, _mm256_mul_ps(_mm256_sub_ps(b, a), t))
-        });
-        // SAFETY: the group lies inside the block, by the caller's promise.
-        unsafe { store(block, i, at, source.limit, source.last, source.stride) };
-    }
-}
-
-/// Output pixels of one cell, whose positions need no clamping: half the work of [`locate_across_avx2`], with the same bits.
-///
-/// # Safety
-/// The processor has AVX2; `first..end` are whole groups inside the block.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-unsafe fn locate_in_cell_avx2(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block) {
-    use std::arch::x86_64::*;
-    let cell = line.place(first).0;
-    let [x, y] = line.nodes.map(|nodes| (_mm256_set1_ps(nodes[cell]), _mm256_set1_ps(nodes[cell + 1] - nodes[cell])));
-    let (start, step) = (_mm256_set1_ps(line.start), _mm256_set1_ps(line.step));
-    let cell = _mm256_set1_ps(cell as f32);
-    let lanes = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
-    let (units, half, part) = (_mm256_set1_ps(64.0), _mm256_set1_ps(0.5), _mm256_set1_epi32(63));
-    // Row times stride plus column times 3.
-    let bytes = _mm256_set1_epi32(source.stride | 3 << 16);
-    let (unit, both) = (_mm256_set1_epi32(64), _mm256_set1_epi32(255));
-    for i in (first..end).step_by(GROUP) {
-        // Multiply and add stay apart, so that the portable path gives the same bits.
-        let steps = _mm256_mul_ps(step, _mm256_add_ps(lanes, _mm256_set1_ps(i as f32)));
-        let t = _mm256_sub_ps(_mm256_add_ps(start, steps), cell);
-        let place = |(from, change): (__m256, __m256)| {
-            let at = _mm256_add_ps(from, _mm256_mul_ps(change, t));
-            let at = _mm256_cvttps_epi32(_mm256_add_ps(_mm256_mul_ps(at, units), half));
-            (_mm256_srli_epi32(at, 6), _mm256_and_si256(at, part))
-        };
-        let ((column, fx), (row, fy)) = (place(x), place(y));
-        let offset = _mm256_madd_epi16(_mm256_or_si256(row, _mm256_slli_epi32(column, 16)), bytes);
-        let horizontal = _mm256_add_epi32(_mm256_mullo_epi16(fx, both), unit);
-        let vertical = _mm256_slli_epi32(fy, 8);
-        let packed = _mm256_permute4x64_epi64(_mm256_packus_epi32(horizontal, vertical), 0xD8);
-        // SAFETY: the group lies inside the block, by the caller's promise, and the arrays end after it.
-        unsafe {
-            _mm256_storeu_si256(block.offset.as_mut_ptr().add(i).cast(), offset);
-            _mm_storeu_si128(block.horizontal.as_mut_ptr().add(i).cast(), _mm256_castsi256_si128(packed));
-            _mm_storeu_si128(block.vertical.as_mut_ptr().add(i).cast(), _mm256_extracti128_si256(packed, 1));
-        }
+    /// Whether offsets are sums of products of 16-bit numbers.
+    fn is_small(&self) -> bool {
+        self.stride.max(self.last[0]).max(self.last[1]) <= i32::from(i16::MAX)
     }
 }
 
@@ -376,13 +221,11 @@ unsafe fn store(
     let down = _mm256_mullo_epi32(row, _mm256_set1_epi32(stride));
     let offset = _mm256_add_epi32(down, _mm256_mullo_epi32(column, _mm256_set1_epi32(3)));
     let horizontal = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32(fx, 8), fx), _mm256_set1_epi32(64));
-    let vertical = _mm256_slli_epi32(fy, 8);
-    let both = _mm256_permute4x64_epi64(_mm256_packus_epi32(horizontal, vertical), 0xD8);
+    let weights = _mm256_or_si256(horizontal, _mm256_slli_epi32(fy, 24));
     // SAFETY: the arrays have room for a group after each pixel of the block, by the caller's promise.
     unsafe {
         _mm256_storeu_si256(block.offset.as_mut_ptr().add(i).cast(), offset);
-        _mm_storeu_si128(block.horizontal.as_mut_ptr().add(i).cast(), _mm256_castsi256_si128(both));
-        _mm_storeu_si128(block.vertical.as_mut_ptr().add(i).cast(), _mm256_extracti128_si256(both, 1));
+        _mm256_storeu_si256(block.weights.as_mut_ptr().add(i).cast(), weights);
     }
 }
 
@@ -413,11 +256,12 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
         let at = block.offset[i] as usize;
         let top = &view.data[at..at + 6];
         let bottom = &view.data[at + view.stride..at + view.stride + 6];
-        let (left, right) = (i32::from(block.horizontal[i] & 255), i32::from(block.horizontal[i] >> 8));
+        let [left, right, _, _] = block.weights[i].to_le_bytes().map(i32::from);
+        let lower = (block.weights[i] >> 16) as i32;
         for c in 0..3 {
             let t = i32::from(top[c]) * left + i32::from(top[c + 3]) * right;
             let b = i32::from(bottom[c]) * left + i32::from(bottom[c + 3]) * right;
-            let value = t + round_multiply((b - t) * 2, i32::from(block.vertical[i]));
+            let value = t + round_multiply((b - t) * 2, lower);
             out.0[4 * i + c] = ((round_multiply(value, i32::from(gain[c])) + 16) >> 5).clamp(0, 255) as u8;
         }
         out.0[4 * i + 3] = 0;
@@ -438,29 +282,31 @@ unsafe fn sample_avx2(
 ) {
     use std::arch::x86_64::*;
     let pairs = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 3, 1, 4, 2, 5, -1, -1, 8, 11, 9, 12, 10, 13, -1, -1));
-    let spread = _mm256_setr_epi8(
-        0, 1, 0, 1, 0, 1, 0, 1, 2, 3, 2, 3, 2, 3, 2, 3, 4, 5, 4, 5, 4, 5, 4, 5, 6, 7, 6, 7, 6, 7, 6, 7,
+    let across = _mm256_setr_epi8(
+        0, 1, 0, 1, 0, 1, 0, 1, 4, 5, 4, 5, 4, 5, 4, 5, 8, 9, 8, 9, 8, 9, 8, 9, 12, 13, 12, 13, 12, 13, 12, 13,
     );
+    let down = _mm256_add_epi8(across, _mm256_set1_epi8(2));
     // SAFETY: `gain` is 8 bytes.
     let gain = _mm256_set1_epi64x(unsafe { gain.as_ptr().cast::<i64>().read_unaligned() });
     let half = _mm256_set1_epi16(16);
-    // Two 8-byte loads into one register.
-    let pair = |a: *const u8, b: *const u8| {
-        // SAFETY: both loads lie inside the view, by the caller's promise.
-        unsafe { _mm_castpd_si128(_mm_loadh_pd(_mm_load_sd(a.cast()), b.cast())) }
+    // Four loads of 8 bytes: each to all lanes, which needs no port of the shuffles, then blended.
+    let all = |at: *const u8| {
+        // SAFETY: the load lies inside the view, by the caller's promise.
+        _mm256_set1_epi64x(unsafe { at.cast::<i64>().read_unaligned() })
+    };
+    let blended = |p: [*const u8; 4]| {
+        let low = _mm256_blend_epi32(all(p[0]), all(p[1]), 0b0000_1100);
+        let high = _mm256_blend_epi32(all(p[2]), all(p[3]), 0b1100_0000);
+        _mm256_blend_epi32(low, high, 0b1111_0000)
     };
     let four = |i: usize| {
         // SAFETY: offsets lie inside the view (caller's promise); four of the block.
         unsafe {
             let o = block.offset.as_ptr().add(i);
-            let (p0, p1) = (source.add(*o as usize), source.add(*o.add(1) as usize));
-            let (p2, p3) = (source.add(*o.add(2) as usize), source.add(*o.add(3) as usize));
-            let top = _mm256_set_m128i(pair(p2, p3), pair(p0, p1));
-            let bottom = _mm256_set_m128i(pair(p2.add(stride), p3.add(stride)), pair(p0.add(stride), p1.add(stride)));
-            let h = block.horizontal.as_ptr().add(i).cast::<i64>().read_unaligned();
-            let h = _mm256_shuffle_epi8(_mm256_set1_epi64x(h), spread);
-            let v = block.vertical.as_ptr().add(i).cast::<i64>().read_unaligned();
-            let v = _mm256_shuffle_epi8(_mm256_set1_epi64x(v), spread);
+            let p = [0, 1, 2, 3].map(|k| source.add(*o.add(k) as usize));
+            let (top, bottom) = (blended(p), blended(p.map(|p| p.add(stride))));
+            let weights = _mm256_broadcastsi128_si256(_mm_loadu_si128(block.weights.as_ptr().add(i).cast()));
+            let (h, v) = (_mm256_shuffle_epi8(weights, across), _mm256_shuffle_epi8(weights, down));
             let top = _mm256_maddubs_epi16(_mm256_shuffle_epi8(top, pairs), h);
             let bottom = _mm256_maddubs_epi16(_mm256_shuffle_epi8(bottom, pairs), h);
             let difference = _mm256_slli_epi16(_mm256_sub_epi16(bottom, top), 1);

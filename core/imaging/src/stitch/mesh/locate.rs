@@ -188,15 +188,14 @@ mod tests {
                 });
                 for i in 0..count {
                     assert_eq!(blocks[0].offset[i], blocks[1].offset[i], "{cell_px} {x} {i}");
-                    assert_eq!(blocks[0].horizontal[i], blocks[1].horizontal[i], "{cell_px} {x} {i}");
-                    assert_eq!(blocks[0].vertical[i], blocks[1].vertical[i], "{cell_px} {x} {i}");
+                    assert_eq!(blocks[0].weights[i], blocks[1].weights[i], "{cell_px} {x} {i}");
                     let along = (f64::from(grid.origin[0]) + f64::from(step) * (x + i) as f64) / cell_px as f64 + 1.0;
                     let cell = (along.max(0.0) as usize).min(columns - 2);
                     let t = (along - cell as f64) as f32;
                     let [a, b] = [cell, cell + 1].map(|column| grid.node(column, grid.row(y)));
                     let expected = (a[0] + (b[0] - a[0]) * t).clamp(0.0, width as f32 - 1.0);
                     let found = (blocks[0].offset[i] % (3 * width as u32) / 3) as f32
-                        + f32::from(blocks[0].horizontal[i] >> 8) / 64.0;
+                        + (blocks[0].weights[i] >> 8 & 255) as f32 / 64.0;
                     assert!((found - expected).abs() < 0.012, "{cell_px} px, pixel {i}: {found} for {expected}");
                 }
             }
