@@ -2,6 +2,7 @@
 
 use panoscope_abi::{Calibration, Camera};
 use panoscope_imaging::Rect;
+use panoscope_imaging::shrink::shrunk_px;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{
     CameraModel, Rectification, RectifiedCamera, RectifyParams, StereoCameras, StereoError,
@@ -33,12 +34,17 @@ pub fn same(a: &Calibration, b: &Calibration) -> bool {
     Calibration { rms_px: 0.0, ..*a } == Calibration { rms_px: 0.0, ..*b }
 }
 
+/// Whether the packet states how its cameras are rectified: its projections are not empty.
+pub fn states_rectification(packet: &Calibration) -> bool {
+    packet.left_projection != [0.0; 12] || packet.right_projection != [0.0; 12]
+}
+
 /// How the packet rectifies its cameras: as it states, or, when its projections are empty, computed.
 ///
 /// # Errors
 /// [`StereoError::Calibration`] when the cameras or the stated rectification are impossible.
 pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError> {
-    if packet.left_projection == [0.0; 12] && packet.right_projection == [0.0; 12] {
+    if !states_rectification(packet) {
         let cameras = StereoCameras {
             left: camera(&packet.left)?,
             right: camera(&packet.right)?,
@@ -101,8 +107,7 @@ pub fn shrunk(packet: &Calibration, factor: u32) -> Calibration {
         return *packet;
     }
     let scale = f64::from(factor);
-    // The middle of a block of pixels is that of the small pixel.
-    let center = |px: f64| (px + 0.5) / scale - 0.5;
+    let center = |px: f64| shrunk_px(px, factor as usize);
     let camera = |of: &Camera| Camera {
         width: of.width / factor,
         height: of.height / factor,

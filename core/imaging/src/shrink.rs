@@ -11,6 +11,16 @@ const TILE: usize = 3072;
 /// Largest factor: sums of more pixels leave 16 bits.
 pub const MAX_FACTOR: usize = 16;
 
+/// A coordinate of a shrunk picture in pixels of the large one: the middle of a block of pixels is that of the small pixel.
+pub fn enlarged_px(at: f64, factor: usize) -> f64 {
+    (at + 0.5) * factor as f64 - 0.5
+}
+
+/// The other way round.
+pub fn shrunk_px(at: f64, factor: usize) -> f64 {
+    (at + 0.5) / factor as f64 - 0.5
+}
+
 /// Mean of every `factor` x `factor` block of a picture, rounded, for each channel. Remainders at the right and at the bottom are dropped.
 ///
 /// # Panics

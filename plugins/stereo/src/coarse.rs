@@ -135,8 +135,6 @@ fn enlarge(
 ) {
     let (stride, columns, rows) = (map.stride, map.width, map.height);
     let target = SharedMut::new(map.data);
-    // The shares repeat with every block.
-    let shares: Vec<(usize, f32)> = (0..factor).map(|at| place(factor + at, factor, 3)).collect();
     let (chunks, work) = (rows.div_ceil(ROWS), 2 * small.width + 2);
     lines.resize(chunks * work, 0.0);
     let lines = SharedMut::new(lines);
@@ -156,10 +154,12 @@ fn enlarge(
             let row = unsafe { target.part(y * stride, columns) };
             let (blocks, rest) = row.split_at_mut((small.width * factor).min(columns));
             // All first pixels of the blocks, then all second ones: the same share for many, so that they are computed at once.
-            for (at, (first, share)) in shares.iter().enumerate() {
-                let near = line[*first..].iter().zip(&line[first + 1..]);
+            for at in 0..factor {
+                // The shares repeat with every block.
+                let (first, share) = place(factor + at, factor, 3);
+                let near = line[first..].iter().zip(&line[first + 1..]);
                 for (value, (a, b)) in phase.iter_mut().zip(near) {
-                    *value = between(*a, *b, *share, step * times);
+                    *value = between(*a, *b, share, step * times);
                 }
                 blocks[at..].iter_mut().step_by(factor).zip(&*phase).for_each(|(pixel, value)| *pixel = *value);
             }

@@ -8,8 +8,8 @@ use panoscope_node::{
     Validation, Value, View, error,
 };
 
+use crate::calibrated_views::{CalibratedViews, check_map};
 use crate::composite::{CompositeNodeParams, Drawer, OnLost, Scene, SceneInputs, Slots, check_views, draw};
-use crate::register_grid;
 
 /// Columns of the table of vertices: their place in the panorama, from the left view's origin, and what they show of each view.
 pub const VERTEX_COLUMNS: [&str; 6] = ["x_px", "y_px", "right_x_px", "right_y_px", "left_x_px", "left_y_px"];
@@ -136,6 +136,7 @@ impl BlindWatch {
 /// See the module.
 pub struct CompositeMesh {
     drawer: Drawer,
+    views: CalibratedViews,
     blind: BlindWatch,
     /// One for each further view.
     followers: Vec<MeshFollower>,
@@ -159,7 +160,11 @@ fn push_vertices(rows: &mut Vec<f64>, view: Option<usize>, mesh: &Mesh, referenc
 }
 
 /// The first view and a further one, as the disparity sees them.
-fn cameras(calibration: Option<&Calibration>, sizes: [(usize, usize); 2]) -> Result<[RectifiedView; 2]> {
+fn cameras(
+    views: &mut CalibratedViews,
+    calibration: Option<&Calibration>,
+    sizes: [(usize, usize); 2],
+) -> Result<[RectifiedView; 2]> {
     let of = |camera: &Camera| (camera.width as usize, camera.height as usize);
     let known = calibration.map_or(sizes, |c| [of(&c.left), of(&c.right)]);
     if known != sizes {
@@ -169,7 +174,7 @@ fn cameras(calibration: Option<&Calibration>, sizes: [(usize, usize); 2]) -> Res
             left.0, left.1, right.0, right.1
         ));
     }
-    Ok(register_grid::views(calibration, sizes)?)
+    Ok(views.of(calibration, sizes)?)
 }
 
 /// Takes from each map what the ones before it do not know.
@@ -220,8 +225,8 @@ impl CompositeMesh {
         if scene.states[view] != abi::STATE_FRESH || !plausible {
             return Ok(None);
         }
-        let [first, other] = cameras(calibration, sizes)?;
-        register_grid::check_map((disparity.width, disparity.height), first.size)?;
+        let [first, other] = cameras(&mut self.views, calibration, sizes)?;
+        check_map((disparity.width, disparity.height), first.size)?;
         let map = geometry::Homography(map);
         Ok(Some(self.followers[view - 1].update(disparity, &first, &other, &map, cx.pool())))
     }
@@ -312,6 +317,7 @@ impl Node for CompositeMesh {
     fn open(open: &Open<'_>, params: &CompositeMeshParams) -> Result<Self> {
         Ok(Self {
             drawer: Drawer::new(&params.composite, open),
+            views: CalibratedViews::default(),
             blind: BlindWatch::default(),
             followers: Vec::new(),
             joined: Vec::new(),

@@ -2,6 +2,7 @@
 
 #![forbid(unsafe_code)]
 
+mod calibrated_views;
 pub mod composite;
 mod composite_mesh;
 mod cut_views;

@@ -1,15 +1,14 @@
 //! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
 
-use panoscope_calibration::packet;
 use panoscope_imaging::features::RegisterSurf;
 use panoscope_imaging::geometry::RansacParams;
-use panoscope_imaging::stereo::StereoError;
-use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid, map_factor};
-use panoscope_node::abi::{Calibration, Camera};
+use panoscope_imaging::stitch::{CellPoint, GridParams, RegisterGrid};
+use panoscope_node::abi::Calibration;
 use panoscope_node::{
-    Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Picture, Ports, Result, Validation, Value, error,
+    Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Picture, Ports, Result, Validation, Value,
 };
 
+use crate::calibrated_views::{CalibratedViews, check_map};
 use crate::register_surf;
 use crate::registration::{HoldParams, Out, Registered, Reporter};
 
@@ -90,81 +89,10 @@ pub struct In<'f> {
 /// See the module.
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
+    views: CalibratedViews,
     /// For ticks without a disparity.
     features: Option<RegisterSurf>,
     reporter: Reporter,
-}
-
-/// One side of a calibration.
-fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified: bool) -> RectifiedView {
-    let focal_px = [projection[0], projection[5]];
-    let centre_px = [projection[2], projection[6]];
-    let size = (camera.width as usize, camera.height as usize);
-    let mut distortion = [0.0; 12];
-    if rectified {
-        let rectified_from_camera = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        return RectifiedView {
-            size,
-            focal_px,
-            centre_px,
-            distortion,
-            rectified_from_camera,
-            rectified_focal_px: focal_px,
-            rectified_centre_px: centre_px,
-        };
-    }
-    distortion.copy_from_slice(&camera.distortion[..12]);
-    RectifiedView {
-        size,
-        focal_px: [camera.fx, camera.fy],
-        centre_px: [camera.cx, camera.cy],
-        distortion,
-        rectified_from_camera: *rotation,
-        rectified_focal_px: focal_px,
-        rectified_centre_px: centre_px,
-    }
-}
-
-/// A view that is rectified already.
-fn rectified(size: (usize, usize)) -> RectifiedView {
-    RectifiedView {
-        size,
-        focal_px: [1.0; 2],
-        centre_px: [0.0; 2],
-        distortion: [0.0; 12],
-        rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        rectified_focal_px: [1.0; 2],
-        rectified_centre_px: [0.0; 2],
-    }
-}
-
-/// Both views of a calibration; without one, views of these sizes that are rectified already.
-///
-/// # Errors
-/// The calibration does not say how its cameras are rectified, and that cannot be computed.
-pub(crate) fn views(
-    calibration: Option<&Calibration>,
-    sizes: [(usize, usize); 2],
-) -> std::result::Result<[RectifiedView; 2], StereoError> {
-    let Some(c) = calibration else { return Ok(sizes.map(rectified)) };
-    let is_rectified = c.is_rectified != 0;
-    let is_stated = is_rectified || c.left_projection[0] != 0.0;
-    let c = if is_stated { *c } else { packet::with_rectification(c, &packet::rectification(c)?) };
-    Ok([
-        view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified),
-        view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified),
-    ])
-}
-
-/// Refuses a disparity map that does not belong to a picture of this size.
-pub(crate) fn check_map(map: (usize, usize), picture: (usize, usize)) -> Result<()> {
-    match map_factor(map, picture) {
-        Some(_) => Ok(()),
-        None => Err(error!(
-            "the disparity is {}x{}, the left view {}x{}: connect the disparity of these views, as large as they are or smaller by a whole factor",
-            map.0, map.1, picture.0, picture.1
-        )),
-    }
 }
 
 impl RegisterGridNode {
@@ -219,7 +147,12 @@ impl Node for RegisterGridNode {
     }
 
     fn open(_: &Open<'_>, params: &RegisterGridParams) -> Result<Self> {
-        Ok(Self { kernel: RegisterGrid::new(params.kernel()), features: None, reporter: Reporter::default() })
+        Ok(Self {
+            kernel: RegisterGrid::new(params.kernel()),
+            views: CalibratedViews::default(),
+            features: None,
+            reporter: Reporter::default(),
+        })
     }
 
     fn process<'f>(
@@ -240,7 +173,7 @@ impl Node for RegisterGridNode {
         let size = (disparity.width(), disparity.height());
         // Without a calibration the pictures tell their own size.
         let picture = input.left.as_ref().map_or(size, |left| (left.width(), left.height()));
-        let [left, right] = views(input.calibration.as_deref(), [picture; 2])?;
+        let [left, right] = self.views.of(input.calibration.as_deref(), [picture; 2])?;
         check_map(size, left.size)?;
         let found = self.kernel.register(disparity.view(), &left, &right);
         cx.metric("grid_points", found.points as f64);

@@ -46,9 +46,9 @@ pub struct Options {
 struct Cost {
     /// Width in px, cameras, or threads.
     at: f64,
-    /// Pictures a second of each camera when nothing holds them back.
+    /// Pictures a second of each camera when nothing holds them back, once all have been read from their files.
     fps: f64,
-    /// Processor time of a picture, all threads, ms.
+    /// Processor time of a picture, all threads, ms; the reading of the first ones is in it.
     cpu_ms: f64,
 }
 
@@ -56,13 +56,14 @@ struct Cost {
 fn frames_of(size: (u32, u32), quick: bool) -> u64 {
     let pixels = f64::from(size.0) * f64::from(size.1);
     let frames = if quick { 4e7 } else { 3e8 } / pixels;
-    (frames as u64).clamp(if quick { 24 } else { 60 }, 900)
+    (frames as u64).clamp(if quick { 24 } else { 120 }, 900)
 }
 
 impl Cost {
-    fn of(done: &Run, at: f64) -> Self {
+    /// Of a run whose first `read` pictures came from files.
+    fn of(done: &Run, at: f64, read: u64) -> Self {
         let cpu_ms = 1e3 * done.cpu_seconds / done.report.frames.max(1) as f64;
-        Self { at, fps: screen_fps(&done.report), cpu_ms }
+        Self { at, fps: screen_fps(done, read), cpu_ms }
     }
 }
 
@@ -73,8 +74,9 @@ fn widths(session: &dyn Session, options: &Options) -> Result<Vec<Cost>> {
         let rendered = Rendered::of(session, &options.graph, &options.given, Some(*size))?;
         let text = rendered.text("off", CAMERA_HZ)?;
         // The first time round each picture is read from its file, later ones are kept.
-        let frames = frames_of(*size, options.quick) + 2 * rendered.count;
-        Ok(Cost::of(&run(session, &text, &options.graph, frames, Pace::Free, 0)?, f64::from(size.0)))
+        let read = 2 * rendered.count;
+        let frames = frames_of(*size, options.quick) + read;
+        Ok(Cost::of(&run(session, &text, &options.graph, frames, Pace::Free, 0)?, f64::from(size.0), read))
     };
     sizes.map(of_size).collect()
 }
@@ -111,7 +113,7 @@ fn cameras(session: &dyn Session, options: &Options, size: (u32, u32), counts: &
         std::fs::write(&file, panoramas(&pairs, *count, &parts, folder.path())).on_file(FileAction::Write, &file)?;
         let text = graph_file::flattened(&file, &GraphOptions::default())?;
         let frames = frames_of(size, options.quick) + 2 * PAIRS;
-        Ok(Cost::of(&run(session, &text, &file, frames, Pace::Free, 0)?, 2.0 * *count as f64))
+        Ok(Cost::of(&run(session, &text, &file, frames, Pace::Free, 0)?, 2.0 * *count as f64, 2 * PAIRS))
     };
     counts.iter().map(of_count).collect()
 }
@@ -120,7 +122,8 @@ fn cameras(session: &dyn Session, options: &Options, size: (u32, u32), counts: &
 fn threads(session: &dyn Session, options: &Options) -> Result<(Vec<Cost>, Option<Recorded>)> {
     let rendered = Rendered::of(session, &options.graph, &options.given, None)?;
     let text = rendered.text("off", CAMERA_HZ)?;
-    let frames = if options.quick { 120 } else { 600 } + 2 * rendered.count;
+    let read = 2 * rendered.count;
+    let frames = if options.quick { 120 } else { 600 } + read;
     let waits = graph_file::ready(&GraphText::parse(&options.graph, &text)).ok().map(|ready| Waits::of(&ready.graph));
     let (mut measured, mut recorded) = (Vec::new(), None);
     for count in CORES.into_iter().filter(|count| !options.quick || *count <= 2) {
@@ -128,7 +131,7 @@ fn threads(session: &dyn Session, options: &Options) -> Result<(Vec<Cost>, Optio
         if count == 1 {
             recorded = waits.as_ref().and_then(|waits| Recorded::of(&done.timeline.snapshot(), waits));
         }
-        measured.push(Cost::of(&done, count as f64));
+        measured.push(Cost::of(&done, count as f64, read));
     }
     Ok((measured, recorded))
 }

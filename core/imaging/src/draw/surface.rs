@@ -2,6 +2,8 @@
 //!
 //! Angles go through the platform's sine: unlike the rest of this module, bytes may differ between machines.
 
+use std::fmt::Write;
+
 use super::contour::{Contour, RIM};
 use super::rims::{self, Rims};
 use super::{Color, line, text};
@@ -94,6 +96,8 @@ pub struct SurfacePainter {
     depth: Vec<f32>,
     sorted: Vec<f32>,
     rims: Rims,
+    /// Words beside the ruler.
+    length: String,
     contour: Contour,
 }
 
@@ -212,7 +216,9 @@ impl SurfacePainter {
             line(out, (end, y - 4.0), (end, y + 4.0), 2.0, [230; 3]);
         }
         let size = (out.height as f32 / 320.0).clamp(1.0, 3.0);
-        text(out, x, y - 14.0 * size, &format!("{length} mm"), size, [230; 3]);
+        self.length.clear();
+        let _ = write!(self.length, "{length} mm");
+        text(out, x, y - 14.0 * size, &self.length, size, [230; 3]);
         Some(projection)
     }
 

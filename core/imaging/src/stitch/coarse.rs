@@ -4,21 +4,12 @@
 
 use super::grid::RectifiedView;
 use crate::geometry::{Homography, Point};
+use crate::shrink::shrunk_px;
 
 /// By how much a disparity map is smaller than a picture, each way; `None` when its size is no whole part of the picture's.
 pub fn map_factor(map: (usize, usize), picture: (usize, usize)) -> Option<usize> {
     let factor = picture.0.checked_div(map.0)?;
     (factor > 0 && (picture.0 / factor, picture.1 / factor) == map).then_some(factor)
-}
-
-/// A coordinate of a small picture in pixels of the large one: the middle of a block is that of the small pixel.
-pub(super) fn enlarged_px(at: f64, factor: usize) -> f64 {
-    (at + 0.5) * factor as f64 - 0.5
-}
-
-/// The other way round.
-pub(super) fn shrunk_px(at: f64, factor: usize) -> f64 {
-    (at + 0.5) / factor as f64 - 0.5
 }
 
 /// A map between large pictures, of one between small ones.
@@ -58,6 +49,7 @@ impl RectifiedView {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::shrink::enlarged_px;
 
     #[test]
     fn a_map_belongs_to_pictures_that_are_larger_by_a_whole_factor() {

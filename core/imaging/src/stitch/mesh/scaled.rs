@@ -1,9 +1,10 @@
 //! Meshes of pictures that are larger than their disparity map: followed at the size of the map, and enlarged.
 
-use super::super::coarse::{enlarged_px, map_factor, shrunk, shrunk_px};
+use super::super::coarse::{map_factor, shrunk};
 use super::super::grid::RectifiedView;
 use super::{Lattice, Mesh, MeshFollower, MeshReport};
 use crate::geometry::{Homography, Point};
+use crate::shrink::{enlarged_px, shrunk_px};
 use crate::{Parallel, View};
 
 /// The meshes between large pictures, of those that are followed.

@@ -88,7 +88,8 @@ fn the_mesh_follows_curved_tissue() {
 
 #[test]
 fn a_small_map_makes_a_mesh_of_large_pictures() {
-    use super::super::coarse::{enlarged, enlarged_px, shrunk_px};
+    use super::super::coarse::enlarged;
+    use crate::shrink::{enlarged_px, shrunk_px};
     const FACTOR: usize = 3;
     let small = camera();
     let large = RectifiedView {

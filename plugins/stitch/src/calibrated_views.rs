@@ -1,0 +1,97 @@
+//! Both views as a calibration describes them, and the disparity maps that belong to them.
+
+use panoscope_calibration::packet;
+use panoscope_imaging::stereo::StereoError;
+use panoscope_imaging::stitch::{RectifiedView, map_factor};
+use panoscope_node::abi::{Calibration, Camera};
+use panoscope_node::{Result, error};
+
+/// The views of the newest calibration.
+#[derive(Default)]
+pub(crate) struct CalibratedViews {
+    known: Option<(Calibration, [RectifiedView; 2])>,
+}
+
+impl CalibratedViews {
+    /// Both views of a calibration; without one, views of these sizes that are rectified already. A rectification that the calibration does not state is
+    /// computed when the calibration changes.
+    ///
+    /// # Errors
+    /// The calibration does not say how its cameras are rectified, and that cannot be computed.
+    pub fn of(
+        &mut self,
+        calibration: Option<&Calibration>,
+        sizes: [(usize, usize); 2],
+    ) -> std::result::Result<[RectifiedView; 2], StereoError> {
+        let Some(calibration) = calibration else { return Ok(sizes.map(rectified)) };
+        if let Some((_, views)) = self.known.filter(|(known, _)| packet::same(known, calibration)) {
+            return Ok(views);
+        }
+        let is_rectified = calibration.is_rectified != 0;
+        let is_stated = is_rectified || packet::states_rectification(calibration);
+        let c = match is_stated {
+            true => *calibration,
+            false => packet::with_rectification(calibration, &packet::rectification(calibration)?),
+        };
+        let views = [
+            view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified),
+            view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified),
+        ];
+        self.known = Some((*calibration, views));
+        Ok(views)
+    }
+}
+
+/// One side of a calibration.
+fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified: bool) -> RectifiedView {
+    let focal_px = [projection[0], projection[5]];
+    let centre_px = [projection[2], projection[6]];
+    let size = (camera.width as usize, camera.height as usize);
+    let mut distortion = [0.0; 12];
+    if rectified {
+        let rectified_from_camera = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        return RectifiedView {
+            size,
+            focal_px,
+            centre_px,
+            distortion,
+            rectified_from_camera,
+            rectified_focal_px: focal_px,
+            rectified_centre_px: centre_px,
+        };
+    }
+    distortion.copy_from_slice(&camera.distortion[..12]);
+    RectifiedView {
+        size,
+        focal_px: [camera.fx, camera.fy],
+        centre_px: [camera.cx, camera.cy],
+        distortion,
+        rectified_from_camera: *rotation,
+        rectified_focal_px: focal_px,
+        rectified_centre_px: centre_px,
+    }
+}
+
+/// A view that is rectified already.
+fn rectified(size: (usize, usize)) -> RectifiedView {
+    RectifiedView {
+        size,
+        focal_px: [1.0; 2],
+        centre_px: [0.0; 2],
+        distortion: [0.0; 12],
+        rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        rectified_focal_px: [1.0; 2],
+        rectified_centre_px: [0.0; 2],
+    }
+}
+
+/// Refuses a disparity map that does not belong to a picture of this size.
+pub(crate) fn check_map(map: (usize, usize), picture: (usize, usize)) -> Result<()> {
+    match map_factor(map, picture) {
+        Some(_) => Ok(()),
+        None => Err(error!(
+            "the disparity is {}x{}, the left view {}x{}: connect the disparity of these views, as large as they are or smaller by a whole factor",
+            map.0, map.1, picture.0, picture.1
+        )),
+    }
+}
