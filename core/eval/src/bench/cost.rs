@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use panoscope_graph::{GraphOptions, GraphText};
 
 use super::scale;
-use super::system::{Rendered, Run, run, screen_fps};
+use super::system::{Rendered, Run, kept_pairs, run, screen_fps};
 use crate::bench::CAMERA_HZ;
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
@@ -25,7 +25,7 @@ const SIZES: [(u32, u32); 6] = [(640, 360), (960, 540), (1280, 720), (1920, 1080
 const CORES: [usize; 5] = [1, 2, 4, 8, 16];
 /// Ticks between source and sinks in a live graph, as the engine admits them.
 const IN_FLIGHT: usize = panoscope_engine::TICKS_LIVE as usize;
-/// Pairs of a size that are rendered for panoramas.
+/// Most pairs of a size that are rendered for panoramas.
 const PAIRS: u64 = 12;
 
 /// Options of [`measure`].
@@ -105,15 +105,17 @@ fn panoramas(pairs: &Pairs, count: usize, parts: &Path, out: &Path) -> String {
 fn cameras(session: &dyn Session, options: &Options, size: (u32, u32), counts: &[usize]) -> Result<Vec<Cost>> {
     let folder = Folder::new("panoscope-bench-cost")?;
     let params = format!("scene = \"bowel\", seed = 7, width = {}, height = {}", size.0, size.1);
-    note!(session, "rendering {PAIRS} pairs of {}x{}", size.0, size.1);
-    let pairs = Pairs::of(session, &folder, "pairs", &params, PAIRS)?.and_back(PAIRS)?;
+    let pair_count = PAIRS.min(kept_pairs(size.0.into(), size.1.into()));
+    note!(session, "rendering {pair_count} pairs of {}x{}", size.0, size.1);
+    let pairs = Pairs::of(session, &folder, "pairs", &params, pair_count)?.and_back(pair_count)?;
     let parts = options.graph.parent().unwrap_or(Path::new("")).join("parts");
     let of_count = |count: &usize| {
         let file = folder.path().join(format!("panoramas{count}.toml"));
         std::fs::write(&file, panoramas(&pairs, *count, &parts, folder.path())).on_file(FileAction::Write, &file)?;
         let text = graph_file::flattened(&file, &GraphOptions::default())?;
-        let frames = frames_of(size, options.quick) + 2 * PAIRS;
-        Ok(Cost::of(&run(session, &text, &file, frames, Pace::Free, 0)?, 2.0 * *count as f64, 2 * PAIRS))
+        let read = 2 * pair_count;
+        let frames = frames_of(size, options.quick) + read;
+        Ok(Cost::of(&run(session, &text, &file, frames, Pace::Free, 0)?, 2.0 * *count as f64, read))
     };
     counts.iter().map(of_count).collect()
 }

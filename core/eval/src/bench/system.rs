@@ -137,8 +137,13 @@ fn pairs_of(phantom: &Value) -> u64 {
         let value = phantom.get("params").and_then(|params| params.get(name)).and_then(Value::as_integer);
         value.and_then(|value| u64::try_from(value).ok()).unwrap_or(default)
     };
+    kept_pairs(of("width", 640), of("height", 480))
+}
+
+/// Number of pairs of a size that are played there and back again from memory.
+pub(super) fn kept_pairs(width: u64, height: u64) -> u64 {
     // There and back again, each picture is kept twice.
-    PAIRS.min(KEPT_BYTES / (2 * 3 * of("width", 640) * of("height", 480)).max(1)).max(2)
+    PAIRS.min(KEPT_BYTES / (2 * 3 * width * height).max(1)).max(2)
 }
 
 /// The graph with its phantom played from files and its sinks writing into `folder`.
