@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn large_pictures_take_fewer_frames() {
-        assert_eq!([frames_of((640, 360), false), frames_of((3840, 2160), false)], [900, 60]);
+        assert_eq!([frames_of((640, 360), false), frames_of((3840, 2160), false)], [900, 120]);
         assert_eq!([frames_of((640, 360), true), frames_of((3840, 2160), true)], [173, 24]);
     }
 }
