@@ -143,12 +143,10 @@ fn blocks<const N: usize>(lines: [&[u8]; N], channels: usize, sums: &mut [u16], 
     }
     let starts = count - (N - 1) * channels;
     let parts: [&[u16]; N] = std::array::from_fn(|dx| &sums[dx * channels..][..starts]);
-    let (half, reciprocal) = ((N * N / 2) as u16, 65_536_usize.div_ceil(N * N) as u16);
+    let (half, reciprocal) = ((N * N / 2) as u16, 65_536_u32.div_ceil((N * N) as u32));
     for (at, mean) in means[..starts].iter_mut().enumerate() {
         let sum: u16 = parts.iter().map(|part| part[at]).sum();
-        // The upper half of a product of 16 bits: one instruction for many values.
-        let quotient = ((u32::from(sum + half) * u32::from(reciprocal)) >> 16) as u16;
-        *mean = quotient as u8;
+        *mean = ((u32::from(sum + half) * reciprocal) >> 16) as u8;
     }
 }
 

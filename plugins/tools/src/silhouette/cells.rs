@@ -36,6 +36,7 @@ const DARK: f32 = 36.0;
 pub(super) const REDS: usize = 16;
 pub(super) const BRIGHTS: usize = 8;
 pub(super) const COLOURS: usize = REDS * BRIGHTS;
+
 /// A region of the picture as cells.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Region {

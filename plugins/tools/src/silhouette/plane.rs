@@ -2,6 +2,7 @@
 
 /// Cells whose sums are added up side by side.
 const LANES: usize = 4;
+
 /// Position on a plane (1, column, row) and value of each cell; `row` gives the position of a row.
 pub(super) fn positions<'a>(
     values: &'a [f32],
