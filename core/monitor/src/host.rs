@@ -2,7 +2,7 @@
 
 use std::net::IpAddr;
 
-use axum::http::Uri;
+use hyper::Uri;
 
 /// Whether `Host` is an IP address or `localhost`. A page elsewhere can have its own name resolve to this machine and then read answers; the
 /// `Host` of its requests is that name.

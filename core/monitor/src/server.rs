@@ -1,16 +1,20 @@
 //! The HTTP server: a thread with a runtime of its own.
 
+use std::convert::Infallible;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use axum::Router;
-use axum::extract::{Path, Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
-use axum::middleware::{self, Next};
-use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use http_body_util::Full;
+use hyper::body::{Bytes, Incoming};
+use hyper::header::{self, HeaderValue};
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper::{Method, Request, Response, StatusCode};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use percent_encoding::percent_decode_str;
+use tokio::net::TcpStream;
 use tokio::sync::oneshot;
 
 use crate::address::Address;
@@ -21,6 +25,12 @@ use crate::{metrics, page};
 
 /// A request that takes longer is given up, so that a slow client holds nothing for long.
 const MAX_REQUEST: Duration = Duration::from_secs(10);
+/// Pause after a failed accept, such as with too many open files.
+const RETRY: Duration = Duration::from_millis(100);
+
+const TEXT: &str = "text/plain; charset=utf-8";
+
+type Answer = Response<Full<Bytes>>;
 
 /// A server that stops when it is dropped.
 pub struct Server {
@@ -47,11 +57,11 @@ impl Server {
         let work = move || {
             runtime.block_on(async move {
                 let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
-                let served = axum::serve(listener, routes(shared)).with_graceful_shutdown(async move {
-                    // Also when the sender is gone.
-                    let _ = stopped.await;
-                });
-                let _ = served.await;
+                // `stopped` also ends when the sender is gone.
+                tokio::select! {
+                    () = accept(listener, shared) => {}
+                    _ = stopped => {}
+                }
             });
             runtime.shutdown_timeout(Duration::from_millis(100));
         };
@@ -74,82 +84,103 @@ impl Drop for Server {
     }
 }
 
-fn routes(shared: Arc<Shared>) -> Router {
-    Router::new()
-        .route("/", get(html))
-        .route("/state", get(state))
-        .route("/metrics", get(metrics))
-        .route("/pictures/{*name}", get(picture))
-        .fallback(unknown)
-        .layer(middleware::from_fn(guard))
-        .with_state(shared)
+async fn accept(listener: tokio::net::TcpListener, shared: Arc<Shared>) {
+    loop {
+        match listener.accept().await {
+            Ok((stream, _)) => drop(tokio::spawn(serve(stream, Arc::clone(&shared)))),
+            Err(_) => tokio::time::sleep(RETRY).await,
+        }
+    }
 }
 
-/// Refuses what is no reading, and requests that a page of another origin had a browser make; limits the time of a request.
-async fn guard(request: Request, next: Next) -> Response {
-    if !matches!(*request.method(), Method::GET | Method::HEAD) {
+async fn serve(stream: TcpStream, shared: Arc<Shared>) {
+    let service = service_fn(move |request| {
+        let shared = Arc::clone(&shared);
+        async move { Ok::<_, Infallible>(guarded(request, shared).await) }
+    });
+    let mut server = http1::Builder::new();
+    server.timer(TokioTimer::new()).header_read_timeout(MAX_REQUEST);
+    // A client that breaks off is not answered.
+    let _ = server.serve_connection(TokioIo::new(stream), service).await;
+}
+
+/// Refuses what is not a read, and requests that a page of another origin had a browser make; limits the time of a request.
+async fn guarded(request: Request<Incoming>, shared: Arc<Shared>) -> Answer {
+    let (request, _) = request.into_parts();
+    if !matches!(request.method, Method::GET | Method::HEAD) {
         return refuse(StatusCode::METHOD_NOT_ALLOWED, "this page can only be read");
     }
-    let host = request.headers().get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("");
+    let host = request.headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("");
     if !is_own_host(host) {
-        let words = "ask with an IP address or `localhost` as the host: a name could belong to another page";
-        return refuse(StatusCode::FORBIDDEN, words);
+        let message = "ask with an IP address or `localhost` as the host: a name could belong to another page";
+        return refuse(StatusCode::FORBIDDEN, message);
     }
-    let mut response = match tokio::time::timeout(MAX_REQUEST, next.run(request)).await {
-        Ok(response) => response,
+    let mut answer = match tokio::time::timeout(MAX_REQUEST, answer(request.uri.path(), shared)).await {
+        Ok(answer) => answer,
         Err(_) => refuse(StatusCode::REQUEST_TIMEOUT, "the answer took too long"),
     };
-    let headers = response.headers_mut();
+    let headers = answer.headers_mut();
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(page::POLICY));
     headers.insert("cross-origin-resource-policy", HeaderValue::from_static("same-origin"));
-    response
+    answer
 }
 
-fn refuse(status: StatusCode, words: &str) -> Response {
-    (status, [(header::CONTENT_TYPE, "text/plain; charset=utf-8")], format!("{words}\n")).into_response()
+async fn answer(path: &str, shared: Arc<Shared>) -> Answer {
+    match path {
+        "/" => reply(StatusCode::OK, "text/html; charset=utf-8", page::HTML),
+        "/state" => state(&shared),
+        "/metrics" => metrics(&shared),
+        _ => match path.strip_prefix("/pictures/").map(|name| percent_decode_str(name).decode_utf8()) {
+            Some(Ok(name)) => picture(shared, name.into_owned()).await,
+            _ => refuse(StatusCode::NOT_FOUND, "there are /, /state, /pictures/NODE.OUTPUT and /metrics"),
+        },
+    }
 }
 
-async fn html() -> Response {
-    ([(header::CONTENT_TYPE, "text/html; charset=utf-8")], page::HTML).into_response()
+fn reply(status: StatusCode, kind: &'static str, body: impl Into<Bytes>) -> Answer {
+    let mut answer = Response::new(Full::new(body.into()));
+    *answer.status_mut() = status;
+    answer.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
+    answer
 }
 
-async fn state(State(shared): State<Arc<Shared>>) -> Response {
+fn refuse(status: StatusCode, message: &str) -> Answer {
+    reply(status, TEXT, format!("{message}\n"))
+}
+
+fn state(shared: &Shared) -> Answer {
     match shared.state().map(|state| serde_json::to_string(&state)) {
-        Some(Ok(text)) => ([(header::CONTENT_TYPE, "application/json")], text).into_response(),
+        Some(Ok(text)) => reply(StatusCode::OK, "application/json", text),
         Some(Err(error)) => refuse(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
         None => refuse(StatusCode::SERVICE_UNAVAILABLE, "the graph has not started"),
     }
 }
 
-async fn metrics(State(shared): State<Arc<Shared>>) -> Response {
+fn metrics(shared: &Shared) -> Answer {
     match shared.report() {
-        Some(report) => ([(header::CONTENT_TYPE, metrics::CONTENT_TYPE)], metrics::text(&report)).into_response(),
+        Some(report) => reply(StatusCode::OK, metrics::CONTENT_TYPE, metrics::text(&report)),
         None => refuse(StatusCode::SERVICE_UNAVAILABLE, "the graph has not started"),
     }
 }
 
-async fn picture(State(shared): State<Arc<Shared>>, Path(name): Path<String>) -> Response {
+async fn picture(shared: Arc<Shared>, name: String) -> Answer {
     // Encoding takes milliseconds, which other requests do not wait for.
     let encoded = tokio::task::spawn_blocking(move || shared.picture(&name)).await;
     match encoded {
         Ok(Some(Ok(picture))) => {
-            let mut headers = HeaderMap::new();
-            headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg"));
+            let mut answer = reply(StatusCode::OK, "image/jpeg", picture.jpeg);
+            let headers = answer.headers_mut();
             headers.insert("x-tick", HeaderValue::from(picture.tick));
             if let Some(age) = picture.age_ms.and_then(|ms| HeaderValue::from_str(&format!("{ms:.1}")).ok()) {
                 headers.insert("x-age-ms", age);
             }
-            (headers, picture.jpeg).into_response()
+            answer
         }
-        Ok(Some(Err(words))) => refuse(StatusCode::SERVICE_UNAVAILABLE, &words),
+        Ok(Some(Err(message))) => refuse(StatusCode::SERVICE_UNAVAILABLE, &message),
         Ok(None) => refuse(StatusCode::NOT_FOUND, "no picture has this name; `/state` lists them"),
         Err(error) => refuse(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
-}
-
-async fn unknown() -> Response {
-    refuse(StatusCode::NOT_FOUND, "there are /, /state, /pictures/NODE.OUTPUT and /metrics")
 }
