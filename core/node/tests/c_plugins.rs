@@ -22,25 +22,26 @@ fn root() -> PathBuf {
 /// Builds `tests/c/<source>`. Prints the reason and returns `None` where there is no compiler.
 fn build(compiler: &str, source: &str, extra: &[&str]) -> Option<PathBuf> {
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{}.so", source.replace('.', "_")));
-    let output = Command::new(compiler)
-        .args(["-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fPIC", "-fvisibility=hidden", "-shared"])
-        .args(extra)
-        .arg("-I")
-        .arg(root().join("core/abi"))
-        .arg(root().join("tests/c").join(source))
-        .arg("-o")
-        .arg(&target)
-        .output();
-    match output {
-        Ok(output) => {
-            assert!(output.status.success(), "{source}: {}", String::from_utf8_lossy(&output.stderr));
-            Some(target)
-        }
-        Err(error) => {
-            panoscope_testing::skipped!("{compiler} cannot be run ({error})");
-            None
-        }
+    let source = root().join("tests/c").join(source);
+    if let Err(error) = Command::new(compiler).arg("--version").output() {
+        panoscope_testing::skipped!("{compiler} cannot be run ({error})");
+        return None;
     }
+    let header = root().join("core/abi/panoscope.h");
+    panoscope_testing::made_once(&target, &[&source, &header], |target| {
+        let output = Command::new(compiler)
+            .args(["-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fPIC", "-fvisibility=hidden", "-shared"])
+            .args(extra)
+            .arg("-I")
+            .arg(root().join("core/abi"))
+            .arg(&source)
+            .arg("-o")
+            .arg(target)
+            .output()
+            .expect("the compiler starts");
+        assert!(output.status.success(), "{}: {}", source.display(), String::from_utf8_lossy(&output.stderr));
+    });
+    Some(target)
 }
 
 // Each library is built once: it must not be written while another test runs it.

@@ -89,16 +89,18 @@ fn program() -> &'static Path {
         let libraries = ["core", "imgproc", "imgcodecs", "features2d", "calib3d", "stitching"];
         // The plugin's own build has compiled C++ against the same headers.
         let compiler = std::env::var("CXX").unwrap_or_else(|_| "c++".to_owned());
-        let output = Command::new(&compiler)
-            .args(["-std=c++17", "-O1"])
-            .args(flags.split_whitespace())
-            .arg(source)
-            .arg("-o")
-            .arg(&program)
-            .args(libraries.map(|name| format!("-lopencv_{name}")))
-            .output()
-            .unwrap_or_else(|error| panic!("{compiler}: {error}"));
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        panoscope_testing::made_once(&program, &[&source], |program| {
+            let output = Command::new(&compiler)
+                .args(["-std=c++17", "-O1"])
+                .args(flags.split_whitespace())
+                .arg(&source)
+                .arg("-o")
+                .arg(program)
+                .args(libraries.map(|name| format!("-lopencv_{name}")))
+                .output()
+                .unwrap_or_else(|error| panic!("{compiler}: {error}"));
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        });
         program
     })
 }

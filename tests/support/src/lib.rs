@@ -38,6 +38,30 @@ pub fn own_settings(command: &mut Command, folder: &Path) {
     command.env("XDG_CONFIG_HOME", folder.join("config")).env("XDG_STATE_HOME", folder.join("state"));
 }
 
+/// Makes `file` unless it is there and newer than all `sources`. Each test has a process of its own, so several may need it at the same time: one
+/// makes it, the others wait. `make` writes to the path that it is given, which becomes `file` when it is whole.
+///
+/// # Panics
+/// `make` panics, or the folder of `file` cannot be written.
+pub fn made_once(file: &Path, sources: &[&Path], make: impl FnOnce(&Path)) {
+    let with_extension = |extension: &str| {
+        let mut name = file.as_os_str().to_owned();
+        name.push(extension);
+        PathBuf::from(name)
+    };
+    let lock = std::fs::File::create(with_extension(".lock")).expect("the folder can be written");
+    lock.lock().expect("a file can be locked");
+    let changed = |path: &Path| std::fs::metadata(path).and_then(|data| data.modified());
+    let made = changed(file);
+    let is_new =
+        made.is_ok_and(|made| sources.iter().all(|source| changed(source).is_ok_and(|changed| changed < made)));
+    if !is_new {
+        let part = with_extension(".part");
+        make(&part);
+        std::fs::rename(&part, file).expect("the file was made");
+    }
+}
+
 /// A fresh folder for the files of one test, removed at the end.
 #[derive(Debug)]
 pub struct Folder(PathBuf);
@@ -89,5 +113,27 @@ impl Folder {
 impl Drop for Folder {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_made_again_only_when_a_source_is_newer() {
+        let folder = Folder::new("made", &[("source", "1")]);
+        let (file, source) = (folder.at("made"), folder.at("source"));
+        let copy = |to: &Path| {
+            std::fs::copy(&source, to).expect("a copy");
+        };
+        made_once(&file, &[&source], copy);
+        assert_eq!(folder.read("made"), "1");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        made_once(&file, &[&source], |_| panic!("it is there"));
+        folder.write("source", "2");
+        std::fs::File::open(&source).and_then(|file| file.set_modified(std::time::SystemTime::now())).expect("a time");
+        made_once(&file, &[&source], copy);
+        assert_eq!(folder.read("made"), "2");
     }
 }

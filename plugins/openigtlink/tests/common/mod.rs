@@ -171,19 +171,18 @@ pub fn peers() -> &'static Path {
 
 /// The program on the OpenIGTLink library; `None` where the library is not there.
 pub fn library_peer() -> Option<PathBuf> {
-    static BUILT: std::sync::OnceLock<Option<PathBuf>> = std::sync::OnceLock::new();
-    let build = || {
-        if !Path::new("/usr/include/openigtlink/igtlMessageBase.h").is_file() {
-            return None;
-        }
-        let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("library_peer_{}", std::process::id()));
+    if !Path::new("/usr/include/openigtlink/igtlMessageBase.h").is_file() {
+        return None;
+    }
+    let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join("library_peer");
+    let source = peers().join("library_peer.cpp");
+    panoscope_testing::made_once(&program, &[&source], |program| {
         let mut command = Command::new("c++");
-        command.args(["-w", "-I/usr/include/openigtlink", "-o"]).arg(&program).arg(peers().join("library_peer.cpp"));
+        command.args(["-w", "-I/usr/include/openigtlink", "-o"]).arg(program).arg(&source);
         let built = command.arg("-lOpenIGTLink").output().expect("a C++ compiler");
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
-        Some(program)
-    };
-    BUILT.get_or_init(build).clone()
+    });
+    Some(program)
 }
 
 /// Python with pyigtl; `None` where it is not there.
