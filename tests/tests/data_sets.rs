@@ -1,16 +1,14 @@
 //! Public data sets in graphs: truth beside what the matcher finds, shipped graphs on other data than the phantom's, `panoscope import`.
 
-#[path = "../../core/data_sets/tests/samples/mod.rs"]
-mod samples;
-
+use crate::samples;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use crate::samples::Tree;
 use panoscope_engine::Outcome;
 use panoscope_graph::GraphOptions;
 use panoscope_testing::Folder;
 use panoscope_tests::{Run, root, run, run_file};
-use samples::Tree;
 
 /// Views that are large enough to be matched.
 const SIZE: (u32, u32) = (320, 240);

@@ -1,7 +1,6 @@
 //! The command from outside: words, exit codes, files.
 
-mod common;
-
+use crate::common;
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -1,7 +1,6 @@
 //! How a run ends: exit code and last line, signals at any moment, plugins that take the program down.
 
-mod common;
-
+use crate::common;
 use std::ffi::{OsStr, OsString};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,6 @@
 //! `panoscope eval disparity` with a graph of the user's.
 
-mod common;
-
+use crate::common;
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -1,11 +1,9 @@
 //! `panoscope eval stitch --fov`: how far the shipped graphs see, 20 mm from the tissue and with four cameras.
 
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 
-use common::plugins;
+use crate::common::plugins;
 
 /// Runs `eval stitch` on shipped graphs and gives its figures; none without plugins.
 fn figures(name: &str, arguments: &[&str]) -> Option<serde_json::Value> {

@@ -1,10 +1,8 @@
 //! Arguments, parts and overlays of graphs from outside: options, help, exit codes, recordings.
 
-mod common;
-
 use std::process::{Command, Output};
 
-use common::plugins;
+use crate::common::plugins;
 use panoscope_testing::Folder;
 
 /// Starts the program in a folder.

@@ -1,7 +1,6 @@
 //! Locks: nothing of a graph is used before it was compared, what was compared is what is used, and signatures are believed only from trusted keys.
 
-mod common;
-
+use crate::common;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};

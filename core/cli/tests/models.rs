@@ -1,12 +1,10 @@
 //! `panoscope check` opens models in a child process and says why one cannot be used.
 
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
-use common::plugins;
+use crate::common::plugins;
 
 /// Checks a graph whose detector reads `model`; exit code, what was said, seconds. The first word tells where ONNX Runtime is missing.
 fn check(folder: &Path, plugins: &Path, model: &[u8]) -> (i32, String, f64) {

@@ -1,11 +1,9 @@
 //! `panoscope eval mosaic`: its figures beside an open chain, what it writes, and what it refuses.
 
-mod common;
-
 use std::path::PathBuf;
 use std::process::Command;
 
-use common::plugins;
+use crate::common::plugins;
 
 fn run(arguments: &[&str]) -> (i32, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));

@@ -1,11 +1,9 @@
 //! `panoscope eval skill`: reports of tracks as `write_table` writes them, and what it says of files that are none.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use common::plugins;
+use crate::common::plugins;
 
 fn run(arguments: &[&str]) -> (i32, String, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_panoscope")).args(arguments).output().expect("the program starts");

@@ -1,11 +1,9 @@
 //! `panoscope eval stitch --speeds` and `--cases`: graphs side by side on the same pictures of the phantom.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use common::plugins;
+use crate::common::plugins;
 
 const PLUGINS: [&str; 6] = ["phantom", "stereo", "stitch", "flow", "sinks", "overlay"];
 /// Pictures a quarter as large: a look takes seconds.

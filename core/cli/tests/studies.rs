@@ -1,7 +1,6 @@
 //! `panoscope sweep` over parameters and node types against truth in files, and `panoscope report` over its runs.
 
-mod common;
-
+use crate::common;
 use std::fs;
 use std::path::{Path, PathBuf};
 

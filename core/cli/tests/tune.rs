@@ -1,11 +1,9 @@
 //! `panoscope tune`: gains, fragment, plot and JSON; a graph's own parameters; what it says of graphs that cannot be tuned.
 
-mod common;
-
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
-use common::plugins;
+use crate::common::plugins;
 use serde_json::Value;
 
 fn run(arguments: &[&str]) -> (i32, String, String) {

@@ -1,9 +1,5 @@
 //! `panoscope run --web`: the page, its pictures and the metrics of a running graph, over HTTP and in a browser.
 
-#[path = "../../../tests/support/chromium.rs"]
-mod chromium;
-mod common;
-
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
@@ -11,8 +7,8 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use chromium::{Browser, Page};
-use common::plugins;
+use crate::chromium::{Browser, Page};
+use crate::common::plugins;
 use panoscope_testing::{Folder, own_settings, skipped};
 use serde_json::Value;
 

@@ -1,8 +1,7 @@
 //! Batch mode: nothing is lost, and the bytes do not depend on the number of threads.
 
-mod common;
-
-use common::{ledger, options, run, scratch};
+use crate::common;
+use crate::common::{ledger, options, run, scratch};
 use panoscope_engine::{Options, Outcome};
 
 /// Noise through a fan-out, threads of its own, thinning, and a join of all branches.

@@ -2,14 +2,12 @@
 //!
 //! `PANOSCOPE_FAULT_CASES` sets how many cases are run (200 without it), `PANOSCOPE_FAULT_SEED` which.
 
-mod common;
-
 use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use common::folders;
+use crate::common::folders;
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome};

@@ -1,10 +1,8 @@
 //! A running graph is changed: whole changes or none, and nobody else notices.
 
-mod common;
-
 use std::time::{Duration, Instant};
 
-use common::{PATIENCE, flow_plugin, loader, scratch};
+use crate::common::{PATIENCE, flow_plugin, loader, scratch};
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{Graph, GraphText, check};

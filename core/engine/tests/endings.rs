@@ -1,10 +1,9 @@
 //! What a run that has ended says of itself.
 
-mod common;
-
+use crate::common;
 use std::time::Duration;
 
-use common::{loader, options, run};
+use crate::common::{loader, options, run};
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{Graph, GraphText, check};
 

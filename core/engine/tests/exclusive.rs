@@ -1,10 +1,8 @@
 //! A node that owns a device is closed before its successor opens; when that fails, the old one has its device back.
 
-mod common;
-
 use std::time::{Duration, Instant};
 
-use common::{PATIENCE, loader};
+use crate::common::{PATIENCE, loader};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{GraphText, check};
 use panoscope_loader::Live;

@@ -1,8 +1,6 @@
 //! A fault stays in its node, and the graph does what it was told to do then.
 
-mod common;
-
-use common::{PATIENCE, options, run, start};
+use crate::common::{PATIENCE, options, run, start};
 use panoscope_engine::log::Level;
 use panoscope_engine::{Options, Outcome};
 

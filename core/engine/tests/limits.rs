@@ -1,12 +1,10 @@
 //! Every call into a plugin has a limit, and what has nothing to do with a call that does not return goes on.
 
-mod common;
-
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 
-use common::{PATIENCE, folders, ledger, scratch};
+use crate::common::{PATIENCE, folders, ledger, scratch};
 use panoscope_engine::fault::{Action, Cause};
 use panoscope_engine::log::Level;
 use panoscope_engine::{Engine, Listener, Options, Outcome, StartError};

@@ -1,10 +1,8 @@
 //! Live mode: whole ticks are dropped where they enter, and every drop is counted.
 
-mod common;
-
 use std::time::Duration;
 
-use common::{PATIENCE, ledger, options, run, scratch, start};
+use crate::common::{PATIENCE, ledger, options, run, scratch, start};
 use panoscope_engine::{Options, Outcome};
 
 #[test]

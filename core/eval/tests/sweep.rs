@@ -1,12 +1,10 @@
 //! A parameter is swept: every frame counts, nothing is written, mistakes are named.
 
-#[path = "../../engine/tests/common/mod.rs"]
-mod common;
-
+use crate::common;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use common::{loader, scratch};
+use crate::common::{loader, scratch};
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_eval::sweep::{Point, Request, Sweep, SweepError, csv};
 use panoscope_graph::{GraphText, check};

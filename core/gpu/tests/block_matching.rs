@@ -1,8 +1,6 @@
 //! Disparities matched on the device are those of the processor: the same pixels are unmatched, the others agree to 0.001 px.
 
-mod common;
-
-use common::device;
+use crate::common::device;
 use panoscope_gpu::{GpuBlockMatcher, GpuError};
 use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, Tile};
 use panoscope_imaging::{Rect, Serial, View, ViewMut};

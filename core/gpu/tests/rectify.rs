@@ -1,8 +1,6 @@
 //! Views rectified on the device have the same bytes as those of the processor.
 
-mod common;
-
-use common::{device, picture};
+use crate::common::{device, picture};
 use panoscope_gpu::{GpuError, Rectifier, RectifyJob};
 use panoscope_imaging::shrink::shrink;
 use panoscope_imaging::stereo::{CameraModel, RectifiedCamera, RemapTable};

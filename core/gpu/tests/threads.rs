@@ -1,8 +1,6 @@
 //! Kernels of several nodes share one device.
 
-mod common;
-
-use common::{device, picture};
+use crate::common::{device, picture};
 use panoscope_gpu::{GpuBlockMatcher, Rectifier, RectifyJob};
 use panoscope_imaging::stereo::BlockMatchingParams;
 use panoscope_imaging::{Rect, Serial, View, ViewMut};

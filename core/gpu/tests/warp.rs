@@ -1,8 +1,6 @@
 //! Panoramas drawn on the device are those of the processor, but for rounding of positions.
 
-mod common;
-
-use common::{device, difference, picture};
+use crate::common::{device, difference, picture};
 use panoscope_gpu::Warper;
 use panoscope_imaging::stitch::{
     BlendMethod, CompositeParams, Compositor, Drawing, GeometryState, IDENTITY, Lattice, Mesh, Painter, SeamMethod,

@@ -1,7 +1,6 @@
 //! Edits change what they name and not a byte else.
 
-mod common;
-
+use crate::common;
 use panoscope_graph::edit::{EditError, GraphEdit, parse_value};
 
 const TEXT: &str = r#"# Wide view.   Odd   spacing is kept.

@@ -1,8 +1,7 @@
 //! Graphs that are right, and what comes out of them.
 
-mod common;
-
-use common::graphs::{EVERY_KEY, PANORAMA};
+use crate::common;
+use crate::common::graphs::{EVERY_KEY, PANORAMA};
 use panoscope_graph::{Align, GraphText, Mode, OnFault, ParamValue, check};
 use std::path::{Path, PathBuf};
 

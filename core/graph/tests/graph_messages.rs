@@ -1,8 +1,7 @@
 //! Every bad graph of the repository's `tests/bad_graphs` gives exactly the message beside it.
-//! `PANOSCOPE_BLESS=1 cargo test -p panoscope-graph --test graph_messages` writes the messages anew; read them after that.
+//! `PANOSCOPE_BLESS=1 cargo nextest run -p panoscope-graph graph_messages::` writes the messages anew; read them after that.
 
-mod common;
-
+use crate::common;
 use panoscope_graph::{GraphOptions, GraphText, check};
 use std::path::{Path, PathBuf};
 

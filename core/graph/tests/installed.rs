@@ -1,7 +1,6 @@
 //! Graphs that come with an installation write into the folder where the program was started.
 
-mod common;
-
+use crate::common;
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,6 @@
 //! Groups of isolated nodes: whose they are, and what they survive.
 
-mod common;
-
+use crate::common;
 use panoscope_graph::edit::FileEdits;
 use panoscope_graph::{Graph, GraphOptions, GraphText, NodeKind, Offer, check, to_dot};
 use std::collections::BTreeMap;

@@ -1,7 +1,6 @@
 //! Thousands of damaged graphs: the check never panics and its places stay inside the text.
 
-mod common;
-
+use crate::common;
 use panoscope_base::random::SplitMix64;
 use panoscope_graph::{Catalog, GraphText, check, edit::GraphEdit};
 use std::path::Path;

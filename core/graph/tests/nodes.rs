@@ -1,7 +1,6 @@
 //! What nodes check about themselves, files that meet, and defaults that come with a plugin.
 
-mod common;
-
+use crate::common;
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{

@@ -1,7 +1,6 @@
 //! JSON Schema, Graphviz text, and the JSON of catalog and diagnostics.
 
-mod common;
-
+use crate::common;
 use panoscope_graph::{Catalog, GraphText, check, json_schema, to_dot};
 use std::path::Path;
 

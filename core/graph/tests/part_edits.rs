@@ -1,7 +1,6 @@
 //! Edits of graphs with parts: made, dissolved, and wired across their edges.
 
-mod common;
-
+use crate::common;
 use panoscope_graph::edit::{EditError, FileEdits};
 use panoscope_graph::{Graph, GraphOptions, GraphText, check};
 use std::collections::BTreeMap;

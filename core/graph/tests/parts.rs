@@ -1,7 +1,6 @@
 //! Arguments, parts and overlays: what they are flattened to, and where their values come from.
 
-mod common;
-
+use crate::common;
 use panoscope_graph::edit::{EditError, GraphEdit, NoHome};
 use panoscope_graph::{Edge, FileKind, Graph, GraphOptions, GraphText, HomeEntry, Node, ParamHome, ParamValue, check};
 use panoscope_testing::Folder;

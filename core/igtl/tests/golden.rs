@@ -1,11 +1,9 @@
 //! Our bytes are those of the OpenIGTLink library and of pyigtl, byte for byte, and theirs are read as what was written.
 
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 
-use common::{LIBRARY, PYIGTL, golden, of_library, of_pyigtl};
+use crate::common::{LIBRARY, PYIGTL, golden, of_library, of_pyigtl};
 use panoscope_igtl::{Message, Reader};
 
 fn compare(text: &str, message: fn(&str) -> Message<'static>) {

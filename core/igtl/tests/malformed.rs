@@ -2,8 +2,7 @@
 //!
 //! `PANOSCOPE_IGTL_CASES` sets the number of messages, `PANOSCOPE_IGTL_SEED` picks other ones. Ten million take minutes with `--release`.
 
-mod common;
-
+use crate::common;
 use panoscope_base::random::SplitMix64;
 use panoscope_igtl::crc::crc64;
 use panoscope_igtl::{HEADER_BYTES, Message, Reader};

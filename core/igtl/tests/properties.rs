@@ -1,11 +1,10 @@
 //! What holds for every message: it survives being written and read, no part of it is taken for the whole, and a stream reads the same however it is
 //! cut.
 
-mod common;
-
+use crate::common;
 use std::io::Read;
 
-use common::{all, golden};
+use crate::common::{all, golden};
 use panoscope_base::random::SplitMix64;
 use panoscope_igtl::message::{Transform, Verb};
 use panoscope_igtl::{Content, HEADER_BYTES, Header, IgtlError, Message, Reader, Timestamp};

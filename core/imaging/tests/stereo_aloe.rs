@@ -1,14 +1,12 @@
 //! The chain on a real pair with true disparity (Debian package `opencv-doc`).
 
-mod stereo_common;
-
+use crate::stereo_common::*;
 use panoscope_base::Threads;
 use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::{
     BlockMatcher, BlockMatchingParams, FilterInput, WlsFilter, WlsParams, score_disparity,
 };
 use std::path::Path;
-use stereo_common::*;
 
 const FOLDER: &str = "/usr/share/doc/opencv-doc/examples/data";
 

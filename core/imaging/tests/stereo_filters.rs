@@ -1,13 +1,11 @@
 //! The weighted-least-squares filter and the bilateral solver.
 
-mod stereo_common;
-
+use crate::stereo_common::*;
 use panoscope_base::Threads;
 use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, FilterInput, StereoError, WlsFilter, WlsParams,
 };
 use panoscope_imaging::{Parallel, Rect, Serial, View};
-use stereo_common::*;
 
 #[allow(clippy::large_enum_variant)]
 enum Filter {

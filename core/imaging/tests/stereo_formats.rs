@@ -1,10 +1,8 @@
 //! Files of floats, and scores against truth.
 
-mod stereo_common;
-
+use crate::stereo_common::*;
 use panoscope_imaging::stereo::formats::{read_npy, read_pfm, write_npy, write_pfm};
 use panoscope_imaging::stereo::{FloatImage, MapScorer, score_disparity, score_surface};
-use stereo_common::*;
 
 fn image() -> FloatImage {
     FloatImage { width: 5, height: 3, data: (0..15).map(|i| i as f32 * 1.25 - 4.0).collect() }

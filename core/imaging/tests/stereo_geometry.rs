@@ -1,14 +1,12 @@
 //! Rectification, remapping and reprojection.
 
-mod stereo_common;
-
+use crate::stereo_common::*;
 use panoscope_base::Threads;
 use panoscope_imaging::stereo::{
     CameraModel, Rectification, RectifiedCamera, RectifyParams, RemapTable, ReprojectInput, ReprojectParams,
     StereoCameras, StereoError, reproject,
 };
 use panoscope_imaging::{Rect, Serial, View, ViewMut};
-use stereo_common::*;
 
 /// A pair of cameras with everything a real one has: distortion, a turn, an uneven baseline.
 fn cameras() -> StereoCameras {

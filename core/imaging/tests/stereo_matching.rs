@@ -1,13 +1,11 @@
 //! Block matching and semi-global matching on surfaces whose disparity is known.
 
-mod stereo_common;
-
+use crate::stereo_common::*;
 use panoscope_base::Threads;
 use panoscope_imaging::stereo::{
     BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams, StereoError, Tile,
 };
 use panoscope_imaging::{Parallel, Rect, Serial};
-use stereo_common::*;
 
 /// Either matcher, with the parameters that differ set alike.
 enum Matcher {

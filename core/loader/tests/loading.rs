@@ -1,11 +1,8 @@
 //! Files in a plugin folder are checked before they are loaded; unusable ones are reported.
 
-#[path = "../../engine/tests/common/mod.rs"]
-mod common;
-
 use std::path::{Path, PathBuf};
 
-use common::{flow_plugin, scratch};
+use crate::common::{flow_plugin, scratch};
 use panoscope_abi as abi;
 use panoscope_graph::{GraphText, check};
 use panoscope_loader::Loader;

@@ -3,21 +3,18 @@
 //! The faults come from `tests/c/disk_faults.c`, preloaded into child processes of this test, each of which runs one case.
 //! `PANOSCOPE_DISK_TICKS` sets how many ticks are recorded (5 without it).
 
-#[path = "../../engine/tests/common/mod.rs"]
-mod common;
-
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::Arc;
 
-use common::{PATIENCE, loader, scratch};
+use crate::common::{PATIENCE, loader, scratch};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{GraphText, check};
 use panoscope_record::{RecordOptions, Recorder, Recording, RecordingError, head};
 
 const CHILD: &str = "PANOSCOPE_TEST_RECORD_CHILD";
-const NAME: &str = "reported_ticks_are_readable_after_a_fault_at_any_operation";
+const NAME: &str = "disk::reported_ticks_are_readable_after_a_fault_at_any_operation";
 /// Fault number as in `disk_faults.c`, name, and whether the process survives.
 const FAULTS: [(i32, &str, bool); 6] = [
     (1, "disk full", true),

@@ -1,13 +1,11 @@
 //! A run is recorded and replayed: every port has the same bytes, whatever happened to the graph meanwhile.
 
-#[path = "../../engine/tests/common/mod.rs"]
-mod common;
-
+use crate::common;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use common::{PATIENCE, loader, scratch};
+use crate::common::{PATIENCE, loader, scratch};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{GraphText, ParamValue, check};
 use panoscope_loader::Live;

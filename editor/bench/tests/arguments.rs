@@ -1,8 +1,6 @@
 //! The form for arguments and overlays of a graph.
 
-mod common;
-
-use common::{Folder, Window, has_plugin};
+use crate::common::{Folder, Window, has_plugin};
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::{App, Options};

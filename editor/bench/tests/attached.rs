@@ -1,11 +1,8 @@
 //! The editor on a graph that runs on another machine.
 
-#[path = "../../../tests/support/attachable.rs"]
-mod attachable;
-mod common;
-
-use attachable::{Attachable, free_address};
-use common::{Folder, GRAPH, Window, has_plugin};
+use crate::attachable::{Attachable, free_address};
+use crate::common;
+use crate::common::{Folder, GRAPH, Window, has_plugin};
 use eframe::egui::{Key, Modifiers, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;

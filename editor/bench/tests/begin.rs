@@ -1,11 +1,9 @@
 //! The first minutes of a new user: templates, added nodes, a save that would lose another program's text.
 
-mod common;
-
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::{Folder, GRAPH, PATIENCE, Window, has_plugin};
+use crate::common::{Folder, GRAPH, PATIENCE, Window, has_plugin};
 use eframe::egui::{Key, Modifiers, Rect};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::templates;

@@ -1,10 +1,8 @@
 //! Panels are moved, split, put into tabs, torn off, closed and restored, by pointer and by keys, while a graph runs.
 
-mod common;
-
 use std::path::Path;
 
-use common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
+use crate::common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers, Pos2, Rect, pos2};
 use egui_kittest::kittest::Queryable;

@@ -1,10 +1,8 @@
 //! Edits of the text, without a window and without a run.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::{GRAPH, has_plugin};
+use crate::common::{GRAPH, has_plugin};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, PendingWire};

@@ -1,8 +1,7 @@
 //! Commands, nodes and parameters found by typing; why a node is idle; the map of the graph; the names of wires.
 
-mod common;
-
-use common::{Folder, GRAPH, Window, has_plugin, nothing_lost};
+use crate::common;
+use crate::common::{Folder, GRAPH, Window, has_plugin, nothing_lost};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers, vec2};
 use egui_kittest::kittest::Queryable;

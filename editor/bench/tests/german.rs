@@ -1,8 +1,6 @@
 //! The editor in German: names, the palette, the list of keys, numbers with a comma, and a change of the language while frames flow.
 
-mod common;
-
-use common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
+use crate::common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
 use eframe::egui::{Key, Modifiers, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_texts::{Language, set_language};

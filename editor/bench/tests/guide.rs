@@ -1,8 +1,6 @@
 //! The guided tour of the first start: shown once, each stop ends by what it asks for, skipped by a key.
 
-mod common;
-
-use common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
+use crate::common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;

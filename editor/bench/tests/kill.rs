@@ -1,13 +1,12 @@
 //! A kill at any moment while saving, writing a still or recording a clip leaves no partial file; a graph in which everything fails does not
 //! take the window down.
 
-mod common;
-
+use crate::common;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use common::{Folder, Window, has_plugin};
+use crate::common::{Folder, Window, has_plugin};
 use eframe::egui::{Key, Modifiers};
 use panoscope_editor_model::disk;
 use panoscope_editor_model::pixels::Pixels;
@@ -36,7 +35,7 @@ fn a_kill_while_saving_leaves_a_whole_file() {
     while kills < 30 {
         let this = std::env::current_exe().expect("a test has a file");
         let mut child = Command::new(this)
-            .args(["--exact", "a_kill_while_saving_leaves_a_whole_file", "--nocapture"])
+            .args(["--exact", "kill::a_kill_while_saving_leaves_a_whole_file", "--nocapture"])
             .env(CHILD, &path)
             .stdout(std::process::Stdio::null())
             .spawn()
@@ -91,7 +90,7 @@ fn a_kill_while_keeping_a_still_leaves_whole_pictures() {
     let mut seen = 0;
     for kill in 0..12u64 {
         let after = Duration::from_micros(60_000 + kill * 2_310);
-        kill_after("a_kill_while_keeping_a_still_leaves_whole_pictures", STILLS, &path, 0, after);
+        kill_after("kill::a_kill_while_keeping_a_still_leaves_whole_pictures", STILLS, &path, 0, after);
         if path.is_file() {
             seen += 1;
             let found = image::open(&path).unwrap_or_else(|e| panic!("half a picture after kill {kill}: {e}"));
@@ -145,7 +144,7 @@ fn a_kill_while_recording_keeps_every_whole_frame() {
         let path = folder.0.join(format!("clip_{kill}.mkv"));
         // Times that lie apart evenly fall on all parts of a frame, whose period is 5 ms.
         let after = Duration::from_micros(kill * 7_370);
-        kill_after("a_kill_while_recording_keeps_every_whole_frame", CLIP, &path, 60_000, after);
+        kill_after("kill::a_kill_while_recording_keeps_every_whole_frame", CLIP, &path, 60_000, after);
         let frames = std::fs::read(&path).map_or(0, |bytes| whole_frames(&bytes));
         most = most.max(frames);
     }

@@ -1,11 +1,9 @@
 //! Compares screenshots of the editor with golden images, and checks that every widget has a name.
 
-mod common;
-
 use std::time::{Duration, Instant};
 
-use common::golden::{compare, paint};
-use common::{Folder, Window, has_plugin, input};
+use crate::common::golden::{compare, paint};
+use crate::common::{Folder, Window, has_plugin, input};
 use eframe::egui::{Key, Modifiers, Rect, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
@@ -14,10 +12,7 @@ use panoscope_editor_widgets::theme::ground;
 
 const NONE: Modifiers = Modifiers::NONE;
 
-#[path = "../../theatre/tests/common/looks.rs"]
-mod graph;
-
-use graph::{GRAPH, TICKS};
+use crate::looks_graph::{GRAPH, TICKS};
 
 /// The window after the last tick of each source, when nothing changes any more.
 fn at_rest(folder: &Folder) -> Window {

@@ -1,12 +1,11 @@
 //! Parts: shown folded and opened, edited in their files, made of a selection and dissolved.
 
-mod common;
-
+use crate::common;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use common::{Folder, Window, has_plugin, nothing_lost};
+use crate::common::{Folder, Window, has_plugin, nothing_lost};
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_model::document::Document;

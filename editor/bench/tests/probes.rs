@@ -1,8 +1,6 @@
 //! Values of pictures: at a point, along a line, and how often each occurs.
 
-mod common;
-
-use common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
+use crate::common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
 use eframe::egui::{Key, Modifiers, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_model::observe::Output;

@@ -1,8 +1,6 @@
 //! The source of a node in Python: opened beside the graph, edited, and swapped into the running graph.
 
-mod common;
-
-use common::{Folder, Window, has_plugin, input, nothing_lost};
+use crate::common::{Folder, Window, has_plugin, input, nothing_lost};
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
 

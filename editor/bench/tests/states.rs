@@ -1,8 +1,6 @@
 //! Presets stored, applied and morphed, and snapshots taken and restored, while frames flow.
 
-mod common;
-
-use common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
+use crate::common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;

@@ -1,12 +1,10 @@
 //! A recording on the nodes of the graph: scrubbed, stepped, looped, and compared with a second run, while the graph keeps running.
 
-mod common;
-
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use common::{Folder, GRAPH, PATIENCE, Window, has_plugin, input, nothing_lost};
+use crate::common::{Folder, GRAPH, PATIENCE, Window, has_plugin, input, nothing_lost};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;

@@ -1,10 +1,9 @@
 //! Values in the window: sweeps, history, picking on images and from files, queues of wires.
 
-mod common;
-
+use crate::common;
 use std::time::Instant;
 
-use common::{Folder, PATIENCE, Window, has_plugin, input};
+use crate::common::{Folder, PATIENCE, Window, has_plugin, input};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;

@@ -1,8 +1,6 @@
 //! What is wrong, where and what to do about it: the tour of problems, and help of nodes.
 
-mod common;
-
-use common::{Folder, GRAPH, PATIENCE, Window, has_plugin, input, nothing_lost};
+use crate::common::{Folder, GRAPH, PATIENCE, Window, has_plugin, input, nothing_lost};
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;

@@ -1,8 +1,7 @@
 //! Tests of the window on running graphs, by keys, pointer and names of widgets.
 
-mod common;
-
-use common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
+use crate::common;
+use crate::common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Event, Key, Modifiers, OutputCommand, vec2};
 use egui_kittest::kittest::Queryable;

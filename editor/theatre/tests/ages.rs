@@ -1,9 +1,7 @@
 //! Old pictures in the theatre say how old they are.
 
-mod common;
-
-use common::has_plugin;
-use common::window::Window;
+use crate::common::has_plugin;
+use crate::common::window::Window;
 use panoscope_editor_model::session::Phase;
 use panoscope_graph::ParamValue;
 

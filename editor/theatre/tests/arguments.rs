@@ -1,11 +1,9 @@
 //! The theatre of a graph that needs arguments.
 
-mod common;
-
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::{Folder, PATIENCE, has_plugin};
+use crate::common::{Folder, PATIENCE, has_plugin};
 use eframe::egui::{Key, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;

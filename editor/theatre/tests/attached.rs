@@ -1,14 +1,11 @@
 //! The theatre on a graph that runs on another machine.
 
-#[path = "../../../tests/support/attachable.rs"]
-mod attachable;
-mod common;
-
+use crate::common;
 use std::time::Duration;
 
-use attachable::{Attachable, free_address};
-use common::window::{GRAPH, Window, options};
-use common::{Folder, has_plugin};
+use crate::attachable::{Attachable, free_address};
+use crate::common::window::{GRAPH, Window, options};
+use crate::common::{Folder, has_plugin};
 use eframe::egui::{Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;

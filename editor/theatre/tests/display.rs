@@ -1,11 +1,9 @@
 //! What the surgeon sees: zoom, a second view in a corner, the stereo pair for 3-D displays; and a pedal with keys of its own.
 
-mod common;
-
 use std::time::{Duration, Instant};
 
-use common::window::{GRAPH, Window, options};
-use common::{Folder, has_plugin, input};
+use crate::common::window::{GRAPH, Window, options};
+use crate::common::{Folder, has_plugin, input};
 use eframe::egui::{Key, Rect, Vec2, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_model::session::Phase;

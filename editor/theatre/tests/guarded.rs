@@ -1,14 +1,13 @@
 //! The graph runs in a process of its own: whatever becomes of it, the window stays and shows the camera.
 
-mod common;
-
+use crate::common;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
-use common::program::{is_alive, signal, until_gone};
-use common::window::{GRAPH, Window, options};
-use common::{Folder, has_plugin};
+use crate::common::program::{is_alive, signal, until_gone};
+use crate::common::window::{GRAPH, Window, options};
+use crate::common::{Folder, has_plugin};
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
 use panoscope_audit::{ClipState, Event, read};

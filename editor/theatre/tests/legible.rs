@@ -1,15 +1,12 @@
 //! What the theatre says can be read in every language: no text under 11 px or cut, and none over the middle of an image. German screens are
 //! compared with golden images.
 
-mod common;
-#[path = "common/looks.rs"]
-mod graph;
-
+use crate::looks_graph as graph;
 use std::time::{Duration, Instant};
 
-use common::golden::{compare, paint};
-use common::window::{GRAPH, Window, options};
-use common::{Folder, PATIENCE, has_plugin};
+use crate::common::golden::{compare, paint};
+use crate::common::window::{GRAPH, Window, options};
+use crate::common::{Folder, PATIENCE, has_plugin};
 use eframe::egui::epaint::{ClippedShape, TextShape};
 use eframe::egui::{Context, Key, Rect, Shape, Ui, pos2, vec2};
 use egui_kittest::Harness;

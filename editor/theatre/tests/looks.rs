@@ -1,17 +1,13 @@
 //! Compares a screenshot of the theatre with a golden image.
 
-mod common;
-#[path = "common/looks.rs"]
-mod graph;
-
 use std::time::{Duration, Instant};
 
-use common::golden::{compare, paint};
-use common::window::{Window, options};
-use common::{Folder, has_plugin};
+use crate::common::golden::{compare, paint};
+use crate::common::window::{Window, options};
+use crate::common::{Folder, has_plugin};
+use crate::looks_graph::{GRAPH, TICKS};
 use eframe::egui::{Rect, pos2};
 use egui_kittest::kittest::Queryable;
-use graph::{GRAPH, TICKS};
 use panoscope_editor_widgets::theme::BLACK;
 use panoscope_theatre as theatre;
 

@@ -1,13 +1,11 @@
 //! A whole procedure with the keyboard alone: start, checklist, views, a distance, a still, a clip, the arm stopped and released, a fault and the
 //! recovery from it, the end. In each language.
 
-mod common;
-
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 
-use common::window::{Window, options};
-use common::{Folder, has_plugin, input};
+use crate::common::window::{Window, options};
+use crate::common::{Folder, has_plugin, input};
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_texts::{Language, set_language};

@@ -1,12 +1,11 @@
 //! The program itself on a virtual screen: its two processes, their ends, and what is left of them.
 
-mod common;
-
+use crate::common;
 use std::time::{Duration, Instant};
 
-use common::program::{Running, Screen, children, signal, until_gone};
-use common::window::GRAPH;
-use common::{Folder, has_plugin};
+use crate::common::program::{Running, Screen, children, signal, until_gone};
+use crate::common::window::GRAPH;
+use crate::common::{Folder, has_plugin};
 use panoscope_audit::{Event, read};
 
 fn events(running: &Running) -> Vec<Event> {

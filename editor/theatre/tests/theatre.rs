@@ -1,13 +1,12 @@
 //! Tests of the theatre on running graphs, by keys, taps and names of widgets.
 
-mod common;
 #[path = "theatre/locks.rs"]
 mod locks;
 
 use std::time::{Duration, Instant};
 
-use common::window::{GRAPH, Window, options};
-use common::{Folder, PATIENCE, has_plugin, input};
+use crate::common::window::{GRAPH, Window, options};
+use crate::common::{Folder, PATIENCE, has_plugin, input};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Rect, vec2};
 use egui_kittest::kittest::Queryable;

@@ -1,11 +1,9 @@
 //! What the theatre believes, and what it writes into its audit log.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 
-use common::window::{GRAPH, Window, options};
-use common::{Folder, has_plugin};
+use crate::common::window::{GRAPH, Window, options};
+use crate::common::{Folder, has_plugin};
 use eframe::egui::{Context, Key};
 use panoscope_audit::{ClipState, Event, Report, date, read};
 use panoscope_graph::{GraphText, ParamValue, check};

@@ -1,11 +1,10 @@
 //! What is damaged is named with its place, ends a batch or is left out, and never shows pixels of another picture.
 
-mod common;
-
+use crate::common;
 use std::fs;
 use std::path::Path;
 
-use common::{Folder, WIDTH, drain, drain_to_failure, value, warned, write_video_at};
+use crate::common::{Folder, WIDTH, drain, drain_to_failure, value, warned, write_video_at};
 use panoscope_node::Bgr8;
 use panoscope_node::harness::{Harness, Setup};
 use tiff::encoder::colortype::{Gray32Float, GrayI16};

@@ -7,12 +7,11 @@
 //! A short sample runs with the ordinary tests; `cargo xtask test damaged-streams` runs 1,000. PANOSCOPE_DAMAGE_CASES and PANOSCOPE_DAMAGE_SEED
 //! choose how many and which.
 
-mod common;
-
+use crate::common;
 use std::fs;
 use std::path::Path;
 
-use common::{Folder, encode, scene};
+use crate::common::{Folder, encode, scene};
 use panoscope_node::Bgr8;
 use panoscope_node::harness::Outputs;
 use panoscope_node::random::SplitMix64;

@@ -1,17 +1,14 @@
 //! `data_set` on tiny copies of each layout: pictures, calibration, truth at known pixels, boxes.
 
-mod common;
-#[path = "../../../core/data_sets/tests/samples/mod.rs"]
-mod samples;
-
+use crate::samples;
 use std::path::Path;
 
-use common::{Folder, encode, value};
+use crate::common::{Folder, encode, value};
+use crate::samples::{DOFFS, HEIGHT, MIDDLEBURY_BASELINE, MIDDLEBURY_FOCAL, SCARED_Z, SHIFT, Tree, WIDTH};
 use panoscope_capture::data_set::DataSet;
 use panoscope_node::abi::Calibration;
 use panoscope_node::harness::{Harness, HarnessError, Level, Outputs, Setup};
 use panoscope_node::{Bgr8, Depth, Disparity};
-use samples::{DOFFS, HEIGHT, MIDDLEBURY_BASELINE, MIDDLEBURY_FOCAL, SCARED_Z, SHIFT, Tree, WIDTH};
 
 const FRAMES: u8 = 3;
 

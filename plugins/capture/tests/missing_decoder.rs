@@ -1,8 +1,6 @@
 //! A decoder that is not installed is named with its package. A test program of its own: it hides the decoders from the whole process.
 
-mod common;
-
-use common::{Folder, encode, scene};
+use crate::common::{Folder, encode, scene};
 use gstreamer as gst;
 use gstreamer::prelude::*;
 

@@ -1,14 +1,13 @@
 //! Nothing that does not answer hangs the node, and what was lost is waited for.
 
-mod common;
-
+use crate::common;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::Command;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use common::{Folder, value};
+use crate::common::{Folder, value};
 use panoscope_capture::capture::Capture;
 use panoscope_node::harness::{Harness, HarnessError, Outputs, Setup};
 

@@ -1,8 +1,6 @@
 //! Pictures of one instant belong together: by their numbers, by their times, and what has no partner is named.
 
-mod common;
-
-use common::{Folder, WIDTH, drain, value, warned, write_video_at};
+use crate::common::{Folder, WIDTH, drain, value, warned, write_video_at};
 
 #[test]
 fn a_missing_file_shifts_no_pair() {

@@ -2,16 +2,15 @@
 //! shown can be read from it.
 //!
 //! The ordinary form lasts some seconds. PANOSCOPE_RTSP_SECONDS and PANOSCOPE_RTSP_KILLS choose the duration and how often the server is killed:
-//! `PANOSCOPE_RTSP_SECONDS=600 PANOSCOPE_RTSP_KILLS=10 cargo test --workspace --test rtsp -- --nocapture a_server`
+//! `PANOSCOPE_RTSP_SECONDS=600 PANOSCOPE_RTSP_KILLS=10 cargo nextest run -p panoscope-capture rtsp::a_server --no-capture`
 
-mod common;
-
+use crate::common;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{Folder, bgr_caps, number, scene};
+use crate::common::{Folder, bgr_caps, number, scene};
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app::AppSrc;
@@ -89,7 +88,7 @@ impl Server {
     /// Starts a server and waits until it answers.
     fn start(port: u16, rate_hz: f64) -> Self {
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "server_process", "--nocapture"])
+            .args(["--exact", "rtsp::server_process", "--nocapture"])
             .env(PORT, port.to_string())
             .env(RATE, rate_hz.to_string())
             .stdout(Stdio::piped())

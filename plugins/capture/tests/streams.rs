@@ -1,10 +1,8 @@
 //! Containers, codecs and pixel formats; times; live sources.
 
-mod common;
-
 use std::time::{Duration, Instant};
 
-use common::{Folder, drain, encode, number, scene, value};
+use crate::common::{Folder, drain, encode, number, scene, value};
 use panoscope_capture::capture::Capture;
 use panoscope_node::Bgr8;
 use panoscope_node::harness::{Harness, Level, Setup};

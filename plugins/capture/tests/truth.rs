@@ -1,10 +1,8 @@
 //! `read_maps` and `read_labels`: the file that belongs to the picture, in every tick.
 
-mod common;
-
 use std::fs;
 
-use common::Folder;
+use crate::common::Folder;
 use panoscope_capture::read_labels::ReadLabels;
 use panoscope_capture::read_maps::ReadMaps;
 use panoscope_imaging::stereo::{FloatImage, formats};

@@ -1,11 +1,9 @@
 //! Every kind of source that needs no hardware, and every way it can be wrong.
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 
-use common::{Folder, WIDTH, drain, drain_to_failure, value, write_video};
+use crate::common::{Folder, WIDTH, drain, drain_to_failure, value, write_video};
 use panoscope_capture::capture::Capture;
 use panoscope_node::Bgr8;
 use panoscope_node::abi::Calibration;

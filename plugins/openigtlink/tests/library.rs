@@ -1,10 +1,8 @@
 //! The OpenIGTLink library (Debian's libopenigtlink) at the other end, as server and as client.
 
-mod common;
-
 use std::process::Command;
 
-use common::{
+use crate::common::{
     COLUMNS_OF_POINTS, PIXELS, Peer, fill, free_port, library_peer, receive_until, receiver, send_until, sender,
 };
 use panoscope_node::Bgr8;

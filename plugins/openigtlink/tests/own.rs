@@ -1,12 +1,11 @@
 //! Both nodes at both ends: what arrives, slow and hostile programs, lost connections, requests, mistakes.
 
-mod common;
-
+use crate::common;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use common::{
+use crate::common::{
     PATIENCE, PIXELS, batch_receiver, batch_sender, fill, free_port, pose, receive_until, receiver, send_until, sender,
     tip,
 };

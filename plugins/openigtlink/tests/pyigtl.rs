@@ -1,8 +1,6 @@
 //! pyigtl at the other end, as server and as client.
 
-mod common;
-
-use common::{PIXELS, Peer, fill, free_port, pyigtl_peer, receive_until, receiver, send_until, sender};
+use crate::common::{PIXELS, Peer, fill, free_port, pyigtl_peer, receive_until, receiver, send_until, sender};
 use panoscope_node::Bgr8;
 use panoscope_node::abi::Pose;
 

@@ -489,7 +489,7 @@ fn what_was_acknowledged_is_readable_after_a_fault_at_any_operation() {
     let library = library();
     for name in SINKS.iter().map(|sink| sink.name).chain([INDEXED]) {
         let child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "what_was_acknowledged_is_readable_after_a_fault_at_any_operation", "--nocapture"])
+            .args(["--exact", "disk::what_was_acknowledged_is_readable_after_a_fault_at_any_operation", "--nocapture"])
             .env(CHILD, name)
             .env("LD_PRELOAD", &library)
             .output()

@@ -1,12 +1,10 @@
 //! A live stream as its clients see it: pictures by their numbers, clients that come, go and stall, several streams on one port, mistakes.
 
-mod common;
-
 use std::net::{TcpListener, UdpSocket};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use common::{Decoded, numbered};
+use crate::common::{Decoded, numbered};
 use gstreamer::prelude::*;
 use gstreamer::{ClockTime, Pipeline, State};
 use gstreamer_app::AppSink;

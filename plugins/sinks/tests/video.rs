@@ -1,12 +1,11 @@
 //! Videos of every codec are read back by GStreamer and ffprobe: pictures by their numbers, times, and what a kill leaves.
 
-mod common;
-
+use crate::common;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use common::{Folder, decode, numbered};
+use crate::common::{Folder, decode, numbered};
 use panoscope_node::harness::{Harness, Setup};
 use panoscope_node::{Bgr8, Gray8};
 use panoscope_sinks::write_video::WriteVideo;
@@ -181,7 +180,7 @@ fn a_killed_writer_leaves_every_accepted_picture() {
     let folder = Folder::new("killed");
     for (codec, kill_after) in [("mjpg", 23), ("h264", 41), ("hevc", 17), ("mpeg4", 30), ("vp8", 12), ("ffv1", 25)] {
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "a_killed_writer_leaves_every_accepted_picture", "--nocapture"])
+            .args(["--exact", "video::a_killed_writer_leaves_every_accepted_picture", "--nocapture"])
             .env(CHILD, format!("{codec}:{}", folder.0.display()))
             .stdout(Stdio::piped())
             .spawn()

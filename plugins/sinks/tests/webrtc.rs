@@ -1,15 +1,12 @@
 //! A live stream as browsers see it: Chromium opens the page of the node, and the pixels of its video are read back.
 
-#[path = "../../../tests/support/chromium.rs"]
-mod chromium;
-mod common;
-
+use crate::chromium;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
-use chromium::{Browser, Page};
-use common::{number_in, numbered};
+use crate::chromium::{Browser, Page};
+use crate::common::{number_in, numbered};
 use panoscope_node::Bgr8;
 use panoscope_node::harness::{Harness, Setup};
 use panoscope_sinks::webrtc::WebRtc;

@@ -1,8 +1,6 @@
 //! Nodes on the GPU: the same bytes as on the processor, which also does the work where there is none.
 
-mod common;
-
-use common::{SIZE, bgr, pair, rectified};
+use crate::common::{SIZE, bgr, pair, rectified};
 use panoscope_node::abi::Calibration;
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
 use panoscope_node::{Bgr8, Disparity, Gray8};

@@ -1,8 +1,6 @@
 //! `evaluate_disparity`, `evaluate_depth` and `evaluate_cloud` through the harness, with numbers that are known.
 
-mod common;
-
-use common::{SIZE, rectified};
+use crate::common::{SIZE, rectified};
 use panoscope_node::abi::{CloudPoint, Scalar};
 use panoscope_node::harness::{Harness, HarnessError, Outputs};
 use panoscope_node::{Depth, Disparity, Mask};

@@ -1,8 +1,6 @@
 //! `disparity_wls` and `disparity_fbs` through the harness.
 
-mod common;
-
-use common::{SIZE, bgr, median};
+use crate::common::{SIZE, bgr, median};
 use panoscope_node::harness::{Harness, HarnessError, Outputs, Setup};
 use panoscope_node::{Bgr8, Confidence, Disparity, Gray8, GrayF32, Node};
 use panoscope_stereo::{DisparityFbs, DisparityWls};

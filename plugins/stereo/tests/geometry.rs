@@ -1,8 +1,6 @@
 //! `rectify`, `reproject` and `measure` through the harness.
 
-mod common;
-
-use common::{SIZE, bgr, pair, rectified};
+use crate::common::{SIZE, bgr, pair, rectified};
 use panoscope_node::abi::Calibration;
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
 use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8};

@@ -1,8 +1,7 @@
 //! `stereo_bm` and `stereo_sgbm` through the harness.
 
-mod common;
-
-use common::{SIZE, median, pair};
+use crate::common;
+use crate::common::{SIZE, median, pair};
 use panoscope_node::abi::Roi;
 use panoscope_node::harness::{Harness, HarnessError, Level, Outputs, Setup};
 use panoscope_node::{Disparity, Gray8, Node};

@@ -1,15 +1,13 @@
 //! Every kind of export is recognised and its boxes come out where the network put them.
 
-mod tiny_onnx;
-
 use std::path::Path;
 
+use crate::tiny_onnx::{Fixed, TinyModel, folder, runtime_is_there};
 use panoscope_node::Bgr8;
 use panoscope_node::abi::Detection;
 use panoscope_node::harness::{Harness, HarnessError};
 use panoscope_tools::mask_rcnn::MaskRcnn;
 use panoscope_tools::yolo::Yolo;
-use tiny_onnx::{Fixed, TinyModel, folder, runtime_is_there};
 
 const NAMES: &str = "{0: 'grasper', 1: 'hook'}";
 /// Input 64 x 64: 64 + 16 + 4 cells.

@@ -4,18 +4,16 @@
 //! A short sample runs with the ordinary tests; `cargo xtask test hostile-models` runs 200. PANOSCOPE_HOSTILE_CASES and PANOSCOPE_HOSTILE_SEED
 //! choose how many and which.
 
-mod tiny_onnx;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, wrap};
 use panoscope_node::Bgr8;
 use panoscope_node::harness::Harness;
 use panoscope_node::random::SplitMix64;
 use panoscope_tools::mask_rcnn::MaskRcnn;
 use panoscope_tools::yolo::Yolo;
-use tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, wrap};
 
 /// Set in the child: the case to open.
 const CASE: &str = "PANOSCOPE_HOSTILE_CASE";
@@ -232,7 +230,7 @@ fn patience(healthy: Duration) -> Duration {
 /// What a child said, and how long it took; an error when it died or did not end.
 fn ask(program: &Path, model: &Path, big: bool, most: Duration) -> Result<(Vec<String>, Duration), String> {
     let mut command = Command::new(program);
-    command.args(["child_of_the_campaign", "--exact", "--nocapture", "--ignored"]);
+    command.args(["hostile_campaign::child_of_the_campaign", "--exact", "--nocapture", "--ignored"]);
     command.env(CASE, model).env("PANOSCOPE_HOSTILE_BIG", if big { "1" } else { "0" });
     let begun = Instant::now();
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().map_err(|e| e.to_string())?;

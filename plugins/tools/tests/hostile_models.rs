@@ -1,9 +1,8 @@
 //! Damaged and foreign model files: a clear error or an empty result, never a crash, nothing read outside the model's folder.
 
-mod tiny_onnx;
-
 use std::path::Path;
 
+use crate::tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, value_info, wrap};
 use panoscope_base::onnx;
 use panoscope_node::Bgr8;
 use panoscope_node::harness::Harness;
@@ -12,7 +11,6 @@ use panoscope_tools::model::Model;
 use panoscope_tools::onnx_file::{self, OnnxFileError};
 use panoscope_tools::provider::Provider;
 use panoscope_tools::yolo::Yolo;
-use tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, value_info, wrap};
 
 fn good() -> TinyModel {
     TinyModel {

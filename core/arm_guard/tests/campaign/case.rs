@@ -13,9 +13,9 @@ use panoscope_arm_guard::message::{Request, Status};
 use panoscope_firmware::{Behaviour, Firmware};
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::harm::{HARMS, Harm};
-use crate::host::Host;
-use crate::judge;
+use super::harm::{HARMS, Harm};
+use super::host::Host;
+use super::judge;
 
 /// Limit of each wait; a loaded machine may hold every thread up.
 const LIMIT: Duration = Duration::from_secs(10);

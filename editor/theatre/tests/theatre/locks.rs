@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::common::window::{GRAPH, Window, options};
-use super::common::{Folder, has_plugin, input};
+use crate::common::window::{GRAPH, Window, options};
+use crate::common::{Folder, has_plugin, input};
 use eframe::egui::{Key, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;

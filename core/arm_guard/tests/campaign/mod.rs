@@ -35,7 +35,7 @@ fn run(seed: u64, chain: &Chain, outcome: &Mutex<Outcome>) {
     let mut fail = |words: &str| {
         let harm = HARMS[(seed % HARMS.len() as u64) as usize];
         all.failures.push(format!(
-            "{harm:?}: {words}; repeat: PANOSCOPE_ARM_SEED={seed} PANOSCOPE_ARM_CASES=1 cargo test -p panoscope-arm-guard --test campaign -- --nocapture"
+            "{harm:?}: {words}; repeat: PANOSCOPE_ARM_SEED={seed} PANOSCOPE_ARM_CASES=1 cargo nextest run -p panoscope-arm-guard campaign:: --no-capture"
         ));
     };
     match result {

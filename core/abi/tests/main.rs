@@ -1,0 +1,4 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod header;
+mod promise;

@@ -1,0 +1,6 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod allocation;
+mod campaign;
+mod guard;
+mod ur;

@@ -1,0 +1,11 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod batch;
+mod campaign;
+mod common;
+mod edits;
+mod endings;
+mod exclusive;
+mod faults;
+mod limits;
+mod live;

@@ -1,0 +1,7 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod block_matching;
+mod common;
+mod rectify;
+mod threads;
+mod warp;

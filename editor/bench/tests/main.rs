@@ -1,0 +1,26 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod arguments;
+#[path = "../../../tests/support/attachable.rs"]
+mod attachable;
+mod attached;
+mod begin;
+mod common;
+mod corpus;
+mod docks;
+mod document;
+mod find;
+mod german;
+mod guide;
+mod kill;
+mod looks;
+#[path = "../../theatre/tests/common/looks.rs"]
+mod looks_graph;
+mod parts;
+mod probes;
+mod source;
+mod states;
+mod timeline;
+mod values;
+mod why;
+mod window;

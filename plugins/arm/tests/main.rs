@@ -1,0 +1,5 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod nodes;
+mod serial;
+mod ur;

@@ -1,0 +1,15 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod common;
+mod damage;
+mod damaged_streams;
+mod data_sets;
+mod missing_decoder;
+mod opening;
+mod pairs;
+mod rtsp;
+#[path = "../../../core/data_sets/tests/samples/mod.rs"]
+mod samples;
+mod streams;
+mod truth;
+mod views;

@@ -1,0 +1,7 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod calibrate;
+mod calibration_files;
+mod stereo;
+mod stitch;
+mod threads;

@@ -1,0 +1,8 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod common;
+mod device;
+mod evaluation;
+mod filters;
+mod geometry;
+mod matching;

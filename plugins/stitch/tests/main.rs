@@ -1,0 +1,8 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod composite;
+mod composite_lost;
+mod composite_mesh;
+mod device;
+mod errors;
+mod mosaic;

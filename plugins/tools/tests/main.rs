@@ -1,0 +1,10 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod exports;
+mod hidden_jaws;
+mod hostile_campaign;
+mod hostile_models;
+mod moving_tips;
+mod tiny_onnx;
+mod tips;
+mod training;

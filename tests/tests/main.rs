@@ -1,0 +1,37 @@
+//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+
+mod ages;
+mod attach;
+mod c_plugins;
+mod checks;
+mod data_sets;
+mod deaths;
+mod described;
+mod determinism;
+mod dicom;
+mod documents;
+mod export;
+mod files;
+mod foreign_models;
+mod golden;
+mod graphs;
+mod hostile_models;
+mod isolated_runs;
+mod isolation;
+mod live;
+mod lock;
+mod machines;
+mod mosaic;
+mod panorama_of_cameras;
+mod proximity;
+mod python;
+mod python_host;
+mod readme;
+mod real_sources;
+mod record;
+mod recovery;
+#[path = "../../core/data_sets/tests/samples/mod.rs"]
+mod samples;
+mod service;
+mod shipped;
+mod sources;
