@@ -1,6 +1,6 @@
 //! Builds the program and its plugins and lays them out as they are installed: the binary beside `plugins/`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX, EXE_SUFFIX};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,6 +10,7 @@ use anyhow::{Context, Result, bail};
 use serde_json::Value;
 
 use crate::process;
+use crate::time;
 use crate::workspace::{Plugin, Workspace};
 
 /// The package of the `panoscope` command.
@@ -28,10 +29,12 @@ const MACHINE: &str = "panoscope-machine";
 const PYTHON: &str = "core/python";
 const PYTHON_PACKAGE: &str = "panoscope-python";
 const NATIVE: &str = "_native.abi3.so";
+/// What the program is not complete without, beside the plugins.
+const PRODUCT: [&str; 4] = [PROGRAM_PACKAGE, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
 /// Endings of the files of the Python package: code, the native part, types and the mark that there are types.
 pub const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
-/// A test of the workspace that is built fast.
-const SMALL_TEST: &str = "header";
+/// Unites the features of external packages, so that every build uses the same ones.
+pub const FEATURES: &str = "panoscope-features";
 /// Folder beside the program for plugins that only tests use.
 const TEST_PLUGIN_DIR: &str = "test_plugins";
 
@@ -84,80 +87,116 @@ pub struct Windows {
 /// # Errors
 /// The build fails; cargo prints why.
 pub fn build_windows(workspace: &Workspace, profile: Profile) -> Result<Windows> {
-    let mut cargo = workspace.cargo();
-    cargo.args(["build", "--message-format=json-render-diagnostics", "--package", EDITOR, "--package", THEATRE]);
-    if profile == Profile::Release {
-        cargo.arg("--release");
-    }
-    let mut artifacts = Artifacts::default();
-    let status = process::filter(&mut cargo, |line| !artifacts.read(line))?;
-    process::check(&cargo, status)?;
+    let artifacts = compile(workspace, profile, &[EDITOR, THEATRE])?;
     let editor = artifacts.editor.with_context(|| format!("{EDITOR} makes no program `{EDITOR}`"))?;
     let theatre = artifacts.theatre.with_context(|| format!("{THEATRE} makes no program `{THEATRE}`"))?;
     Ok(Windows { editor, theatre })
 }
 
-/// Builds the program and the plugins that ship. Leaves out the windows, which take longest to build; a demo without a
-/// screen and the benches do not need them.
+/// Builds the program, the programs it starts, the Python package and the plugins that ship. Leaves out the windows, which take longest to build;
+/// the benches do not need them.
 ///
 /// # Errors
 /// The build fails (cargo prints why), or a plugin's crate makes no shared library.
 pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
-    let plugins: Vec<&Plugin> = workspace.plugins.iter().collect();
-    let artifacts = compile(workspace, profile, &plugins)?;
-    artifacts.lay_out_product(workspace)
+    let plugins = workspace.plugins.iter().map(|plugin| plugin.package.as_str());
+    let packages: Vec<&str> = PRODUCT.into_iter().chain(plugins).collect();
+    compile(workspace, profile, &packages)?.lay_out_product(workspace)
+}
+
+/// What a graph needs of a build.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Needs {
+    /// Names of plugins.
+    pub plugins: BTreeSet<String>,
+    /// An arm with a guard.
+    pub guard: bool,
+    /// Another machine.
+    pub machine: bool,
+    /// Nodes in Python.
+    pub python: bool,
+}
+
+/// Builds the program and what a graph needs, in the development profile. What was built before for other graphs stays.
+///
+/// # Errors
+/// See [`build`].
+pub fn build_for_graph(workspace: &Workspace, needs: &Needs) -> Result<Built> {
+    let plugins: Vec<Plugin> =
+        workspace.plugins.iter().filter(|plugin| needs.plugins.contains(&plugin.name)).cloned().collect();
+    let optional = [(needs.guard, GUARD_PACKAGE), (needs.machine, MACHINE_PACKAGE), (needs.python, PYTHON_PACKAGE)];
+    let optional = optional.into_iter().filter(|(needed, _)| *needed).map(|(_, package)| package);
+    let named = plugins.iter().map(|plugin| plugin.package.as_str());
+    let packages: Vec<&str> = [PROGRAM_PACKAGE].into_iter().chain(optional).chain(named).collect();
+    let artifacts = compile(workspace, Profile::Dev, &packages)?;
+    let built = artifacts.built()?;
+    for plugin in &plugins {
+        place_plugin(plugin, &artifacts.libraries, &built.plugin_dir)?;
+    }
+    lay_out_models(workspace, &built.plugin_dir, Means::Link)?;
+    if needs.python {
+        artifacts.lay_out_python(workspace, &python_package(&built.program))?;
+    }
+    Ok(built)
 }
 
 /// What [`build_for_tests`] builds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extent {
+    /// What tests of the packages below the program need.
+    Plugins,
     /// What tests of single packages need.
     Product,
-    /// All that `cargo test --workspace` will need too, with the same features, so that it compiles nothing a second time.
+    /// Everything: libraries, programs, tests and benches of all packages, with lints as errors.
     Workspace,
 }
 
-/// The same with the plugins that only tests use, in a folder of their own.
+/// Builds for tests in the development profile, with the plugins that only tests use in a separate folder.
 ///
 /// # Errors
 /// See [`build`].
-pub fn build_for_tests(workspace: &Workspace, profile: Profile, extent: Extent) -> Result<BuiltForTests> {
+pub fn build_for_tests(workspace: &Workspace, extent: Extent) -> Result<BuiltForTests> {
+    let plugins = workspace.plugins.iter().chain(&workspace.test_plugins).map(|plugin| plugin.package.as_str());
     let artifacts = match extent {
-        Extent::Product => {
-            let plugins: Vec<&Plugin> = workspace.plugins.iter().chain(&workspace.test_plugins).collect();
-            compile(workspace, profile, &plugins)?
-        }
+        Extent::Plugins => compile(workspace, Profile::Dev, &plugins.collect::<Vec<_>>())?,
+        Extent::Product => compile(workspace, Profile::Dev, &PRODUCT.into_iter().chain(plugins).collect::<Vec<_>>())?,
         Extent::Workspace => {
-            let mut cargo = workspace.cargo();
-            cargo.args(["build", "--message-format=json-render-diagnostics", "--workspace", "--lib", "--bins"]);
-            // With a test among its targets, cargo unites the features of dependencies as it does for all tests.
-            finish(cargo.args(["--test", SMALL_TEST]), profile)?
+            time::forget_builds(workspace);
+            let mut cargo = workspace.cargo_dev();
+            let json = "--message-format=json-render-diagnostics";
+            finish(cargo.args(["build", json, "--timings", "--workspace", "--all-targets"]), Profile::Dev)?
         }
     };
-    let built = artifacts.lay_out_product(workspace)?;
+    let built = if extent == Extent::Plugins {
+        let program = workspace.target.join("debug").join(program_name());
+        let built = Built { plugin_dir: program.with_file_name("plugins"), program };
+        lay_out(&workspace.plugins, &artifacts.libraries, &built.plugin_dir)?;
+        lay_out_models(workspace, &built.plugin_dir, Means::Link)?;
+        built
+    } else {
+        artifacts.lay_out_product(workspace)?
+    };
     let test_plugin_dir = built.program.with_file_name(TEST_PLUGIN_DIR);
     lay_out(&workspace.test_plugins, &artifacts.libraries, &test_plugin_dir)?;
     Ok(BuiltForTests { built, test_plugin_dir })
 }
 
-/// Compiles the program and the given plugins.
-fn compile(workspace: &Workspace, profile: Profile, plugins: &[&Plugin]) -> Result<Artifacts> {
-    let mut cargo = workspace.cargo();
-    cargo.args([
-        "build",
-        "--message-format=json-render-diagnostics",
-        "--package",
-        PROGRAM_PACKAGE,
-        "--package",
-        GUARD_PACKAGE,
-        "--package",
-        MACHINE_PACKAGE,
-        "--package",
-        PYTHON_PACKAGE,
-    ]);
-    for plugin in plugins {
-        cargo.args(["--package", &plugin.package]);
-    }
+/// Compiles everything with lints as errors, and links nothing that a later build cannot use.
+///
+/// # Errors
+/// A lint or the compiler found something; cargo prints what.
+pub fn check_all(workspace: &Workspace) -> Result<()> {
+    process::run(workspace.cargo_dev().args(["build", "--workspace", "--all-targets"]))
+}
+
+/// Compiles packages.
+fn compile(workspace: &Workspace, profile: Profile, packages: &[&str]) -> Result<Artifacts> {
+    let mut cargo = match profile {
+        Profile::Dev => workspace.cargo_dev(),
+        Profile::Release => workspace.cargo(),
+    };
+    cargo.args(["build", "--message-format=json-render-diagnostics", "--package", FEATURES]);
+    cargo.args(packages.iter().flat_map(|package| ["--package", package]));
     finish(&mut cargo, profile)
 }
 
@@ -183,15 +222,19 @@ struct Artifacts {
 }
 
 impl Artifacts {
-    /// Puts the plugins that ship, and their models, beside the program.
-    fn lay_out_product(&self, workspace: &Workspace) -> Result<Built> {
+    fn built(&self) -> Result<Built> {
         let program =
             self.program.clone().with_context(|| format!("{PROGRAM_PACKAGE} makes no program `{PROGRAM}`"))?;
-        let plugin_dir = program.with_file_name("plugins");
-        lay_out(&workspace.plugins, &self.libraries, &plugin_dir)?;
-        lay_out_models(workspace, &plugin_dir, Means::Link)?;
-        self.lay_out_python(workspace, &python_package(&program))?;
-        Ok(Built { program, plugin_dir })
+        Ok(Built { plugin_dir: program.with_file_name("plugins"), program })
+    }
+
+    /// Puts the plugins that ship, and their models, beside the program.
+    fn lay_out_product(&self, workspace: &Workspace) -> Result<Built> {
+        let built = self.built()?;
+        lay_out(&workspace.plugins, &self.libraries, &built.plugin_dir)?;
+        lay_out_models(workspace, &built.plugin_dir, Means::Link)?;
+        self.lay_out_python(workspace, &python_package(&built.program))?;
+        Ok(built)
     }
 
     /// Puts the Python package where the program looks for it.
@@ -231,20 +274,26 @@ impl Artifacts {
     }
 }
 
+/// Puts a plugin's library into a folder and returns the name of the file.
+fn place_plugin(plugin: &Plugin, libraries: &BTreeMap<PathBuf, PathBuf>, plugin_dir: &Path) -> Result<String> {
+    let Some(library) = libraries.get(&plugin.folder) else {
+        bail!(
+            "{} makes no shared library: its Cargo.toml needs crate-type = [\"cdylib\", \"rlib\"]",
+            plugin.folder.display()
+        );
+    };
+    fs::create_dir_all(plugin_dir).with_context(|| format!("cannot make {}", plugin_dir.display()))?;
+    let name = library_name(&plugin.name);
+    place(library, &plugin_dir.join(&name), Means::Link)?;
+    Ok(name)
+}
+
 /// Makes `plugin_dir` hold the plugins' libraries and nothing else.
 fn lay_out(plugins: &[Plugin], libraries: &BTreeMap<PathBuf, PathBuf>, plugin_dir: &Path) -> Result<()> {
     fs::create_dir_all(plugin_dir).with_context(|| format!("cannot make {}", plugin_dir.display()))?;
     let mut kept = Vec::new();
     for plugin in plugins {
-        let Some(library) = libraries.get(&plugin.folder) else {
-            bail!(
-                "{} makes no shared library: its Cargo.toml needs crate-type = [\"cdylib\", \"rlib\"]",
-                plugin.folder.display()
-            );
-        };
-        let name = library_name(&plugin.name);
-        place(library, &plugin_dir.join(&name), Means::Link)?;
-        kept.push(name);
+        kept.push(place_plugin(plugin, libraries, plugin_dir)?);
     }
     for entry in fs::read_dir(plugin_dir)?.flatten() {
         let name = entry.file_name();
@@ -387,5 +436,31 @@ mod tests {
         let error = lay_out(&[stitch()], &libraries, &folder).unwrap_err();
         assert!(error.to_string().contains("/r/plugins/stitch makes no shared library"), "{error}");
         fs::remove_dir_all(&folder).unwrap();
+    }
+
+    /// External packages with their features, as cargo resolves them for some packages of the workspace.
+    fn features(workspace: &Workspace, packages: &[&str], edges: &str) -> BTreeSet<String> {
+        let mut cargo = workspace.cargo();
+        cargo.args(["tree", "--offline", "--prefix", "none", "--format", "{p} {f}", "--edges", edges]).args(packages);
+        let text = process::capture(&mut cargo).unwrap();
+        text.lines().filter(|line| !line.contains("(/")).map(|line| line.trim_end_matches(" (*)").to_owned()).collect()
+    }
+
+    /// Else external packages would be compiled twice: for the demo and for the tests.
+    #[test]
+    fn a_part_of_the_workspace_uses_external_packages_with_the_features_of_the_whole() {
+        let workspace = Workspace::locate().unwrap();
+        let whole = features(&workspace, &["--workspace"], "normal,build,dev");
+        assert!(whole.len() > 400, "{}", whole.len());
+        let demo = ["panoscope-cli", "panoscope-phantom", "panoscope-sinks", "panoscope-stitch"];
+        for (packages, edges) in [(&demo[..], "normal,build"), (&["panoscope-engine"], "normal,build,dev")] {
+            let named: Vec<&str> = packages.iter().chain([&FEATURES]).flat_map(|name| ["--package", name]).collect();
+            let part = features(&workspace, &named, edges);
+            let others: Vec<&String> = part.difference(&whole).collect();
+            assert!(
+                others.is_empty(),
+                "core/features/Cargo.toml lacks the features that the workspace has of: {others:#?}"
+            );
+        }
     }
 }

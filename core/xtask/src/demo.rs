@@ -6,7 +6,8 @@ use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::build::{Profile, build, build_windows};
+use crate::build::{Needs, Profile, build_for_graph, build_windows};
+use crate::lint;
 use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
@@ -33,15 +34,27 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     let outputs = outputs(&text, &graph, args)?;
 
     setup::ensure(&[Purpose::Build])?;
+    lint::require_clippy(workspace)?;
+    let (mut needs, finds_instruments) = needs(&text, graph.parent().unwrap_or(Path::new("")));
+    // Graphs laid over this one may bring sources of their own.
+    for file in values_of(args, "--with") {
+        let text = fs::read_to_string(file).with_context(|| format!("cannot read {file}"))?;
+        add_needs(&text, Path::new(file).parent().unwrap_or(Path::new("")), 16, &mut needs);
+    }
     // For graphs that find instruments: this one, or those that are tried next.
     match onnxruntime::fetch(workspace) {
         Ok(_) => {}
-        Err(error) if needs_runtime(&text, graph.parent().unwrap_or(Path::new(""))) => {
+        Err(error) if finds_instruments => {
             return Err(error.context("this graph needs ONNX Runtime"));
         }
         Err(error) => println!("ONNX Runtime was not fetched, so graphs that find instruments do not run: {error:#}"),
     }
-    let built = build(workspace, Profile::Dev)?;
+    let built = build_for_graph(workspace, &needs)?;
+    let plugins: Vec<&str> = needs.plugins.iter().map(String::as_str).collect();
+    println!(
+        "Built for this graph: the program and the plugins {}; `cargo xtask build` builds the rest.",
+        plugins.join(", ")
+    );
     let mut run = built.panoscope();
     run.arg("run").arg(&graph);
     if value_of(args, "--frames").is_none() {
@@ -96,24 +109,38 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Whether a graph, or a part of it, finds instruments by a network. Parts are relative to `folder`.
-fn needs_runtime(text: &str, folder: &Path) -> bool {
-    needs_runtime_within(text, folder, 16)
+/// What a graph and its parts need, and whether they find instruments by a network. Parts are relative to `folder`.
+fn needs(text: &str, folder: &Path) -> (Needs, bool) {
+    let mut needs = Needs::default();
+    let finds_instruments = add_needs(text, folder, 16, &mut needs);
+    (needs, finds_instruments)
 }
 
 /// The same for parts of parts up to this depth: one that uses itself is an error that the run reports.
-fn needs_runtime_within(text: &str, folder: &Path, depth: usize) -> bool {
+fn add_needs(text: &str, folder: &Path, depth: usize, needs: &mut Needs) -> bool {
     let table: Option<toml::Table> = text.parse().ok();
-    let nodes = table.as_ref().and_then(|t| t.get("nodes")).and_then(toml::Value::as_table);
-    nodes.into_iter().flatten().any(|(_, node)| {
+    let Some(table) = table else { return false };
+    for plugin in table.get("plugins").and_then(toml::Value::as_array).into_iter().flatten() {
+        let Some(name) = plugin.as_str() else { continue };
+        needs.python |= name.ends_with(".py");
+        needs.plugins.insert(name.to_owned());
+    }
+    let mut finds_instruments = false;
+    let nodes = table.get("nodes").and_then(toml::Value::as_table);
+    for (_, node) in nodes.into_iter().flatten() {
         let word = |key: &str| node.get(key).and_then(toml::Value::as_str);
+        needs.machine |= word("on").is_some();
         if let Some(name) = word("type") {
-            return matches!(name.rsplit('/').next(), Some("yolo" | "mask_rcnn"));
+            let name = name.rsplit('/').next().unwrap_or(name);
+            finds_instruments |= matches!(name, "yolo" | "mask_rcnn");
+            needs.guard |= matches!(name, "arm_serial" | "arm_ur");
         }
-        let Some(part) = word("graph").map(|file| folder.join(file)) else { return false };
-        let text = fs::read_to_string(&part).ok().filter(|_| depth > 0);
-        text.is_some_and(|text| needs_runtime_within(&text, part.parent().unwrap_or(folder), depth - 1))
-    })
+        let Some(part) = word("graph").map(|file| folder.join(file)) else { continue };
+        if let Some(text) = fs::read_to_string(&part).ok().filter(|_| depth > 0) {
+            finds_instruments |= add_needs(&text, part.parent().unwrap_or(folder), depth - 1, needs);
+        }
+    }
+    finds_instruments
 }
 
 /// What a sink of the graph is to write.
@@ -291,14 +318,21 @@ mod tests {
     }
 
     #[test]
-    fn graphs_that_find_instruments_are_known() {
-        assert!(!needs_runtime(GRAPH, Path::new("")));
-        assert!(needs_runtime("[nodes.find]\ntype = \"yolo\"\n", Path::new("")));
-        assert!(needs_runtime("[nodes.find]\ntype = \"tools/mask_rcnn\"\n", Path::new("")));
+    fn the_needs_of_a_graph_are_known() {
+        let finds = |text: &str| needs(text, Path::new("")).1;
+        assert!(!finds(GRAPH));
+        assert!(finds("[nodes.find]\ntype = \"yolo\"\n"));
+        assert!(finds("[nodes.find]\ntype = \"tools/mask_rcnn\"\n"));
         let graphs = Workspace::locate().unwrap().root.join("graphs");
-        for (name, needs) in [("tools_masks.toml", true), ("surgeon.toml", true), ("panorama.toml", false)] {
-            assert_eq!(needs_runtime(&fs::read_to_string(graphs.join(name)).unwrap(), &graphs), needs, "{name}");
+        let of = |name: &str| needs(&fs::read_to_string(graphs.join(name)).unwrap(), &graphs);
+        for (name, expected) in [("tools_masks.toml", true), ("surgeon.toml", true), ("panorama.toml", false)] {
+            assert_eq!(of(name).1, expected, "{name}");
         }
+        let (panorama, _) = of("panorama.toml");
+        assert_eq!(panorama.plugins.iter().map(String::as_str).collect::<Vec<_>>(), ["phantom", "sinks", "stitch"]);
+        assert!(!panorama.guard && !panorama.machine && !panorama.python);
+        let (other, _) = needs("plugins = [\"shade.py\"]\n[nodes.a]\ntype = \"arm_ur\"\non = \"b\"\n", Path::new(""));
+        assert!(other.guard && other.machine && other.python);
     }
 
     #[test]

@@ -5,7 +5,8 @@ use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 
-use crate::build::{BuiltForTests, Extent, Profile, build_for_tests};
+use crate::build::{BuiltForTests, Extent, build_for_tests};
+use crate::nextest;
 use crate::packages::Purpose;
 use crate::process;
 use crate::setup;
@@ -25,10 +26,12 @@ pub fn header(workspace: &Workspace) -> Result<()> {
 /// Updates all expected outputs. Read the difference before you commit it.
 pub fn bless(workspace: &Workspace) -> Result<()> {
     setup::ensure(&[Purpose::Build, Purpose::Test])?;
-    let built = build_for_tests(workspace, Profile::Dev, Extent::Workspace)?;
-    let mut cargo = workspace.cargo();
+    let nextest = nextest::tool(workspace)?;
+    let built = build_for_tests(workspace, Extent::Workspace)?;
+    let mut cargo = workspace.cargo_dev();
     test_environment(&mut cargo, workspace, &built)?;
-    process::run(cargo.args(["test", "--quiet", "--workspace", "--no-fail-fast"]).env(BLESS, "1"))?;
+    nextest.put_into(&mut cargo)?;
+    process::run(nextest::run(&mut cargo)?.arg("--workspace").env(BLESS, "1"))?;
     show_changes(workspace, ".")
 }
 

@@ -2,7 +2,8 @@
 
 use std::fs;
 use std::os::unix::fs::symlink;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::{Context, Result};
 
@@ -11,6 +12,7 @@ use crate::build::{
     place, place_files, program_name, python_package, window_names,
 };
 use crate::onnxruntime;
+use crate::process;
 use crate::workspace::Workspace;
 
 /// Folder of the programs, the plugins and ONNX Runtime below the prefix of an installation.
@@ -19,6 +21,13 @@ pub const LIBRARY: &str = "lib/panoscope";
 pub const DATA: &str = "share/panoscope";
 /// File in [`DATA`] by which graphs know that they belong to an installation.
 const MARKER: &str = "installation.toml";
+
+/// Whether installed programs keep the line numbers and names of functions that back-traces show; they are three quarters of a program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Symbols {
+    Stripped,
+    Kept,
+}
 
 /// How an installation gets to a machine; `panoscope doctor` gives advice that fits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,12 +44,15 @@ pub enum Kind {
 ///
 /// # Errors
 /// The build fails, a file cannot be copied, or ONNX Runtime cannot be had; all but ONNX Runtime is in place then.
-pub fn install(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<()> {
+pub fn install(workspace: &Workspace, dir: &Path, profile: Profile, symbols: Symbols) -> Result<()> {
     let built = build(workspace, profile)?;
     let windows = build_windows(workspace, profile)?;
     let runtime = onnxruntime::fetch(workspace);
     let tree = Tree { built: &built, windows: Some(&windows), runtime: runtime.as_deref().ok() };
     tree.put_into(workspace, dir, Means::Copy)?;
+    if symbols == Symbols::Stripped {
+        binaries(workspace, dir).iter().try_for_each(|file| strip(file))?;
+    }
     println!("{}", dir.join("bin").join(program_name()).display());
     runtime.map(drop).with_context(|| {
         format!(
@@ -124,6 +136,21 @@ impl Tree<'_> {
         }
         Ok(())
     }
+}
+
+/// Removes from a program or library what only debuggers read.
+pub fn strip(file: &Path) -> Result<()> {
+    process::run(Command::new("strip").args(["--strip-unneeded", "--remove-section=.comment"]).arg(file))
+}
+
+/// Programs and libraries of an installed tree.
+pub fn binaries(workspace: &Workspace, prefix: &Path) -> Vec<PathBuf> {
+    let library = prefix.join(LIBRARY);
+    let programs = [program_name()].into_iter().chain(helper_names()).chain(window_names());
+    let programs = programs.map(|name| library.join(name));
+    let plugins = workspace.plugins.iter().map(|plugin| library.join("plugins").join(library_name(&plugin.name)));
+    let runtime = library.join("onnxruntime").join(onnxruntime::LIBRARY);
+    programs.chain(plugins).chain([runtime]).filter(|path| path.is_file()).collect()
 }
 
 fn make_dir(folder: &Path) -> Result<()> {

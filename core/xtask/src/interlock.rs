@@ -1,12 +1,12 @@
 //! `cargo xtask interlock`: how thoroughly the interlock's tests judge it. Branch coverage, and mutants: small changes of its code that a test must find.
 
-use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
 
 use crate::process;
+use crate::tool;
 use crate::workspace::Workspace;
 
 const PACKAGE: &str = "panoscope-arm-core";
@@ -52,28 +52,8 @@ pub fn interlock(workspace: &Workspace, args: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Installs a tool beside the build unless it is there; returns the folder for PATH.
-fn tool(workspace: &Workspace, name: &str) -> Result<PathBuf> {
-    let root = workspace.target.join("tools");
-    let folder = root.join("bin");
-    if !folder.join(name).is_file() && process::find_program(name).is_none() {
-        let mut cargo = workspace.cargo();
-        cargo.args(["install", "--locked", "--root"]).arg(&root).arg(name);
-        process::run(&mut cargo).with_context(|| format!("`{name}` was not installed"))?;
-    }
-    Ok(folder)
-}
-
-/// Puts a folder first in the command's PATH.
-fn with_path(command: &mut Command, folder: &Path) -> Result<()> {
-    let old = std::env::var_os("PATH").unwrap_or_default();
-    let folders = std::iter::once(folder.to_owned()).chain(std::env::split_paths(&old));
-    command.env("PATH", std::env::join_paths(folders)?);
-    Ok(())
-}
-
 fn coverage(workspace: &Workspace) -> Result<()> {
-    let tools = tool(workspace, "cargo-llvm-cov")?;
+    let tools = tool::ensure(workspace, "cargo-llvm-cov")?;
     // `cargo` may be one compiler's own; the one in PATH chooses by toolchain.
     let mut cargo = Command::new("cargo");
     cargo.current_dir(&workspace.root).args([
@@ -90,7 +70,7 @@ fn coverage(workspace: &Workspace) -> Result<()> {
         .env("CARGO_TARGET_DIR", workspace.target.join("interlock"))
         .env_remove("RUSTUP_TOOLCHAIN")
         .env_remove("CARGO");
-    with_path(&mut cargo, &tools)?;
+    tools.put_into(&mut cargo)?;
     println!("{}", process::shown(&cargo));
     let text = process::capture(&mut cargo).context(
         "branch coverage needs the nightly compiler and its LLVM tools: `rustup toolchain install nightly --component llvm-tools`",
@@ -141,7 +121,7 @@ fn covered(text: &str) -> Result<Vec<Covered>> {
 }
 
 fn mutants(workspace: &Workspace) -> Result<()> {
-    let tools = tool(workspace, "cargo-mutants")?;
+    let tools = tool::ensure(workspace, "cargo-mutants")?;
     let output = workspace.target.join("interlock");
     std::fs::create_dir_all(&output)?;
     let mut cargo = workspace.cargo();
@@ -151,7 +131,7 @@ fn mutants(workspace: &Workspace) -> Result<()> {
     // Only the tests of this crate, built with little optimisation: most of the time is compiling.
     cargo.args(["--cargo-arg=--lib", "--cargo-arg=--config=profile.dev.package.panoscope-arm-core.opt-level=1"]);
     cargo.args(["--minimum-test-timeout=20", "--", "interlock"]);
-    with_path(&mut cargo, &tools)?;
+    tools.put_into(&mut cargo)?;
     println!("{}", process::shown(&cargo));
     // Its exit code says that some survived; the score decides here.
     let status = cargo.status().context("cargo mutants cannot be started")?;

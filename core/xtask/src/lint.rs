@@ -13,10 +13,21 @@ pub fn format(workspace: &Workspace) -> Result<()> {
     process::run(workspace.cargo().args(["fmt", "--all", "--check"]))
 }
 
-/// Runs clippy over everything; a warning is a failure.
-pub fn clippy(workspace: &Workspace) -> Result<()> {
-    require(workspace, "clippy", "clippy")?;
-    process::run(workspace.cargo().args(["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]))
+/// Environment variables by which clippy compiles, and by which it gets its arguments.
+pub const VARIABLES: [&str; 2] = ["RUSTC_WORKSPACE_WRAPPER", "CLIPPY_ARGS"];
+
+/// Lets clippy compile the packages of the workspace, so that lints cost no second pass; a warning is an error. Without clippy nothing is linted.
+pub fn deny_warnings(cargo: &mut Command) {
+    if let Some(driver) = process::find_program("clippy-driver") {
+        let [wrapper, arguments] = VARIABLES;
+        // How `cargo clippy` hands its arguments to the driver.
+        cargo.env(wrapper, driver).env(arguments, "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__");
+    }
+}
+
+/// Installs clippy unless it is there.
+pub fn require_clippy(workspace: &Workspace) -> Result<()> {
+    require(workspace, "clippy", "clippy")
 }
 
 /// Sees to it that a part of the toolchain is there: minimal installations leave these out.

@@ -12,6 +12,7 @@ mod install;
 mod interlock;
 mod licences;
 mod lint;
+mod nextest;
 mod onnxruntime;
 mod package;
 mod packages;
@@ -24,6 +25,8 @@ mod setup;
 mod system;
 mod tally;
 mod test;
+mod time;
+mod tool;
 mod wheel;
 mod workspace;
 
@@ -41,10 +44,10 @@ cargo xtask COMMAND
 
   demo [GRAPH.toml] [--headless] [args of `panoscope run`]
                        installs what is missing, builds, runs graphs/panorama.toml and prints what it wrote
-  test [SUITE] [-- args of `cargo test`]
-                       installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, faults,
-                       hostile-models, disk, damaged-streams, deaths, network, kill, asan, tsan, arm,
-                       sim
+  test [SUITE] [-- args of `cargo nextest run`]
+                       installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, asan, tsan;
+                       with longer doses faults, hostile-models, disk, damaged-streams, deaths, network, kill, arm, sim; campaign: all of these
+  time                 prints where the time of the last `test` went: steps, and the slowest packages, test programs and tests
   interlock [--coverage | --mutants]
                        judges the tests of the arm's interlock: branch coverage (nightly compiler) and mutants; takes an hour
   fuzz [TARGET] [--seconds N] [--keep] | fuzz --coverage | fuzz --missed
@@ -54,7 +57,9 @@ cargo xtask COMMAND
   setup                installs the system packages that are missing
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
-  install DIR          puts a release build into DIR/bin, DIR/lib and DIR/share: programs, plugins with models, ONNX Runtime, graphs
+  install DIR [--symbols]
+                       puts a release build into DIR/bin, DIR/lib and DIR/share: programs, plugins with models, ONNX Runtime, graphs;
+                       --symbols keeps line numbers for back-traces, with which the programs are four times as large
   package [DIR] [--check] [--dev]
                        makes a Debian package and a relocatable tar file of a release build in DIR (target/package); DEBEMAIL=\"Name
                        <address>\" names who made it, else git's user. --check installs it into a bare Debian and uses it there (root); --dev
@@ -94,6 +99,10 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
     match command.as_str() {
         "demo" => demo::demo(&Workspace::locate()?, rest)?,
         "test" => return test::test(&Workspace::locate()?, rest),
+        "time" => {
+            flag(rest, "")?;
+            time::time(&Workspace::locate()?)?;
+        }
         "interlock" => interlock::interlock(&Workspace::locate()?, rest)?,
         "fuzz" => {
             let clean = fuzz::fuzz(&Workspace::locate()?, rest)?;
@@ -115,7 +124,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             let (built, test_plugin_dir) = match profile {
                 Profile::Release => (build::build(&workspace, profile)?, None),
                 Profile::Dev => {
-                    let tests = build::build_for_tests(&workspace, profile, build::Extent::Product)?;
+                    let tests = build::build_for_tests(&workspace, build::Extent::Product)?;
                     (tests.built, Some(tests.test_plugin_dir))
                 }
             };
@@ -131,9 +140,13 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             process::run(built.panoscope().arg("bench").args(rest))?;
         }
         "install" => {
-            let [dir] = rest else { bail!("install takes one argument, the folder to install into") };
+            let (dir, symbols) = match rest {
+                [dir] => (dir, install::Symbols::Stripped),
+                [dir, flag] if flag == "--symbols" => (dir, install::Symbols::Kept),
+                _ => bail!("install takes the folder to install into, and `--symbols` after it"),
+            };
             setup::ensure(&[Purpose::Build])?;
-            install::install(&Workspace::locate()?, dir.as_ref(), Profile::Release)?;
+            install::install(&Workspace::locate()?, dir.as_ref(), Profile::Release, symbols)?;
         }
         "package" => {
             setup::ensure(&[Purpose::Build, Purpose::Package])?;

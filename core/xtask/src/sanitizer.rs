@@ -49,23 +49,24 @@ impl Sanitizer {
                 "ThreadSanitizer needs the sources of the standard library: `rustup component add rust-src --toolchain nightly`"
             );
         }
-        let name = if self == Self::Address { "asan" } else { "tsan" };
         let mut cargo = nightly("cargo");
         if self == Self::Thread {
             cargo.arg("-Zbuild-std");
         }
-        cargo.current_dir(&workspace.root).env("CARGO_TARGET_DIR", workspace.target.join(name));
+        cargo.current_dir(&workspace.root).env("CARGO_TARGET_DIR", workspace.target.join(self.folder()));
         cargo.env("RUSTFLAGS", format!("{} -Cunsafe-allow-abi-mismatch=sanitizer", self.flag()));
         Ok(cargo)
     }
 
-    /// For the test programs: tests that cannot hold under the sanitizer.
-    pub fn test_arguments() -> &'static [&'static str] {
-        // Of the C library's own heap, in place of which both have another.
-        &["--skip", "heap::tests"]
+    /// Its folder below the target folder.
+    pub fn folder(self) -> &'static str {
+        match self {
+            Self::Address => "asan",
+            Self::Thread => "tsan",
+        }
     }
 
-    /// For `cargo test`: with a named target, build scripts and macros are built without the sanitizer.
+    /// For cargo: with a named target, build scripts and macros are built without the sanitizer.
     pub fn arguments(self) -> [&'static str; 2] {
         ["--target", TARGET]
     }

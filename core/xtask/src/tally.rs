@@ -1,96 +1,104 @@
-//! Counts tests from what `cargo test` prints.
+//! Results of tests, from the JUnit file that `cargo nextest` writes.
 
-use std::collections::BTreeMap;
+use std::time::Duration;
 
-/// The sum over all test programs of one `cargo test -- --show-output`.
+use anyhow::{Context, Result};
+use roxmltree::{Document, Node};
+
+/// One test that ran.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TestResult {
+    /// The test program, such as `panoscope-engine::tests`.
+    pub program: String,
+    pub name: String,
+    pub time: Duration,
+    pub failed: bool,
+    /// What it printed as `skipped: <reason>`.
+    pub skips: Vec<String>,
+}
+
+/// All results of a run.
 ///
-/// A test that lacks its data prints a line `skipped: <reason>` and returns; libtest calls that passed, here it is
-/// skipped. Ignored tests are skipped as well.
+/// A test that lacks its data prints a line `skipped: <reason>` and returns; nextest calls that passed, here it is skipped.
 #[derive(Debug, Default)]
 pub struct Tally {
-    passed: usize,
-    failed: usize,
-    ignored: usize,
-    /// Reasons by test; the name of a test may occur in several programs.
-    skips: BTreeMap<(usize, String), Vec<String>>,
-    failures: Vec<String>,
-    /// Number of `test result` lines so far, which is the number of the current program.
-    programs: usize,
-    /// The test whose output is being listed.
-    section: Option<String>,
-    in_successes: bool,
+    pub results: Vec<TestResult>,
+    /// Steps that are not tests, such as the format check.
+    failed_steps: Vec<String>,
 }
 
 impl Tally {
-    /// Takes one line of output; false for the listed output of tests that passed, which only clutters.
-    pub fn read(&mut self, line: &str) -> bool {
-        if let Some(counts) = line.strip_prefix("test result: ") {
-            self.end_program(counts);
-            return true;
+    /// Adds the results of a run.
+    ///
+    /// # Errors
+    /// The text is not a JUnit report.
+    pub fn read(&mut self, junit: &str) -> Result<()> {
+        let document = Document::parse(junit).context("the report of the tests is not XML")?;
+        for suite in document.descendants().filter(|node| node.has_tag_name("testsuite")) {
+            let program = suite.attribute("name").unwrap_or_default();
+            let cases = suite.children().filter(|node| node.has_tag_name("testcase"));
+            self.results.extend(cases.map(|case| test_result(program, case)));
         }
-        match line {
-            "successes:" => (self.in_successes, self.section) = (true, None),
-            "failures:" => (self.in_successes, self.section) = (false, None),
-            _ => {}
-        }
-        let test = line.strip_prefix("---- ").and_then(|rest| rest.strip_suffix(" stdout ----"));
-        if let Some(test) = test {
-            self.section = Some(test.to_owned());
-        } else if let Some(reason) = line.trim_start().strip_prefix("skipped:") {
-            let test = self.section.clone().unwrap_or_default();
-            self.skips.entry((self.programs, test)).or_default().push(reason.trim().to_owned());
-        } else if let Some(test) = line.strip_prefix("test ").and_then(|rest| rest.strip_suffix(" ... FAILED")) {
-            self.failures.push(test.to_owned());
-        }
-        !self.in_successes
+        Ok(())
     }
 
-    /// Reads such as `ok. 3 passed; 0 failed; 1 ignored; 0 measured; 0 filtered out; finished in 0.01s`.
-    fn end_program(&mut self, counts: &str) {
-        let (_, counts) = counts.split_once(". ").unwrap_or(("", counts));
-        for count in counts.split("; ") {
-            let Some((number, what)) = count.split_once(' ') else { continue };
-            let Ok(number) = number.parse::<usize>() else { continue };
-            match what {
-                "passed" => self.passed += number,
-                "failed" => self.failed += number,
-                "ignored" => self.ignored += number,
-                _ => {}
-            }
-        }
-        self.programs += 1;
-        (self.in_successes, self.section) = (false, None);
-    }
-
-    /// Counts a step that is no test, such as the format check or a test program that crashed.
+    /// Counts a step that is not a test, such as the format check or a build.
     pub fn count_failed_step(&mut self, step: &str) {
-        self.failed += 1;
-        self.failures.push(step.to_owned());
+        self.failed_steps.push(step.to_owned());
     }
 
-    /// Tests and steps that failed.
+    /// Number of tests and steps that failed.
     pub fn failed(&self) -> usize {
-        self.failed
+        self.failed_steps.len() + self.results.iter().filter(|result| result.failed).count()
     }
 
     /// Every reason a test was skipped for and every failure, one a line.
     pub fn details(&self) -> Vec<String> {
-        let skips = self.skips.iter().flat_map(|((_, test), reasons)| {
-            reasons.iter().map(move |reason| match test.as_str() {
-                "" => format!("skipped: {reason}"),
-                test => format!("skipped: {test}: {reason}"),
-            })
+        let skips = self.results.iter().flat_map(|result| {
+            result.skips.iter().map(move |reason| format!("skipped: {} {}: {reason}", result.program, result.name))
         });
-        skips.chain(self.failures.iter().map(|failure| format!("failed: {failure}"))).collect()
+        let failures = self.results.iter().filter(|result| result.failed);
+        let failures = failures.map(|result| format!("failed: {} {}", result.program, result.name));
+        skips.chain(failures).chain(self.failed_steps.iter().map(|step| format!("failed: {step}"))).collect()
     }
 
     /// `N passed, N failed, N skipped`.
     pub fn summary(&self) -> String {
         // A test that failed after it reported a skip is only a failure.
-        let reported: usize =
-            self.skips.keys().filter(|(_, test)| !test.is_empty() && !self.failures.contains(test)).count();
-        let reported = reported.min(self.passed);
-        format!("{} passed, {} failed, {} skipped", self.passed - reported, self.failed, self.ignored + reported)
+        let skipped = self.results.iter().filter(|result| !result.failed && !result.skips.is_empty()).count();
+        let passed = self.results.iter().filter(|result| !result.failed).count() - skipped;
+        format!("{passed} passed, {} failed, {skipped} skipped", self.failed())
+    }
+
+    /// The `count` slowest tests, slowest first, and the `count` programs whose tests took longest together.
+    pub fn slowest(&self, count: usize) -> (Vec<&TestResult>, Vec<(&str, Duration)>) {
+        let mut tests: Vec<&TestResult> = self.results.iter().collect();
+        tests.sort_by_key(|result| std::cmp::Reverse(result.time));
+        tests.truncate(count);
+        let mut programs: Vec<(&str, Duration)> = Vec::new();
+        for result in &self.results {
+            match programs.iter_mut().find(|(program, _)| *program == result.program) {
+                Some((_, time)) => *time += result.time,
+                None => programs.push((&result.program, result.time)),
+            }
+        }
+        programs.sort_by_key(|(_, time)| std::cmp::Reverse(*time));
+        programs.truncate(count);
+        (tests, programs)
+    }
+}
+
+fn test_result(program: &str, case: Node) -> TestResult {
+    let output = case.children().filter(|node| node.has_tag_name("system-out")).filter_map(|node| node.text());
+    let skips = output.flat_map(str::lines).filter_map(|line| line.trim_start().strip_prefix("skipped:"));
+    let skips = skips.map(|reason| reason.trim().to_owned()).collect();
+    let seconds = case.attribute("time").and_then(|time| time.parse().ok()).unwrap_or_default();
+    TestResult {
+        program: program.to_owned(),
+        name: case.attribute("name").unwrap_or_default().to_owned(),
+        time: Duration::try_from_secs_f64(seconds).unwrap_or_default(),
+        failed: case.children().any(|node| node.has_tag_name("failure") || node.has_tag_name("error")),
+        skips,
     }
 }
 
@@ -98,87 +106,49 @@ impl Tally {
 mod tests {
     use super::*;
 
-    const OUTPUT: &str = "
-running 3 tests
-test a::one ... ok
-test a::two ... ok
-test slow ... ignored
-
-successes:
-
----- a::two stdout ----
-looking for data
+    const REPORT: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
+<testsuites name="nextest-run" tests="4" failures="1" errors="0" time="3.1">
+  <testsuite name="panoscope-a::tests" tests="3" disabled="0" errors="0" failures="1">
+    <testcase name="one" classname="panoscope-a::tests" time="0.5"><system-out>
+running 1 test
 skipped: the leuven pair is not installed
 skipped: the graf pair is not installed
-
-
-successes:
-    a::one
-    a::two
-
-test result: ok. 2 passed; 0 failed; 1 ignored; 0 measured; 0 filtered out; finished in 0.00s
-
-
-running 2 tests
-test a::two ... ok
-test b ... FAILED
-
-successes:
-
-successes:
-    a::two
-
-failures:
-
----- b stdout ----
-
-thread 'b' (7) panicked at tests/b.rs:3:5:
-no
-
-failures:
-    b
-
-test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; finished in 0.00s
-
-
-running 12 tests
-test result: ok. 12 passed; 0 failed; 0 ignored; 0 measured; 0 filtered out; finished in 1.20s; merged doctests
-";
+test one ... ok
+</system-out><system-err>skipped: one: the leuven pair is not installed</system-err></testcase>
+    <testcase name="two" classname="panoscope-a::tests" time="1.25"><system-out>skipped: half of it</system-out>
+      <failure message="no" type="test failure">panicked</failure></testcase>
+    <testcase name="three" classname="panoscope-a::tests" time="0.25"/>
+  </testsuite>
+  <testsuite name="panoscope-b" tests="1" disabled="0" errors="0" failures="0">
+    <testcase name="one" classname="panoscope-b" time="1.5"/>
+  </testsuite>
+</testsuites>"#;
 
     #[test]
-    fn counts_are_summed_and_skips_are_no_passes() {
+    fn skips_are_not_passes_and_a_failure_is_not_hidden_behind_one() {
         let mut tally = Tally::default();
-        let shown: Vec<&str> = OUTPUT.lines().filter(|line| tally.read(line)).collect();
-        assert_eq!(tally.summary(), "14 passed, 1 failed, 2 skipped");
+        tally.read(REPORT).unwrap();
+        assert_eq!(tally.summary(), "2 passed, 1 failed, 1 skipped");
         assert_eq!(
             tally.details(),
             [
-                "skipped: a::two: the leuven pair is not installed",
-                "skipped: a::two: the graf pair is not installed",
-                "failed: b"
+                "skipped: panoscope-a::tests one: the leuven pair is not installed",
+                "skipped: panoscope-a::tests one: the graf pair is not installed",
+                "skipped: panoscope-a::tests two: half of it",
+                "failed: panoscope-a::tests two"
             ]
         );
-        assert!(shown.contains(&"test a::one ... ok") && shown.contains(&"no"), "failures stay visible");
-        assert!(!shown.contains(&"looking for data"), "the output of tests that passed is left out");
-        assert_eq!(shown.iter().filter(|line| line.starts_with("test result")).count(), 3);
+        let (tests, programs) = tally.slowest(2);
+        assert_eq!(tests.iter().map(|test| test.name.as_str()).collect::<Vec<_>>(), ["one", "two"]);
+        assert_eq!(programs[0], ("panoscope-a::tests", Duration::from_secs(2)));
+        assert!(tally.read("no report").is_err());
     }
 
     #[test]
     fn a_failed_step_counts() {
         let mut tally = Tally::default();
-        tally.count_failed_step("cargo fmt");
+        tally.count_failed_step("format");
         assert_eq!((tally.failed(), tally.summary().as_str()), (1, "0 passed, 1 failed, 0 skipped"));
-        assert_eq!(tally.details(), ["failed: cargo fmt"]);
-    }
-
-    #[test]
-    fn a_failure_is_not_hidden_behind_a_skip_line() {
-        let mut tally = Tally::default();
-        let text = "test c ... FAILED\n\nfailures:\n\n---- c stdout ----\nskipped: half of it\n\n\
-                    failures:\n    c\n\ntest result: FAILED. 4 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out";
-        text.lines().for_each(|line| {
-            tally.read(line);
-        });
-        assert_eq!(tally.summary(), "4 passed, 1 failed, 0 skipped");
+        assert_eq!(tally.details(), ["failed: format"]);
     }
 }

@@ -1,14 +1,14 @@
 //! `cargo xtask test`: everything that must hold before a change goes in.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
-use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
-use crate::build::{Extent, Profile, build_for_tests};
+use crate::build::{self, Extent, build_for_tests};
 use crate::generated::test_environment;
 use crate::lint;
+use crate::nextest;
 use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
@@ -16,127 +16,191 @@ use crate::python_packages::{NUMPY, PEERS, PEERS_VARIABLE};
 use crate::sanitizer::{self, Sanitizer};
 use crate::setup;
 use crate::tally::Tally;
+use crate::time::{self, timed};
 use crate::workspace::Workspace;
 
 /// With less free space after a failure, the full disk is the probable reason: compilers do not say so.
-const LEAST_FREE_MIB: u64 = 2048;
+const MIN_FREE_MIB: u64 = 2048;
+
+/// Packages with examples in their documentation.
+const WITH_EXAMPLES: &[&str] = &["panoscope-graph", "panoscope-node", "panoscope-testing"];
+
+/// Packages whose tests need plugins at most.
+const BELOW_PROGRAM: &[&str] = &[
+    "panoscope-abi",
+    "panoscope-base",
+    "panoscope-node",
+    "panoscope-node-derive",
+    "panoscope-graph",
+    "panoscope-engine",
+    "panoscope-imaging",
+    "panoscope-gpu",
+    "panoscope-formats",
+    "panoscope-calibration",
+    "panoscope-tracking",
+    "panoscope-arm-core",
+    "xtask",
+];
 
 /// A named part of the tests.
 struct Suite {
     name: &'static str,
     lints: bool,
-    tests: bool,
-    /// Arguments of `cargo test` that pick its tests.
-    only: &'static [&'static str],
+    /// Packages whose tests run; all if empty.
+    packages: &'static [&'static str],
+    /// Filter expression of nextest; all tests if empty.
+    filter: &'static str,
     /// Environment of its tests, where the caller has not set it.
     env: &'static [(&'static str, &'static str)],
     /// Built with a sanitizer of the nightly compiler.
     sanitizer: Option<Sanitizer>,
 }
 
-/// Packages that the sanitizers judge: those that run graphs, without plugins of foreign libraries.
+/// Packages that the sanitizers check: those that run graphs, without plugins of foreign libraries.
 const SANITIZED: &[&str] = &[
-    "-p",
     "panoscope-base",
-    "-p",
     "panoscope-graph",
-    "-p",
     "panoscope-engine",
-    "-p",
     "panoscope-isolate",
-    "-p",
     "panoscope-loader",
-    "-p",
     "panoscope-record",
-    "--lib",
-    "--tests",
 ];
 
-/// Tests that `cargo test` runs with these arguments.
-const fn tests(
+const ALL: Suite = Suite { name: "all", lints: true, packages: &[], filter: "", env: &[], sanitizer: None };
+
+/// A campaign: a test that draws cases from a seed. `test` runs a short dose of each, `test NAME` and `test campaign` the one that stands here.
+const fn campaign(
     name: &'static str,
-    only: &'static [&'static str],
+    packages: &'static [&'static str],
+    filter: &'static str,
     env: &'static [(&'static str, &'static str)],
 ) -> Suite {
-    Suite { name, lints: false, tests: true, only, env, sanitizer: None }
+    Suite { name, packages, filter, env, lints: false, sanitizer: None }
 }
 
+/// Parts of the tests that are not campaigns.
 static SUITES: &[Suite] = &[
-    Suite { name: "all", lints: true, tests: true, only: &[], env: &[], sanitizer: None },
-    Suite { name: "lint", lints: true, tests: false, only: &[], env: &[], sanitizer: None },
-    tests("code", &[], &[]),
-    // PANOSCOPE_FAULT_CASES and PANOSCOPE_FAULT_SEED choose how many cases and which.
-    tests("faults", &["-p", "panoscope-engine", "--test", "campaign"], &[]),
-    // PANOSCOPE_HOSTILE_CASES and PANOSCOPE_HOSTILE_SEED, the same.
-    tests(
+    ALL,
+    Suite { name: "lint", ..ALL },
+    Suite { name: "code", lints: false, ..ALL },
+    // The runtime without foreign libraries, built with a sanitizer. Both have a heap of their own, so the counters of the C library's are not tested.
+    Suite {
+        name: "asan",
+        lints: false,
+        packages: SANITIZED,
+        filter: "not test(heap::tests)",
+        env: &[("ASAN_OPTIONS", sanitizer::ASAN_OPTIONS)],
+        sanitizer: Some(Sanitizer::Address),
+    },
+    Suite {
+        name: "tsan",
+        lints: false,
+        packages: SANITIZED,
+        filter: "not test(heap::tests)",
+        env: &[("PANOSCOPE_FAULT_CASES", "20")],
+        sanitizer: Some(Sanitizer::Thread),
+    },
+];
+
+/// The campaigns with their long doses. Beside the number of cases each reads a seed, such as `PANOSCOPE_FAULT_SEED`.
+static CAMPAIGNS: &[Suite] = &[
+    campaign("faults", &["panoscope-engine"], "test(/^campaign::/)", &[("PANOSCOPE_FAULT_CASES", "2000")]),
+    campaign(
         "hostile-models",
-        &["-p", "panoscope-tools", "--test", "hostile_campaign"],
+        &["panoscope-tools"],
+        "test(/^hostile_campaign::/)",
         &[("PANOSCOPE_HOSTILE_CASES", "200")],
     ),
-    // Disk full, I/O errors and kills at every operation on files; PANOSCOPE_DISK_TICKS chooses how many ticks each case has.
-    tests(
-        "disk",
-        &["-p", "panoscope-sinks", "-p", "panoscope-record", "--test", "disk"],
-        &[("PANOSCOPE_DISK_TICKS", "12")],
-    ),
-    // PANOSCOPE_DAMAGE_CASES and PANOSCOPE_DAMAGE_SEED choose how many damaged videos and which.
-    tests(
+    // Disk full, I/O errors and kills at every operation on files.
+    campaign("disk", &["panoscope-sinks", "panoscope-record"], "test(/^disk::/)", &[("PANOSCOPE_DISK_TICKS", "12")]),
+    campaign(
         "damaged-streams",
-        &["-p", "panoscope-capture", "--test", "damaged_streams"],
+        &["panoscope-capture"],
+        "test(/^damaged_streams::/)",
         &[("PANOSCOPE_DAMAGE_CASES", "1000")],
     ),
-    // PANOSCOPE_DEATH_CASES and PANOSCOPE_DEATH_SEED, the same for processes of nodes that die.
-    tests("deaths", &["-p", "panoscope-tests", "--test", "deaths"], &[("PANOSCOPE_DEATH_CASES", "500")]),
-    // PANOSCOPE_NETWORK_FAULTS and PANOSCOPE_NETWORK_SEED, for faults of the network between two machines.
-    tests("network", &["-p", "panoscope-tests", "--test", "machines"], &[("PANOSCOPE_NETWORK_FAULTS", "1000")]),
+    // Processes of nodes that die.
+    campaign("deaths", &["panoscope-tests"], "test(/^deaths::/)", &[("PANOSCOPE_DEATH_CASES", "500")]),
+    // Faults of the network between two machines.
+    campaign("network", &["panoscope-tests"], "test(/^machines::/)", &[("PANOSCOPE_NETWORK_FAULTS", "1000")]),
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
-    tests("kill", &["-p", "panoscope-editor", "--test", "kill"], &[]),
-    // The runtime without foreign libraries, built with a sanitizer.
-    Suite {
-        sanitizer: Some(Sanitizer::Address),
-        ..tests("asan", SANITIZED, &[("ASAN_OPTIONS", sanitizer::ASAN_OPTIONS)])
-    },
-    Suite { sanitizer: Some(Sanitizer::Thread), ..tests("tsan", SANITIZED, &[("PANOSCOPE_FAULT_CASES", "20")]) },
-    // PANOSCOPE_ARM_CASES, PANOSCOPE_ARM_SEED and PANOSCOPE_ARM_BESIDE choose how many cases, which, and how many at a time.
-    tests("arm", &["-p", "panoscope-arm-guard", "--test", "campaign"], &[("PANOSCOPE_ARM_CASES", "10000")]),
-    // PANOSCOPE_SIM_CASES and PANOSCOPE_SIM_SEED choose how many cases of the simulator and the first seed.
-    tests("sim", &["-p", "panoscope-sim", "--test", "simulation"], &[("PANOSCOPE_SIM_CASES", "10000")]),
+    campaign("kill", &["panoscope-editor"], "test(/^kill::/)", &[]),
+    // PANOSCOPE_ARM_BESIDE chooses how many cases run at a time.
+    campaign("arm", &["panoscope-arm-guard"], "test(/^campaign::/)", &[("PANOSCOPE_ARM_CASES", "10000")]),
+    campaign("sim", &["panoscope-sim"], "test(/^simulation::/)", &[("PANOSCOPE_SIM_CASES", "10000")]),
 ];
+
+/// All campaigns together.
+const CAMPAIGN: &str = "campaign";
+
+/// Names of all suites, for messages.
+fn names() -> String {
+    let suites = SUITES.iter().chain(CAMPAIGNS).map(|suite| suite.name);
+    suites.chain([CAMPAIGN]).collect::<Vec<_>>().join(", ")
+}
 
 /// What the command line asks for.
 struct Request<'a> {
-    suite: &'static Suite,
-    /// For cargo.
-    cargo_args: &'a [String],
-    /// For the test programs.
-    test_args: &'a [String],
+    suites: Vec<&'static Suite>,
+    /// For `cargo nextest run`.
+    arguments: &'a [String],
 }
 
 impl<'a> Request<'a> {
     fn parse(args: &'a [String]) -> Result<Self> {
-        let (suite, passed_on) = split_at_dashes(args);
-        let (cargo_args, test_args) = split_at_dashes(passed_on);
+        let (suite, arguments) = match args.iter().position(|arg| arg == "--") {
+            Some(at) => (&args[..at], &args[at + 1..]),
+            None => (args, &[][..]),
+        };
         let name = match suite {
             [] => "all",
             [name] => name.as_str(),
-            [_, other, ..] => bail!("unexpected argument `{other}`; put arguments of `cargo test` after `--`"),
+            [_, other, ..] => bail!("unexpected argument `{other}`; put arguments of `cargo nextest run` after `--`"),
         };
-        let suite = SUITES.iter().find(|suite| suite.name == name).with_context(|| {
-            let known: Vec<&str> = SUITES.iter().map(|suite| suite.name).collect();
-            format!("there is no test suite `{name}`; there are: {}", known.join(", "))
-        })?;
-        Ok(Self { suite, cargo_args, test_args })
+        let suites: Vec<&Suite> = match name {
+            CAMPAIGN => CAMPAIGNS.iter().collect(),
+            name => SUITES.iter().chain(CAMPAIGNS).filter(|suite| suite.name == name).collect(),
+        };
+        if suites.is_empty() {
+            bail!("there is no test suite `{name}`; there are: {}", names());
+        }
+        Ok(Self { suites, arguments })
     }
 
-    fn names_packages(&self) -> bool {
-        self.cargo_args.iter().any(|arg| arg.starts_with("-p") || arg.starts_with("--package"))
+    fn lints(&self) -> bool {
+        self.suites.iter().any(|suite| suite.lints)
     }
-}
 
-fn split_at_dashes(args: &[String]) -> (&[String], &[String]) {
-    match args.iter().position(|arg| arg == "--") {
-        Some(at) => (&args[..at], &args[at + 1..]),
-        None => (args, &[]),
+    fn tests(&self) -> bool {
+        self.suites.iter().any(|suite| suite.name != "lint")
+    }
+
+    fn sanitizer(&self) -> Option<Sanitizer> {
+        self.suites.iter().find_map(|suite| suite.sanitizer)
+    }
+
+    /// Packages whose tests run; all if empty.
+    fn packages(&self) -> Vec<&str> {
+        let mut named = self.arguments.iter();
+        let mut packages: Vec<&str> = self.suites.iter().flat_map(|suite| suite.packages.iter().copied()).collect();
+        while let Some(arg) = named.next() {
+            match arg.strip_prefix("--package=").or_else(|| arg.strip_prefix("-p").filter(|name| !name.is_empty())) {
+                Some(name) => packages.push(name),
+                None if arg == "-p" || arg == "--package" => packages.extend(named.next().map(String::as_str)),
+                None => {}
+            }
+        }
+        packages
+    }
+
+    /// Filter expression of nextest. None where every test of the packages runs.
+    fn filter(&self) -> Option<String> {
+        let parts = self.suites.iter().filter(|suite| !suite.filter.is_empty()).map(|suite| {
+            let packages: Vec<String> = suite.packages.iter().map(|name| format!("package({name})")).collect();
+            format!("(({}) and {})", packages.join(" or "), suite.filter)
+        });
+        let parts: Vec<String> = parts.collect();
+        (!parts.is_empty()).then(|| parts.join(" or "))
     }
 }
 
@@ -147,7 +211,7 @@ pub fn test(workspace: &Workspace, args: &[String]) -> Result<ExitCode> {
     let mut tally = Tally::default();
     if let Err(error) = steps(workspace, &request, &mut tally) {
         eprintln!("error: {error:#}");
-        if let Some(mib) = free_mib(&workspace.target).filter(|mib| *mib < LEAST_FREE_MIB) {
+        if let Some(mib) = free_mib(&workspace.target).filter(|mib| *mib < MIN_FREE_MIB) {
             eprintln!("only {mib} MiB are free in {}: the build needs 15 GiB", workspace.target.display());
         }
         if tally.failed() == 0 {
@@ -163,74 +227,117 @@ pub fn test(workspace: &Workspace, args: &[String]) -> Result<ExitCode> {
 }
 
 fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<()> {
-    timed("set-up", || setup::ensure(&[Purpose::Build, Purpose::Test]).map(drop))?;
-    if let Err(error) = setup::ensure(&[Purpose::Screens]) {
-        println!("Tests that open windows skip: {error:#}");
-    }
-    // Tests of models name what they skipped without it.
-    if let Err(error) = onnxruntime::fetch(workspace) {
-        println!("ONNX Runtime was not fetched: {error:#}");
-    }
-    let numpy = NUMPY.folder(workspace);
-    if request.suite.lints {
+    timed("set-up", || {
+        setup::ensure(&[Purpose::Build, Purpose::Test])?;
+        if let Err(error) = setup::ensure(&[Purpose::Screens]) {
+            println!("Tests that open windows skip: {error:#}");
+        }
+        Ok(())
+    })?;
+    lint::require_clippy(workspace)?;
+    if request.lints() {
         timed("format", || lint::format(workspace))?;
-        timed("clippy", || lint::clippy(workspace))?;
     }
-    if request.suite.tests {
-        let is_whole = !request.names_packages() && request.suite.only.is_empty();
-        let extent = if is_whole { Extent::Workspace } else { Extent::Product };
-        let built = timed("build", || build_for_tests(workspace, Profile::Dev, extent))?;
-        let mut cargo = match request.suite.sanitizer {
-            None => workspace.cargo(),
-            Some(sanitizer) => sanitizer.cargo(workspace)?,
-        };
-        test_environment(&mut cargo, workspace, &built)?;
-        if let Some(folder) = &numpy {
+    if !request.tests() {
+        return timed("lint", || build::check_all(workspace));
+    }
+    let packages = request.packages();
+    let nextest = nextest::tool(workspace)?;
+    // Downloads take the network, compilers the processors.
+    let (fetched, built) = std::thread::scope(|scope| {
+        let fetched = scope.spawn(|| Fetched::new(workspace, packages.is_empty()));
+        let built = timed("build", || match packages[..] {
+            [] => build_for_tests(workspace, Extent::Workspace),
+            _ => build_for_tests(workspace, if needs_program(&packages) { Extent::Product } else { Extent::Plugins }),
+        });
+        (fetched.join().expect("fetching reports its errors"), built)
+    });
+    let built = built?;
+    let mut cargo = match request.sanitizer() {
+        None => workspace.cargo_dev(),
+        Some(sanitizer) => sanitizer.cargo(workspace)?,
+    };
+    test_environment(&mut cargo, workspace, &built)?;
+    fetched.put_into(&mut cargo);
+    let env = request.suites.iter().flat_map(|suite| suite.env);
+    for (name, value) in env.filter(|(name, _)| std::env::var_os(name).is_none()) {
+        cargo.env(name, value);
+    }
+    nextest.put_into(&mut cargo)?;
+    nextest::run(&mut cargo)?;
+    if let Some(sanitizer) = request.sanitizer() {
+        cargo.args(sanitizer.arguments());
+    }
+    if packages.is_empty() {
+        cargo.arg("--workspace");
+    } else {
+        cargo.args(["--package", build::FEATURES]);
+        cargo.args(request.suites.iter().flat_map(|suite| suite.packages).flat_map(|name| ["--package", name]));
+    }
+    if let Some(filter) = request.filter() {
+        cargo.args(["--filterset", &filter]);
+    }
+    cargo.args(request.arguments);
+    timed("tests", || {
+        let report = nextest::report_file(workspace, request.sanitizer());
+        let _ = std::fs::remove_file(&report);
+        let outcome = process::run(&mut cargo);
+        // Without a report nothing ran, and the outcome says why.
+        if let Ok(text) = std::fs::read_to_string(&report) {
+            tally.read(&text)?;
+        }
+        outcome
+    })?;
+    if packages.is_empty() {
+        timed("examples in docs", || documented_examples(workspace))?;
+    }
+    time::record(workspace, tally)
+}
+
+/// Runs the examples in the documentation of the packages that have some; nextest does not.
+fn documented_examples(workspace: &Workspace) -> Result<()> {
+    let mut cargo = workspace.cargo_dev();
+    cargo.args(["test", "--quiet", "--doc", "--package", build::FEATURES]);
+    cargo.args(WITH_EXAMPLES.iter().flat_map(|name| ["--package", name]));
+    process::capture(&mut cargo).map(drop)
+}
+
+/// Whether tests of these packages start the program: all but those below it, which tests of a changed line need not wait for.
+fn needs_program(packages: &[&str]) -> bool {
+    !packages.iter().all(|name| BELOW_PROGRAM.contains(name))
+}
+
+/// What tests need from elsewhere.
+struct Fetched {
+    numpy: Option<PathBuf>,
+    peers: Option<PathBuf>,
+}
+
+impl Fetched {
+    /// Fetches what is missing. Tests that need what cannot be had skip.
+    fn new(workspace: &Workspace, with_peers: bool) -> Self {
+        // Tests of models name what they skipped without it.
+        if let Err(error) = onnxruntime::fetch(workspace) {
+            println!("ONNX Runtime was not fetched: {error:#}");
+        }
+        // Only all tests together have some that need the peers.
+        Self { numpy: NUMPY.folder(workspace), peers: with_peers.then(|| PEERS.folder(workspace)).flatten() }
+    }
+
+    fn put_into(&self, cargo: &mut Command) {
+        if let Some(folder) = &self.numpy {
             cargo.env("PYTHONPATH", folder);
         }
-        // Only all tests together have some that need them.
-        if request.suite.only.is_empty()
-            && request.suite.sanitizer.is_none()
-            && let Some(folder) = PEERS.folder(workspace)
-        {
+        if let Some(folder) = &self.peers {
             cargo.env(PEERS_VARIABLE, folder);
         }
-        for (name, value) in request.suite.env.iter().filter(|(name, _)| std::env::var_os(name).is_none()) {
-            cargo.env(name, value);
-        }
-        cargo.args(["test", "--no-fail-fast"]);
-        if let Some(sanitizer) = request.suite.sanitizer {
-            cargo.args(sanitizer.arguments());
-        }
-        cargo.args(request.suite.only);
-        if is_whole {
-            cargo.arg("--workspace");
-        }
-        // Without it libtest hides the output of passing tests, which has the reasons of skips.
-        cargo.args(request.cargo_args).args(["--", "--show-output"]).args(request.test_args);
-        if request.suite.sanitizer.is_some() {
-            cargo.args(Sanitizer::test_arguments());
-        }
-        timed("tests", || {
-            let status = process::filter(&mut cargo, |line| tally.read(line))?;
-            process::check(&cargo, status)
-        })?;
     }
-    Ok(())
 }
 
 /// Free space of the disk with a folder, MiB. None where it cannot be told.
 fn free_mib(folder: &Path) -> Option<u64> {
     let text = process::capture(Command::new("df").args(["--block-size=1M", "--output=avail"]).arg(folder)).ok()?;
     text.lines().nth(1)?.trim().parse().ok()
-}
-
-/// Runs a step, prints how long it took and puts its name before its error.
-fn timed<T>(step: &'static str, run: impl FnOnce() -> Result<T>) -> Result<T> {
-    let start = Instant::now();
-    let outcome = run();
-    println!("[{step}: {:.1} s]", start.elapsed().as_secs_f64());
-    outcome.context(step)
 }
 
 #[cfg(test)]
@@ -242,14 +349,28 @@ mod tests {
     }
 
     #[test]
-    fn arguments_go_to_cargo_and_to_the_test_programs() {
-        let args = words("code -- -p panoscope-graph cycle -- --nocapture");
+    fn arguments_go_to_nextest() {
+        let args = words("code -- -p panoscope-graph cycle --package=panoscope-node");
         let request = Request::parse(&args).unwrap();
-        assert_eq!(request.suite.name, "code");
-        assert_eq!(request.cargo_args, words("-p panoscope-graph cycle"));
-        assert_eq!(request.test_args, words("--nocapture"));
-        assert!(request.names_packages());
-        assert_eq!(Request::parse(&[]).unwrap().suite.name, "all");
+        assert_eq!(request.suites[0].name, "code");
+        assert_eq!(request.arguments, words("-p panoscope-graph cycle --package=panoscope-node"));
+        assert_eq!(request.packages(), ["panoscope-graph", "panoscope-node"]);
+        assert!(!needs_program(&request.packages()) && needs_program(&["panoscope-graph", "panoscope-cli"]));
+        assert_eq!(request.filter(), None);
+        let all = Request::parse(&[]).unwrap();
+        assert!(all.suites[0].name == "all" && all.packages().is_empty());
+    }
+
+    #[test]
+    fn a_campaign_is_a_filter_over_its_packages() {
+        let args = words("disk");
+        let request = Request::parse(&args).unwrap();
+        let filter = "((package(panoscope-sinks) or package(panoscope-record)) and test(/^disk::/))";
+        assert_eq!(request.filter().as_deref(), Some(filter));
+        let args = words("campaign");
+        let all = Request::parse(&args).unwrap();
+        assert_eq!(all.suites.len(), CAMPAIGNS.len());
+        assert!(all.filter().unwrap().contains(&format!("{filter} or ")));
     }
 
     #[test]
@@ -264,7 +385,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, damaged-streams, deaths, network, kill, asan, tsan, arm, sim"
+            "there is no test suite `fualts`; there are: all, lint, code, asan, tsan, faults, hostile-models, disk, damaged-streams, deaths, network, kill, arm, sim, campaign"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));

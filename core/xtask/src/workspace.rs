@@ -6,6 +6,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::Value;
 
+use crate::lint;
 use crate::process;
 
 /// A plugin crate: a folder under `plugins/`, or under `tests/plugins/` if only tests use it.
@@ -71,6 +72,13 @@ impl Workspace {
     /// Cargo in the workspace's root.
     pub fn cargo(&self) -> Command {
         cargo(&self.root)
+    }
+
+    /// Cargo for builds in the development profile: workspace packages are linted in the pass that compiles them.
+    pub fn cargo_dev(&self) -> Command {
+        let mut cargo = self.cargo();
+        lint::deny_warnings(&mut cargo);
+        cargo
     }
 
     /// Files fetched for tests and benches.

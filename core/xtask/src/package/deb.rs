@@ -7,7 +7,8 @@ use std::process::Command;
 use anyhow::{Result, bail};
 
 use super::tree::{copy, copy_tree, md5sums, set_modes, total_bytes, write};
-use super::{PLACED, Release, binaries};
+use super::{PLACED, Release};
+use crate::install::binaries;
 use crate::install::{self, Kind, LIBRARY};
 use crate::process::{capture, run};
 

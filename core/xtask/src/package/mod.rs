@@ -14,10 +14,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 
-use crate::build::{Profile, helper_names, library_name, program_name, window_names};
-use crate::install::{self, LIBRARY};
+use crate::build::{Profile, program_name, window_names};
+use crate::install::{self, LIBRARY, Symbols};
 use crate::licences;
-use crate::onnxruntime;
 use crate::process::{capture, run};
 use crate::workspace::Workspace;
 use tree::{copy, copy_tree};
@@ -49,7 +48,7 @@ pub fn package(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Pa
     let maintainer = deb::maintainer()?;
     let tree = dir.join("tree");
     let _ = fs::remove_dir_all(&tree);
-    install::install(workspace, &tree, profile)?;
+    install::install(workspace, &tree, profile, Symbols::Stripped)?;
     let release = Release::new(workspace, tree)?;
     let (tar, deb) = (release.tar(dir)?, release.deb(dir, &maintainer)?);
     fs::remove_dir_all(&release.tree)?;
@@ -58,9 +57,8 @@ pub fn package(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Pa
 }
 
 impl<'a> Release<'a> {
-    /// Strips the programs of an installed tree and adds manual pages, completions and licences.
+    /// Adds to an installed tree manual pages, completions and licences.
     fn new(workspace: &'a Workspace, tree: PathBuf) -> Result<Self> {
-        binaries(workspace, &tree).iter().try_for_each(|file| strip(file))?;
         let time_s = commit_time_s(workspace);
         let release = Self { workspace, version: env!("CARGO_PKG_VERSION").to_owned(), time_s, tree };
         release.add_manual()?;
@@ -133,23 +131,8 @@ impl<'a> Release<'a> {
     }
 }
 
-/// Removes from a program or library what only debuggers read.
-fn strip(file: &Path) -> Result<()> {
-    run(Command::new("strip").args(["--strip-unneeded", "--remove-section=.comment"]).arg(file))
-}
-
 /// Seconds since 1970 of the commit; 0 where it is not known.
 fn commit_time_s(workspace: &Workspace) -> u64 {
     let time = capture(Command::new("git").current_dir(&workspace.root).args(["log", "-1", "--format=%ct"]));
     time.ok().and_then(|text| text.trim().parse().ok()).unwrap_or(0)
-}
-
-/// Programs and libraries of an installed tree.
-fn binaries(workspace: &Workspace, prefix: &Path) -> Vec<PathBuf> {
-    let library = prefix.join(LIBRARY);
-    let programs = [program_name()].into_iter().chain(helper_names()).chain(window_names());
-    let programs = programs.map(|name| library.join(name));
-    let plugins = workspace.plugins.iter().map(|plugin| library.join("plugins").join(library_name(&plugin.name)));
-    let runtime = library.join("onnxruntime").join(onnxruntime::LIBRARY);
-    programs.chain(plugins).chain([runtime]).filter(|path| path.is_file()).collect()
 }

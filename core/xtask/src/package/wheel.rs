@@ -10,9 +10,9 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use super::tree::{copy, copy_tree, files, write};
-use super::{check::obstacle, commit_time_s, strip};
+use super::{check::obstacle, commit_time_s};
 use crate::build::{Built, Means, Profile, build, program_name, python_package};
-use crate::install::{self, Kind, LIBRARY, Tree};
+use crate::install::{self, Kind, LIBRARY, Tree, strip};
 use crate::process::{capture, run};
 use crate::workspace::Workspace;
 use crate::{licences, onnxruntime};

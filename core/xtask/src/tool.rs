@@ -1,0 +1,58 @@
+//! Programs of cargo that are built once, beside the build.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::process;
+use crate::workspace::Workspace;
+
+/// A program that cargo finds as a subcommand.
+#[derive(Debug)]
+pub struct Tool {
+    /// The folder of a program that was built here; none if it is in PATH.
+    folder: Option<PathBuf>,
+}
+
+impl Tool {
+    /// Lets the command find the program. PATH stays as it is where it can: build scripts that watch it would run again.
+    ///
+    /// # Errors
+    /// The path of the folder contains a colon.
+    pub fn put_into(&self, command: &mut Command) -> Result<()> {
+        if let Some(folder) = &self.folder {
+            // Last, so that compilers are found where they were.
+            let old = std::env::var_os("PATH").unwrap_or_default();
+            let folders = std::env::split_paths(&old).chain([folder.clone()]);
+            command.env("PATH", std::env::join_paths(folders)?);
+        }
+        Ok(())
+    }
+}
+
+fn folder(workspace: &Workspace) -> PathBuf {
+    workspace.target.join("tools")
+}
+
+/// Whether a program was built by [`ensure`].
+pub fn is_built(workspace: &Workspace, name: &str) -> bool {
+    folder(workspace).join("bin").join(name).is_file()
+}
+
+/// Builds a program unless it is in PATH or was built before.
+///
+/// # Errors
+/// It cannot be built.
+pub fn ensure(workspace: &Workspace, name: &str) -> Result<Tool> {
+    if process::find_program(name).is_some() {
+        return Ok(Tool { folder: None });
+    }
+    let root = folder(workspace);
+    if !is_built(workspace, name) {
+        let mut cargo = workspace.cargo();
+        cargo.args(["install", "--locked", "--root"]).arg(&root).arg(name);
+        process::run(&mut cargo).with_context(|| format!("`{name}` was not installed"))?;
+    }
+    Ok(Tool { folder: Some(root.join("bin")) })
+}
