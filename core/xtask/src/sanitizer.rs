@@ -50,9 +50,6 @@ impl Sanitizer {
             );
         }
         let mut cargo = nightly("cargo");
-        if self == Self::Thread {
-            cargo.arg("-Zbuild-std");
-        }
         cargo.current_dir(&workspace.root).env("CARGO_TARGET_DIR", workspace.target.join(self.folder()));
         cargo.env("RUSTFLAGS", format!("{} -Cunsafe-allow-abi-mismatch=sanitizer", self.flag()));
         Ok(cargo)
@@ -66,9 +63,12 @@ impl Sanitizer {
         }
     }
 
-    /// For cargo: with a named target, build scripts and macros are built without the sanitizer.
-    pub fn arguments(self) -> [&'static str; 2] {
-        ["--target", TARGET]
+    /// For `cargo nextest run`: with a named target, build scripts and macros are built without the sanitizer.
+    pub fn arguments(self) -> &'static [&'static str] {
+        match self {
+            Self::Address => &["--target", TARGET],
+            Self::Thread => &["--target", TARGET, "-Zbuild-std"],
+        }
     }
 }
 

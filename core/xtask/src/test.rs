@@ -23,7 +23,7 @@ use crate::workspace::Workspace;
 const MIN_FREE_MIB: u64 = 2048;
 
 /// Packages with examples in their documentation.
-const WITH_EXAMPLES: &[&str] = &["panoscope-graph", "panoscope-node", "panoscope-testing"];
+const WITH_EXAMPLES: &[&str] = &["panoscope-editor-texts", "panoscope-graph", "panoscope-testing"];
 
 /// Packages whose tests need plugins at most.
 const BELOW_PROGRAM: &[&str] = &[
@@ -278,7 +278,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         cargo.args(["--filterset", &filter]);
     }
     cargo.args(request.arguments);
-    timed("tests", || {
+    let tested = timed("tests", || {
         let report = nextest::report_file(workspace, request.sanitizer());
         let _ = std::fs::remove_file(&report);
         let outcome = process::run(&mut cargo);
@@ -287,11 +287,13 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
             tally.read(&text)?;
         }
         outcome
-    })?;
-    if packages.is_empty() {
-        timed("examples in docs", || documented_examples(workspace))?;
-    }
-    time::record(workspace, tally)
+    });
+    let examples = match packages.is_empty() {
+        true => timed("examples in docs", || documented_examples(workspace)),
+        false => Ok(()),
+    };
+    time::record(workspace, tally)?;
+    tested.and(examples)
 }
 
 /// Runs the examples in the documentation of the packages that have some; nextest does not.
