@@ -10,6 +10,7 @@ use crate::nextest;
 use crate::packages::Purpose;
 use crate::process;
 use crate::setup;
+use crate::tool;
 use crate::workspace::Workspace;
 
 /// With this variable set, tests write what they would compare with.
@@ -26,7 +27,7 @@ pub fn header(workspace: &Workspace) -> Result<()> {
 /// Updates all expected outputs. Read the difference before you commit it.
 pub fn bless(workspace: &Workspace) -> Result<()> {
     setup::ensure(&[Purpose::Build, Purpose::Test])?;
-    let nextest = nextest::tool(workspace)?;
+    let nextest = tool::ensure(workspace, nextest::PROGRAM)?;
     let built = build_for_tests(workspace, Extent::Workspace)?;
     let mut cargo = workspace.cargo_dev();
     test_environment(&mut cargo, workspace, &built)?;

@@ -22,7 +22,7 @@ pub const DATA: &str = "share/panoscope";
 /// File in [`DATA`] by which graphs know that they belong to an installation.
 const MARKER: &str = "installation.toml";
 
-/// Whether installed programs keep the line numbers and names of functions that back-traces show; they are three quarters of a program.
+/// Whether installed programs keep the line numbers and names of functions that back-traces show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Symbols {
     Stripped,

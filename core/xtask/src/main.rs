@@ -59,7 +59,7 @@ cargo xtask COMMAND
   bench [args]         builds in release and runs `panoscope bench args`
   install DIR [--symbols]
                        puts a release build into DIR/bin, DIR/lib and DIR/share: programs, plugins with models, ONNX Runtime, graphs;
-                       --symbols keeps line numbers for back-traces, with which the programs are four times as large
+                       --symbols keeps line numbers for back-traces
   package [DIR] [--check] [--dev]
                        makes a Debian package and a relocatable tar file of a release build in DIR (target/package); DEBEMAIL=\"Name
                        <address>\" names who made it, else git's user. --check installs it into a bare Debian and uses it there (root); --dev

@@ -8,22 +8,12 @@ use anyhow::{Context, Result};
 use crate::lint;
 use crate::process;
 use crate::sanitizer::Sanitizer;
-use crate::tool::{self, Tool};
 use crate::workspace::Workspace;
 
+/// Its program, for [`crate::tool::ensure`].
+pub const PROGRAM: &str = "cargo-nextest";
 /// The profile in `.config/nextest.toml`.
 pub const PROFILE: &str = "default";
-
-/// Finds cargo-nextest, or builds it once, which takes some minutes.
-///
-/// # Errors
-/// It cannot be built.
-pub fn tool(workspace: &Workspace) -> Result<Tool> {
-    if process::find_program("cargo-nextest").is_none() && !tool::is_built(workspace, "cargo-nextest") {
-        println!("Building cargo-nextest, which runs the tests (once, some minutes)");
-    }
-    tool::ensure(workspace, "cargo-nextest")
-}
 
 /// Where a run writes its results, in JUnit's format.
 pub fn report_file(workspace: &Workspace, sanitizer: Option<Sanitizer>) -> PathBuf {

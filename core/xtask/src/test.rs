@@ -17,6 +17,7 @@ use crate::sanitizer::{self, Sanitizer};
 use crate::setup;
 use crate::tally::Tally;
 use crate::time::{self, timed};
+use crate::tool;
 use crate::workspace::Workspace;
 
 /// With less free space after a failure, the full disk is the probable reason: compilers do not say so.
@@ -242,7 +243,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         return timed("lint", || build::check_all(workspace));
     }
     let packages = request.packages();
-    let nextest = nextest::tool(workspace)?;
+    let nextest = tool::ensure(workspace, nextest::PROGRAM)?;
     // Downloads take the network, compilers the processors.
     let (fetched, built) = std::thread::scope(|scope| {
         let fetched = scope.spawn(|| Fetched::new(workspace, packages.is_empty()));

@@ -31,15 +31,6 @@ impl Tool {
     }
 }
 
-fn folder(workspace: &Workspace) -> PathBuf {
-    workspace.target.join("tools")
-}
-
-/// Whether a program was built by [`ensure`].
-pub fn is_built(workspace: &Workspace, name: &str) -> bool {
-    folder(workspace).join("bin").join(name).is_file()
-}
-
 /// Builds a program unless it is in PATH or was built before.
 ///
 /// # Errors
@@ -48,11 +39,13 @@ pub fn ensure(workspace: &Workspace, name: &str) -> Result<Tool> {
     if process::find_program(name).is_some() {
         return Ok(Tool { folder: None });
     }
-    let root = folder(workspace);
-    if !is_built(workspace, name) {
+    let root = workspace.target.join("tools");
+    let folder = root.join("bin");
+    if !folder.join(name).is_file() {
+        println!("Building {name} (once, some minutes)");
         let mut cargo = workspace.cargo();
         cargo.args(["install", "--locked", "--root"]).arg(&root).arg(name);
         process::run(&mut cargo).with_context(|| format!("`{name}` was not installed"))?;
     }
-    Ok(Tool { folder: Some(root.join("bin")) })
+    Ok(Tool { folder: Some(folder) })
 }
