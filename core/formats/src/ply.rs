@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use panoscope_abi::CloudPoint;
-use panoscope_imaging::draw::is_steep;
+use panoscope_imaging::draw::GradientLimit;
 
 /// Whether a point has coordinates.
 pub fn is_known(point: &CloudPoint) -> bool {
@@ -12,13 +12,17 @@ pub fn is_known(point: &CloudPoint) -> bool {
 
 /// Triangles between neighbours in rows of points: three places in the cloud each.
 ///
-/// Neighbours whose depths differ by more than `max_slope` times their distance across the line of sight belong to different surfaces.
-pub fn triangles(points: &[CloudPoint], width: usize, max_slope: f32) -> impl Iterator<Item = [usize; 3]> + Clone {
+/// Neighbours that `limit` parts belong to different surfaces.
+pub fn triangles(
+    points: &[CloudPoint],
+    width: usize,
+    limit: GradientLimit,
+) -> impl Iterator<Item = [usize; 3]> + Clone {
     let height = points.len().checked_div(width).unwrap_or(0);
     let joined = move |a: usize, b: usize| {
         let (p, q) = (&points[a], &points[b]);
         let place = |p: &CloudPoint| [p.x_mm, p.y_mm, p.z_mm];
-        is_known(p) && is_known(q) && !is_steep(place(p), place(q), max_slope)
+        is_known(p) && is_known(q) && !limit.parts(place(p), place(q))
     };
     (1..height).flat_map(move |y| (1..width).map(move |x| y * width + x)).flat_map(move |d| {
         let (a, b, c) = (d - width - 1, d - width, d - 1);
@@ -28,13 +32,18 @@ pub fn triangles(points: &[CloudPoint], width: usize, max_slope: f32) -> impl It
 }
 
 /// Writes the known points; returns their number. Coordinates in mm, left rectified camera frame (x right, y
-/// down, z forward). With `max_slope` the surface between neighbours in rows of `width` points is written too, see [`triangles`].
+/// down, z forward). With `limit` the surface between neighbours in rows of `width` points is written too, see [`triangles`].
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write(out: &mut dyn Write, points: &[CloudPoint], width: usize, max_slope: Option<f32>) -> io::Result<usize> {
+pub fn write(
+    out: &mut dyn Write,
+    points: &[CloudPoint],
+    width: usize,
+    limit: Option<GradientLimit>,
+) -> io::Result<usize> {
     let known = points.iter().filter(|p| is_known(p)).count();
-    let faces = max_slope.map(|slope| triangles(points, width, slope));
+    let faces = limit.map(|limit| triangles(points, width, limit));
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment mm, x right, y down, z forward\nelement vertex {known}\n\
@@ -79,6 +88,8 @@ pub fn write(out: &mut dyn Write, points: &[CloudPoint], width: usize, max_slope
 mod tests {
     use super::*;
 
+    const LIMIT: GradientLimit = GradientLimit { max_gradient: 1.5, baseline_mm: 15.0 };
+
     fn point(x: f32, y: f32, z: f32) -> CloudPoint {
         CloudPoint { x_mm: x, y_mm: y, z_mm: z, bgr: [1, 2, 3], reserved: 0 }
     }
@@ -88,7 +99,7 @@ mod tests {
         // One row of pixels, 0.006 apart on the image plane, 0.45 off the axis: an instrument before tissue, twice.
         let seen = |k: usize, z: f32| point((0.45 + 0.006 * (k % 3) as f32) * z, 0.006 * (k / 3) as f32 * z, z);
         let cloud: Vec<CloudPoint> = (0..6).map(|k| seen(k, if k % 3 == 0 { 45.0 } else { 67.0 })).collect();
-        let found: Vec<_> = triangles(&cloud, 3, 6.0).collect();
+        let found: Vec<_> = triangles(&cloud, 3, LIMIT).collect();
         assert_eq!(found, [[1, 4, 2], [2, 4, 5]]);
     }
 
@@ -103,10 +114,10 @@ mod tests {
             point(1.0, 1.0, 50.0),
             point(f32::NAN, f32::NAN, f32::NAN),
         ];
-        let found: Vec<_> = triangles(&cloud, 3, 5.0).collect();
+        let found: Vec<_> = triangles(&cloud, 3, LIMIT).collect();
         assert_eq!(found, [[0, 3, 1], [1, 3, 4]]);
         let mut file = Vec::new();
-        assert_eq!(write(&mut file, &cloud, 3, Some(5.0)).unwrap(), 5);
+        assert_eq!(write(&mut file, &cloud, 3, Some(LIMIT)).unwrap(), 5);
         let header = String::from_utf8_lossy(&file);
         assert!(header.contains("element vertex 5\n") && header.contains("element face 2\n"));
         assert_eq!(file.len(), header.find("end_header\n").unwrap() + 11 + 5 * 15 + 2 * 13);

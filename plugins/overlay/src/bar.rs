@@ -38,6 +38,7 @@ struct Entry {
 /// The words of one picture. Keeps its memory from one picture to the next.
 #[derive(Clone, Debug, Default)]
 pub struct Bar {
+    title: String,
     words: String,
     entries: Vec<Entry>,
 }
@@ -58,8 +59,10 @@ pub fn dots(out: &mut ViewMut<'_, u8>, (x, y): (f32, f32), key: Key, scale: f32)
 }
 
 impl Bar {
-    /// Empties the bar.
-    pub fn clear(&mut self) {
+    /// Empties the bar and gives it a title, which stands first, without a plate. It may be empty.
+    pub fn begin(&mut self, title: &str) {
+        self.title.clear();
+        self.title.push_str(title.trim());
         self.words.clear();
         self.entries.clear();
     }
@@ -83,7 +86,12 @@ impl Bar {
     /// the last line's end.
     pub fn draw(&self, out: &mut ViewMut<'_, u8>, lines: usize, scale: f32) {
         (0..out.height).for_each(|y| out.row_mut(y).fill(GROUND));
-        let mut pen = Pen { line: 0, x: GAP * scale, scale, lines, width: out.width as f32 };
+        let mut pen = Pen { line: 0, start: GAP * scale, x: GAP * scale, scale, lines, width: out.width as f32 };
+        if !self.title.is_empty() {
+            draw::text(out, pen.x, scale * (GAP + 2.5), &self.title, scale, INK);
+            pen.start += draw::text_size(&self.title, scale).0 + 2.0 * ROOM * scale;
+            pen.x = pen.start;
+        }
         for (index, (words, key)) in self.plates().enumerate() {
             if !pen.place(out, words, key, self.entries.len() - index - 1) {
                 pen.count(out, self.entries.len() - index);
@@ -96,6 +104,8 @@ impl Bar {
 /// Where the next plate goes.
 struct Pen {
     line: usize,
+    /// Where lines begin.
+    start: f32,
     x: f32,
     scale: f32,
     lines: usize,
@@ -119,7 +129,7 @@ impl Pen {
     }
 
     fn next_line(&mut self) -> bool {
-        (self.line, self.x) = (self.line + 1, GAP * self.scale);
+        (self.line, self.x) = (self.line + 1, self.start);
         self.line < self.lines
     }
 
@@ -132,7 +142,7 @@ impl Pen {
             self.plate(out, words, key);
             return true;
         }
-        if self.x > GAP * self.scale {
+        if self.x > self.start {
             return self.next_line() && self.place(out, words, key, more);
         }
         // Wider than a line: as many words as fit, the rest below. A word without a space is cut by the edge.
@@ -209,10 +219,10 @@ mod tests {
         bar.add("one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen", None);
         let (data, _) = drawn(&bar, 320, 3, 2.0);
         assert!(inked_rows(&data, 320).iter().any(|y| *y > 53), "it takes three lines");
-        bar.clear();
+        bar.begin("");
         (0..12).for_each(|k| bar.add(&format!("instrument {k}"), None));
         let (few, _) = drawn(&bar, 320, 1, 2.0);
-        bar.clear();
+        bar.begin("");
         (0..2).for_each(|k| bar.add(&format!("instrument {k}"), None));
         assert_ne!(few, drawn(&bar, 320, 1, 2.0).0, "the first is followed by a count");
         // One line for two plates: the first, and `+1`.
@@ -227,5 +237,19 @@ mod tests {
         assert!(data.iter().all(|v| *v == GROUND));
         bar.add("a\n\n b \n", Some(KEY));
         assert_eq!(bar.plates().collect::<Vec<_>>(), [("a", Some(KEY)), ("b", None)]);
+    }
+
+    #[test]
+    fn a_title_stands_first_without_a_plate() {
+        let mut bar = Bar::default();
+        bar.begin("depth");
+        let (data, _) = drawn(&bar, 200, 1, 2.0);
+        assert!(!inked_rows(&data, 200).is_empty());
+        assert!(!data.as_chunks::<3>().0.contains(&PLATE_COLOR));
+        bar.add("12 mm", None);
+        let (both, _) = drawn(&bar, 200, 1, 2.0);
+        let first = |data: &[u8]| data.chunks_exact(600).flat_map(|row| row[..60].to_vec()).collect::<Vec<u8>>();
+        assert_eq!(first(&data), first(&both), "the title stays where it is");
+        assert!(both.as_chunks::<3>().0.contains(&PLATE_COLOR));
     }
 }

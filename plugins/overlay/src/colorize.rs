@@ -43,14 +43,14 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The coloured map; unknown pixels are dark gray.
+    /// The coloured map. Unknown pixels are dark gray; numbers below the range are black, those above it white (in `gray`: blue and red).
     pub image: Slot<'f, Bgr8>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// Value of the first colour. When `high` is not above it, the range follows the picture.
+    /// Value of the first colour. When `high` is not above it, the range is that of the picture in round numbers; it is held as long as it suits.
     #[param(default = 0.0, range = -100000.0..=100000.0)]
     pub low: f32,
     /// Value of the last colour.
@@ -72,26 +72,48 @@ const STRIP: f32 = 50.0;
 /// Colour of that strip: that of a screen.
 const GROUND: u8 = 16;
 
-/// A range that follows the pictures without flicker.
+/// A range of whole steps that is held as long as it suits the pictures: the same colour keeps meaning the same number.
 #[derive(Clone, Debug, Default)]
 pub struct AutoRange {
     range: Option<(f32, f32)>,
+    /// Pictures in a row which the range did not suit.
+    unsuited: u32,
     work: Vec<f32>,
 }
 
-impl AutoRange {
-    /// Part of the way to a picture's own range that one picture moves.
-    const STEP: f32 = 0.15;
+/// Share of a picture's numbers beyond the range from which on the range changes at once, and from which on it changes when that lasts.
+const BEYOND: [f32; 2] = [0.08, 0.02];
+/// Share of the range that numbers fill at least.
+const LEAST_FILLED: f32 = 0.45;
+/// Pictures in a row after which a range that does not suit changes.
+const PATIENCE: u32 = 15;
 
+/// The range around `low` and `high` in whole steps of 1, 2 or 5 times a power of ten, with room for small changes.
+fn rounded((low, high): (f32, f32)) -> (f32, f32) {
+    let span = (high - low).max(1e-3 * high.abs()).max(1e-3);
+    let room = 0.06 * span;
+    let decade = 10f32.powf((span / 8.0).log10().floor());
+    let step = [1.0, 2.0, 5.0].into_iter().map(|m| m * decade).find(|step| 8.0 * step >= span).unwrap_or(10.0 * decade);
+    let first = ((low - room) / step).floor() * step;
+    // Depths and disparities have no numbers below zero.
+    let first = if low >= 0.0 { first.max(0.0) } else { first };
+    (first, ((high + room) / step).ceil() * step)
+}
+
+impl AutoRange {
     /// The range for `plane`.
     pub fn follow(&mut self, plane: &View<'_, f32>) -> (f32, f32) {
         let step = 1 + plane.width.max(plane.height) / 256;
-        if let Some((low, high)) = usual_range(plane, step, &mut self.work) {
-            let (old_low, old_high) = *self.range.get_or_insert((low, high));
-            self.range = Some((old_low + (low - old_low) * Self::STEP, old_high + (high - old_high) * Self::STEP));
+        if let Some(usual) = usual_range(plane, step, &mut self.work) {
+            let (low, high) = *self.range.get_or_insert_with(|| rounded(usual));
+            let beyond = self.work.iter().filter(|v| **v < low || **v > high).count() as f32 / self.work.len() as f32;
+            let is_loose = usual.1 - usual.0 < LEAST_FILLED * (high - low) && rounded(usual) != (low, high);
+            self.unsuited = if is_loose || beyond > BEYOND[1] { self.unsuited + 1 } else { 0 };
+            if beyond > BEYOND[0] || self.unsuited >= PATIENCE {
+                (self.range, self.unsuited) = (Some(rounded(usual)), 0);
+            }
         }
-        let (low, high) = self.range.unwrap_or((0.0, 1.0));
-        (low, high.max(low + 1e-3))
+        self.range.unwrap_or((0.0, 1.0))
     }
 }
 
@@ -170,5 +192,50 @@ impl Node for Colorize {
             draw::scale_bar(&mut picture, &bar);
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers that grow evenly from `low` to `high`.
+    fn ramp(low: f32, high: f32) -> Vec<f32> {
+        (0..6400).map(|k| low + (high - low) * k as f32 / 6399.0).collect()
+    }
+
+    #[test]
+    fn a_range_has_round_ends_around_the_numbers() {
+        assert_eq!(rounded((42.0, 97.0)), (30.0, 110.0));
+        assert_eq!(rounded((0.4, 60.0)), (0.0, 70.0));
+        assert_eq!(rounded((0.12, 0.18)), (0.11, 0.19));
+        let (low, high) = rounded((50.0, 50.0));
+        assert!(low < 50.0 && high > 50.0 && high - low < 1.0, "{low} {high}");
+    }
+
+    #[test]
+    fn a_range_is_held_while_it_suits_and_follows_when_it_does_not() {
+        let mut auto = AutoRange::default();
+        let mut follow = |low, high| auto.follow(&View::new(&ramp(low, high), 80, 80, 1));
+        let first = follow(42.0, 97.0);
+        // The scope comes a little nearer.
+        (0..60).for_each(|k| assert_eq!(follow(42.0 - 0.1 * k as f32, 97.0), first));
+        // Elsewhere: at once, because colours would say nothing.
+        let far = follow(120.0, 180.0);
+        assert!(far.0 <= 120.0 && far.1 >= 180.0 && far != first, "{far:?}");
+        // A flat place: the colours stay for a while, then tell it apart.
+        assert_eq!(follow(150.0, 160.0), far);
+        let flat = (0..PATIENCE).map(|_| follow(150.0, 160.0)).last().unwrap();
+        assert!(flat.0 <= 150.0 && flat.1 >= 160.0 && flat.1 - flat.0 < 20.0, "{flat:?}");
+        // Nothing known keeps it.
+        assert_eq!(auto.follow(&View::new(&[f32::NAN; 4], 2, 2, 1)), flat);
+    }
+
+    #[test]
+    fn little_lies_beyond_a_range_that_follows() {
+        for (low, high) in [(30.0, 100.0), (5.0, 8.0), (61.3, 240.9), (0.0, 1.0)] {
+            let (first, last) = AutoRange::default().follow(&View::new(&ramp(low, high), 80, 80, 1));
+            assert!(first <= low && last >= high && last - first < 1.7 * (high - low), "{low} {high}: {first} {last}");
+        }
     }
 }

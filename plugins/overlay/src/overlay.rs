@@ -135,7 +135,7 @@ pub struct Settings {
     /// Lines of the bar below the picture.
     #[param(default = 2, range = 1..=8)]
     pub bar_lines: usize,
-    /// Text that is always written in the corner.
+    /// Text that is always written in the corner; the title of a bar below the picture.
     #[param(default = "")]
     pub label: String,
     /// Corner of all text.
@@ -209,7 +209,7 @@ impl Overlay {
     fn write_words(&mut self, input: &In<'_>, params: &Settings) {
         let words = &mut self.words;
         words.clear();
-        if !params.label.is_empty() {
+        if !params.label.is_empty() && params.words == Words::Picture {
             let _ = writeln!(words, "{}", params.label);
         }
         if let Some(value) = input.homography.as_ref().filter(|_| params.show_registration) {
@@ -389,7 +389,7 @@ impl Node for Overlay {
         if let Some(boxes) = &boxes {
             marks::boxes(&mut picture, boxes, &pen);
         }
-        self.bar.clear();
+        self.bar.begin(&params.label);
         // The tip's words belong to a point, so they take their room before those of the boxes.
         if let Some(tip) = &tip {
             marks::tip(&mut picture, tip, &pen, &mut self.item, &mut self.labels);

@@ -7,7 +7,7 @@ use panoscope_node::{
 };
 
 use crate::fit::{bytes, fitted_size};
-use crate::layout::{self, Cell, Frame, Size};
+use crate::layout::{self, Cell, Frame, Size, Tile};
 
 /// Inputs.
 #[derive(Ports)]
@@ -38,20 +38,24 @@ pub struct Settings {
     /// beside the large picture, a row below it, or both.
     #[param(default = 0.0, range = 0.0..=0.5, step = 0.01, unit = "ratio")]
     pub side_share: f32,
-    /// Margin around pictures.
-    #[param(default = 8, range = 0..=64, unit = "px")]
+    /// Margin around pictures on a screen 720 px high; it grows with the screen.
+    #[param(default = 6, range = 0..=64, unit = "px")]
     pub gap_px: usize,
-    /// Titles separated by semicolons, the large picture's first. Each stands in a strip above its picture; without titles there are no strips.
+    /// Titles separated by semicolons, the large picture's first. Each stands in a strip below its picture; a picture without a title has none.
     #[param(default = "")]
     pub titles: String,
-    /// Size of the titles: capital letters are six times as many px high.
+    /// Size of the titles on a screen 720 px high, with which it grows: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
 }
 
 const BACKGROUND: u8 = 16;
+/// Height of a screen on which margins and titles have the size of the parameters.
+const USUAL_HEIGHT: f32 = 720.0;
 /// Height of the strip for a title, in units of the scale of text: letters, descenders and their outline.
 const STRIP: f32 = 12.0;
+/// Where the title begins in it, in the same units.
+const TITLE_TOP: f32 = 2.5;
 
 /// Proportions of a smaller picture that has not arrived.
 const USUAL: Size = (4, 3);
@@ -62,8 +66,8 @@ const LEAST_CHANGE: f64 = 0.03;
 #[derive(Default)]
 pub struct Screen {
     fit: Fit,
-    /// Frame and proportions for which `cells` were arranged.
-    arranged: Option<(Frame, Vec<Size>)>,
+    /// Frame and tiles for which `cells` were arranged.
+    arranged: Option<(Frame, Vec<Tile>)>,
     cells: Vec<Cell>,
     /// What each picture covers.
     shown: Vec<Cell>,
@@ -75,46 +79,56 @@ impl Screen {
         let frame = Frame {
             width: params.width,
             height: params.height,
-            gap: params.gap_px,
-            caption: caption_px(params),
+            gap: (params.gap_px as f32 * grown(params)).round() as usize,
             side_share: params.side_share,
         };
         let sides = input.side.as_ref().map_or(0, List::len);
-        let held = self.arranged.take().filter(|(old, sizes)| *old == frame && sizes.len() == sides + 1);
-        let (is_new, mut sizes) = match held {
-            Some((_, sizes)) => (false, sizes),
-            None => (true, vec![USUAL; sides + 1]),
+        let held = self.arranged.take().filter(|(old, tiles)| *old == frame && tiles.len() == sides + 1);
+        let (is_new, mut tiles) = match held {
+            Some((_, tiles)) => (false, tiles),
+            None => (true, vec![Tile { size: USUAL, caption: 0 }; sides + 1]),
         };
         let mut has_changed = is_new;
         let pictures = std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
-        for (size, picture) in sizes.iter_mut().zip(pictures) {
+        let titles = titles(params).chain(std::iter::repeat(""));
+        for ((tile, picture), title) in tiles.iter_mut().zip(pictures).zip(titles) {
+            let caption = if title.is_empty() { 0 } else { (STRIP * text_scale(params)).ceil() as usize };
+            has_changed |= caption != tile.caption;
+            tile.caption = caption;
             let Some(new) = picture.as_ref().and_then(bytes).map(|pixels| (pixels.width, pixels.height)) else {
                 continue;
             };
-            let ratio = (new.0 * size.1) as f64 / (new.1 * size.0).max(1) as f64;
+            let ratio = (new.0 * tile.size.1) as f64 / (new.1 * tile.size.0).max(1) as f64;
             if (ratio - 1.0).abs() > LEAST_CHANGE {
-                (*size, has_changed) = (new, true);
+                (tile.size, has_changed) = (new, true);
             }
         }
-        if has_changed && let Some((main, others)) = sizes.split_first() {
+        if has_changed && let Some((main, others)) = tiles.split_first() {
             layout::arrange(&frame, *main, others, &mut self.cells);
         }
-        self.arranged = Some((frame, sizes));
+        self.arranged = Some((frame, tiles));
     }
 }
 
-/// Height of the strips for titles, px.
-fn caption_px(params: &Settings) -> usize {
-    let has_title = params.titles.split(';').any(|title| !title.trim().is_empty());
-    if has_title { (STRIP * params.text_scale).ceil() as usize } else { 0 }
+/// How much larger margins and words are than on a screen of the usual height.
+fn grown(params: &Settings) -> f32 {
+    params.height as f32 / USUAL_HEIGHT
 }
 
-/// Where a picture of this size stands: in the middle of its cell, below the strip of `caption` px.
+fn text_scale(params: &Settings) -> f32 {
+    params.text_scale * grown(params)
+}
+
+fn titles(params: &Settings) -> impl Iterator<Item = &str> {
+    params.titles.split(';').map(str::trim)
+}
+
+/// Where a picture of this size stands: in the middle of its cell, above the strip of `caption` px.
 fn place(size: Size, cell: Cell, caption: usize) -> Cell {
-    let (top, height) = (cell.y + caption.min(cell.height), cell.height.saturating_sub(caption));
+    let height = cell.height.saturating_sub(caption);
     let (width, shown_height) = fitted_size(size, (cell.width, height));
     let x = cell.x + cell.width.saturating_sub(width) / 2;
-    Cell { x, y: top + height.saturating_sub(shown_height) / 2, width, height: shown_height }
+    Cell { x, y: cell.y + height.saturating_sub(shown_height) / 2, width, height: shown_height }
 }
 
 /// Fills what no picture covers.
@@ -151,19 +165,19 @@ impl Node for Screen {
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
         self.arrange(params, &input);
-        let caption = caption_px(params);
+        let tiles = self.arranged.as_ref().map_or(&[][..], |(_, tiles)| tiles);
         let pictures = || std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
         self.shown.clear();
-        for (index, (picture, cell)) in pictures().zip(&self.cells).enumerate() {
+        for (index, ((picture, cell), tile)) in pictures().zip(&self.cells).zip(tiles).enumerate() {
             let Some(picture) = picture else {
-                self.shown.push(Cell { y: cell.y + caption, height: 0, ..*cell });
+                self.shown.push(Cell { height: 0, ..*cell });
                 continue;
             };
             let Some(pixels) = bytes(&picture) else {
                 let name = if index == 0 { "`main`".to_owned() } else { format!("picture {} of `side`", index - 1) };
                 return Err(NodeError::new(format!("{name} holds no 8-bit picture: put a `colorize` node in front")));
             };
-            self.shown.push(place((pixels.width, pixels.height), *cell, caption));
+            self.shown.push(place((pixels.width, pixels.height), *cell, tile.caption));
         }
         let mut screen = out.image.alloc(params.width, params.height)?;
         fill_around(&mut screen, &self.shown);
@@ -172,12 +186,11 @@ impl Node for Screen {
                 self.fit.place(&mut screen, &pixels, (shown.x, shown.y), (shown.width, shown.height));
             }
         }
-        // Right above the pictures, so that no word lies on one.
-        for (words, shown) in
-            params.titles.split(';').map(str::trim).zip(&self.shown).filter(|(words, _)| !words.is_empty())
-        {
-            let (x, y) = (shown.x as f32 + params.text_scale, shown.y as f32 - (STRIP - 2.0) * params.text_scale);
-            draw::text(&mut screen, x, y, words, params.text_scale, [255; 3]);
+        // Right below the pictures, so that no word lies on one.
+        let scale = text_scale(params);
+        for ((words, cell), tile) in titles(params).zip(&self.cells).zip(tiles).filter(|(_, tile)| tile.caption > 0) {
+            let y = (cell.y + cell.height).saturating_sub(tile.caption) as f32;
+            draw::text(&mut screen, cell.x as f32 + scale, y + TITLE_TOP * scale, words, scale, [255; 3]);
         }
         Ok(())
     }

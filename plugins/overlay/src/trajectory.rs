@@ -40,7 +40,8 @@ pub struct Settings {
     /// Length of the trajectory.
     #[param(default = 240, range = 2..=3000, unit = "frames", reopen)]
     length: usize,
-    /// Marks the centre of the picture that both cameras share, at this distance from the left camera; 0 draws no mark.
+    /// Marks where an arm keeps the tip: the middle of what both cameras see, at this distance from the left camera. Without `camera_pose` there is no
+    /// arm and no mark; 0 draws none.
     #[param(default = 66.0, range = 0.0..=200.0, step = 1.0, unit = "mm")]
     goal_mm: f64,
     /// Draws the trajectory in a box too, seen in perspective.
@@ -237,6 +238,7 @@ impl Node for Trajectory {
             let x = calibration.baseline_mm / 2.0;
             let goal = [x, 0.0, (settings.goal_mm * settings.goal_mm - x * x).max(0.0).sqrt()];
             if settings.goal_mm > 0.0
+                && input.camera_pose.is_some()
                 && let Some((u, v)) = pixel(projection, goal)
             {
                 draw::circle(&mut picture, u, v, 14.0 * grown, line_px, [255, 255, 255]);

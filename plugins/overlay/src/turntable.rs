@@ -2,14 +2,17 @@
 
 use std::f32::consts::TAU;
 
-use panoscope_imaging::draw::{Color, Orbit, SurfacePainter, SurfacePoints};
-use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, Result, Slot};
+use panoscope_imaging::draw::{Color, GradientLimit, Orbit, SurfacePainter, SurfacePoints};
+use panoscope_node::abi::Calibration;
+use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value};
 
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Points of `reproject`, mm.
     pub cloud: Cloud<'f>,
+    /// Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
+    pub calibration: Option<Value<'f, Calibration>>,
 }
 
 /// Outputs.
@@ -46,9 +49,9 @@ pub struct Settings {
     /// Spacing of the points that form the surface. 0 takes as many as the picture shows: one for every third of its columns.
     #[param(default = 2, range = 0..=16, unit = "px")]
     pub step: usize,
-    /// Largest slope between neighbours of one surface; steeper ones are not connected.
-    #[param(default = 6.0, range = 0.5..=100.0, step = 0.5, unit = "ratio")]
-    pub max_slope: f32,
+    /// Largest change of disparity between neighbours of one surface by their distance in the picture, px by px; others are not connected.
+    #[param(default = 1.5, range = 0.1..=100.0, step = 0.1, unit = "ratio")]
+    pub max_gradient: f32,
     /// Strength of the shading of parts that face away.
     #[param(default = 0.6, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     pub shading: f32,
@@ -97,12 +100,14 @@ impl Node for Turntable {
         let place = (cx.tick().seq % params.period) as f32 / params.period as f32;
         let swing = params.swing_deg.to_radians();
         let turn = if params.swing_deg >= 180.0 { TAU * place } else { swing * (TAU * place).sin() };
+        let baseline_mm =
+            input.calibration.as_ref().map_or(GradientLimit::USUAL_BASELINE_MM, |rig| rig.baseline_mm as f32);
         let orbit = Orbit {
             yaw: params.yaw_deg.to_radians() + turn,
             pitch: params.pitch_deg.to_radians(),
             zoom: params.zoom,
             step: if params.step > 0 { params.step } else { shown_step(input.cloud.width(), params.width) },
-            max_slope: params.max_slope,
+            limit: GradientLimit { max_gradient: params.max_gradient, baseline_mm },
             shading: params.shading,
             ..Orbit::default()
         };

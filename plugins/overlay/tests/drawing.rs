@@ -282,7 +282,7 @@ fn a_distance_is_written_with_its_error() {
 }
 
 #[test]
-fn titles_of_a_screen_stand_above_its_pictures() {
+fn titles_of_a_screen_stand_below_its_pictures() {
     // No gray, which the rims of letters have.
     const MAIN: [u8; 3] = [200, 30, 90];
     const SIDE: [u8; 3] = [20, 130, 10];

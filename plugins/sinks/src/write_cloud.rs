@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation};
+use panoscope_imaging::draw::GradientLimit;
+use panoscope_node::abi::Calibration;
+use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation, Value};
 
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
 use panoscope_formats::ply;
@@ -12,6 +14,8 @@ use panoscope_formats::ply;
 pub struct In<'f> {
     /// Points in mm with colours; unknown points are skipped.
     pub cloud: Cloud<'f>,
+    /// Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
+    pub calibration: Option<Value<'f, Calibration>>,
 }
 
 /// Parameters.
@@ -26,9 +30,9 @@ pub struct Settings {
     /// Writes the surface between neighbouring points as triangles, too.
     #[param(default = false)]
     pub mesh: bool,
-    /// Largest slope between neighbours of one surface; steeper ones are not connected.
-    #[param(default = 6.0, range = 0.5..=100.0, step = 0.5, unit = "ratio")]
-    pub max_slope: f32,
+    /// Largest change of disparity between neighbours of one surface by their distance in the picture, px by px; others are not connected.
+    #[param(default = 1.5, range = 0.1..=100.0, step = 0.1, unit = "ratio")]
+    pub max_gradient: f32,
 }
 
 /// Writes point clouds.
@@ -62,9 +66,11 @@ impl Node for WriteCloud {
         let path = self.pattern.file(cx.tick().seq, "cloud", false);
         make_folder(&path)?;
         let mut points = 0;
-        let slope = params.mesh.then_some(params.max_slope);
+        let baseline_mm =
+            input.calibration.as_ref().map_or(GradientLimit::USUAL_BASELINE_MM, |rig| rig.baseline_mm as f32);
+        let limit = params.mesh.then_some(GradientLimit { max_gradient: params.max_gradient, baseline_mm });
         self.files.write(&path, |file| {
-            points = ply::write(file, input.cloud.points(), input.cloud.width(), slope)
+            points = ply::write(file, input.cloud.points(), input.cloud.width(), limit)
                 .map_err(|error| SinkError::io(&path, error))?;
             Ok(())
         })?;

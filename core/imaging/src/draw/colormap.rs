@@ -67,23 +67,37 @@ impl Colormap {
         };
         [channel(2), channel(1), channel(0)]
     }
+
+    /// Colours of numbers before the first and beyond the last colour: none of the scale's own.
+    pub fn beyond(self) -> [Color; 2] {
+        match self {
+            Self::Rainbow | Self::Viridian => [[0; 3], [255; 3]],
+            Self::Gray => [[220, 60, 0], [0, 0, 220]],
+        }
+    }
 }
 
 /// Paints a plane of numbers (disparity, depth): `low` and `high` are the ends of the scale (they may be swapped), what
-/// lies outside takes the colour of the end, NaN is dark gray. Only the part that both pictures have is painted.
+/// lies outside takes the map's colours for that ([`Colormap::beyond`]), NaN is dark gray. Only the part that both pictures have is painted.
 pub fn colorize(plane: &View<f32>, low: f32, high: f32, map: Colormap, out: &mut ViewMut<u8>) {
     if plane.channels != 1 || out.channels != 3 {
         return;
     }
     let table: [Color; 256] = std::array::from_fn(|i| map.at(i as f32 / 255.0));
+    let [below, above] = map.beyond();
     let scale = if high == low || !(high - low).is_finite() { 0.0 } else { 255.0 / (high - low) };
     let width = plane.width.min(out.width);
     for y in 0..plane.height.min(out.height) {
         let source = &plane.row(y)[..width];
         for (v, o) in source.iter().zip(out.row_mut(y).as_chunks_mut::<3>().0) {
-            let place = (v - low) * scale + 0.5;
-            // A cast from f32 saturates, so infinite values take the end's colour.
-            *o = if v.is_nan() { UNKNOWN } else { table[(place as i32).clamp(0, 255) as usize] };
+            let place = (v - low) * scale;
+            // A hair of room: ends of the scale belong to it.
+            *o = match place {
+                _ if v.is_nan() => UNKNOWN,
+                _ if place < -0.5 => below,
+                _ if place > 255.5 => above,
+                _ => table[((place + 0.5) as usize).min(255)],
+            };
         }
     }
 }
@@ -101,8 +115,7 @@ mod tests {
         assert_eq!(p[0], [85, 2, 67]);
         assert_eq!(p[1], [36, 231, 252]);
         assert_eq!(p[2], UNKNOWN);
-        assert_eq!(p[3], p[0]);
-        assert_eq!(p[4], p[1]);
+        assert_eq!([p[3], p[4]], Colormap::Viridian.beyond());
         assert!(p[5] != p[0] && p[5] != p[1]);
         assert_eq!(Colormap::Rainbow.at(f32::NAN), UNKNOWN);
     }

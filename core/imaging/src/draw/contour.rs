@@ -30,7 +30,13 @@ impl Contour {
 
     /// Measures a grid of `width`, and continues each surface by one corner beyond its rim, so that a rim between corners can be drawn. `place` gives
     /// pixel and depth of a place in the camera's frame.
-    pub fn find(&mut self, corners: &mut [Corner], width: usize, max_slope: f32, place: impl Fn([f32; 3]) -> [f32; 3]) {
+    pub fn find(
+        &mut self,
+        corners: &mut [Corner],
+        width: usize,
+        limit: GradientLimit,
+        place: impl Fn([f32; 3]) -> [f32; 3],
+    ) {
         let height = corners.len() / width;
         self.find_near(corners, width);
         self.inside.clear();
@@ -39,8 +45,8 @@ impl Contour {
         for at in (0..corners.len()).filter(|at| self.near[*at]) {
             let own = match is_known(&corners[at]) {
                 true => Some(corners[at]),
-                false => beyond(corners, (width, height), at, max_slope).map(|world| {
-                    let corner = nearest(corners, (width, height), at, max_slope, world);
+                false => beyond(corners, (width, height), at, limit).map(|world| {
+                    let corner = nearest(corners, (width, height), at, limit, world);
                     Corner { place: place(world), world, ..corner }
                 }),
             };
@@ -54,7 +60,7 @@ impl Contour {
                 for (dx, weight_x) in WINDOW.iter().enumerate() {
                     let (u, v) = (mirrored(x, dx, width), mirrored(y, dy, height));
                     let other = &corners[v * width + u];
-                    if is_known(other) && !rims::is_steep(corner.world, other.world, max_slope) {
+                    if is_known(other) && !limit.parts(corner.world, other.world) {
                         share += weight_x * weight_y;
                     }
                 }
@@ -116,15 +122,14 @@ fn around(size: (usize, usize), at: usize) -> impl Iterator<Item = (usize, Optio
 }
 
 /// The place where the surface beside an unknown corner goes on: the mean of the lines through two known corners in a row; `None` without a neighbour.
-fn beyond(corners: &[Corner], size: (usize, usize), at: usize, max_slope: f32) -> Option<[f32; 3]> {
+fn beyond(corners: &[Corner], size: (usize, usize), at: usize, limit: GradientLimit) -> Option<[f32; 3]> {
     let known = |index: &usize| is_known(&corners[*index]);
     let (first, _) = around(size, at).find(|(near, _)| known(near))?;
     let reference = corners[first].world;
     let (mut sum, mut count) = ([0.0f32; 3], 0.0);
     for (near, behind) in around(size, at).filter(|(near, _)| known(near)) {
         let (a, b) = (corners[near].world, behind.filter(|index| known(index)).map(|index| corners[index].world));
-        let Some(b) = b.filter(|b| !rims::is_steep(a, *b, max_slope) && !rims::is_steep(a, reference, max_slope))
-        else {
+        let Some(b) = b.filter(|b| !limit.parts(a, *b) && !limit.parts(a, reference)) else {
             continue;
         };
         (sum, count) = ([0, 1, 2].map(|k| sum[k] + 2.0 * a[k] - b[k]), count + 1.0);
@@ -134,8 +139,8 @@ fn beyond(corners: &[Corner], size: (usize, usize), at: usize, max_slope: f32) -
 }
 
 /// The neighbour whose colour a continued corner takes.
-fn nearest(corners: &[Corner], size: (usize, usize), at: usize, max_slope: f32, world: [f32; 3]) -> Corner {
-    let fits = |index: &usize| is_known(&corners[*index]) && !rims::is_steep(corners[*index].world, world, max_slope);
+fn nearest(corners: &[Corner], size: (usize, usize), at: usize, limit: GradientLimit, world: [f32; 3]) -> Corner {
+    let fits = |index: &usize| is_known(&corners[*index]) && !limit.parts(corners[*index].world, world);
     around(size, at).map(|(near, _)| near).find(fits).map_or(NOWHERE, |index| corners[index])
 }
 
@@ -157,7 +162,7 @@ mod tests {
 
     fn found(depth: impl Fn(usize, usize) -> f32) -> (Vec<Corner>, Contour) {
         let (mut corners, mut contour) = (grid(depth), Contour::default());
-        contour.find(&mut corners, SIDE, 6.0, |world| world);
+        contour.find(&mut corners, SIDE, GradientLimit { max_gradient: 1.5, baseline_mm: 15.0 }, |world| world);
         (corners, contour)
     }
 

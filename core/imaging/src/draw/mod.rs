@@ -16,7 +16,7 @@ mod text;
 pub use colormap::{Colormap, colorize};
 pub use labels::{Area, Labels};
 pub use overlay::{ScaleBar, blend_mask, scale_bar};
-pub use rims::is_steep;
+pub use rims::GradientLimit;
 pub use shapes::{arrow, circle, cross, fill_circle, fill_polygon, fill_rectangle, line, polygon, polyline, rectangle};
 pub use surface::{Orbit, Projection, SurfacePainter, SurfacePoints};
 pub use text::{text, text_size};

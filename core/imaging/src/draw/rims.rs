@@ -5,11 +5,11 @@ use crate::pieces;
 
 /// Corners over which a slope and a normal are measured, to each side.
 const REACH: usize = 2;
-/// Steepest rise over that distance, as a share of the largest slope between neighbours: smoothing draws a step out into a ramp.
+/// Largest gradient over that distance, as a share of the limit between neighbours: smoothing draws a step out into a ramp.
 const RAMP_SHARE: f32 = 0.4;
 /// Smallest piece of a surface, as a share of all corners.
 const LEAST_PIECE: f32 = 0.004;
-/// Steepest rise of a rim, as a share of the largest slope between neighbours, and how many corners of a steeper one are cut at most: a step of one
+/// Largest gradient at a rim, as a share of the limit between neighbours, and how many corners of a steeper one are cut at most: a step of one
 /// corner is a long tooth there when it is seen from the side.
 const RIM_SHARE: f32 = 0.2;
 const RIM_ROUNDS: usize = 6;
@@ -36,16 +36,45 @@ pub fn is_known(corner: &Corner) -> bool {
     !corner.place[0].is_nan()
 }
 
-/// Whether two points in the camera's frame (mm, z forward) differ in depth by more than `slope` times their distance across the line of sight.
+/// Where neighbouring points belong to different surfaces: a limit of the disparity gradient, the change of disparity by the distance across the picture.
 ///
-/// Off the camera's axis points on one line of sight differ in x and y too. That is no distance across: a step in depth near the picture's edge would
-/// pass for a slope.
-pub fn is_steep(a: [f32; 3], b: [f32; 3], slope: f32) -> bool {
-    // Squares, and one division for the four of x / z and y / z.
-    let scale = (a[2] + b[2]) / (2.0 * a[2] * b[2]);
-    let [x, y] = [0, 1].map(|k| (b[k] * a[2] - a[k] * b[2]) * scale);
-    let (rise, across2) = (b[2] - a[2], x * x + y * y);
-    rise * rise > slope * slope * across2.max(1e-12)
+/// A limit of slopes would not do: one step of disparity is the steeper, the farther the tissue and the closer together the cameras. People fuse gradients
+/// up to about 1 (Burt and Julesz, 1980).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GradientLimit {
+    /// Largest change of disparity between neighbours of one surface, px by px.
+    pub max_gradient: f32,
+    /// Distance between the cameras, mm.
+    pub baseline_mm: f32,
+}
+
+impl GradientLimit {
+    /// Largest gradient of surfaces.
+    pub const USUAL_GRADIENT: f32 = 1.5;
+    /// Baseline where no calibration states it, mm: that of narrow scopes, at which the fewest surfaces are cut.
+    pub const USUAL_BASELINE_MM: f32 = 5.0;
+
+    /// Whether two points in the camera's frame (mm, z forward) lie on different surfaces.
+    ///
+    /// Off the camera's axis points on one line of sight differ in x and y too. That is no distance across: a step in depth near the picture's edge would
+    /// pass for a slope.
+    pub fn parts(self, a: [f32; 3], b: [f32; 3]) -> bool {
+        // Both sides multiplied by the depths: disparity is baseline / z, a place in the picture (x, y) / z.
+        let [x, y] = [0, 1].map(|k| b[k] * a[2] - a[k] * b[2]);
+        let step = self.baseline_mm * (b[2] - a[2]);
+        step * step > self.max_gradient * self.max_gradient * (x * x + y * y).max(1e-9)
+    }
+
+    /// A limit of this share.
+    fn scaled(self, share: f32) -> Self {
+        Self { max_gradient: share * self.max_gradient, ..self }
+    }
+}
+
+impl Default for GradientLimit {
+    fn default() -> Self {
+        Self { max_gradient: Self::USUAL_GRADIENT, baseline_mm: Self::USUAL_BASELINE_MM }
+    }
 }
 
 /// The index `step` from `at`. The picture's own edge is no rim: what lies beyond it is like what lies opposite.
@@ -58,14 +87,14 @@ fn mirrored(at: isize, step: isize, end: usize) -> usize {
 impl Rims {
     /// Takes corners out of a grid of `width` that do not belong to a surface: those on a ramp between two depths, pieces that are too small, and
     /// teeth of rims. Holes stay holes.
-    pub fn clean(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
-        self.cut_edges(corners, width, max_slope);
-        self.cut_ramps(corners, width, max_slope);
-        self.cut_steep_rims(corners, width, max_slope);
+    pub fn clean(&mut self, corners: &mut [Corner], width: usize, limit: GradientLimit) {
+        self.cut_edges(corners, width, limit);
+        self.cut_ramps(corners, width, limit);
+        self.cut_steep_rims(corners, width, limit);
         for _ in 0..ROUNDS {
             self.cut_teeth(corners, width);
         }
-        self.cut_islands(corners, width, max_slope);
+        self.cut_islands(corners, width, limit);
     }
 
     fn take_out(&mut self, corners: &mut [Corner]) {
@@ -73,7 +102,7 @@ impl Rims {
     }
 
     /// Takes out narrow strips along the picture's edge: a filter spreads depths there.
-    fn cut_edges(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
+    fn cut_edges(&mut self, corners: &mut [Corner], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
         self.is_out.clear();
         self.is_out.resize(corners.len(), false);
@@ -82,7 +111,7 @@ impl Rims {
             let at = |k: usize| start.wrapping_add_signed(step * k as isize);
             let is_linked = |k: usize| {
                 let (a, b) = (&corners[at(k - 1)], &corners[at(k)]);
-                is_known(a) && is_known(b) && !is_steep(a.world, b.world, max_slope)
+                is_known(a) && is_known(b) && !limit.parts(a.world, b.world)
             };
             let run = 1 + (1..count).take_while(|k| is_linked(*k)).count();
             if run < EDGE.min(count) {
@@ -100,17 +129,17 @@ impl Rims {
         self.take_out(corners);
     }
 
-    fn cut_ramps(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
+    fn cut_ramps(&mut self, corners: &mut [Corner], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
         self.is_out.clear();
         self.is_out.resize(corners.len(), false);
-        let slope = RAMP_SHARE * max_slope;
+        let limit = limit.scaled(RAMP_SHARE);
         for at in 0..corners.len() {
             let (x, y) = (at % width, at / width);
             let pair = |before: Option<usize>, after: Option<usize>| {
                 let (Some(a), Some(b)) = (before, after) else { return false };
                 let (a, b) = (&corners[a], &corners[b]);
-                is_known(a) && is_known(b) && is_steep(a.world, b.world, slope)
+                is_known(a) && is_known(b) && limit.parts(a.world, b.world)
             };
             let across = pair(x.checked_sub(REACH).map(|_| at - REACH), (x + REACH < width).then_some(at + REACH));
             let down = pair(
@@ -123,9 +152,9 @@ impl Rims {
     }
 
     /// Takes out the corners of a rim where the surface falls away steeply.
-    fn cut_steep_rims(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
+    fn cut_steep_rims(&mut self, corners: &mut [Corner], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
-        let slope = RIM_SHARE * max_slope;
+        let limit = limit.scaled(RIM_SHARE);
         for _ in 0..RIM_ROUNDS {
             self.is_out.clear();
             self.is_out.resize(corners.len(), false);
@@ -140,7 +169,7 @@ impl Rims {
                     let of = |known: usize, gone: usize| {
                         is_known(&corners[known])
                             && !is_known(&corners[gone])
-                            && is_steep(corners[at].world, corners[known].world, slope)
+                            && limit.parts(corners[at].world, corners[known].world)
                     };
                     of(a, b) || of(b, a)
                 });
@@ -176,7 +205,7 @@ impl Rims {
         self.take_out(corners);
     }
 
-    fn cut_islands(&mut self, corners: &mut [Corner], width: usize, max_slope: f32) {
+    fn cut_islands(&mut self, corners: &mut [Corner], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
         let least = (corners.len() as f32 * LEAST_PIECE) as usize;
         self.is_visited.clear();
@@ -188,7 +217,7 @@ impl Rims {
                 continue;
             }
             pieces::grow(start, (width, height), &mut self.is_visited, &mut self.piece, |at, to| {
-                is_known(&corners[to]) && !is_steep(corners[at].world, corners[to].world, max_slope)
+                is_known(&corners[to]) && !limit.parts(corners[at].world, corners[to].world)
             });
             if self.piece.len() < least {
                 self.piece.iter().for_each(|at| self.is_out[*at] = true);
@@ -233,6 +262,8 @@ mod tests {
     use super::*;
 
     const SIDE: usize = 40;
+    /// A slope of 6 at 60 mm.
+    const LIMIT: GradientLimit = GradientLimit { max_gradient: 1.5, baseline_mm: 15.0 };
 
     /// Corners 0.5 mm apart with the given depths, mm; NaN where unknown.
     fn grid(depth: impl Fn(usize, usize) -> f32) -> Vec<Corner> {
@@ -265,8 +296,8 @@ mod tests {
     fn the_ramp_between_two_depths_is_cut_and_both_stay() {
         // 20 mm in 8 corners: each step alone is no steeper than a surface may be.
         let mut corners = seen(|x, _| 50.0 + 2.5 * (x as f32 - 16.0).clamp(0.0, 8.0));
-        assert!(!is_steep(corners[17].world, corners[18].world, 6.0));
-        Rims::default().clean(&mut corners, SIDE, 6.0);
+        assert!(!LIMIT.parts(corners[17].world, corners[18].world));
+        Rims::default().clean(&mut corners, SIDE, LIMIT);
         assert!((17..24).all(|x| !known(&corners, x, 20)), "the ramp");
         assert!((0..13).all(|x| known(&corners, x, 20)) && (28..SIDE).all(|x| known(&corners, x, 20)));
     }
@@ -276,7 +307,7 @@ mod tests {
         // Steeper and steeper towards a gap, but nowhere a ramp.
         let steep = |x: usize| 60.0 + if x > 20 { 0.15 * (x as f32 - 20.0).powi(2) } else { 0.0 };
         let mut corners = seen(|x, _| if x < 26 { steep(x) } else { f32::NAN });
-        Rims::default().clean(&mut corners, SIDE, 6.0);
+        Rims::default().clean(&mut corners, SIDE, LIMIT);
         assert!((0..21).all(|x| known(&corners, x, 20)), "the flat surface");
         assert!((24..26).all(|x| !known(&corners, x, 20)), "the steep rim");
     }
@@ -285,7 +316,7 @@ mod tests {
     fn a_ragged_rim_becomes_smooth() {
         let is_ragged = |x: usize, y: usize| x < 20 + [0, 3, 1, 4, 0, 2][y % 6];
         let mut corners = seen(|x, y| if is_ragged(x, y) { 50.0 } else { f32::NAN });
-        Rims::default().clean(&mut corners, SIDE, 6.0);
+        Rims::default().clean(&mut corners, SIDE, LIMIT);
         let ends: Vec<usize> = (6..34).map(|y| (0..SIDE).filter(|x| known(&corners, *x, y)).count()).collect();
         let jumps = ends.windows(2).map(|pair| pair[0].abs_diff(pair[1])).max();
         assert!(jumps <= Some(2), "{ends:?}");
@@ -295,7 +326,7 @@ mod tests {
     #[test]
     fn a_slanted_surface_stays_whole() {
         let mut corners = seen(|x, y| 40.0 + 0.8 * x as f32 + 0.3 * y as f32);
-        Rims::default().clean(&mut corners, SIDE, 6.0);
+        Rims::default().clean(&mut corners, SIDE, LIMIT);
         assert!(corners.iter().all(is_known));
     }
 
@@ -308,7 +339,7 @@ mod tests {
             let is_there = (x < 28 && !is_hole(x, y)) || is_tooth(x, y) || is_island(x, y);
             if is_there { 50.0 } else { f32::NAN }
         });
-        Rims::default().clean(&mut corners, SIDE, 6.0);
+        Rims::default().clean(&mut corners, SIDE, LIMIT);
         assert!(!known(&corners, 30, 10) && !known(&corners, 34, 30) && !known(&corners, 12, 12));
         assert!(known(&corners, 2, 2) && known(&corners, 27, 20) && known(&corners, 18, 12));
     }
@@ -323,7 +354,7 @@ mod tests {
             (20.., y) if is_instrument(y) => 40.0,
             _ => 70.0,
         });
-        Rims::default().clean(&mut corners, SIDE, 6.0);
+        Rims::default().clean(&mut corners, SIDE, LIMIT);
         assert!((17..23).all(|y| !known(&corners, SIDE - 1, y)), "the strip");
         assert!(known(&corners, 28, 20) && known(&corners, SIDE - 1, 5) && known(&corners, SIDE - 1, 34));
     }
@@ -334,9 +365,9 @@ mod tests {
             for row in [0.0f32, -0.3] {
                 // Neighbouring pixels, an instrument before tissue.
                 let (front, behind) = ([45.0 * column, 45.0 * row, 45.0], [67.0 * (column + 0.006), 67.0 * row, 67.0]);
-                assert!(is_steep(front, behind, 6.0) && is_steep(behind, front, 6.0), "at {column}, {row}");
+                assert!(LIMIT.parts(front, behind) && LIMIT.parts(behind, front), "at {column}, {row}");
                 let beside = [45.2 * (column + 0.006), 45.2 * row, 45.2];
-                assert!(!is_steep(front, beside, 6.0), "at {column}, {row}");
+                assert!(!LIMIT.parts(front, beside), "at {column}, {row}");
             }
         }
     }

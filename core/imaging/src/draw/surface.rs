@@ -5,7 +5,7 @@
 use std::fmt::Write;
 
 use super::contour::{Contour, RIM};
-use super::rims::{self, Rims};
+use super::rims::{self, GradientLimit, Rims};
 use super::{Color, line, text};
 use crate::ViewMut;
 
@@ -28,8 +28,8 @@ pub struct Orbit {
     pub zoom: f32,
     /// Every so many points make a corner.
     pub step: usize,
-    /// Neighbours further apart in depth than this many times their distance across are no surface.
-    pub max_slope: f32,
+    /// Where a surface ends between neighbours.
+    pub limit: GradientLimit,
     /// 0 shows the colours as they are, 1 darkens what is turned away.
     pub shading: f32,
     /// How far the surface's middle lies from the picture's, as a part of the picture's width: right, down.
@@ -38,7 +38,15 @@ pub struct Orbit {
 
 impl Default for Orbit {
     fn default() -> Self {
-        Self { yaw: 0.0, pitch: 0.0, zoom: 1.0, step: 2, max_slope: 6.0, shading: 0.6, shift: [0.0; 2] }
+        Self {
+            yaw: 0.0,
+            pitch: 0.0,
+            zoom: 1.0,
+            step: 2,
+            limit: GradientLimit::default(),
+            shading: 0.6,
+            shift: [0.0; 2],
+        }
     }
 }
 
@@ -196,8 +204,8 @@ impl SurfacePainter {
                 }
             }
         }
-        self.rims.clean(&mut self.corners, w, orbit.max_slope);
-        self.contour.find(&mut self.corners, w, orbit.max_slope, |world| projection.project(world));
+        self.rims.clean(&mut self.corners, w, orbit.limit);
+        self.contour.find(&mut self.corners, w, orbit.limit, |world| projection.project(world));
         let [(sy, cy), (sp, cp)] = turn;
         rims::light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
         self.depth.resize(out.width * out.height, f32::INFINITY);
@@ -205,8 +213,8 @@ impl SurfacePainter {
             for i in 0..w - 1 {
                 let at = j * w + i;
                 let [a, b, c, d] = [at, at + 1, at + w, at + w + 1];
-                self.triangle(out, orbit.max_slope, [a, b, c]);
-                self.triangle(out, orbit.max_slope, [b, d, c]);
+                self.triangle(out, orbit.limit, [a, b, c]);
+                self.triangle(out, orbit.limit, [b, d, c]);
             }
         }
         let length = ruler_mm(out.width as f32 / scale);
@@ -234,14 +242,14 @@ impl SurfacePainter {
     }
 
     /// Draws what lies within the surface's rim of the triangle between three corners.
-    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, max_slope: f32, corners: [usize; 3]) {
+    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, limit: GradientLimit, corners: [usize; 3]) {
         let t = corners.map(|at| self.corners[at]);
         let inside = corners.map(|at| self.contour.inside()[at]);
         if t.iter().any(|c| c.place[0].is_nan()) || inside.iter().all(|v| *v < RIM) {
             return;
         }
         let is_whole = inside.iter().all(|v| *v >= RIM);
-        let is_steep = |a: usize, b: usize| rims::is_steep(t[a].world, t[b].world, max_slope);
+        let is_steep = |a: usize, b: usize| limit.parts(t[a].world, t[b].world);
         if is_steep(0, 1) || is_steep(0, 2) || is_steep(1, 2) {
             return;
         }
@@ -305,7 +313,7 @@ mod tests {
             yaw,
             zoom: if yaw == 0.0 { 1.0 } else { 0.5 },
             step: 1,
-            max_slope: 4.0,
+            limit: GradientLimit { max_gradient: 1.5, baseline_mm: 15.0 },
             shading: 0.0,
             ..Orbit::default()
         };
@@ -351,6 +359,29 @@ mod tests {
             let between = drawn.iter().filter(|v| (64..196).contains(*v)).count();
             assert_eq!(between, 0, "pixels of both, from {yaw}, {pitch}");
         }
+    }
+
+    /// A wall 60 mm away as cameras with a short baseline measure it: disparity in steps of one px of 67, which are 0.9 mm each.
+    struct Terraces;
+    impl SurfacePoints for Terraces {
+        fn size(&self) -> (usize, usize) {
+            (320, 240)
+        }
+        fn at(&self, x: usize, y: usize) -> Option<([f32; 3], Color)> {
+            let z = 750.0 * 5.4 / (60.0 + (x / 20) as f32);
+            Some(([(x as f32 - 160.0) / 750.0 * z, (y as f32 - 120.0) / 750.0 * z, z], [200, 100, 50]))
+        }
+    }
+
+    #[test]
+    fn steps_of_one_px_of_disparity_are_no_holes() {
+        let mut data = vec![0; 320 * 240 * 3];
+        let limit = GradientLimit { baseline_mm: 5.4, ..GradientLimit::default() };
+        let orbit = Orbit { step: 1, shading: 0.0, limit, ..Orbit::default() };
+        SurfacePainter::default().paint(&Terraces, &orbit, &mut ViewMut::new(&mut data, 320, 240, 3));
+        // From the front, away from rims and the ruler.
+        let holes = (40..180).flat_map(|y| (30..290).map(move |x| (y * 320 + x) * 3)).filter(|at| data[*at] != 200);
+        assert_eq!(holes.count(), 0);
     }
 
     #[test]
