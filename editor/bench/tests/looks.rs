@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::common::golden::{compare, paint};
+use panoscope_editor_golden::{compare, paint};
 use crate::common::{Folder, Window, has_plugin, input};
 use eframe::egui::{Key, Modifiers, Rect, vec2};
 use egui_kittest::kittest::Queryable;

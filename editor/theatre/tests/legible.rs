@@ -4,7 +4,7 @@
 use crate::looks_graph as graph;
 use std::time::{Duration, Instant};
 
-use crate::common::golden::{compare, paint};
+use panoscope_editor_golden::{compare, paint};
 use crate::common::window::{GRAPH, Window, options};
 use crate::common::{Folder, PATIENCE, has_plugin};
 use eframe::egui::epaint::{ClippedShape, TextShape};

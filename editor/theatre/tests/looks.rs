@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::common::golden::{compare, paint};
+use panoscope_editor_golden::{compare, paint};
 use crate::common::window::{Window, options};
 use crate::common::{Folder, has_plugin};
 use crate::looks_graph::{GRAPH, TICKS};

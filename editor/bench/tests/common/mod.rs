@@ -1,8 +1,6 @@
 //! The editor's window on running graphs of the `flow` plugin, without a screen.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
-#[path = "../../../theatre/tests/common/golden.rs"]
-pub mod golden;
 #[path = "../../../theatre/tests/common/input.rs"]
 pub mod input;
 #[path = "../../../theatre/tests/common/shared.rs"]
@@ -52,7 +50,7 @@ inputs = { image = "mean.image" }
 /// The window.
 pub struct Window {
     pub harness: Harness<'static, Option<App>>,
-    pub textures: golden::Textures,
+    pub textures: panoscope_editor_golden::Textures,
 }
 
 impl Window {
@@ -69,7 +67,7 @@ impl Window {
             let app = app.get_or_insert_with(|| App::open(ui.ctx(), &path, &text, options.clone()).expect("threads"));
             app.ui(ui);
         };
-        let textures = golden::Textures::default();
+        let textures = panoscope_editor_golden::Textures::default();
         let builder = Harness::builder().with_size(vec2(1440.0, 900.0)).renderer(textures.clone());
         Self { harness: builder.build_ui_state(draw, None), textures }
     }

@@ -1,7 +1,6 @@
 //! Helpers for tests of the theatre.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
-pub mod golden;
 pub mod input;
 pub mod program;
 mod shared;

@@ -10,7 +10,7 @@ use panoscope_editor_model::session::Phase;
 use panoscope_graph::GraphOptions;
 use panoscope_theatre::{Guard, Options, Program, Theatre};
 
-use super::golden::Textures;
+use panoscope_editor_golden::Textures;
 use super::{Folder, PATIENCE};
 
 /// A camera, two stages, a setting.

@@ -1,5 +1,6 @@
-//! Renders screenshots of the window without a graphics card and compares them with golden images. `PANOSCOPE_BLESS=1` writes the images.
-#![allow(dead_code, reason = "each test binary uses a part")]
+//! Renders screenshots of a window without a graphics card and compares them with golden images. `PANOSCOPE_BLESS=1` writes the images.
+//!
+//! A package of its own, because it is the only part of the windows' tests whose speed matters.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -133,6 +134,9 @@ impl Canvas {
 }
 
 /// Renders a frame on the background `ground`.
+///
+/// # Panics
+/// Never: the picture has three bytes per pixel.
 pub fn paint(ctx: &Context, output: &FullOutput, textures: &Textures, ground: Color32) -> RgbImage {
     let points = output.pixels_per_point;
     let size = ctx.viewport_rect().size() * points;
@@ -153,7 +157,11 @@ pub fn paint(ctx: &Context, output: &FullOutput, textures: &Textures, ground: Co
     RgbImage::from_raw(width as u32, height as u32, bytes).expect("three bytes per pixel")
 }
 
-/// Compares a screenshot with the golden image `name`; `masked` rectangles, such as those with times, are not compared.
+/// Compares a screenshot with the golden image `tests/snapshots/NAME.png` of the package whose test runs; `masked` rectangles, such as those with times,
+/// are not compared.
+///
+/// # Panics
+/// The pictures differ, or there is no golden image.
 pub fn compare(name: &str, mut picture: RgbImage, masked: &[Rect]) {
     for rect in masked {
         let within = |v: f32, most: u32| (v.round().max(0.0) as u32).min(most);
@@ -163,7 +171,9 @@ pub fn compare(name: &str, mut picture: RgbImage, masked: &[Rect]) {
             }
         }
     }
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots");
+    // Set by cargo for each test; that of the compiler would be this package.
+    let package = std::env::var_os("CARGO_MANIFEST_DIR").expect("tests run under cargo");
+    let folder = Path::new(&package).join("tests/snapshots");
     let kept = folder.join(format!("{name}.png"));
     if std::env::var_os(BLESS).is_some() {
         std::fs::create_dir_all(&folder).expect("the folder can be made");
