@@ -1,5 +1,6 @@
 //! Pictures scaled into rectangles of others.
 
+use crate::grow::Grow;
 use crate::{Simd, View, ViewMut};
 
 /// Scales pictures into others; reuses its buffers.
@@ -11,11 +12,12 @@ pub struct Fit {
     row: Vec<u8>,
     /// The same, added up.
     sums: Vec<u16>,
+    grow: Grow,
 }
 
 impl Fit {
     /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of the
-    /// source pixels under each pixel when it shrinks, the nearest one when it grows. What leaves `out` is cut.
+    /// source pixels under each pixel when it shrinks, between the nearest ones when a picture in colour grows in both directions. What leaves `out` is cut.
     pub fn place(
         &mut self,
         out: &mut ViewMut<'_, u8>,
@@ -28,6 +30,10 @@ impl Fit {
         // Sums of more rows than that could leave 16 bits.
         if same || !colored || picture.height > 256 * height {
             place(out, picture, x, y, width, height);
+            return;
+        }
+        if width >= picture.width && height >= picture.height {
+            self.grow.place(out, picture, (x, y), (width, height));
             return;
         }
         let span = |at: usize, target: usize, source: usize| {
@@ -365,7 +371,7 @@ mod tests {
     fn rows_and_columns_one_after_the_other_give_the_same_picture() {
         let source: Vec<u8> = (0..37 * 23 * 3).map(|i| random::mix(i) as u8).collect();
         let source = View::new(&source, 37, 23, 3);
-        for (width, height) in [(37, 20), (30, 23), (19, 12), (50, 40), (36, 22), (17, 11), (9, 7), (40, 5), (1, 1)] {
+        for (width, height) in [(37, 20), (30, 23), (19, 12), (50, 20), (36, 22), (17, 11), (9, 7), (40, 5), (1, 1)] {
             for simd in [Simd::detect(), Simd::portable()] {
                 let mut outs = [vec![7u8; 60 * 50 * 3], vec![7u8; 60 * 50 * 3]];
                 place(&mut ViewMut::new(&mut outs[0], 60, 50, 3), &source, 15, 13, width, height);

@@ -4,6 +4,7 @@
 //! decides whose threads run the chunks. Work memory lives in structs that the caller keeps, so that
 //! nothing is allocated per frame. [`Simd`] chooses AVX2 paths at run time; a portable path always exists.
 
+mod grow;
 mod pieces;
 pub mod shared_mut;
 mod simd;

@@ -4,13 +4,13 @@
 use crate::looks_graph as graph;
 use std::time::{Duration, Instant};
 
-use panoscope_editor_golden::{compare, paint};
 use crate::common::window::{GRAPH, Window, options};
 use crate::common::{Folder, PATIENCE, has_plugin};
 use eframe::egui::epaint::{ClippedShape, TextShape};
 use eframe::egui::{Context, Key, Rect, Shape, Ui, pos2, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
+use panoscope_editor_golden::{compare, paint};
 use panoscope_editor_texts::{Language, set_language, text};
 use panoscope_editor_widgets::Shot;
 use panoscope_editor_widgets::theme::BLACK;

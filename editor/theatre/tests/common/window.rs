@@ -10,8 +10,8 @@ use panoscope_editor_model::session::Phase;
 use panoscope_graph::GraphOptions;
 use panoscope_theatre::{Guard, Options, Program, Theatre};
 
-use panoscope_editor_golden::Textures;
 use super::{Folder, PATIENCE};
+use panoscope_editor_golden::Textures;
 
 /// A camera, two stages, a setting.
 pub const GRAPH: &str = r#"# Seen by a surgeon.
