@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use panoscope_abi::CloudPoint;
-use panoscope_imaging::draw::GradientLimit;
+pub use panoscope_imaging::draw::GradientLimit;
 
 /// Whether a point has coordinates.
 pub fn is_known(point: &CloudPoint) -> bool {

@@ -36,6 +36,8 @@ pub struct Frame {
 const IMPORTANCE: f64 = 4.0;
 /// The least width of a smaller picture as a share of the screen's.
 const LEAST_SHARE: f64 = 0.16;
+/// How much a missing pixel of a smaller picture's width counts, in screens' widths.
+const SMALLNESS: f64 = 12.0;
 /// Widths of the main picture that are tried.
 const STEPS: usize = 96;
 
@@ -100,7 +102,7 @@ fn score(frame: &Frame, cells: &[Cell]) -> f64 {
     // Many pictures cannot all be wide.
     let least = LEAST_SHARE.min(0.72 / sides.len().max(1) as f64) * frame.width as f64;
     let small = sides.iter().map(|cell| (least - cell.width as f64).max(0.0)).sum::<f64>();
-    IMPORTANCE * main.area() + sides.iter().map(Cell::area).sum::<f64>() - 4.0 * small * frame.width as f64
+    IMPORTANCE * main.area() + sides.iter().map(Cell::area).sum::<f64>() - SMALLNESS * small * frame.width as f64
 }
 
 impl Frame {

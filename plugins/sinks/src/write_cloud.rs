@@ -2,12 +2,11 @@
 
 use std::path::PathBuf;
 
-use panoscope_imaging::draw::GradientLimit;
 use panoscope_node::abi::Calibration;
 use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation, Value};
 
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
-use panoscope_formats::ply;
+use panoscope_formats::ply::{self, GradientLimit};
 
 /// Inputs.
 #[derive(Ports)]

@@ -6,7 +6,7 @@ use crate::pieces;
 /// Corners over which a slope and a normal are measured, to each side.
 const REACH: usize = 2;
 /// Largest gradient over that distance, as a share of the limit between neighbours: smoothing draws a step out into a ramp.
-const RAMP_SHARE: f32 = 0.4;
+const RAMP_SHARE: f32 = 0.5;
 /// Smallest piece of a surface, as a share of all corners.
 const LEAST_PIECE: f32 = 0.004;
 /// Largest gradient at a rim, as a share of the limit between neighbours, and how many corners of a steeper one are cut at most: a step of one
