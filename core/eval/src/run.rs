@@ -72,8 +72,8 @@ pub fn run(session: &dyn Session, plan: &Plan<'_>) -> Result<RunOutput> {
 pub struct Watchers {
     /// Listeners on all packets of ports.
     pub listen: Vec<Listener>,
-    /// A listener on the metrics of a node.
-    pub numbers: Option<NumberListener>,
+    /// Listeners on the metrics of nodes.
+    pub numbers: Vec<NumberListener>,
     /// Receives all calls with their times.
     pub tracer: Option<Arc<dyn Tracer>>,
 }
@@ -95,7 +95,7 @@ pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -
         paced: plan.pace == Pace::Camera,
         ticks_at_once: (plan.pace == Pace::Alone).then_some(1),
         listen: watchers.listen,
-        numbers: watchers.numbers.into_iter().collect(),
+        numbers: watchers.numbers,
         tracer: watchers.tracer,
         graph_dir: plan.path.parent().unwrap_or(Path::new("")).to_owned(),
         process_allocations: counters.process,

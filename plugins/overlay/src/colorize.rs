@@ -82,7 +82,7 @@ pub struct AutoRange {
 }
 
 /// Share of a picture's numbers beyond the range from which on the range changes at once, and from which on it changes when that lasts.
-const BEYOND: [f32; 2] = [0.08, 0.02];
+const BEYOND: [f32; 2] = [0.04, 0.015];
 /// Share of the range that numbers fill at least.
 const LEAST_FILLED: f32 = 0.45;
 /// Pictures in a row after which a range that does not suit changes.
@@ -117,6 +117,18 @@ impl AutoRange {
     }
 }
 
+/// Share of the known numbers outside a range, from every fourth one of every fourth row; none where nothing is known.
+fn beyond_share(plane: &View<'_, f32>, (low, high): (f32, f32)) -> Option<f64> {
+    let (mut known, mut beyond) = (0, 0);
+    for y in (0..plane.height).step_by(4) {
+        for v in plane.row(y).iter().step_by(4).filter(|v| !v.is_nan()) {
+            known += 1;
+            beyond += usize::from(*v < low || *v > high);
+        }
+    }
+    (known > 0).then(|| beyond as f64 / known as f64)
+}
+
 /// Colours maps of numbers.
 #[derive(Default)]
 pub struct Colorize {
@@ -141,7 +153,7 @@ impl Node for Colorize {
         Ok(Self::default())
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
         let maps = [
             input.disparity.map(|plane| (plane.view(), "px")),
             input.depth.map(|plane| (plane.view(), "mm")),
@@ -161,6 +173,9 @@ impl Node for Colorize {
         } else {
             self.auto.follow(&plane)
         };
+        if let Some(share) = beyond_share(&plane, (low, high)) {
+            cx.metric("beyond_pct", 100.0 * share);
+        }
         let (width, height) = (plane.width as i32, plane.height as i32);
         let is_beside = params.scale_bar && params.scale_beside;
         // Beside the map there is room, so that it can be read on a screen on which the map is small.

@@ -163,7 +163,7 @@ impl Node for Screen {
         Ok(Self::default())
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
         self.arrange(params, &input);
         let tiles = self.arranged.as_ref().map_or(&[][..], |(_, tiles)| tiles);
         let pictures = || std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
@@ -179,6 +179,10 @@ impl Node for Screen {
             };
             self.shown.push(place((pixels.width, pixels.height), *cell, tile.caption));
         }
+        let area = |cell: &Cell| (cell.width * cell.height) as f64;
+        let whole = (params.width * params.height) as f64;
+        cx.metric("main_pct", 100.0 * self.shown.first().map_or(0.0, area) / whole);
+        cx.metric("dead_pct", 100.0 - 100.0 * self.shown.iter().map(area).sum::<f64>() / whole);
         let mut screen = out.image.alloc(params.width, params.height)?;
         fill_around(&mut screen, &self.shown);
         for (picture, shown) in pictures().zip(&self.shown) {

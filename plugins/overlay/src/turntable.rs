@@ -112,7 +112,10 @@ impl Node for Turntable {
             ..Orbit::default()
         };
         let mut picture = out.image.alloc(params.width, params.height)?;
-        self.painter.paint(&Points(input.cloud), &orbit, &mut picture);
+        if self.painter.paint(&Points(input.cloud), &orbit, &mut picture).is_some() {
+            // What is known and not shown.
+            cx.metric("cut_pct", 100.0 * f64::from(self.painter.cut_share()));
+        }
         Ok(())
     }
 }

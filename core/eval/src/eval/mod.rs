@@ -6,6 +6,7 @@ pub mod detect;
 pub mod disparity;
 pub mod mosaic;
 pub mod proximity;
+pub mod screen;
 pub mod skill;
 pub mod stitch;
 pub mod surf;

@@ -104,6 +104,8 @@ pub struct SurfacePainter {
     depth: Vec<f32>,
     sorted: Vec<f32>,
     rims: Rims,
+    /// Share of the known corners that are cut off at rims.
+    cut_share: f32,
     /// Words beside the ruler.
     length: String,
     contour: Contour,
@@ -166,6 +168,11 @@ impl SurfacePainter {
         &self.depth
     }
 
+    /// Share of the points of the last picture that were known and are not shown, because they lie between surfaces or at ragged rims.
+    pub fn cut_share(&self) -> f32 {
+        self.cut_share
+    }
+
     /// Draws the surface into `out` (BGR) with a ruler of its length in mm at the position of its middle. Nothing known leaves the background
     /// and returns `None`.
     pub fn paint(
@@ -204,7 +211,10 @@ impl SurfacePainter {
                 }
             }
         }
+        let known = |corners: &[Corner]| corners.iter().filter(|corner| rims::is_known(corner)).count();
+        let before = known(&self.corners);
         self.rims.clean(&mut self.corners, w, orbit.limit);
+        self.cut_share = 1.0 - known(&self.corners) as f32 / before.max(1) as f32;
         self.contour.find(&mut self.corners, w, orbit.limit, |world| projection.project(world));
         let [(sy, cy), (sp, cp)] = turn;
         rims::light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
@@ -378,7 +388,9 @@ mod tests {
         let mut data = vec![0; 320 * 240 * 3];
         let limit = GradientLimit { baseline_mm: 5.4, ..GradientLimit::default() };
         let orbit = Orbit { step: 1, shading: 0.0, limit, ..Orbit::default() };
-        SurfacePainter::default().paint(&Terraces, &orbit, &mut ViewMut::new(&mut data, 320, 240, 3));
+        let mut painter = SurfacePainter::default();
+        painter.paint(&Terraces, &orbit, &mut ViewMut::new(&mut data, 320, 240, 3));
+        assert!(painter.cut_share() < 0.02, "{}", painter.cut_share());
         // From the front, away from rims and the ruler.
         let holes = (40..180).flat_map(|y| (30..290).map(move |x| (y * 320 + x) * 3)).filter(|at| data[*at] != 200);
         assert_eq!(holes.count(), 0);

@@ -6,6 +6,7 @@ mod detect;
 mod disparity;
 mod mosaic;
 mod proximity;
+mod screen;
 mod skill;
 mod stitch;
 mod surf;
@@ -40,6 +41,8 @@ pub enum Eval {
     Skill(skill::Arguments),
     /// False and missed warnings near tissue and other tips, beside the phantom's exact distances.
     Proximity(proximity::Arguments),
+    /// A graph's screen: share of the main picture, dead area, surface that is cut off, depths beyond the colours.
+    Screen(screen::Arguments),
 }
 
 /// Judges, and shows and writes the figures.
@@ -79,6 +82,7 @@ fn judge(eval: &Eval) -> Result<(Option<Vec<figures::Figure>>, &Option<PathBuf>)
         Eval::Arm(arguments) => (Some(eval::arm::judge(session, &arguments.options())?), &arguments.json),
         Eval::Skill(arguments) => (skill::judge(arguments)?, &arguments.json),
         Eval::Proximity(arguments) => (Some(eval::proximity::judge(session, &arguments.options())?), &arguments.json),
+        Eval::Screen(arguments) => (Some(eval::screen::judge(session, &arguments.options())?), &arguments.json),
     })
 }
 

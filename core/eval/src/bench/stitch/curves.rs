@@ -106,7 +106,7 @@ fn run(session: &dyn Session, pairs: &Pairs, method: Method, seam: Seam, frames:
         ports: &[],
         pace: Pace::Alone,
     };
-    run::run_watched(session, &plan, Watchers { listen: listen.collect(), numbers: Some(numbers), tracer: None })?;
+    run::run_watched(session, &plan, Watchers { listen: listen.collect(), numbers: vec![numbers], tracer: None })?;
     let mut heard = lock(&heard);
     Ok(StageTimes { moments: std::mem::take(&mut heard.moments), seam: std::mem::take(&mut heard.seam) })
 }

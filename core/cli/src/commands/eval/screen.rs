@@ -1,0 +1,40 @@
+//! `panoscope eval screen`.
+
+use std::path::PathBuf;
+
+use panoscope_eval::eval::screen::Options;
+
+use crate::given::Given;
+
+/// Arguments of `eval screen`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Graph with a `screen`.
+    graph: PathBuf,
+    /// Number of pictures.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    frames: u64,
+    /// Folder for the screen of each picture, as PNG.
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
+    /// Sets a parameter; wins over the file. May be given again.
+    #[arg(long, value_name = "NODE.PARAM=VALUE")]
+    set: Vec<String>,
+    #[command(flatten)]
+    given: Given,
+    /// Writes the figures as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+}
+
+impl Arguments {
+    /// What the library judges.
+    pub fn options(&self) -> Options {
+        Options {
+            graph: self.graph.clone(),
+            given: self.given.options(&self.set),
+            frames: self.frames,
+            pictures: self.pictures.clone(),
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! What a graph's screen shows: how much of it is the main picture, how much is empty, how much of the known surface is cut off, and whether the colours of
+//! depth still tell depths apart.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use image::RgbImage;
+use panoscope_engine::memory::FrameRef;
+use panoscope_engine::{Listener, NumberListener};
+use panoscope_graph::GraphOptions;
+use toml::{Table, Value};
+
+use crate::error::{Context, EvalError, FileAction, OnFile, Result};
+use crate::figures::Figure;
+use crate::graph_file;
+use crate::inputs::references::upstream;
+use crate::run::{self, Pace, Plan, Watchers};
+use crate::session::Session;
+
+/// Options of [`judge`].
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Graph with a `screen`.
+    pub graph: PathBuf,
+    /// Overlays, arguments and settings.
+    pub given: GraphOptions,
+    /// Ticks.
+    pub frames: u64,
+    /// Folder for the screen of each tick.
+    pub pictures: Option<PathBuf>,
+}
+
+/// Metrics that count, by the type of the node: name, and whether less is better.
+const METRICS: [(&str, &str, bool); 6] = [
+    ("screen", "main_pct", false),
+    ("screen", "dead_pct", true),
+    ("turntable", "cut_pct", true),
+    ("colorize", "beyond_pct", true),
+    ("composite", "gain_pct", false),
+    ("composite_mesh", "gain_pct", false),
+];
+/// Share of the main picture of all that a screen shows, dead area, cut surface and depths beyond the colours, %: beyond it a tick counts as faulty.
+const LIMITS: [(&str, f64); 4] = [("main_pct", 60.0), ("dead_pct", 8.0), ("cut_pct", 2.0), ("beyond_pct", 5.0)];
+/// Brightness up to which a pixel of the screen shows nothing: that of its ground.
+const UNLIT: u8 = 24;
+
+/// Values of a metric over the ticks.
+type Heard = Arc<Mutex<BTreeMap<String, Vec<f64>>>>;
+
+fn hear(heard: &Heard, name: &str, value: f64) {
+    let mut all = heard.lock().unwrap_or_else(PoisonError::into_inner);
+    all.entry(name.to_owned()).or_default().push(value);
+}
+
+/// Share of the pixels that show nothing, %, and the picture.
+fn seen(frame: &FrameRef) -> Option<(f64, RgbImage)> {
+    let (described, bytes) = (frame.frame(), frame.bytes());
+    let (width, height, stride) = (described.width, described.height, described.stride_bytes as usize);
+    let mut picture = RgbImage::new(width, height);
+    let mut unlit = 0usize;
+    for (y, row) in picture.rows_mut().enumerate() {
+        let from = bytes.get(y * stride..y * stride + 3 * width as usize)?;
+        for (pixel, bgr) in row.zip(from.as_chunks::<3>().0) {
+            pixel.0 = [bgr[2], bgr[1], bgr[0]];
+            unlit += usize::from(bgr.iter().all(|v| *v <= UNLIT));
+        }
+    }
+    Some((100.0 * unlit as f64 / (f64::from(width) * f64::from(height)).max(1.0), picture))
+}
+
+/// Runs the graph up to its screens and judges each tick.
+///
+/// # Errors
+/// The graph has mistakes or no screen, the run fails, a picture cannot be written, or the session is cancelled.
+pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
+    let ready =
+        graph_file::open(&options.graph, &options.given).map_err(|diagnostics| EvalError::Check { diagnostics })?;
+    let mut graph: Table = ready.text.settled(&ready.catalog).context("the settings")?.parse()?;
+    graph.remove("preset");
+    graph.remove("editor");
+    graph.insert("mode".to_owned(), "batch".into());
+    let is_screen = |node: &&panoscope_graph::Node| node.type_name == "screen";
+    let screens: Vec<String> = ready.graph.nodes.iter().filter(is_screen).map(|node| node.id.clone()).collect();
+    let images: Vec<String> = screens.iter().map(|id| format!("{id}.image")).collect();
+    if images.is_empty() {
+        let reason = format!("{}: it has no node of type `screen` to judge", options.graph.display());
+        return Err(EvalError::Options { reason });
+    }
+    // What only sinks read is left out, so nothing is written.
+    let shown: Vec<&str> = images.iter().map(String::as_str).collect();
+    let nodes = graph.get_mut("nodes").and_then(Value::as_table_mut).context("the graph's nodes")?;
+    let needed = upstream(nodes, &shown, None);
+    nodes.retain(|id, _| needed.contains(id));
+
+    let heard = Heard::default();
+    let mut numbers = Vec::new();
+    for node in ready.graph.nodes.iter().filter(|node| needed.contains(&node.id)) {
+        let of_node = METRICS.iter().filter(|(kind, ..)| *kind == node.type_name);
+        let metrics: Vec<&str> = of_node.map(|(_, metric, _)| *metric).collect();
+        if metrics.is_empty() {
+            continue;
+        }
+        let (heard, id) = (Arc::clone(&heard), node.id.clone());
+        let told = move |_: &panoscope_abi::Tick, name: &str, value: f64| {
+            if metrics.contains(&name) {
+                hear(&heard, &format!("{name}/{id}"), value);
+            }
+        };
+        numbers.push(NumberListener { node: node.id.clone(), hear: Arc::new(told) });
+    }
+    if let Some(folder) = &options.pictures {
+        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
+    }
+    let failed: Arc<Mutex<Option<(PathBuf, image::ImageError)>>> = Arc::default();
+    let listen = screens.iter().map(|node| {
+        let (heard, key) = (Arc::clone(&heard), format!("unlit_pct/{node}"));
+        let (failed, folder, name) = (Arc::clone(&failed), options.pictures.clone(), node.replace('/', "_"));
+        let look = move |packet: &FrameRef| {
+            let Some((unlit, picture)) = seen(packet) else { return };
+            hear(&heard, &key, unlit);
+            let Some(folder) = &folder else { return };
+            let file = folder.join(format!("{name}_{:06}.png", packet.tick().seq));
+            if let Err(error) = picture.save(&file) {
+                failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert((file, error));
+            }
+        };
+        Listener { node: node.clone(), output: "image".to_owned(), hear: Arc::new(look) }
+    });
+    let text = graph.to_string();
+    let path = std::path::absolute(&options.graph).unwrap_or_else(|_| options.graph.clone());
+    let plan =
+        Plan { text: &text, path: &path, frames: Some(options.frames), threads: 0, ports: &[], pace: Pace::Alone };
+    run::run_watched(session, &plan, Watchers { listen: listen.collect(), numbers, tracer: None })?;
+    if let Some((file, error)) = failed.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        return Err(error).with_context(|| format!("cannot write {}", file.display()));
+    }
+    let heard = heard.lock().unwrap_or_else(PoisonError::into_inner);
+    Ok(heard.iter().flat_map(|(name, values)| figures(name, values, &options.graph)).collect())
+}
+
+/// Median and worst value of a metric, and how many ticks miss its limit.
+fn figures(name: &str, values: &[f64], graph: &Path) -> Vec<Figure> {
+    let metric = name.split('/').next().unwrap_or(name);
+    let more_is_better = METRICS.iter().any(|(_, known, less)| *known == metric && !less);
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let input = format!("{}, {} pictures", graph.display(), values.len());
+    let at = |index: usize| sorted.get(index).copied().unwrap_or(f64::NAN);
+    let worst = if more_is_better { at(0) } else { at(sorted.len().saturating_sub(1)) };
+    let mut found = vec![
+        Figure::new(&format!("{name}/median"), at(sorted.len() / 2), "%", &input),
+        Figure::new(&format!("{name}/worst"), worst, "%", &input),
+    ];
+    if let Some((_, limit)) = LIMITS.iter().find(|(known, _)| *known == metric) {
+        let misses = |v: &&f64| if more_is_better { **v < *limit } else { **v > *limit };
+        let count = sorted.iter().filter(misses).count() as f64;
+        let side = if more_is_better { "below" } else { "above" };
+        found.push(Figure::new(&format!("{name}/{side}_{limit}_pct"), count, "pictures", &input));
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_metric_has_its_median_its_worst_and_its_misses() {
+        let of = |name: &str, values: &[f64]| -> Vec<(String, f64)> {
+            figures(name, values, Path::new("g.toml")).into_iter().map(|f| (f.name, f.value)).collect()
+        };
+        let named = |name: &str, value: f64| (name.to_owned(), value);
+        let main = of("main_pct/screen", &[70.0, 59.0, 65.0]);
+        assert_eq!(main[..2], [named("main_pct/screen/median", 65.0), named("main_pct/screen/worst", 59.0)]);
+        assert_eq!(main[2], named("main_pct/screen/below_60_pct", 1.0));
+        let cut = of("cut_pct/turn", &[0.5, 3.0, 0.1]);
+        assert_eq!(cut[1..], [named("cut_pct/turn/worst", 3.0), named("cut_pct/turn/above_2_pct", 1.0)]);
+        assert_eq!(of("unlit_pct/screen", &[12.0]).len(), 2, "no limit");
+    }
+}
