@@ -168,7 +168,10 @@ fn a_window_on_another_machine_survives_a_cut_cable_and_the_graph_loses_nothing(
     let refused = window.run(&edited, &mistake, || true).expect_err("there is no such node");
     assert!(refused.words.contains("lever"), "{refused:?}");
     space.set_joined(false);
-    std::thread::sleep(Duration::from_secs(5));
+    let cut = Instant::now();
+    // At least 5 s, so that a picture of before the cut can be told by its age.
+    let is_lost = || cut.elapsed() > Duration::from_secs(5) && matches!(window.state().contact, Contact::Lost(_));
+    assert!(until(60, is_lost), "{:?}", window.state());
     match window.state().contact {
         Contact::Lost(why) => assert!(why.contains("nothing was heard"), "{why}"),
         other => panic!("{other:?}"),
