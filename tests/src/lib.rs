@@ -64,6 +64,18 @@ pub fn has_python() -> bool {
 /// # Panics
 /// When a test fails.
 pub fn run_python_tests(file: &str, modules: &str) {
+    run_python(file, &[], modules);
+}
+
+/// As [`run_python_tests`], of one class of the file, which imports no other package.
+///
+/// # Panics
+/// When a test fails, or there is no such class.
+pub fn run_python_class(file: &str, class: &str) {
+    run_python(file, &[class], "");
+}
+
+fn run_python(file: &str, classes: &[&str], modules: &str) {
     if !has_python() {
         return;
     }
@@ -86,7 +98,9 @@ pub fn run_python_tests(file: &str, modules: &str) {
             return panoscope_testing::skipped!("a package is missing: {}", words.lines().last().unwrap_or(""));
         }
     }
-    let output = python().arg(root().join("tests/python").join(file)).arg("-v").output().expect("python3 starts");
+    let mut tests = python();
+    let output = tests.arg(root().join("tests/python").join(file)).arg("-v").args(classes).output();
+    let output = output.expect("python3 starts");
     let words = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{words}");
     // A test of Python that is not found is no test that passed.

@@ -1,10 +1,33 @@
-//! What the Python package does, in Python: each test runs a file of `tests/python`.
+//! What the Python package does, in Python: each test runs a file of `tests/python`, or a class of one.
 
-use panoscope_tests::run_python_tests;
+use panoscope_tests::{root, run_python_class, run_python_tests};
 
 #[test]
-fn graphs_and_recordings_from_python() {
-    run_python_tests("host.py", "");
+fn graphs_from_python_are_those_of_the_command() {
+    run_python_class("host.py", "CommandTest");
+}
+
+#[test]
+fn runs_and_recordings_from_python() {
+    run_python_class("host.py", "RunTest");
+}
+
+#[test]
+fn sweeps_files_and_notebooks_from_python() {
+    run_python_class("host.py", "StudyTest");
+}
+
+#[test]
+fn nodes_in_python() {
+    run_python_class("host.py", "PluginTest");
+}
+
+#[test]
+fn every_class_of_host_py_is_run_above() {
+    let text = std::fs::read_to_string(root().join("tests/python/host.py")).expect("a file");
+    let classes = text.lines().filter_map(|line| line.strip_prefix("class "));
+    let names: Vec<&str> = classes.filter_map(|class| class.strip_suffix("(HostCase):")).collect();
+    assert_eq!(names, ["CommandTest", "RunTest", "StudyTest", "PluginTest"]);
 }
 
 #[test]

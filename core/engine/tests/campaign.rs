@@ -15,6 +15,8 @@ use panoscope_graph::{GraphText, check};
 use panoscope_loader::Loader;
 
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Time without a budget after which a call counts as hung: that of a program, whatever the environment of the tests says.
+const HANG: Duration = Duration::from_secs(2);
 /// Attempts of a case whose node was left out for being slow before its fault came.
 const ATTEMPTS: usize = 5;
 /// Cases that run at a time: each of them mostly waits for its next frame.
@@ -125,7 +127,7 @@ fn run(case: &Case) -> Result<Ending, String> {
     let loader = Loader::search(folders());
     let catalog = loader.catalog(&text.plugins());
     let (graph, _) = check(&text, &catalog).into_result().map_err(|d| d.render(false))?;
-    let options = Options { threads: 2, ..Options::default() };
+    let options = Options { threads: 2, hang: HANG, ..Options::default() };
     let engine = Engine::start(graph, &catalog, &loader, options).map_err(|e| e.to_string())?;
     let named = |f: &Fault| f.node == "bad" && case.causes.contains(&f.cause);
     let is_slow = |f: &Fault| {
@@ -248,7 +250,7 @@ fn an_isolated_fault_is_over_soon() {
             let loader = Loader::search(folders());
             let catalog = loader.catalog(&text.plugins());
             let (graph, _) = check(&text, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-            let options = Options { threads: 2, ..Options::default() };
+            let options = Options { threads: 2, hang: HANG, ..Options::default() };
             let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
             let recovered = || engine.report().nodes["bad"].recovery_max_ms > 0.0;
             until("no good frame came after the fault", recovered).unwrap_or_else(|e| panic!("{harm}: {e}"));

@@ -46,6 +46,8 @@ pub fn test_environment(cargo: &mut Command, workspace: &Workspace, tests: &Buil
         .env("PANOSCOPE_PLUGIN_PATH", plugin_path)
         .env("PANOSCOPE_BIN", &tests.built.program)
         .env("PANOSCOPE_DATA", workspace.data_dir())
+        // On a loaded machine a sound call may take seconds; tests of the watchdog set its time themselves.
+        .env("PANOSCOPE_HANG_MS", "60000")
         // What a test that starts a program without settings of its own writes: never the audit log of who runs it.
         .env("XDG_STATE_HOME", fresh_state(workspace)?);
     Ok(())

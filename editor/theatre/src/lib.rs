@@ -111,6 +111,8 @@ pub struct Theatre {
     /// Previews of the raw view, which continues while the other views are frozen.
     live: OutputCache,
     last_packets: HashMap<Output, LastPacket>,
+    /// Since when each output is requested without a break.
+    requested: HashMap<Output, Instant>,
     running_since: Option<Instant>,
     layout: Layout,
     frozen: Option<Instant>,
@@ -214,6 +216,7 @@ impl Theatre {
             shown: OutputCache::default(),
             live: OutputCache::default(),
             last_packets: HashMap::new(),
+            requested: HashMap::new(),
             running_since: None,
             layout: Layout::All,
             frozen: None,

@@ -98,9 +98,13 @@ impl Theatre {
     pub(super) fn facts(&mut self, status: &Status, counters: &Counters) -> Facts {
         let running = status.phase == Phase::Running;
         let since = self.running_since.map(|s| s.elapsed()).unwrap_or_default();
-        let silent =
-            |output: &Output| self.last_packets.get(output).map(|last_packets| last_packets.at.elapsed().min(since));
-        let has_stopped = |output: &Output| silent(output).map_or(since > FIRST, |age| age > STOPPED);
+        // An output that nobody requested, in a freeze or another layout, was not silent: its time counts from the request.
+        let requested =
+            |output: &Output| self.requested.get(output).map_or(Duration::ZERO, |at| at.elapsed().min(since));
+        let silent = |output: &Output| {
+            self.last_packets.get(output).map(|last_packets| last_packets.at.elapsed().min(requested(output)))
+        };
+        let has_stopped = |output: &Output| silent(output).map_or(requested(output) > FIRST, |age| age > STOPPED);
         let lost = self.plan.cameras.iter().filter(|c| running && has_stopped(&c.output));
         let lost: Vec<_> = lost.map(|c| (c.title(), silent(&c.output))).collect();
         let raw_goes_on = self.plan.raw.as_ref().is_some_and(|raw| !has_stopped(&raw.output));
@@ -200,6 +204,11 @@ impl Theatre {
                 requests
                     .insert(eye.clone(), PreviewRequest { packet, max_width: MAX_WIDTH, ..PreviewRequest::default() });
             }
+        }
+        self.requested.retain(|output, _| requests.contains_key(output));
+        let now = Instant::now();
+        for output in requests.keys() {
+            self.requested.entry(output.clone()).or_insert(now);
         }
         self.runner.request_previews(requests, INTERVAL);
     }

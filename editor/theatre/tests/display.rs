@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::common::window::{GRAPH, Window, options};
-use crate::common::{Folder, has_plugin, input};
+use crate::common::{Folder, PATIENCE, has_plugin, input};
 use eframe::egui::{Key, Rect, Vec2, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_model::session::Phase;
@@ -42,7 +42,7 @@ fn rect(window: &Window, label: &str) -> Rect {
 fn nothing_dropped(window: &Window, nodes: &[&str]) {
     let engine = window.theatre().session().expect("it runs here").handle().engine().expect("it runs");
     let count = || engine.report().nodes[nodes[0]].count;
-    let end = Instant::now() + Duration::from_secs(10);
+    let end = Instant::now() + PATIENCE;
     while count() <= 5 && Instant::now() < end {
         std::thread::sleep(Duration::from_millis(10));
     }

@@ -21,12 +21,12 @@ const LEAST_PX: f32 = 11.0;
 /// How far a glyph may reach out of its clip rectangle, points: the edges of letters are smooth.
 const EDGE: f32 = 1.5;
 
-/// Stereo cameras with a surface, an arm, a stage that fails on request, and more settings than there is space for.
+/// Stereo cameras on a box that stands still, with its surface, an arm, a stage that fails on request, and more settings than there is space for.
 const SURGERY: &str = r#"name = "surgery"
 plugins = ["phantom", "stereo", "flow", "fixtures"]
 [nodes.scope]
 type = "phantom"
-params = { scene = "box", width = 320, height = 240 }
+params = { scene = "box", width = 320, height = 240, speed_mm_s = 0.0, breathing_mm = 0.0 }
 [nodes.points]
 type = "reproject"
 inputs = { image = "scope.left", disparity = "scope.disparity", calibration = "scope.calibration" }

@@ -14,12 +14,12 @@ use panoscope_loader::lock::{ALWAYS_LOCKED, Lock};
 use panoscope_loader::{self as loader, Loader};
 use panoscope_theatre::{Check, Layout, State, Theatre};
 
-/// Stereo cameras, a surface, an arm, and a stage that fails at the request of a setting.
+/// Stereo cameras on a box that stands still, its surface, an arm, and a stage that fails at the request of a setting.
 const GRAPH: &str = r#"name = "procedure"
 plugins = ["phantom", "stereo", "flow", "fixtures", "sinks"]
 [nodes.scope]
 type = "phantom"
-params = { scene = "box", width = 320, height = 240 }
+params = { scene = "box", width = 320, height = 240, speed_mm_s = 0.0, breathing_mm = 0.0 }
 [nodes.points]
 type = "reproject"
 inputs = { image = "scope.left", disparity = "scope.disparity", calibration = "scope.calibration" }

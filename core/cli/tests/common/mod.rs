@@ -1,5 +1,4 @@
 //! What several tests of the command need.
-#![allow(dead_code, reason = "each test binary uses a part")]
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};

@@ -10,6 +10,20 @@ use crate::observe::Observer;
 use crate::preview::{Listener, NumberListener};
 use crate::trace::Tracer;
 
+/// Environment variable with the default of [`Options::hang`], a whole number of ms above 0: for machines so busy that a sound call takes longer than
+/// [`HANG_MS`]. Anything else counts as not set.
+const HANG_VARIABLE: &str = "PANOSCOPE_HANG_MS";
+const HANG_MS: u64 = 2000;
+
+fn default_hang() -> Duration {
+    let given = std::env::var(HANG_VARIABLE).ok().and_then(|text| hang_ms(&text));
+    Duration::from_millis(given.unwrap_or(HANG_MS))
+}
+
+fn hang_ms(text: &str) -> Option<u64> {
+    text.parse().ok().filter(|ms| *ms > 0)
+}
+
 /// Options of a run.
 pub struct Options {
     /// Threads of the pool; 0 takes as many as the machine has.
@@ -37,7 +51,8 @@ pub struct Options {
     pub listen: Vec<Listener>,
     /// Nodes whose metrics a listener receives, each when the node reports it; one listener for a node.
     pub numbers: Vec<NumberListener>,
-    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long.
+    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long. The default is 2 s, or
+    /// what the environment variable `PANOSCOPE_HANG_MS` says.
     pub hang: Duration,
     /// Time limit for opening a node: at the start, in a change and after a fault.
     pub open_limit: Duration,
@@ -68,7 +83,7 @@ impl Default for Options {
             decider: None,
             listen: Vec::new(),
             numbers: Vec::new(),
-            hang: Duration::from_secs(2),
+            hang: default_hang(),
             open_limit: Duration::from_secs(30),
             close_limit: Duration::from_secs(10),
             group_memory_bytes: 8 << 30,
@@ -150,4 +165,17 @@ pub enum Outcome {
     Done,
     /// A node failed and the graph said to stop.
     Failed(String),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_of_a_hang_is_a_whole_number_of_ms_above_0() {
+        assert_eq!(hang_ms("60000"), Some(60_000));
+        for wrong in ["", "0", "-1", "2.5", "2 s"] {
+            assert_eq!(hang_ms(wrong), None, "{wrong:?}");
+        }
+    }
 }

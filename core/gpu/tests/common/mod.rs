@@ -1,5 +1,4 @@
 //! What the tests share: the device, pictures, comparison.
-#![allow(dead_code)]
 
 use std::sync::Arc;
 

@@ -1,6 +1,4 @@
 //! Messages of each type, and bytes that other programs wrote.
-// Each test program uses its part.
-#![allow(dead_code)]
 
 use std::borrow::Cow;
 

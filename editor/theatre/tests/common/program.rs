@@ -3,6 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use super::{Folder, PATIENCE};
@@ -11,13 +12,18 @@ use super::{Folder, PATIENCE};
 pub struct Screen {
     server: Child,
     display: String,
+    /// Holds its pixels.
+    folder: Folder,
 }
 
 impl Screen {
     /// A screen; `None`, with a report that the test is skipped, without Xvfb.
     pub fn start() -> Option<Self> {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let folder = Folder::new(&format!("xvfb_{}", NEXT.fetch_add(1, Ordering::Relaxed)));
         let mut command = Command::new("Xvfb");
         command.args(["-displayfd", "1", "-screen", "0", "1440x900x24", "-nolisten", "tcp"]);
+        command.arg("-fbdir").arg(&folder.0);
         let Ok(mut server) = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn() else {
             panoscope_testing::skipped!("Xvfb is not installed");
             return None;
@@ -25,7 +31,21 @@ impl Screen {
         let mut number = String::new();
         let read = server.stdout.take().map(|out| BufReader::new(out).read_line(&mut number));
         assert!(matches!(read, Some(Ok(1..))), "Xvfb names its display");
-        Some(Self { server, display: format!(":{}", number.trim()) })
+        Some(Self { server, display: format!(":{}", number.trim()), folder })
+    }
+
+    /// Its pixels now, row by row: blue, green, red and a byte without a meaning.
+    pub fn pixels(&self) -> Vec<[u8; 4]> {
+        // A window dump of X: a header of 32-bit numbers, the first of them its length in bytes, then colours of 12 bytes each.
+        let dump = std::fs::read(self.folder.0.join("Xvfb_screen0")).expect("the screen's pixels");
+        let number = |index: usize| {
+            let bytes = dump[4 * index..4 * index + 4].try_into().expect("four bytes");
+            u32::from_be_bytes(bytes) as usize
+        };
+        let (width, height, byte_order, bits, colors) = (number(4), number(5), number(7), number(11), number(19));
+        assert_eq!((byte_order, bits, number(12)), (0, 32, 4 * width), "rows of 32-bit pixels, blue first");
+        let begin = number(0) + 12 * colors;
+        dump[begin..begin + 4 * width * height].as_chunks().0.to_vec()
     }
 }
 

@@ -1,8 +1,5 @@
 //! Folders of pictures and videos, and the node that reads them.
 
-// Every test file uses its part.
-#![allow(dead_code)]
-
 use std::fs;
 use std::path::{Path, PathBuf};
 

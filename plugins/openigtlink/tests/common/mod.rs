@@ -1,6 +1,4 @@
 //! Nodes in one-node hosts, and programs at the other end.
-// Each test program uses its part.
-#![allow(dead_code)]
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;

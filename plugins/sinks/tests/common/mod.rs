@@ -1,5 +1,4 @@
 //! Pictures that carry their number, and a reader by GStreamer.
-#![allow(dead_code, reason = "each test binary uses a part")]
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,5 @@
 //! Pairs with known disparity and the cameras that would see them.
 
-// Each test file uses its own part of this.
-#![allow(dead_code)]
-
 use panoscope_node::abi::{Calibration, Camera};
 
 /// Width and height of the test pictures.

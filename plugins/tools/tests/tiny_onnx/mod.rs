@@ -38,7 +38,6 @@ impl Message {
 }
 
 /// Values of an output.
-#[allow(dead_code)] // each test program uses its part
 pub enum Fixed {
     Floats(Vec<f32>),
     Ints(Vec<i64>),
