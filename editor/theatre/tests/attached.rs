@@ -1,6 +1,5 @@
 //! The theatre on a graph that runs on another machine.
 
-use crate::common;
 use std::time::Duration;
 
 use crate::attachable::{Attachable, free_address};
