@@ -33,7 +33,7 @@ impl Fit {
             return;
         }
         if width >= picture.width && height >= picture.height {
-            self.grow.place(out, picture, (x, y), (width, height));
+            self.grow.place(self.simd, out, picture, (x, y), (width, height));
             return;
         }
         let span = |at: usize, target: usize, source: usize| {

@@ -179,7 +179,7 @@ impl Node for Colorize {
         let (width, height) = (plane.width as i32, plane.height as i32);
         let is_beside = params.scale_bar && params.scale_beside;
         // Beside the map there is room, so that it can be read on a screen on which the map is small.
-        let text_scale = if is_beside { height as f32 / 180.0 } else { (height as f32 / 320.0).clamp(1.0, 3.0) };
+        let text_scale = if is_beside { height as f32 / 120.0 } else { (height as f32 / 320.0).clamp(1.0, 3.0) };
         let strip_px = if is_beside { (STRIP * text_scale) as usize } else { 0 };
         let mut picture = out.image.alloc(plane.width + strip_px, plane.height)?;
         let (stride, columns) = (picture.stride, plane.width * 3);

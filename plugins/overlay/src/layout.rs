@@ -34,8 +34,10 @@ pub struct Frame {
 
 /// How much more an area of the main picture counts than one of the others.
 const IMPORTANCE: f64 = 4.0;
-/// The least width of a smaller picture as a share of the screen's.
-const LEAST_SHARE: f64 = 0.16;
+/// The least width of a smaller picture as a share of the screen's; the second where the first leaves the main picture too little.
+const LEAST_SHARES: [f64; 2] = [0.2, 0.16];
+/// The least area of the main picture as a share of the screen's.
+const MAIN_SHARE: f64 = 0.62;
 /// How much a missing pixel of a smaller picture's width counts, in screens' widths.
 const SMALLNESS: f64 = 12.0;
 /// Widths of the main picture that are tried.
@@ -71,6 +73,16 @@ fn aspect(size: Size) -> f64 {
 /// apart from each other.
 /// Earlier pictures come first: down the column, then along the row.
 pub fn arrange(frame: &Frame, main: Tile, sides: &[Tile], cells: &mut Vec<Cell>) {
+    let whole = (frame.width * frame.height) as f64;
+    for least_share in LEAST_SHARES {
+        best_plan(frame, main, sides, least_share, cells).place(frame, main, sides, cells);
+        if cells[0].area() >= MAIN_SHARE * whole {
+            return;
+        }
+    }
+}
+
+fn best_plan(frame: &Frame, main: Tile, sides: &[Tile], least_share: f64, cells: &mut Vec<Cell>) -> Plan {
     let mut best = (f64::NEG_INFINITY, Plan { main_px: 0.0, in_column: sides.len() });
     let room = frame.room();
     for in_column in 0..=sides.len() {
@@ -87,20 +99,20 @@ pub fn arrange(frame: &Frame, main: Tile, sides: &[Tile], cells: &mut Vec<Cell>)
             };
             let plan = Plan { main_px, in_column };
             plan.place(frame, main, sides, cells);
-            let score = score(frame, cells);
+            let score = score(frame, least_share, cells);
             if score > best.0 {
                 best = (score, plan);
             }
         }
     }
-    best.1.place(frame, main, sides, cells);
+    best.1
 }
 
 /// What an arrangement is worth: the areas of its pictures. Pictures that are too small make it worth less.
-fn score(frame: &Frame, cells: &[Cell]) -> f64 {
+fn score(frame: &Frame, least_share: f64, cells: &[Cell]) -> f64 {
     let Some((main, sides)) = cells.split_first() else { return 0.0 };
     // Many pictures cannot all be wide.
-    let least = LEAST_SHARE.min(0.72 / sides.len().max(1) as f64) * frame.width as f64;
+    let least = least_share.min(0.72 / sides.len().max(1) as f64) * frame.width as f64;
     let small = sides.iter().map(|cell| (least - cell.width as f64).max(0.0)).sum::<f64>();
     IMPORTANCE * main.area() + sides.iter().map(Cell::area).sum::<f64>() - SMALLNESS * small * frame.width as f64
 }

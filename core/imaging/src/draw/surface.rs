@@ -233,7 +233,7 @@ impl SurfacePainter {
         for end in [x, x + length * scale] {
             line(out, (end, y - 4.0), (end, y + 4.0), 2.0, [230; 3]);
         }
-        let size = (out.height as f32 / 320.0).clamp(1.0, 3.0);
+        let size = (out.height as f32 / 140.0).clamp(1.0, 6.0);
         self.length.clear();
         let _ = write!(self.length, "{length} mm");
         text(out, x, y - 14.0 * size, &self.length, size, [230; 3]);
