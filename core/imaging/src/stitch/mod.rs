@@ -14,6 +14,7 @@ pub mod cut;
 pub mod disparity_plane;
 mod drawing;
 pub mod evaluate;
+mod exposure;
 mod graph_cut;
 pub mod grid;
 pub mod judge;
