@@ -18,6 +18,7 @@ mod exposure;
 mod graph_cut;
 pub mod grid;
 pub mod judge;
+mod lit_spans;
 mod mark;
 pub mod mesh;
 mod paint;

@@ -11,6 +11,7 @@ use super::seam::Seam;
 use super::segments::{BASE_ONLY, BASE_SHOWN, EMPTY, NEW_ONLY, NEW_SHOWN, Segment, Segments};
 use super::taps::{Joined, Taps};
 use super::warp::{self, BLOCK, Block, Pixels, Span};
+use crate::lit::LitPart;
 use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 
 /// Canvas rows per chunk.
@@ -22,6 +23,8 @@ pub(super) struct Layers {
     pub(super) warps: Vec<Warp>,
     /// Meshes that views are drawn by; empty ones stand for none.
     pub(super) meshes: [Mesh; MAX_VIEWS],
+    /// What of the views is lit; `None` stands for all.
+    pub(super) lit: [Option<LitPart>; MAX_VIEWS],
     /// Columns that a view covers, by view and canvas row.
     pub(super) spans: Vec<Vec<Span>>,
     /// Views in use; the vectors keep the memory of more.
