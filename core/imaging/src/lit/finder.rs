@@ -149,7 +149,11 @@ impl LitFinder {
                 count = [count[0] + found[0], count[1] + found[1]];
             }
             if count[0] * 100 < count[1] * LIGHT_PERCENT {
-                return is_new && self.compute(valid) || is_new;
+                // Nothing is known yet but what the camera covers.
+                if is_new {
+                    self.compute(valid);
+                }
+                return is_new;
             }
             changed |= self.merge();
         }
