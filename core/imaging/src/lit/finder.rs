@@ -82,6 +82,8 @@ pub struct LitFinder {
     /// This frame's.
     seen: Sides,
     ring: Vec<u8>,
+    /// This frame's ends all lie at the border, and the window has them.
+    is_open: bool,
     /// Ends have changed since the part was computed.
     is_due: bool,
     part: LitPart,
@@ -138,9 +140,12 @@ impl LitFinder {
         let mut changed = is_new;
         if rim > BRIGHTEST_RIM {
             // Lit up to its border.
-            self.seen.iter_mut().for_each(|side| side.fill(End { at: 0, is_sharp: false }));
-            changed |= self.merge();
+            if !std::mem::replace(&mut self.is_open, true) {
+                self.seen.iter_mut().for_each(|side| side.fill(End { at: 0, is_sharp: false }));
+                changed |= self.merge();
+            }
         } else {
+            self.is_open = false;
             self.seen.iter_mut().for_each(|side| side.fill(UNKNOWN));
             let first = self.frames as usize % LINE_STEP;
             let mut count = [0; 2];
@@ -177,7 +182,7 @@ impl LitFinder {
 
     fn restart(&mut self, size: (usize, usize)) {
         self.size = size;
-        self.frames = 0;
+        (self.frames, self.is_open) = (0, false);
         for sides in self.windows.iter_mut().chain([&mut self.seen]) {
             for (index, side) in sides.iter_mut().enumerate() {
                 side.clear();

@@ -176,9 +176,9 @@ mod tests {
 
     #[test]
     fn rows_that_begin_with_a_rim_stay() {
-        // Up to row 32 the right view begins at column 20.
+        // Up to row 32 the right view begins at column 40: farther in than a border is.
         let mut right_part = LitPart::whole(SIZE.0, SIZE.1);
-        (0..32).for_each(|y| right_part.set_row(y, 20..SIZE.0));
+        (0..32).for_each(|y| right_part.set_row(y, 40..SIZE.0));
         let parts = [LitPart::whole(SIZE.0, SIZE.1), right_part];
         let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
         let [left, right] = &mut maps;
