@@ -5,8 +5,8 @@ use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams,
 };
 use panoscope_node::{
-    AnyImage, Bgr8, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot,
-    Validation, View, error,
+    AnyImage, Bgr8, Confidence, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result,
+    Slot, Validation, View, ViewMut, error,
 };
 
 use crate::coarse::{Coarse, Job, factor};
@@ -23,6 +23,8 @@ pub struct In<'f> {
     disparity_right: Option<Image<'f, Disparity>>,
     /// Confidence to use; without it the filter computes its own.
     confidence: Option<Image<'f, Confidence>>,
+    /// What of the left view is lit, not 0. The map is unknown elsewhere; without it all is lit.
+    mask: Option<Image<'f, Mask>>,
 }
 
 /// Outputs of both filters.
@@ -75,6 +77,7 @@ fn filter_input<'f>(input: &In<'f>) -> Result<FilterInput<'f>> {
         ("image", Some((guide.width, guide.height))),
         ("disparity_right", input.disparity_right.as_ref().map(|map| (map.width(), map.height()))),
         ("confidence", input.confidence.as_ref().map(|map| (map.width(), map.height()))),
+        ("mask", input.mask.as_ref().map(|map| (map.width(), map.height()))),
     ];
     for (name, other) in others {
         if let Some(other) = other.filter(|other| *other != size) {
@@ -125,9 +128,30 @@ fn filter<'f>(input: &In<'f>, out: &mut Out<'_>, run: impl FnOnce(Job<'f, '_>) -
     let given = filter_input(input)?;
     let (width, height) = (given.disparity.width, given.disparity.height);
     let confidence_is_read = out.confidence.is_read();
-    let disparity = out.disparity.alloc(width, height)?;
-    let confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
-    run(Job { given, disparity, confidence })
+    let mut disparity = out.disparity.alloc(width, height)?;
+    let mut confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
+    run(Job { given, disparity: again(&mut disparity), confidence: confidence.as_mut().map(again) })?;
+    if let Some(mask) = &input.mask {
+        clear(&mut disparity, mask.view(), f32::NAN);
+        if let Some(confidence) = &mut confidence {
+            clear(confidence, mask.view(), 0.0);
+        }
+    }
+    Ok(())
+}
+
+/// The same map, for one call.
+fn again<'a>(map: &'a mut ViewMut<'_, f32>) -> ViewMut<'a, f32> {
+    ViewMut { data: &mut *map.data, ..*map }
+}
+
+/// Sets what the mask does not show to `value`.
+fn clear(map: &mut ViewMut<'_, f32>, mask: View<'_, u8>, value: f32) {
+    for y in 0..map.height {
+        for (out, mask) in map.row_mut(y).iter_mut().zip(mask.row(y)) {
+            *out = if *mask == 0 { value } else { *out };
+        }
+    }
 }
 
 /// Parameters of the weighted-least-squares filter.

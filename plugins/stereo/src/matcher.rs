@@ -1,9 +1,10 @@
 //! What `stereo_bm` and `stereo_sgbm` share: ports, the offset of the search, the warnings.
 
 use panoscope_imaging::Rect;
+use panoscope_imaging::lit::HeldMask;
 use panoscope_imaging::stereo::{PairMatcher, PairParams, SearchParams, StereoError, StereoKernel};
 use panoscope_node::abi;
-use panoscope_node::{Context, Disparity, Gray8, Image, Params, Ports, Result, Slot, Validation, Value, error};
+use panoscope_node::{Context, Disparity, Gray8, Image, Mask, Params, Ports, Result, Slot, Validation, Value, error};
 
 /// Inputs.
 #[derive(Ports)]
@@ -16,6 +17,10 @@ pub struct In<'f> {
     roi: Option<Value<'f, abi::Roi>>,
     /// Calibration of the rectified views; read only with `rectified_only`.
     calibration: Option<Value<'f, abi::Calibration>>,
+    /// What of the left view is lit, not 0. Disparities whose blocks reach beyond stay unknown; without it all is lit.
+    mask_left: Option<Image<'f, Mask>>,
+    /// What of the right view is lit.
+    mask_right: Option<Image<'f, Mask>>,
 }
 
 /// Outputs.
@@ -90,14 +95,49 @@ pub fn inside(roi: &abi::Roi, width: usize, height: usize) -> Rect {
     Rect { x, y, width, height }
 }
 
-/// One tick of a node: matches the views in `roi` with the parameters that `kernel` has, its range apart.
+/// Distance from the rim within which a block of this side matches the rim, px: farther away less than a quarter of a block lies on it.
+pub fn rim_px(block_px: usize) -> usize {
+    block_px / 4 + 1
+}
+
+/// The part of a matching node that is not its kernel.
+pub struct Matcher {
+    pair: PairMatcher,
+    masks: [HeldMask; 2],
+}
+
+impl Matcher {
+    pub fn new() -> Result<Self> {
+        Ok(Self { pair: PairMatcher::new()?, masks: Default::default() })
+    }
+
+    /// Follows the masks of the views. Pixels within `rim_px` of a rim stay unknown.
+    fn take_masks(&mut self, input: &In<'_>, size: (usize, usize), rim_px: usize) -> Result<()> {
+        for (held, (side, mask)) in
+            self.masks.iter_mut().zip([("left", &input.mask_left), ("right", &input.mask_right)])
+        {
+            let given = mask.as_ref().map(Image::view);
+            if let Some(mask) = given.filter(|mask| (mask.width, mask.height) != size) {
+                return Err(error!(
+                    "`mask_{side}` is {}x{}, the views are {}x{}: connect the masks of these views",
+                    mask.width, mask.height, size.0, size.1
+                ));
+            }
+            held.update(given);
+        }
+        self.pair.set_lit(self.masks.each_ref().map(HeldMask::part), rim_px);
+        Ok(())
+    }
+}
+
+/// One tick of a node: matches the views in `roi` with the parameters that `kernel` has, its range apart. Pixels within `rim_px` of a rim stay unknown.
 pub fn process<'f, K: StereoKernel>(
-    matcher: &mut PairMatcher,
+    matcher: &mut Matcher,
     kernel: &mut K,
     cx: &Context<'f>,
     input: &In<'f>,
     out: &mut Out<'f>,
-    (window, left_right_px): (&SearchWindow, i32),
+    (window, left_right_px, rim_px): (&SearchWindow, i32, usize),
 ) -> Result<()> {
     if window.rectified_only && input.calibration.is_none() {
         return Ok(());
@@ -110,9 +150,10 @@ pub fn process<'f, K: StereoKernel>(
             right.width, right.height
         ));
     }
+    matcher.take_masks(input, (width, height), rim_px)?;
     let roi = input.roi.as_ref().map_or(Rect::whole(width, height), |roi| inside(roi, width, height));
     let disparity = out.disparity.alloc(width, height)?;
     let other = if out.disparity_right.is_read() { Some(out.disparity_right.alloc(width, height)?) } else { None };
     let params = window.pair(left_right_px);
-    Ok(matcher.compute(cx, kernel, [left, right], roi, &params, cx.pool(), disparity, other)?)
+    Ok(matcher.pair.compute(cx, kernel, [left, right], roi, &params, cx.pool(), disparity, other)?)
 }

@@ -1,13 +1,15 @@
 //! `rectify`: turns both views so that a point lies on one row in both (thesis, fig. 3.5).
 
 use panoscope_gpu::{Device, Rectifier, RectifyJob, given_up};
+use panoscope_imaging::lit::{LitFinder, LitPart};
 use panoscope_imaging::shrink::shrink;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
 use panoscope_imaging::{Rect, View, ViewMut};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
-    Bgr8, Choice, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error,
+    Bgr8, Choice, Context, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Retained, Slot, Validation, Value,
+    error,
 };
 
 use panoscope_calibration::packet as calibration;
@@ -32,6 +34,10 @@ pub struct Out<'f> {
     right: Slot<'f, Bgr8>,
     /// Calibration of the rectified views.
     calibration: Slot<'f, Calibration>,
+    /// 255 where the left view shows something: inside the scope's rim and inside what its camera covers. Empty while that is all of it.
+    mask_left: Slot<'f, Mask>,
+    /// The same of the right view.
+    mask_right: Slot<'f, Mask>,
 }
 
 /// Parameters.
@@ -47,6 +53,9 @@ pub struct RectifyNodeParams {
     /// 0 finds the smallest factor whose views are at most 1280 px wide: 2 for 1920 px, 3 for 3840.
     #[param(default = 1, range = 0..=8)]
     scale: usize,
+    /// Finds the dark rim of round and bordered scopes, from what stays dark over time and has the shape of a rim, and leaves it out of the masks.
+    #[param(default = true)]
+    find_rim: bool,
     /// What shrinks and turns the views. A GPU makes the same bytes; it pays for views of 1920x1080 and more. Without one the processor does it, with a warning.
     #[param(default = "cpu")]
     device: Device,
@@ -77,7 +86,9 @@ struct Maps {
     target: Calibration,
     /// `None` when the views are rectified already.
     tables: Option<[RemapTable; 2]>,
-    /// The same on the GPU.
+    /// What of the views the cameras cover.
+    valid: Option<[LitPart; 2]>,
+    /// The tables on the GPU.
     rectifier: Option<Rectifier>,
     device: Device,
 }
@@ -87,6 +98,7 @@ pub struct Rectify {
     maps: Option<Maps>,
     /// A view that was shrunk, before it is turned.
     small: Vec<u8>,
+    masks: [MaskMaker; 2],
     /// Views have been handed on without a calibration.
     is_passing: bool,
 }
@@ -110,7 +122,7 @@ impl Maps {
             // Views that stay as they are need nothing.
             let gpu = if factor > 1 { device } else { Device::Cpu };
             let rectifier = gpu.open(cx, |gpu| Rectifier::new(gpu, factor, None));
-            return Ok(Self { source: *source, factor, target, tables: None, rectifier, device });
+            return Ok(Self { source: *source, factor, target, tables: None, valid: None, rectifier, device });
         }
         let (left, right) = (calibration::camera(&small.left)?, calibration::camera(&small.right)?);
         let all = Rect::whole(rectification.width, rectification.height);
@@ -118,9 +130,81 @@ impl Maps {
             RemapTable::left(&left, &rectification, all, cx.pool())?,
             RemapTable::right(&right, &rectification, all, cx.pool())?,
         ];
+        for ((side, camera), table) in [("left", &left), ("right", &right)].into_iter().zip(&tables) {
+            if table.is_folded() {
+                cx.warn(&format!(
+                    "the distortion of the {side} camera turns back {:.0} px from its centre: what lies beyond is left out. Calibrate with the board near the borders of the view",
+                    camera.fold_px().unwrap_or_default() * factor as f64
+                ));
+            }
+        }
+        let valid = Some(tables.each_ref().map(RemapTable::valid));
         let rectifier = device.open(cx, |gpu| Rectifier::new(gpu, factor, Some(tables.each_ref())));
-        Ok(Self { source: *source, factor, target, tables: Some(tables), rectifier, device })
+        Ok(Self { source: *source, factor, target, tables: Some(tables), valid, rectifier, device })
     }
+}
+
+/// Finds what of a view is lit, and keeps the mask of it.
+#[derive(Default)]
+struct MaskMaker {
+    finder: LitFinder,
+    part: LitPart,
+    mask: Option<Retained<Mask>>,
+}
+
+impl MaskMaker {
+    /// Hands the mask of a view on, which is `handed` on too; none while all of it is lit.
+    fn make(
+        &mut self,
+        handed: &Slot<'_, Bgr8>,
+        out: &mut Slot<'_, Mask>,
+        valid: Option<&LitPart>,
+        find_rim: bool,
+    ) -> Result<()> {
+        if !out.is_read() {
+            return Ok(());
+        }
+        // A view that is not read is not made.
+        let Some(made) = handed.retain() else { return Ok(()) };
+        let (width, height) = (made.view().width, made.view().height);
+        let mut is_new = self.part.size() != (width, height);
+        if find_rim {
+            is_new |= self.finder.look(made.view(), valid);
+        } else {
+            self.finder.forget();
+            is_new |= valid.map_or(!self.part.is_whole(), |valid| self.part != *valid);
+        }
+        if is_new {
+            self.part = match (find_rim, valid) {
+                (true, _) if self.finder.part().size() == (width, height) => self.finder.part().clone(),
+                (_, Some(valid)) => valid.clone(),
+                (_, None) => LitPart::whole(width, height),
+            };
+            self.mask = None;
+        }
+        if self.part.is_whole() {
+            return Ok(());
+        }
+        if let Some(mask) = &self.mask {
+            return out.forward_anew(mask);
+        }
+        self.part.write_mask(out.alloc(width, height)?);
+        self.mask = out.retain();
+        Ok(())
+    }
+}
+
+/// Hands both masks on.
+fn make_masks(
+    makers: &mut [MaskMaker; 2],
+    out: &mut Out<'_>,
+    valid: Option<&[LitPart; 2]>,
+    params: &RectifyNodeParams,
+) -> Result<()> {
+    let [left, right] = makers;
+    let [valid_left, valid_right] = valid.map_or([None, None], |[left, right]| [Some(left), Some(right)]);
+    left.make(&out.left, &mut out.mask_left, valid_left, params.find_rim)?;
+    right.make(&out.right, &mut out.mask_right, valid_right, params.find_rim)
 }
 
 /// Shrinks and turns both views on the GPU. Whether it did; a GPU that fails is given up.
@@ -196,7 +280,7 @@ impl Node for Rectify {
     }
 
     fn open(_: &Open<'_>, _: &RectifyNodeParams) -> Result<Self> {
-        Ok(Self { maps: None, small: Vec::new(), is_passing: false })
+        Ok(Self { maps: None, small: Vec::new(), masks: Default::default(), is_passing: false })
     }
 
     fn process<'f>(
@@ -218,7 +302,8 @@ impl Node for Rectify {
                 out.calibration.set(Calibration { is_rectified: 1, ..calibration::shrunk(given, factor as u32) })?;
             }
             make(&input.left, &mut out.left, as_they_are, &mut self.small, cx)?;
-            return make(&input.right, &mut out.right, as_they_are, &mut self.small, cx);
+            make(&input.right, &mut out.right, as_they_are, &mut self.small, cx)?;
+            return make_masks(&mut self.masks, &mut out, None, params);
         }
         let given = input.calibration.as_deref().or(self.maps.as_ref().map(|maps| &maps.source)).copied();
         if let Some(given) = given
@@ -230,6 +315,7 @@ impl Node for Rectify {
                 cx.info("the calibration has changed: new maps");
             }
             self.maps = None;
+            self.masks = Default::default();
             self.maps = Some(Maps::new(&given, factor, params.device, cx)?);
             if std::mem::replace(&mut self.is_passing, false) {
                 cx.info("a calibration has arrived: the views are rectified from now on");
@@ -241,7 +327,8 @@ impl Node for Rectify {
                     cx.warn("no calibration has arrived: the views stay as they are, and nothing is known of their depth. Connect `calibration`");
                 }
                 make(&input.left, &mut out.left, as_they_are, &mut self.small, cx)?;
-                return make(&input.right, &mut out.right, as_they_are, &mut self.small, cx);
+                make(&input.right, &mut out.right, as_they_are, &mut self.small, cx)?;
+                return make_masks(&mut self.masks, &mut out, None, params);
             }
             return Err(error!(
                 "no calibration has arrived: connect `calibration`, or set `bypass` when the views are rectified already"
@@ -261,14 +348,14 @@ impl Node for Rectify {
             }
         }
         out.calibration.set(maps.target)?;
-        if make_on_gpu(maps, &input, &mut out, cx)? {
-            return Ok(());
+        if !make_on_gpu(maps, &input, &mut out, cx)? {
+            let [left, right] = match &maps.tables {
+                Some([left, right]) => [Some(left), Some(right)],
+                None => [None, None],
+            };
+            make(&input.left, &mut out.left, (factor, left), &mut self.small, cx)?;
+            make(&input.right, &mut out.right, (factor, right), &mut self.small, cx)?;
         }
-        let [left, right] = match &maps.tables {
-            Some([left, right]) => [Some(left), Some(right)],
-            None => [None, None],
-        };
-        make(&input.left, &mut out.left, (factor, left), &mut self.small, cx)?;
-        make(&input.right, &mut out.right, (factor, right), &mut self.small, cx)
+        make_masks(&mut self.masks, &mut out, maps.valid.as_ref(), params)
     }
 }

@@ -1,11 +1,11 @@
 //! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
 
 use panoscope_gpu::Device;
-use panoscope_imaging::stereo::{BlockMatchingParams, PairMatcher};
+use panoscope_imaging::stereo::BlockMatchingParams;
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
 use crate::coarse::factor;
-use crate::matcher::{In, Out, SearchWindow, check_kernel, process};
+use crate::matcher::{In, Matcher, Out, SearchWindow, check_kernel, process, rim_px};
 use crate::on_device::DeviceMatcher;
 use crate::shrunk::Shrunk;
 
@@ -60,7 +60,7 @@ impl StereoBmParams {
 /// See the module.
 pub struct StereoBm {
     kernel: Shrunk,
-    matcher: PairMatcher,
+    matcher: Matcher,
 }
 
 impl Node for StereoBm {
@@ -80,7 +80,7 @@ impl Node for StereoBm {
     fn open(open: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
         let mut kernel = DeviceMatcher::new(params.kernel(1))?;
         kernel.choose(params.device, open);
-        Ok(Self { kernel: Shrunk::new(kernel), matcher: PairMatcher::new()? })
+        Ok(Self { kernel: Shrunk::new(kernel), matcher: Matcher::new()? })
     }
 
     fn process<'f>(
@@ -93,7 +93,9 @@ impl Node for StereoBm {
         self.kernel.factor = factor(params.scale, input.left.width());
         self.kernel.kernel.set_params(params.kernel(self.kernel.factor))?;
         self.kernel.kernel.choose(params.device, cx);
-        let search = (&params.search, params.left_right_px);
+        let factor = self.kernel.factor;
+        let rim_px = rim_px(params.kernel(factor).block_px) * factor;
+        let search = (&params.search, params.left_right_px, rim_px);
         process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)?;
         self.kernel.kernel.report_fault(cx);
         Ok(())

@@ -1,9 +1,9 @@
 //! `stereo_sgbm`: semi-global matching, a rectified pair in, disparity maps of both views out.
 
-use panoscope_imaging::stereo::{PairMatcher, SemiGlobalMatcher, SemiGlobalParams};
+use panoscope_imaging::stereo::{SemiGlobalMatcher, SemiGlobalParams};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
-use crate::matcher::{In, Out, SearchWindow, check_kernel, process};
+use crate::matcher::{In, Matcher, Out, SearchWindow, check_kernel, process, rim_px};
 
 /// Parameters.
 #[derive(Params)]
@@ -53,7 +53,7 @@ impl StereoSgbmParams {
 /// See the module.
 pub struct StereoSgbm {
     kernel: SemiGlobalMatcher,
-    matcher: PairMatcher,
+    matcher: Matcher,
 }
 
 impl Node for StereoSgbm {
@@ -79,7 +79,7 @@ impl Node for StereoSgbm {
 
     fn open(_: &Open<'_>, params: &StereoSgbmParams) -> Result<Self> {
         let kernel = SemiGlobalMatcher::new(params.kernel())?;
-        Ok(Self { kernel, matcher: PairMatcher::new()? })
+        Ok(Self { kernel, matcher: Matcher::new()? })
     }
 
     fn process<'f>(
@@ -90,7 +90,7 @@ impl Node for StereoSgbm {
         params: &StereoSgbmParams,
     ) -> Result<()> {
         self.kernel.set_params(params.kernel())?;
-        let search = (&params.search, params.left_right_px);
+        let search = (&params.search, params.left_right_px, rim_px(params.block_px));
         process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)
     }
 }

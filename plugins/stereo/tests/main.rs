@@ -5,4 +5,5 @@ mod device;
 mod evaluation;
 mod filters;
 mod geometry;
+mod lit;
 mod matching;

@@ -2,6 +2,7 @@
 
 use panoscope_gpu::{Device, Warper, given_up};
 use panoscope_imaging::Report;
+use panoscope_imaging::lit::HeldMask;
 use panoscope_imaging::stitch::{
     self, BlendMethod, BorderMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, Painter,
     SeamCost, SeamMethod,
@@ -143,6 +144,8 @@ pub struct CompositeNodeParams {
 /// The compositor of a node, and what it draws with.
 pub(crate) struct Drawer {
     pub kernel: Compositor,
+    /// Of the first two views.
+    masks: [HeldMask; 2],
     device: Device,
     /// Seams found since the node was opened.
     seams: u64,
@@ -150,7 +153,8 @@ pub(crate) struct Drawer {
 
 impl Drawer {
     pub(crate) fn new(params: &CompositeNodeParams, report: &dyn Report) -> Self {
-        let mut drawer = Self { kernel: Compositor::new(params.kernel()), device: Device::Cpu, seams: 0 };
+        let kernel = Compositor::new(params.kernel());
+        let mut drawer = Self { kernel, masks: Default::default(), device: Device::Cpu, seams: 0 };
         drawer.choose(params.device, report);
         drawer
     }
@@ -161,6 +165,32 @@ impl Drawer {
             let painter = device.open(report, Warper::new);
             self.kernel.set_painter(painter.map(|warper| Box::new(warper) as Box<dyn Painter>));
         }
+    }
+
+    /// Follows the masks of `left` and `right`.
+    pub(crate) fn take_masks(
+        &mut self,
+        masks: [Option<&Image<'_, Mask>>; 2],
+        pair: [Option<&Image<'_, Bgr8>>; 2],
+    ) -> Result<()> {
+        for (view, (held, mask)) in self.masks.iter_mut().zip(masks).enumerate() {
+            if let (Some(mask), Some(image)) = (mask, pair[view])
+                && (mask.width(), mask.height()) != (image.width(), image.height())
+            {
+                let side = ["left", "right"][view];
+                return Err(error!(
+                    "`mask_{side}` is {}x{}, `{side}` is {}x{}: connect the mask of this view",
+                    mask.width(),
+                    mask.height(),
+                    image.width(),
+                    image.height()
+                ));
+            }
+            if held.update(mask.map(Image::view)) {
+                self.kernel.set_lit(view, held.part());
+            }
+        }
+        Ok(())
     }
 
     /// Follows changed parameters.
@@ -230,6 +260,10 @@ pub struct In<'f> {
     views: Option<List<'f, Image<'f, Bgr8>>>,
     /// One homography for each further view of `views`, which maps its pixels to the first view's.
     homographies: Option<List<'f, Value<'f, Homography>>>,
+    /// What of `left` is lit, not 0: only that is shown, compared and blended. Without it all is.
+    mask_left: Option<Image<'f, Mask>>,
+    /// What of `right` is lit.
+    mask_right: Option<Image<'f, Mask>>,
 }
 
 /// Outputs of the composite.
@@ -416,6 +450,7 @@ impl Node for Composite {
             views: input.views.as_ref(),
             homographies: input.homographies.as_ref(),
         };
+        self.drawer.take_masks([input.mask_left.as_ref(), input.mask_right.as_ref()], inputs.pair)?;
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
         if params.on_lost == OnLost::Skip && !self.drawer.kernel.accepts(views, maps, scene.state)? {

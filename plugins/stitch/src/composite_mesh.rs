@@ -86,6 +86,10 @@ pub struct In<'f> {
     homographies: Option<List<'f, Value<'f, Homography>>>,
     /// Disparities of the first of `views` with cameras one baseline away, each full size. The first that is known in a pixel counts.
     disparities: Option<List<'f, Image<'f, Disparity>>>,
+    /// What of `left` is lit, not 0: only that is shown, compared and blended. Without it all is.
+    mask_left: Option<Image<'f, Mask>>,
+    /// What of `right` is lit.
+    mask_right: Option<Image<'f, Mask>>,
 }
 
 /// Outputs of the composite.
@@ -339,6 +343,7 @@ impl Node for CompositeMesh {
             views: input.views.as_ref(),
             homographies: input.homographies.as_ref(),
         };
+        self.drawer.take_masks([input.mask_left.as_ref(), input.mask_right.as_ref()], inputs.pair)?;
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         if let Some(report) = self.follow_all(cx, &input, &scene, params)? {
             cx.metric("mesh_observations", report.observations as f64);

@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
+use panoscope_imaging::lit::HeldMask;
 use panoscope_node::abi::{Detection, Scalar};
 use panoscope_node::{
-    AnyImage, Bgr8, Choice, Context, Gray8, LabeledDetections, Node, NodeInfo, Open, Parallel, Params, Ports, Result,
-    Slot, Validation, View, error,
+    AnyImage, Bgr8, Choice, Context, Gray8, Image, LabeledDetections, Mask, Node, NodeInfo, Open, Parallel, Params,
+    Ports, Result, Slot, Validation, View, error,
 };
 
 use crate::calibration::{Calibration, Rule};
@@ -24,6 +25,8 @@ use crate::track::Tracker;
 pub struct In<'f> {
     /// Picture to search, bgr8 or gray8.
     image: AnyImage<'f>,
+    /// What of the picture is lit, not 0. Boxes that lie outside by more than half are dropped; without it all is lit.
+    mask: Option<Image<'f, Mask>>,
 }
 
 /// Outputs.
@@ -132,6 +135,9 @@ pub struct YoloParams {
     provider: Provider,
 }
 
+/// Smallest share of a box that is lit.
+const LEAST_LIT: f32 = 0.5;
+
 /// Label of an instrument whose kind is not sure.
 pub const UNKNOWN: &str = "unknown";
 
@@ -227,6 +233,7 @@ pub struct Yolo {
     was_unlike: bool,
     candidates: Vec<Candidate>,
     items: Vec<Detection>,
+    lit: HeldMask,
     tracker: Tracker,
 }
 
@@ -301,6 +308,7 @@ impl Node for Yolo {
             was_unlike: false,
             candidates: Vec::new(),
             items: Vec::new(),
+            lit: HeldMask::default(),
             tracker: Tracker::default(),
         })
     }
@@ -353,6 +361,10 @@ impl Node for Yolo {
         }
         if let Some(rule) = &rule {
             rule.apply(&mut self.candidates);
+        }
+        self.lit.update(input.mask.as_ref().map(Image::view));
+        if let Some(lit) = self.lit.part().filter(|lit| lit.size() == (picture.width, picture.height)) {
+            self.candidates.retain(|candidate| lit.share_of(candidate.corners) >= LEAST_LIT);
         }
         let suppression = Suppression {
             max_overlap: params.max_overlap,

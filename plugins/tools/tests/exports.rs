@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use crate::tiny_onnx::{Fixed, TinyModel, folder, runtime_is_there};
-use panoscope_node::Bgr8;
 use panoscope_node::abi::Detection;
 use panoscope_node::harness::{Harness, HarnessError};
+use panoscope_node::{Bgr8, Mask};
 use panoscope_tools::mask_rcnn::MaskRcnn;
 use panoscope_tools::yolo::Yolo;
 
@@ -61,6 +61,25 @@ fn yolox_boxes_are_relative_to_the_grid() {
     assert_eq!(found[0].1, "hook");
     assert!((found[0].0.score - 0.72).abs() < 1e-5);
     near(&found[0].0, [40.0, 32.0, 72.0, 48.0]);
+}
+
+#[test]
+fn boxes_in_the_dark_are_dropped() {
+    if !runtime_is_there() {
+        return;
+    }
+    let path = one_hook().write(&folder("lit"), "m.onnx");
+    // The box covers columns 40 to 72.
+    for (first, expected) in [(0, 1), (50, 1), (62, 0)] {
+        let mask: Vec<u8> = (0..128 * 96).map(|i| if i % 128 >= first { 255 } else { 0 }).collect();
+        let mut node = open(&path, "").expect("the model opens");
+        let out = node
+            .input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3])
+            .input_image::<Mask>("mask", 128, 96, &mask)
+            .process()
+            .expect("it runs");
+        assert_eq!(out.detections("detections").expect("detections").items().len(), expected, "lit from {first} on");
+    }
 }
 
 /// A model with three rows: a sure hook, an instrument of unsure kind, and a weak one.

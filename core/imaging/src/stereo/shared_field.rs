@@ -4,6 +4,9 @@
 //! the best of them: a false, consistent surface. The right view's first columns cover the whole search range, so their
 //! disparities show where the shared field begins. The right view's right border is treated the same way, mirrored.
 
+use std::ops::Range;
+
+use crate::lit::LitPart;
 use crate::{Rect, View, ViewMut};
 
 /// Columns at the other view's border whose disparities are used.
@@ -25,35 +28,40 @@ pub struct SharedField {
 
 impl SharedField {
     /// Sets pixels left of the shared field to NaN in `disparity` (left view, px, inside `roi`), and, if that map is read, pixels right of it in `right`,
-    /// the right view's map of the same match, in the rows of `roi`. Rows where the other view's border is not matched stay unchanged.
+    /// the right view's map of the same match, in the rows of `roi`. Rows where the other view's border is not matched stay unchanged. So do rows in which
+    /// either view begins with a rim: the first columns of one then need not lie within the other. `lit` is what of the left and right view is matched, when
+    /// that is not all.
     pub fn clear_outside(
         &mut self,
         disparity: &mut ViewMut<'_, f32>,
         right: &mut ViewMut<'_, f32>,
         right_is_read: bool,
         roi: Rect,
+        lit: Option<&[LitPart; 2]>,
     ) {
         let roi = roi.clamped(disparity.width.min(right.width), disparity.height.min(right.height));
         if roi.is_empty() {
             return;
         }
         let end = roi.x + roi.width;
+        let begins = |y: usize| lit.is_none_or(|parts| parts.iter().all(|part| part.row(y).start < COLUMNS));
+        let closes = |y: usize| lit.is_none_or(|parts| parts.iter().all(|part| part.row(y).end + COLUMNS > end));
         let [first, last] = &mut self.borders;
-        border_disparities(right.as_view(), 0..COLUMNS.min(right.width), roi, &mut self.known, first);
+        border_disparities(right.as_view(), 0..COLUMNS.min(right.width), begins, roi, &mut self.known, first);
         if right_is_read {
             let columns = end.saturating_sub(COLUMNS).max(roi.x)..end;
-            border_disparities(disparity.as_view(), columns, roi, &mut self.known, last);
+            border_disparities(disparity.as_view(), columns, closes, roi, &mut self.known, last);
         }
         for row in 0..roi.height {
             let y = roi.y + row;
             // What the right view's first column shows lies `d` columns from the left view's border, and the other way round.
-            if let Some(d) = at_row(&self.borders[0], row) {
+            if let Some(d) = at_row(&self.borders[0], row).filter(|_| begins(y)) {
                 let until = (d - SLACK_PX).clamp(0.0, end as f32) as usize;
                 if until > roi.x {
                     disparity.row_mut(y)[roi.x..until].fill(f32::NAN);
                 }
             }
-            if right_is_read && let Some(d) = at_row(&self.borders[1], row) {
+            if right_is_read && let Some(d) = at_row(&self.borders[1], row).filter(|_| closes(y)) {
                 let from = (end as f32 - d + SLACK_PX).clamp(0.0, right.width as f32) as usize;
                 right.row_mut(y)[from..].fill(f32::NAN);
             }
@@ -61,10 +69,11 @@ impl SharedField {
     }
 }
 
-/// Median disparity of `map` in `columns`, for each block of the region's rows.
+/// Median disparity of `map` in `columns`, for each block of the region's rows, over those that `counts`.
 fn border_disparities(
     map: View<'_, f32>,
-    columns: std::ops::Range<usize>,
+    columns: Range<usize>,
+    counts: impl Fn(usize) -> bool,
     roi: Rect,
     known: &mut Vec<f32>,
     borders: &mut Vec<f32>,
@@ -77,7 +86,7 @@ fn border_disparities(
         known.clear();
         let rows = roi.y + block * BLOCK_ROWS..(roi.y + (block + 1) * BLOCK_ROWS).min(roi.y + roi.height);
         let pixels = rows.len() * columns.len();
-        for y in rows {
+        for y in rows.filter(|y| counts(*y)) {
             known.extend(map.row(y)[columns.clone()].iter().copied().filter(|d| d.is_finite()));
         }
         let middle = known.len() / 2;
@@ -148,6 +157,7 @@ mod tests {
             &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1),
             true,
             Rect::whole(SIZE.0, SIZE.1),
+            None,
         );
         for y in 0..SIZE.1 {
             let at = y * SIZE.0..(y + 1) * SIZE.0;
@@ -165,6 +175,21 @@ mod tests {
     }
 
     #[test]
+    fn rows_that_begin_with_a_rim_stay() {
+        // Up to row 32 the right view begins at column 40: farther in than a border is.
+        let mut right_part = LitPart::whole(SIZE.0, SIZE.1);
+        (0..32).for_each(|y| right_part.set_row(y, 40..SIZE.0));
+        let parts = [LitPart::whole(SIZE.0, SIZE.1), right_part];
+        let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
+        let [left, right] = &mut maps;
+        let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
+        SharedField::default().clear_outside(left, right, false, Rect::whole(SIZE.0, SIZE.1), Some(&parts));
+        for (y, row) in maps[0].chunks_exact(SIZE.0).enumerate() {
+            assert_eq!(row.iter().position(|d| d.is_finite()), Some(if y < 32 { 0 } else { 7 }), "row {y}");
+        }
+    }
+
+    #[test]
     fn without_an_answer_nothing_is_cleared() {
         for unknown in 0..2 {
             let mut maps = [vec![5.0f32; SIZE.0 * SIZE.1], vec![5.0f32; SIZE.0 * SIZE.1]];
@@ -172,7 +197,7 @@ mod tests {
             let [left, right] = &mut maps;
             let (left, right) =
                 (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-            SharedField::default().clear_outside(left, right, true, Rect::whole(SIZE.0, SIZE.1));
+            SharedField::default().clear_outside(left, right, true, Rect::whole(SIZE.0, SIZE.1), None);
             assert!(maps[1 - unknown].iter().all(|d| *d == 5.0));
         }
     }
@@ -182,7 +207,7 @@ mod tests {
         let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
         let [left, right] = &mut maps;
         let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-        SharedField::default().clear_outside(left, right, true, Rect { x: 0, y: 20, width: SIZE.0, height: 30 });
+        SharedField::default().clear_outside(left, right, true, Rect { x: 0, y: 20, width: SIZE.0, height: 30 }, None);
         for map in &maps {
             for (y, row) in map.chunks_exact(SIZE.0).enumerate() {
                 let gone = row.iter().filter(|d| d.is_nan()).count();

@@ -3,6 +3,7 @@
 use super::border::Border;
 use super::canvas::{Bounds, CanvasHolder};
 use super::drawing::Painter;
+use super::lit_spans;
 use super::mark;
 use super::mesh::{Mapping, Mesh, MeshGrid};
 use super::paint::{Layers, Step, Warp, levels_of};
@@ -12,6 +13,7 @@ use super::segments;
 use super::taps::{TAPS, Taps};
 use super::warp::Span;
 use crate::geometry::{Homography, Point};
+use crate::lit::LitPart;
 use crate::{Parallel, Rect, Simd, View, ViewMut};
 
 /// Joins views into one panorama. Keeps everything that outlives a frame: canvas, seam, gains, last good geometry,
@@ -26,6 +28,8 @@ pub struct Compositor {
     placed: Option<(Canvas, usize, [[f64; 9]; MAX_VIEWS])>,
     /// A mesh has changed since the geometry was placed.
     has_new_mesh: bool,
+    /// A lit part has.
+    has_new_part: bool,
     pub(super) layers: Layers,
     border: Border,
     painter: Option<Box<dyn Painter>>,
@@ -114,6 +118,17 @@ impl Compositor {
         // The canvas may have to cover more.
         if self.has_new_mesh {
             self.prepared = None;
+        }
+    }
+
+    /// Shows, blends and compares only the lit part of view `view` from the next frame on; all of it with `None`. A part of another size than the view has
+    /// no effect.
+    pub fn set_lit(&mut self, view: usize, part: Option<&LitPart>) {
+        if let Some(held) = self.layers.lit.get_mut(view)
+            && held.as_ref() != part
+        {
+            *held = part.cloned();
+            self.has_new_part = true;
         }
     }
 
@@ -266,9 +281,10 @@ impl Compositor {
         self.prepared = None;
         let avx2 = Simd::detect().avx2();
         let key = (p.canvas, p.active, p.used);
-        let moved = std::mem::take(&mut self.has_new_mesh) | (self.placed != Some(key));
+        let has_new_shape = std::mem::take(&mut self.has_new_mesh) | std::mem::take(&mut self.has_new_part);
+        let moved = has_new_shape | (self.placed != Some(key));
         if moved {
-            self.place(&p);
+            self.place(&p, avx2);
             self.placed = Some(key);
         }
         let views = &views[..p.active];
@@ -330,7 +346,7 @@ impl Compositor {
     }
 
     /// Brings the geometry of all views onto the canvas.
-    fn place(&mut self, p: &Prepared) {
+    fn place(&mut self, p: &Prepared, avx2: bool) {
         let scale = self.params.cell_px(self.sizes[0].0);
         let (columns, rows) = (p.canvas.width.div_ceil(scale), p.canvas.height.div_ceil(scale));
         let step = scale as f64 / TAPS as f64;
@@ -379,13 +395,32 @@ impl Compositor {
                 warp.moved = mesh.moved().and_then(|bounds| on_canvas(bounds, p.canvas));
                 stay_outside(mesh, (w, h), p.canvas, spans);
             }
+            let lit = self.layers.lit[view].as_ref().filter(|part| part.size() == (w, h));
+            if let Some(lit) = lit {
+                // The mesh of the reference view ends within it; beyond, the view stays where it is.
+                let (plane, shaped) = (Mapping::Plane(&warp.source_from_canvas), warp.mapping(mesh));
+                if view == 0 {
+                    lit_spans::cut(plane, lit, 0..size.height, spans, avx2);
+                }
+                let rows =
+                    warp.moved.filter(|_| view == 0).map_or(0..size.height, |moved| moved.y..moved.y + moved.height);
+                if view > 0 || mesh.is_some() {
+                    lit_spans::cut(shaped, lit, rows, spans, avx2);
+                }
+            }
             let from_tap = match mesh {
                 Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: warp.origins[1], step: warp.tap_step }),
                 None => Mapping::Plane(&warp.source_from_tap),
             };
             warp.taps.place(columns * TAPS, rows * TAPS, from_tap, (w, h));
+            if let Some(lit) = lit {
+                lit_spans::cut(from_tap, lit, 0..rows * TAPS, &mut warp.taps.spans, avx2);
+            }
         }
         self.layers.active = p.active;
+        if p.active == 2 && self.layers.lit[0].is_some() {
+            self.cut_beyond_first();
+        }
         if p.active > 1 {
             self.layers.blender.reserve(p.canvas.width, p.canvas.height, levels_of(&self.params));
             let Layers { steps, cut, .. } = &mut self.layers;
@@ -395,6 +430,17 @@ impl Compositor {
                 step.seam.reserve(columns, rows, cut);
             }
         }
+    }
+}
+
+impl Compositor {
+    /// Leaves out what the second of two views shows beyond a rim of the first on the side where it shows less.
+    fn cut_beyond_first(&mut self) {
+        let Layers { spans, warps, .. } = &mut self.layers;
+        let ([base, new, ..], [first, second, ..]) = (&mut spans[..], &mut warps[..]) else { return };
+        let reaches_right = lit_spans::reaches_right(base, new);
+        lit_spans::cut_beyond(base, new, reaches_right);
+        lit_spans::cut_beyond(&first.taps.spans, &mut second.taps.spans, reaches_right);
     }
 }
 
