@@ -1,7 +1,8 @@
 //! The compositor: views and homographies in, panorama out.
 
-use super::border::Border;
+use super::border::{self, Border};
 use super::canvas::{Bounds, CanvasHolder};
+use super::crop::{Crop, CropInputs};
 use super::drawing::Painter;
 use super::mark;
 use super::mesh::{Mapping, Mesh, MeshGrid};
@@ -14,12 +15,18 @@ use super::warp::Span;
 use crate::geometry::{Homography, Point};
 use crate::{Parallel, Rect, Simd, View, ViewMut};
 
+/// Time from one frame to the next that is taken when none is told, s.
+const USUAL_FRAME_S: f64 = 1.0 / 30.0;
+
 /// Joins views into one panorama. Keeps everything that outlives a frame: canvas, seam, gains, last good geometry,
 /// work memory. In steady state nothing is allocated.
 #[derive(Debug, Default)]
 pub struct Compositor {
     pub(super) params: CompositeParams,
     holder: CanvasHolder,
+    crop: Crop,
+    /// Time from one frame to the next, s.
+    frame_s: Option<f64>,
     sizes: Vec<(usize, usize)>,
     good: Option<[[f64; 9]; MAX_VIEWS]>,
     prepared: Option<Prepared>,
@@ -61,6 +68,9 @@ impl Compositor {
         if params.canvas != self.params.canvas {
             self.holder.reset();
         }
+        if params.crop != self.params.crop {
+            self.crop.forget();
+        }
         if params.exposure != self.params.exposure {
             self.layers.forget_gains();
         }
@@ -91,11 +101,17 @@ impl Compositor {
     /// Forgets canvas, seam, gains and geometry, as after a cut in the video. Work memory stays.
     pub fn reset(&mut self) {
         self.holder.reset();
+        self.crop.forget();
         self.good = None;
         self.prepared = None;
         self.placed = None;
         self.layers.forget();
         self.border.forget();
+    }
+
+    /// Says how much time passes from one frame to the next, which the crop counts; 1/30 s unless told. At most 1 s counts.
+    pub fn set_frame_interval(&mut self, interval: std::time::Duration) {
+        self.frame_s = Some(interval.as_secs_f64().min(1.0));
     }
 
     /// Draws view `view` by a mesh instead of its homography, or by its homography again with `None`, from the next frame on.
@@ -180,7 +196,7 @@ impl Compositor {
         }
         let mut fault = None;
         if given_state != GeometryState::Lost {
-            match self.accept(&given) {
+            match self.accept(views, &given) {
                 Ok(canvas) => {
                     self.good = Some(given);
                     let p = Prepared {
@@ -199,7 +215,8 @@ impl Compositor {
             }
         }
         let state = GeometryState::Lost;
-        let p = match (self.good, self.holder.current()) {
+        let held = if self.is_cropped() { self.crop.canvas() } else { self.holder.current() };
+        let p = match (self.good, held) {
             (Some(used), Some(canvas)) => {
                 Prepared { given, given_state, canvas, used, active: views.len(), state, fault }
             }
@@ -208,12 +225,12 @@ impl Compositor {
                 let (w, h) = self.sizes[0];
                 let (x, y) = ((w - 1) as f64, (h - 1) as f64);
                 let bounds = Bounds { x0: 0.0, y0: 0.0, x1: x, y1: y };
-                let canvas = CanvasHolder::default().update(bounds, &self.params).unwrap_or(Canvas {
-                    width: w,
-                    height: h,
-                    left: 0,
-                    top: 0,
-                });
+                let alone = Canvas { width: w, height: h, left: 0, top: 0 };
+                let canvas = if self.is_cropped() {
+                    alone
+                } else {
+                    CanvasHolder::default().update(bounds, &self.params).unwrap_or(alone)
+                };
                 Prepared { given, given_state, canvas, used: [IDENTITY; MAX_VIEWS], active: 1, state, fault }
             }
         };
@@ -221,7 +238,11 @@ impl Compositor {
         Ok(p)
     }
 
-    fn accept(&mut self, given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
+    fn is_cropped(&self) -> bool {
+        self.params.crop != CropMethod::None && self.params.canvas.is_none()
+    }
+
+    fn accept(&mut self, views: &[View<u8>], given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
         let mut quads = [[(0.0, 0.0); 4]; MAX_VIEWS];
         for (view, (w, h)) in self.sizes.iter().enumerate() {
             quads[view] = projective::warped_corners(&given[view], *w, *h, view)?;
@@ -233,7 +254,13 @@ impl Compositor {
                 bounds = bounds.union(Bounds { x0, y0, x1, y1 });
             }
         }
-        self.holder.update(bounds, &self.params)
+        let canvas = self.holder.update(bounds, &self.params)?;
+        if !self.is_cropped() {
+            return Ok(canvas);
+        }
+        let inputs = CropInputs { views, plane_from_view: given, meshes: &self.layers.meshes, bounds };
+        self.crop.update(&inputs, &self.params);
+        Ok(self.crop.canvas().unwrap_or(canvas))
     }
 
     /// Draws the panorama of `views` on `out`.
@@ -264,8 +291,13 @@ impl Compositor {
             return Err(CompositeError::Output { width, height, channels: 1 });
         }
         self.prepared = None;
+        self.crop.elapse(self.frame_s.unwrap_or(USUAL_FRAME_S));
         let avx2 = Simd::detect().avx2();
         let key = (p.canvas, p.active, p.used);
+        if self.placed.is_some_and(|(canvas, ..)| canvas != p.canvas) {
+            // Cells of the seam lie on the canvas.
+            self.layers.steps.iter_mut().for_each(|step| step.seam.forget());
+        }
         let moved = std::mem::take(&mut self.has_new_mesh) | (self.placed != Some(key));
         if moved {
             self.place(&p);
@@ -287,6 +319,7 @@ impl Compositor {
         }
         self.border.draw(&self.params, &self.layers.spans[..p.active], out, pool);
         mark::draw_marks(out, p.canvas, p.state, &self.params);
+        let cropped_gain = self.crop.gain_percent().filter(|_| self.is_cropped() && p.active > 1);
         let mut gains = [[1.0; 3]; MAX_VIEWS];
         gains[..p.active].copy_from_slice(&self.layers.gains[..p.active]);
         Ok(CompositeReport {
@@ -296,6 +329,10 @@ impl Compositor {
             seam_found,
             seam_cost,
             seam_time,
+            view_gain_percent: cropped_gain.unwrap_or_else(|| {
+                let one = self.sizes[0].0 * self.sizes[0].1;
+                100.0 * (border::covered_px(&self.layers.spans[..p.active]) as f64 / one as f64 - 1.0)
+            }),
             gains,
         })
     }
