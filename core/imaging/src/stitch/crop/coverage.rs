@@ -78,11 +78,6 @@ impl Coverage {
         self.looks[cell]
     }
 
-    /// Column and row of the first cell.
-    pub fn first(&self) -> [i32; 2] {
-        self.first
-    }
-
     /// Brings the cells up to a frame whose views lie within `bounds`. A cell counts as covered when its four corners are.
     pub fn look(&mut self, views: &[Option<PlacedView<'_>>], bounds: Bounds, cell_px: usize) {
         let is_first = self.columns == 0 || self.cell_px != cell_px;

@@ -103,7 +103,8 @@ impl Rim {
 
     fn dark(&self, view: &View<u8>, column: usize, row: usize) -> Dark {
         let (xs, ys) = (self.along(column), self.along(row));
-        let count = ys.iter().flat_map(|y| xs.iter().map(|x| (*x, *y))).filter(|(x, y)| Self::is_dark(view, *x, *y)).count();
+        let count =
+            ys.iter().flat_map(|y| xs.iter().map(|x| (*x, *y))).filter(|(x, y)| Self::is_dark(view, *x, *y)).count();
         match count {
             0 => Dark::Not,
             1..DARK_SAMPLES => Dark::Partly,
