@@ -194,7 +194,9 @@ fn long_words_leave_the_middle_free() {
 fn several_texts_stand_one_below_the_other() {
     let drawn = |texts: &[&str]| {
         let mut node = overlay("text_scale = 1.0");
-        texts.iter().for_each(|text| drop(node.input_text("text", text)));
+        for text in texts {
+            node.input_text("text", text);
+        }
         node.process().unwrap().plane::<Bgr8>("image").unwrap().data.to_vec()
     };
     assert_eq!(drawn(&["the arm waits", "+12 %"]), drawn(&["the arm waits\n+12 %"]));
