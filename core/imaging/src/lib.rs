@@ -17,6 +17,7 @@ pub mod draw;
 pub mod features;
 pub mod fit;
 pub mod geometry;
+pub mod lit;
 pub mod mosaic;
 pub mod shrink;
 pub mod stereo;

@@ -216,3 +216,48 @@ fn a_plane_comes_out_at_its_depth_and_flying_pixels_go() {
         assert!((found - wanted).abs() < 1e-3, "{found}, {wanted} expected");
     }
 }
+
+/// A laparoscope's camera whose distortion was fitted near the centre alone: it turns back 177 px from there.
+fn folding() -> CameraModel {
+    CameraModel::new((720, 576), (448.0, 448.0), (360.0, 288.0), &[0.0, 0.0, 0.0, 0.0, -14.8]).unwrap()
+}
+
+#[test]
+fn a_distortion_that_turns_back_is_found() {
+    let camera = folding();
+    close(camera.fold_px().unwrap(), 177.0, 2.0, "fold");
+    let radius = camera.fold_radius().unwrap();
+    let at = |r: f64| camera.project(r, 0.0).0;
+    assert!(at(radius) > at(radius - 0.01) && at(radius) > at(radius + 0.01));
+    // Rational and usual ones do not turn back within a view.
+    for distortion in [&[-0.3, 0.1, 0.0, 0.0, 0.0][..], &[0.2, 0.05], &[1.5, 0.9, 0.0, 0.0, 0.1, 1.9, 1.2, 0.2], &[]] {
+        let distortion: Vec<f64> = distortion.iter().copied().chain([0.0; 12]).take(12).collect();
+        let camera = CameraModel::new((640, 480), (700.0, 700.0), (320.0, 240.0), &distortion).unwrap();
+        assert!(camera.fold_radius().is_none_or(|radius| radius > 1.0), "{distortion:?}: {:?}", camera.fold_radius());
+    }
+}
+
+#[test]
+fn what_lies_beyond_the_fold_is_black_and_not_valid() {
+    let (camera, eye) = (folding(), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+    let target = RectifiedCamera { focal_px: 448.0, cx: 360.0, cy: 288.0 };
+    let map = RemapTable::new(&camera, &eye, target, (720, 576), Rect::whole(720, 576), &Serial).unwrap();
+    assert!(map.is_folded());
+    // Brightness grows with the distance from the centre, so that a mirrored pixel would be darker than its neighbour within.
+    let distance = |i: usize| ((i % 720) as f64 - 360.0).hypot((i / 720) as f64 - 288.0);
+    let ramp: Vec<u8> = (0..720 * 576).map(|i| (20.0 + distance(i) / 2.0) as u8).collect();
+    let mut out = vec![0; 720 * 576];
+    map.remap(gray(&ramp, 720, 576), ViewMut::new(&mut out, 720, 576, 1), &Serial).unwrap();
+    let (valid, radius) = (map.valid(), camera.fold_radius().unwrap() * 448.0);
+    for (i, value) in out.iter().enumerate() {
+        let is_inside = distance(i) <= radius;
+        assert_eq!(*value > 0, is_inside, "{i}");
+        assert_eq!(valid.contains(i % 720, i / 720), is_inside, "{i}");
+    }
+    let row = &out[288 * 720 + 360..][..radius as usize];
+    assert!(row.windows(2).all(|pair| pair[0] <= pair[1]));
+    // All is valid where nothing folds.
+    let camera = CameraModel::new((720, 576), (448.0, 448.0), (360.0, 288.0), &[]).unwrap();
+    let map = RemapTable::new(&camera, &eye, target, (720, 576), Rect::whole(720, 576), &Serial).unwrap();
+    assert!(!map.is_folded() && map.valid().is_whole());
+}

@@ -72,16 +72,56 @@ impl CameraModel {
         (self.fx * x + self.cx, self.fy * y + self.cy)
     }
 
+    /// Radial factor of the distortion at a squared distance from the axis.
+    fn radial(&self, r2: f64) -> f64 {
+        let [k1, k2, _, _, k3, k4, k5, k6, ..] = self.distortion;
+        (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    }
+
     /// Distorts normalised coordinates.
     fn distort(&self, x: f64, y: f64) -> (f64, f64) {
-        let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
+        let [_, _, p1, p2, _, _, _, _, s1, s2, s3, s4] = self.distortion;
         let r2 = x * x + y * y;
-        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+        let radial = self.radial(r2);
         let xy = 2.0 * x * y;
         (
             x * radial + p1 * xy + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2),
             y * radial + p1 * (r2 + 2.0 * y * y) + p2 * xy + r2 * (s3 + r2 * s4),
         )
+    }
+
+    /// Distance from the optical axis, at depth 1, from which on the radial distortion turns back: rays farther out land nearer to the centre again,
+    /// on pixels that other rays already have. `None` where it never does. A polynomial that was fitted near the centre alone may turn back within
+    /// the image.
+    pub fn fold_radius(&self) -> Option<f64> {
+        /// Rays at 76 degrees: no rectified view reaches farther.
+        const FARTHEST: f64 = 4.0;
+        const STEPS: usize = 2000;
+        let [k1, k2, _, _, k3, k4, k5, k6, ..] = self.distortion;
+        // The slope of `r * numerator / denominator`, times the square of the denominator, which does not change its sign.
+        let grows = |r: f64| {
+            let s = r * r;
+            let (n, d) = (1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6)));
+            let (dn, dd) = (k1 + s * (2.0 * k2 + s * 3.0 * k3), k4 + s * (2.0 * k5 + s * 3.0 * k6));
+            d > 0.0 && (n + 2.0 * s * dn) * d - 2.0 * s * n * dd > 0.0
+        };
+        let at = |step: usize| FARTHEST * step as f64 / STEPS as f64;
+        let first = (1..=STEPS).find(|step| !grows(at(*step)))?;
+        let (mut inside, mut outside) = (at(first - 1), at(first));
+        for _ in 0..40 {
+            let middle = (inside + outside) / 2.0;
+            if grows(middle) {
+                inside = middle;
+            } else {
+                outside = middle;
+            }
+        }
+        Some(inside)
+    }
+
+    /// Distance from the principal point at which the distortion turns back, in px along columns; `None` as for [`CameraModel::fold_radius`].
+    pub fn fold_px(&self) -> Option<f64> {
+        self.fold_radius().map(|r| self.fx * r * self.radial(r * r))
     }
 
     /// The normalised, undistorted coordinates of a pixel: fixed-point iteration on the inverse of the

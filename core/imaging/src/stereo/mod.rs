@@ -19,6 +19,7 @@ pub mod formats;
 mod grid_solver;
 mod guide_weights;
 pub mod length;
+mod lit_pair;
 mod matching;
 mod offset;
 mod pair_matcher;

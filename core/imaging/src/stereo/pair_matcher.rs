@@ -1,10 +1,12 @@
 //! A matcher as nodes use it: range of the search, kernel, shared field, speckles.
 
 use super::border_strip::BorderStrip;
+use super::lit_pair::LitPair;
 use super::search::{Search, SearchParams};
 use super::tile::{Tile, project_right};
 use super::{BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams};
 use super::{SharedField, SpeckleFilter, StereoError};
+use crate::lit::LitPart;
 use crate::{Parallel, Rect, Report, View, ViewMut};
 
 /// A kernel that matches a rectified gray pair over ranges that it is given.
@@ -117,6 +119,7 @@ pub struct PairMatcher {
     search: Search,
     speckles: SpeckleFilter,
     field: SharedField,
+    lit: LitPair,
     strip: BorderStrip,
     /// The right view's map when nobody reads it: the shared field is found by it.
     right: Vec<f32>,
@@ -134,10 +137,17 @@ impl PairMatcher {
             search: Search::new()?,
             speckles: SpeckleFilter::default(),
             field: SharedField::default(),
+            lit: LitPair::default(),
             strip: BorderStrip::default(),
             right: Vec::new(),
             tiles: Vec::new(),
         })
+    }
+
+    /// Sets the lit parts of the left and right view; a view without one is lit as a whole. From now on pixels stay unknown that
+    /// lie within `rim_px` of a rim in either view.
+    pub fn set_lit(&mut self, parts: [Option<&LitPart>; 2], rim_px: usize) {
+        self.lit.set(parts, rim_px);
     }
 
     /// Matches `roi` of a rectified gray pair. Writes px of the left view into `disparity` and, where asked for, px of the right view into
@@ -184,13 +194,16 @@ impl PairMatcher {
             let range = (first_px, params.search.search_px);
             kernel.match_roi(range, views, roi, pool, again(&mut disparity), right.as_mut().map(again))?;
         }
+        self.lit.clear_map(&mut disparity, false, pool);
         if let Some(right) = &mut right
             && (is_whole || right_is_read)
         {
-            self.field.clear_outside(&mut disparity, right, right_is_read, roi);
+            self.lit.clear_map(right, true, pool);
+            self.field.clear_outside(&mut disparity, right, right_is_read, roi, self.lit.clear_parts((width, height)));
         }
         self.speckles.remove(&mut disparity, roi, params.speckle_area_px, SPECKLE_STEP_PX);
         self.strip.fill(views, roi, &mut disparity);
+        self.lit.clear_rim(&mut disparity);
         self.search.end(report, views, disparity.as_view(), is_whole, &params.search);
         Ok(())
     }

@@ -1,5 +1,8 @@
 //! Resampling a view through a map computed once, bilinear in fixed point.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::lit::LitPart;
 use crate::stereo::StereoError;
 use crate::stereo::camera::CameraModel;
 use crate::stereo::error::{check_channels, check_size};
@@ -22,6 +25,8 @@ pub struct RemapTable {
     corner: Vec<u32>,
     /// Fractions in 1/32 px, `y << 8 | x`, or `OUTSIDE`.
     fraction: Vec<u16>,
+    /// Pixels were left out because the camera's distortion turns back before them.
+    is_folded: bool,
     avx2: bool,
 }
 
@@ -54,7 +59,8 @@ impl RemapTable {
         Self::new(camera, &rectification.rotation_right, rectification.right, size, roi, pool)
     }
 
-    /// Map from a turned pinhole camera of `size` back into `camera`, for the pixels of `roi`.
+    /// Map from a turned pinhole camera of `size` back into `camera`, for the pixels of `roi`. What lies beyond the radius at which the camera's
+    /// distortion turns back is outside: its pixels are those of other rays, mirrored.
     ///
     /// # Errors
     /// [`StereoError::Calibration`] when the camera is unusable or larger than 65,535 px.
@@ -74,6 +80,8 @@ impl RemapTable {
         let mut corner = vec![0; roi.width * roi.height];
         let mut fraction = vec![OUTSIDE; roi.width * roi.height];
         let back = transposed(rotation);
+        let farthest = camera.fold_radius().map_or(f64::INFINITY, |radius| radius * radius);
+        let is_folded = AtomicBool::new(false);
         let (corners, fractions) = (SharedMut::new(&mut corner), SharedMut::new(&mut fraction));
         pool.run(roi.height, &|row| {
             // SAFETY: one row, one chunk.
@@ -87,14 +95,19 @@ impl RemapTable {
                     continue;
                 }
                 let (u, v) = camera.project(x / z, y / z);
-                if let (Some((x, fx)), Some((y, fy))) = (split(u, camera.width), split(v, camera.height)) {
-                    corner[column] = (y << 16) | x;
+                if let (Some((sx, fx)), Some((sy, fy))) = (split(u, camera.width), split(v, camera.height)) {
+                    if (x * x + y * y) / (z * z) > farthest {
+                        is_folded.store(true, Ordering::Relaxed);
+                        continue;
+                    }
+                    corner[column] = (sy << 16) | sx;
                     fraction[column] = (fy << 8) | fx;
                 }
             }
         });
         let source_size = (camera.width, camera.height);
-        Ok(Self { source_size, size, roi, corner, fraction, avx2: Simd::detect().avx2() })
+        let is_folded = is_folded.into_inner();
+        Ok(Self { source_size, size, roi, corner, fraction, is_folded, avx2: Simd::detect().avx2() })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).
@@ -120,6 +133,26 @@ impl RemapTable {
     /// For each pixel of the rectangle: fractions in 1/32 px, down times 256 and right; 65,535 where the camera does not see.
     pub fn fractions(&self) -> &[u16] {
         &self.fraction
+    }
+
+    /// Whether pixels are outside because the camera's distortion turns back before them.
+    pub fn is_folded(&self) -> bool {
+        self.is_folded
+    }
+
+    /// The pixels that the camera sees: in each row the longest run of them.
+    pub fn valid(&self) -> LitPart {
+        let (width, height) = self.size;
+        let mut mask = vec![0; width * height];
+        for (row, fractions) in self.fraction.chunks_exact(self.roi.width.max(1)).enumerate() {
+            let start = (self.roi.y + row) * width + self.roi.x;
+            for (out, fraction) in mask[start..].iter_mut().zip(fractions) {
+                *out = u8::from(*fraction != OUTSIDE);
+            }
+        }
+        let mut part = LitPart::default();
+        part.read_mask(View::new(&mask, width, height, 1));
+        part
     }
 
     /// The rectangle this map fills.

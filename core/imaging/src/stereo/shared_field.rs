@@ -4,6 +4,9 @@
 //! the best of them: a false, consistent surface. The right view's first columns cover the whole search range, so their
 //! disparities show where the shared field begins. The right view's right border is treated the same way, mirrored.
 
+use std::ops::Range;
+
+use crate::lit::LitPart;
 use crate::{Rect, View, ViewMut};
 
 /// Columns at the other view's border whose disparities are used.
@@ -25,46 +28,53 @@ pub struct SharedField {
 
 impl SharedField {
     /// Sets pixels left of the shared field to NaN in `disparity` (left view, px, inside `roi`), and, if that map is read, pixels right of it in `right`,
-    /// the right view's map of the same match, in the rows of `roi`. Rows where the other view's border is not matched stay unchanged.
+    /// the right view's map of the same match, in the rows of `roi`. Rows where the other view's border is not matched stay unchanged. `lit` is what of the
+    /// left and right view is matched, when that is not all: a rim is a border, too.
     pub fn clear_outside(
         &mut self,
         disparity: &mut ViewMut<'_, f32>,
         right: &mut ViewMut<'_, f32>,
         right_is_read: bool,
         roi: Rect,
+        lit: Option<&[LitPart; 2]>,
     ) {
         let roi = roi.clamped(disparity.width.min(right.width), disparity.height.min(right.height));
         if roi.is_empty() {
             return;
         }
         let end = roi.x + roi.width;
+        // First column of the right view, and end of the left one, in each row.
+        let begin = |y: usize| lit.map_or(0, |[_, right]| right.row(y).start);
+        let close = |y: usize| lit.map_or(end, |[left, _]| left.row(y).end.clamp(roi.x, end));
+        let width = right.width;
         let [first, last] = &mut self.borders;
-        border_disparities(right.as_view(), 0..COLUMNS.min(right.width), roi, &mut self.known, first);
+        let columns = |y: usize| begin(y)..(begin(y) + COLUMNS).min(width);
+        border_disparities(right.as_view(), columns, roi, &mut self.known, first);
         if right_is_read {
-            let columns = end.saturating_sub(COLUMNS).max(roi.x)..end;
+            let columns = |y: usize| close(y).saturating_sub(COLUMNS).max(roi.x)..close(y);
             border_disparities(disparity.as_view(), columns, roi, &mut self.known, last);
         }
         for row in 0..roi.height {
             let y = roi.y + row;
             // What the right view's first column shows lies `d` columns from the left view's border, and the other way round.
             if let Some(d) = at_row(&self.borders[0], row) {
-                let until = (d - SLACK_PX).clamp(0.0, end as f32) as usize;
+                let until = (begin(y) as f32 + d - SLACK_PX).clamp(0.0, end as f32) as usize;
                 if until > roi.x {
                     disparity.row_mut(y)[roi.x..until].fill(f32::NAN);
                 }
             }
             if right_is_read && let Some(d) = at_row(&self.borders[1], row) {
-                let from = (end as f32 - d + SLACK_PX).clamp(0.0, right.width as f32) as usize;
+                let from = (close(y) as f32 - d + SLACK_PX).clamp(0.0, right.width as f32) as usize;
                 right.row_mut(y)[from..].fill(f32::NAN);
             }
         }
     }
 }
 
-/// Median disparity of `map` in `columns`, for each block of the region's rows.
+/// Median disparity of `map` in the columns of each row, for each block of the region's rows.
 fn border_disparities(
     map: View<'_, f32>,
-    columns: std::ops::Range<usize>,
+    columns: impl Fn(usize) -> Range<usize>,
     roi: Rect,
     known: &mut Vec<f32>,
     borders: &mut Vec<f32>,
@@ -76,9 +86,10 @@ fn border_disparities(
     for block in 0..blocks {
         known.clear();
         let rows = roi.y + block * BLOCK_ROWS..(roi.y + (block + 1) * BLOCK_ROWS).min(roi.y + roi.height);
-        let pixels = rows.len() * columns.len();
+        let mut pixels = 0;
         for y in rows {
-            known.extend(map.row(y)[columns.clone()].iter().copied().filter(|d| d.is_finite()));
+            pixels += columns(y).len();
+            known.extend(map.row(y)[columns(y)].iter().copied().filter(|d| d.is_finite()));
         }
         let middle = known.len() / 2;
         let enough = known.len() * LEAST_SHARE >= pixels.max(1);
@@ -148,6 +159,7 @@ mod tests {
             &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1),
             true,
             Rect::whole(SIZE.0, SIZE.1),
+            None,
         );
         for y in 0..SIZE.1 {
             let at = y * SIZE.0..(y + 1) * SIZE.0;
@@ -165,6 +177,24 @@ mod tests {
     }
 
     #[test]
+    fn a_rim_is_a_border() {
+        // The right view begins at column 20: what lies at 5 px of disparity begins at column 25 of the left view.
+        let mut right_part = LitPart::whole(SIZE.0, SIZE.1);
+        (0..SIZE.1).for_each(|y| right_part.set_row(y, 20..SIZE.0));
+        let parts = [LitPart::whole(SIZE.0, SIZE.1), right_part];
+        let mut maps = [vec![5.0f32; SIZE.0 * SIZE.1], vec![5.0f32; SIZE.0 * SIZE.1]];
+        for y in 0..SIZE.1 {
+            maps[1][y * SIZE.0..y * SIZE.0 + 20].fill(f32::NAN);
+        }
+        let [left, right] = &mut maps;
+        let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
+        SharedField::default().clear_outside(left, right, false, Rect::whole(SIZE.0, SIZE.1), Some(&parts));
+        for row in maps[0].chunks_exact(SIZE.0) {
+            assert_eq!(row.iter().position(|d| d.is_finite()), Some(23));
+        }
+    }
+
+    #[test]
     fn without_an_answer_nothing_is_cleared() {
         for unknown in 0..2 {
             let mut maps = [vec![5.0f32; SIZE.0 * SIZE.1], vec![5.0f32; SIZE.0 * SIZE.1]];
@@ -172,7 +202,7 @@ mod tests {
             let [left, right] = &mut maps;
             let (left, right) =
                 (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-            SharedField::default().clear_outside(left, right, true, Rect::whole(SIZE.0, SIZE.1));
+            SharedField::default().clear_outside(left, right, true, Rect::whole(SIZE.0, SIZE.1), None);
             assert!(maps[1 - unknown].iter().all(|d| *d == 5.0));
         }
     }
@@ -182,7 +212,7 @@ mod tests {
         let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
         let [left, right] = &mut maps;
         let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-        SharedField::default().clear_outside(left, right, true, Rect { x: 0, y: 20, width: SIZE.0, height: 30 });
+        SharedField::default().clear_outside(left, right, true, Rect { x: 0, y: 20, width: SIZE.0, height: 30 }, None);
         for map in &maps {
             for (y, row) in map.chunks_exact(SIZE.0).enumerate() {
                 let gone = row.iter().filter(|d| d.is_nan()).count();

@@ -2,14 +2,16 @@
 
 use super::blend::{self, Blender, Ranges};
 use super::drawing::{Drawing, DrawnMesh, DrawnView, Painter, Runs};
+use super::exposure::{RunningGain, fixed_gain};
 use super::graph_cut::GridCut;
 use super::mesh::{Mapping, Mesh, MeshGrid};
 use super::params::*;
 use super::pyramid::{LANES, ONE};
 use super::seam::Seam;
 use super::segments::{BASE_ONLY, BASE_SHOWN, EMPTY, NEW_ONLY, NEW_SHOWN, Segment, Segments};
-use super::taps::{self, Joined, Taps};
+use super::taps::{Joined, Taps};
 use super::warp::{self, BLOCK, Block, Pixels, Span};
+use crate::lit::LitPart;
 use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 
 /// Canvas rows per chunk.
@@ -21,13 +23,15 @@ pub(super) struct Layers {
     pub(super) warps: Vec<Warp>,
     /// Meshes that views are drawn by; empty ones stand for none.
     pub(super) meshes: [Mesh; MAX_VIEWS],
+    /// What of the views is lit; `None` stands for all.
+    pub(super) lit: [Option<LitPart>; MAX_VIEWS],
     /// Columns that a view covers, by view and canvas row.
     pub(super) spans: Vec<Vec<Span>>,
     /// Views in use; the vectors keep the memory of more.
     pub(super) active: usize,
     pub(super) steps: Vec<Step>,
     pub(super) gains: [[f32; 3]; MAX_VIEWS],
-    pub(super) gains_known: [bool; MAX_VIEWS],
+    pub(super) running: [RunningGain; MAX_VIEWS],
     pub(super) joined: Joined,
     pub(super) cut: GridCut,
     pub(super) blender: Blender,
@@ -84,7 +88,7 @@ impl Layers {
     /// Takes all views as equally bright until measured again.
     pub(super) fn forget_gains(&mut self) {
         self.gains = [[1.0; 3]; MAX_VIEWS];
-        self.gains_known = [false; MAX_VIEWS];
+        self.running = [RunningGain::default(); MAX_VIEWS];
     }
 
     /// Samples the views, brings gains and seams up to date. Gives whether a seam was found anew, and the cost along it.
@@ -106,18 +110,17 @@ impl Layers {
             taps.fill(view, by_mesh.unwrap_or(Mapping::Plane(source_from_tap)), pool, avx2);
         }
         let (mut found_any, mut worst_cost) = (false, 0.0f32);
-        let first = taps::fixed_gain(&self.gains[0]);
+        let first = fixed_gain(&self.gains[0]);
         self.joined.start(&self.warps[0].taps, &first);
         for k in 1..views.len() {
             let taps = &self.warps[k].taps;
             if params.exposure != ExposureMethod::None
                 && may_learn
-                && let Some(measured) = self.joined.gain_of(taps, params.exposure)
+                && let Some(measured) = self.joined.light(taps).gain(params.exposure)
             {
-                taps::smooth_gain(&mut self.gains[k], measured, !self.gains_known[k], params);
-                self.gains_known[k] = true;
+                self.running[k].update(&mut self.gains[k], measured, params);
             }
-            let gain = taps::fixed_gain(&self.gains[k]);
+            let gain = fixed_gain(&self.gains[k]);
             let step = &mut self.steps[k];
             step.seam.resize(canvas.width.div_ceil(scale), canvas.height.div_ceil(scale));
             self.joined.measure(taps, &gain, &mut step.seam, pool);
@@ -351,7 +354,7 @@ impl<'a> Source<'a> {
         let is_plain = mesh.is_none() || warp.moved.is_some();
         let shift = warp.shift.filter(|_| is_plain && gain.iter().all(|g| *g == 1.0));
         let (source_from_canvas, moved) = (warp.mapping(mesh), warp.moved.filter(|_| mesh.is_some()));
-        Self { view: *view, source_from_canvas, shift, moved, gain: taps::fixed_gain(gain), avx2 }
+        Self { view: *view, source_from_canvas, shift, moved, gain: fixed_gain(gain), avx2 }
     }
 
     /// As a painter takes it.

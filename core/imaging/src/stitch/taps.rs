@@ -1,7 +1,7 @@
 //! Coarse samples of the views on the canvas: what the seam and the exposure are found on.
 
+use super::exposure::OverlapLight;
 use super::mesh::Mapping;
-use super::params::{CompositeParams, ExposureMethod};
 use super::seam::{BASE, BOTH, NEW, Seam};
 use super::warp::{self, BLOCK, Block, Pixels, Span, UNIT_GAIN};
 use crate::{Parallel, SharedMut, View};
@@ -82,35 +82,19 @@ impl Joined {
         }
     }
 
-    /// Gain of the view that brings its mean to that of the joined pictures in the overlap, B, G, R.
-    /// Dark and saturated samples do not count; `None` when too few are left.
-    pub fn gain_of(&self, taps: &Taps, method: ExposureMethod) -> Option<[f32; 3]> {
-        let (mut base, mut new, mut count) = ([0u64; 3], [0u64; 3], 0);
-        let usable = |p: &[u8; 4]| p[..3].iter().all(|v| *v < 245) && p[..3].iter().any(|v| *v > 12);
+    /// Light of the overlap in the joined pictures and in the view.
+    pub fn light(&self, taps: &Taps) -> OverlapLight {
+        let mut light = OverlapLight::default();
         // Two samples of a cell measure its brightness as well as four.
         for (y, span) in taps.spans.iter().enumerate().step_by(2) {
-            for i in
-                y * taps.columns + span.start as usize..y * taps.columns + (span.end as usize).max(span.start as usize)
-            {
-                let (a, b) = (&self.values[i], &taps.values[i]);
-                if a[3] == 255 && usable(a) && usable(b) {
-                    count += 1;
-                    for c in 0..3 {
-                        base[c] += u64::from(a[c]);
-                        new[c] += u64::from(b[c]);
-                    }
+            let (start, end) = (span.start as usize, (span.end as usize).max(span.start as usize));
+            for i in y * taps.columns + start..y * taps.columns + end {
+                if self.values[i][3] == 255 {
+                    light.add(self.values[i], taps.values[i]);
                 }
             }
         }
-        if count < 16 {
-            return None;
-        }
-        let ratio = |a: u64, b: u64| (a as f32 / (b as f32).max(1.0)).clamp(0.5, 1.99);
-        Some(match method {
-            ExposureMethod::None => [1.0; 3],
-            ExposureMethod::Gain => [ratio(base.iter().sum(), new.iter().sum()); 3],
-            ExposureMethod::ChannelGain => std::array::from_fn(|c| ratio(base[c], new[c])),
-        })
+        light
     }
 
     /// Fills class, cost and gradient of every cell of the seam grid.
@@ -177,19 +161,5 @@ impl Joined {
                 }
             }
         }
-    }
-}
-
-/// Gain as Q14 lanes.
-pub fn fixed_gain(gain: &[f32; 3]) -> [i16; 4] {
-    let q = |g: f32| (g * 16384.0 + 0.5).clamp(0.0, 32767.0) as i16;
-    [q(gain[0]), q(gain[1]), q(gain[2]), 0]
-}
-
-/// Moves the running gain towards the measured one.
-pub fn smooth_gain(running: &mut [f32; 3], measured: [f32; 3], first: bool, params: &CompositeParams) {
-    let rate = if first { 1.0 } else { params.exposure_rate.clamp(0.0, 1.0) };
-    for c in 0..3 {
-        running[c] += rate * (measured[c] - running[c]);
     }
 }

@@ -31,7 +31,7 @@ fn world(x: f64, y: f64) -> [f64; 3] {
 }
 
 /// The picture of a camera whose pixels `world_from_view` maps to world positions.
-fn shoot(world_from_view: &[f64; 9], width: usize, height: usize, gain: f64) -> Vec<u8> {
+pub(super) fn shoot(world_from_view: &[f64; 9], width: usize, height: usize, gain: f64) -> Vec<u8> {
     let mut data = Vec::with_capacity(width * height * 3);
     for y in 0..height {
         for x in 0..width {
@@ -42,10 +42,10 @@ fn shoot(world_from_view: &[f64; 9], width: usize, height: usize, gain: f64) -> 
     data
 }
 
-const SIZE: (usize, usize) = (320, 240);
+pub(super) const SIZE: (usize, usize) = (320, 240);
 
 /// The second view lies 150 px to the right, turned and tilted a little.
-fn tilted() -> [f64; 9] {
+pub(super) fn tilted() -> [f64; 9] {
     [1.02, 0.03, 150.0, -0.02, 0.99, 6.0, 4e-5, -3e-5, 1.0]
 }
 
@@ -53,10 +53,10 @@ fn shifted(h: &[f64; 9], dx: f64, dy: f64) -> [f64; 9] {
     Homography::translation(dx, dy).product(&Homography(*h)).0
 }
 
-struct Panorama {
+pub(super) struct Panorama {
     data: Vec<u8>,
-    mask: Vec<u8>,
-    report: CompositeReport,
+    pub(super) mask: Vec<u8>,
+    pub(super) report: CompositeReport,
 }
 
 impl Panorama {
@@ -66,7 +66,7 @@ impl Panorama {
     }
 
     /// PSNR against the world where the mask is set and `inside` holds.
-    fn psnr(&self, inside: impl Fn(usize, usize) -> bool) -> f64 {
+    pub(super) fn psnr(&self, inside: impl Fn(usize, usize) -> bool) -> f64 {
         let canvas = self.report.canvas;
         let (mut sum, mut count) = (0.0, 0);
         for y in 0..canvas.height {
@@ -113,7 +113,13 @@ fn ssim(p: &Panorama, inside: impl Fn(usize, usize) -> bool) -> f64 {
     sum / blocks
 }
 
-fn compose(c: &mut Compositor, views: &[&[u8]], h: &[[f64; 9]], state: GeometryState, pool: &dyn Parallel) -> Panorama {
+pub(super) fn compose(
+    c: &mut Compositor,
+    views: &[&[u8]],
+    h: &[[f64; 9]],
+    state: GeometryState,
+    pool: &dyn Parallel,
+) -> Panorama {
     let views: Vec<View<u8>> = views.iter().map(|v| View::new(v, SIZE.0, SIZE.1, 3)).collect();
     let canvas = c.canvas(&views, h, state).unwrap();
     let mut data = vec![93u8; canvas.width * canvas.height * 3];

@@ -1,46 +1,12 @@
 //! Which cells of the reference plane the views cover with light, and for how long they have done so.
 
-use super::rim::Rim;
 use crate::Rect;
-use crate::geometry::{Homography, Point};
 use crate::stitch::canvas::Bounds;
-use crate::stitch::mesh::Mesh;
+use crate::stitch::params::{Canvas, MAX_VIEWS};
+use crate::stitch::warp::Span;
 
 /// Cells around the views that the grid has in reserve, so that it seldom moves.
 const SPARE_CELLS: i32 = 8;
-
-/// A view as it lies on the reference plane.
-#[derive(Debug)]
-pub(super) struct PlacedView<'a> {
-    /// Columns and rows, px.
-    pub size: (usize, usize),
-    /// From the reference plane to the view; weights are positive where the view lies.
-    pub view_from_plane: Homography,
-    /// Drawn by a mesh instead.
-    pub mesh: Option<&'a Mesh>,
-    /// Its dark rim.
-    pub rim: &'a Rim,
-    /// The reference view stays where it is beside its mesh.
-    pub is_reference: bool,
-}
-
-impl PlacedView<'_> {
-    /// Whether the view shows a point of the reference plane.
-    fn covers(&self, at: Point) -> bool {
-        let mapped = match self.mesh {
-            Some(mesh) => mesh.map(at),
-            // What lies behind the horizon is not seen.
-            None => (self.view_from_plane.weight(at) > 0.0).then(|| self.view_from_plane.map(at)),
-        };
-        let Some([x, y]) = mapped.or(self.is_reference.then_some(at)) else { return false };
-        // Corners of cells are those of pixels, half a pixel from the centres that a view ends at; rounding needs a little more.
-        let room = 0.501;
-        let (right, bottom) = ((self.size.0 - 1) as f64, (self.size.1 - 1) as f64);
-        // NaN is not inside.
-        let is_inside = x >= -room && y >= -room && x <= right + room && y <= bottom + room;
-        is_inside && self.rim.is_lit(x.clamp(0.0, right) as usize, y.clamp(0.0, bottom) as usize)
-    }
-}
 
 /// Cells of `cell_px` at the multiples of that length on the reference plane.
 #[derive(Debug, Default)]
@@ -53,8 +19,10 @@ pub(super) struct Coverage {
     /// Looks in a row that found a cell covered.
     looks: Vec<u8>,
     old: Vec<u8>,
-    /// Whether the corners above and below a row of cells are covered.
-    corners: [Vec<bool>; 2],
+    /// Rows of pixels in which the cells of a row are covered.
+    full_rows: Vec<usize>,
+    /// The next look is the first.
+    is_new: bool,
 }
 
 impl Coverage {
@@ -78,33 +46,36 @@ impl Coverage {
         self.looks[cell]
     }
 
-    /// Brings the cells up to a frame whose views lie within `bounds`. A cell counts as covered when its four corners are.
-    pub fn look(&mut self, views: &[Option<PlacedView<'_>>], bounds: Bounds, cell_px: usize) {
-        let is_first = self.columns == 0 || self.cell_px != cell_px;
+    /// Fits the grid to views within `bounds`, and gives the canvas that it lies on.
+    pub fn canvas(&mut self, bounds: Bounds, cell_px: usize) -> Canvas {
+        self.is_new |= self.columns == 0 || self.cell_px != cell_px;
         self.cell_px = cell_px;
-        self.fit(bounds, is_first);
-        let (columns, first, side) = (self.columns, self.first, cell_px as f64);
-        let fill = |corners: &mut Vec<bool>, row: usize| {
-            let y = (f64::from(first[1]) + row as f64) * side - 0.5;
-            corners.clear();
-            corners.extend((0..=columns).map(|column| {
-                let at = [(f64::from(first[0]) + column as f64) * side - 0.5, y];
-                views.iter().flatten().any(|view| view.covers(at))
-            }));
-        };
-        fill(&mut self.corners[0], 0);
+        self.fit(bounds, self.is_new);
+        let [left, top] = self.first.map(|first| -first * cell_px as i32);
+        Canvas { width: self.columns * cell_px, height: self.rows * cell_px, left, top }
+    }
+
+    /// Brings the cells up to a frame whose views cover `spans[view][row]` of the grid's canvas.
+    pub fn look(&mut self, spans: &[Vec<Span>]) {
+        let (columns, cell_px, is_first) = (self.columns, self.cell_px, std::mem::take(&mut self.is_new));
         for (row, cells) in self.looks.chunks_exact_mut(columns).enumerate() {
-            let [above, below] = &mut self.corners;
-            fill(below, row + 1);
-            for (column, looks) in cells.iter_mut().enumerate() {
-                let is_covered = above[column] && above[column + 1] && below[column] && below[column + 1];
-                *looks = match is_covered {
+            self.full_rows.clear();
+            self.full_rows.resize(columns, 0);
+            for y in row * cell_px..(row + 1) * cell_px {
+                each_run(spans, y, |start, end| {
+                    let (first, last) = (start.div_ceil(cell_px), (end / cell_px).min(columns));
+                    if first < last {
+                        self.full_rows[first..last].iter_mut().for_each(|rows| *rows += 1);
+                    }
+                });
+            }
+            for (looks, full_rows) in cells.iter_mut().zip(&self.full_rows) {
+                *looks = match *full_rows == cell_px {
                     false => 0,
                     true if is_first => u8::MAX,
                     true => looks.saturating_add(1),
                 };
             }
-            self.corners.swap(0, 1);
         }
     }
 
@@ -149,6 +120,31 @@ impl Coverage {
     pub fn on_plane(&self, rect: Rect) -> CellRect {
         let (x0, y0) = (self.first[0] + rect.x as i32, self.first[1] + rect.y as i32);
         CellRect { x0, y0, x1: x0 + rect.width as i32, y1: y0 + rect.height as i32 }
+    }
+}
+
+/// Calls `run` with the first column and one past the last of what the views cover together in a row, from left to right.
+fn each_run(spans: &[Vec<Span>], y: usize, mut run: impl FnMut(usize, usize)) {
+    let mut row = [Span::default(); MAX_VIEWS];
+    let mut count = 0;
+    for span in spans.iter().filter_map(|view| view.get(y)).filter(|span| !span.is_empty()).take(MAX_VIEWS) {
+        row[count] = *span;
+        count += 1;
+    }
+    row[..count].sort_unstable_by_key(|span| span.start);
+    let mut joined: Option<Span> = None;
+    for span in &row[..count] {
+        match &mut joined {
+            Some(so_far) if span.start <= so_far.end => so_far.end = so_far.end.max(span.end),
+            _ => {
+                if let Some(before) = joined.replace(*span) {
+                    run(before.start as usize, before.end as usize);
+                }
+            }
+        }
+    }
+    if let Some(last) = joined {
+        run(last.start as usize, last.end as usize);
     }
 }
 

@@ -6,18 +6,14 @@
 
 mod coverage;
 mod rectangle;
-mod rim;
 #[cfg(test)]
 mod tests;
 
 use super::canvas::Bounds;
-use super::mesh::Mesh;
-use super::params::{Canvas, CompositeParams, CropMethod, MAX_VIEWS};
-use crate::View;
-use crate::geometry::Homography;
-use coverage::{CellRect, Coverage, PlacedView};
+use super::params::{Canvas, CompositeParams, CropMethod};
+use super::warp::Span;
+use coverage::{CellRect, Coverage};
 pub(super) use rectangle::LargestRectangle;
-use rim::Rim;
 
 /// Time between two looks at what the views cover.
 const LOOK_S: f64 = 0.25;
@@ -36,23 +32,9 @@ const COLUMNS_PER_CELL: usize = 160;
 /// Sides of cells are multiples of this, px; encoders like even sizes.
 const CELL_STEP_PX: usize = 4;
 
-/// Views of a frame on the reference plane, the reference view first.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct CropInputs<'a> {
-    /// BGR.
-    pub views: &'a [View<'a, u8>],
-    /// From each view to the reference plane.
-    pub plane_from_view: &'a [[f64; 9]],
-    /// Meshes that views are drawn by; empty ones stand for none.
-    pub meshes: &'a [Mesh],
-    /// Bounds of all views on the plane.
-    pub bounds: Bounds,
-}
-
 /// Chooses the rectangle and holds it. Allocates only for a larger grid than before.
 #[derive(Debug, Default)]
 pub(super) struct Crop {
-    rims: [Rim; MAX_VIEWS],
     coverage: Coverage,
     largest: LargestRectangle,
     held: Option<CellRect>,
@@ -64,9 +46,8 @@ pub(super) struct Crop {
 }
 
 impl Crop {
-    /// Forgets rectangle, rims and cover.
+    /// Forgets rectangle and cover.
     pub fn forget(&mut self) {
-        self.rims.iter_mut().for_each(Rim::forget);
         self.coverage.forget();
         self.held = None;
         self.gain_percent = None;
@@ -95,29 +76,23 @@ impl Crop {
         self.gain_percent
     }
 
-    /// Takes a frame over, when a look is due.
-    pub fn update(&mut self, inputs: &CropInputs<'_>, params: &CompositeParams) {
-        if self.held.is_some() && self.to_look_s > 0.0 {
-            return;
-        }
+    /// Whether it is time to look at what the views cover.
+    pub fn is_due(&self) -> bool {
+        self.held.is_none() || self.to_look_s <= 0.0
+    }
+
+    /// A canvas that holds all of `bounds`, for the next [`update`](Self::update). `columns`: those of the reference view.
+    pub fn whole(&mut self, bounds: Bounds, columns: usize) -> Canvas {
+        let cell_px = (columns / COLUMNS_PER_CELL / CELL_STEP_PX * CELL_STEP_PX).max(CELL_STEP_PX);
+        self.coverage.canvas(bounds, cell_px)
+    }
+
+    /// Takes over which columns the views cover in each row of the canvas that [`whole`](Self::whole) gave.
+    ///
+    /// `size`: columns and rows of the reference view; `lit_px`: its lit pixels.
+    pub fn update(&mut self, spans: &[Vec<Span>], size: (usize, usize), lit_px: f64, params: &CompositeParams) {
         self.to_look_s = LOOK_S;
-        let views = inputs.views;
-        let size = (views[0].width, views[0].height);
-        let cell_px = (size.0 / COLUMNS_PER_CELL / CELL_STEP_PX * CELL_STEP_PX).max(CELL_STEP_PX);
-        for (rim, view) in self.rims.iter_mut().zip(views) {
-            rim.look(view, cell_px);
-        }
-        let mut placed = [const { None }; MAX_VIEWS];
-        for (index, view) in views.iter().enumerate() {
-            placed[index] = Some(PlacedView {
-                size: (view.width, view.height),
-                view_from_plane: view_from_plane(&inputs.plane_from_view[index], (view.width, view.height)),
-                mesh: inputs.meshes[index].given(),
-                rim: &self.rims[index],
-                is_reference: index == 0,
-            });
-        }
-        self.coverage.look(&placed, inputs.bounds, cell_px);
+        self.coverage.look(spans);
         let steady_looks = (f64::from(params.crop_hold_s) / LOOK_S).clamp(1.0, 254.0) as u8;
         let changed = match params.crop {
             CropMethod::None => None,
@@ -130,8 +105,8 @@ impl Crop {
         }
         self.gain_percent = self.held.map(|held| {
             let covered = self.coverage.cells(held).filter(|cell| self.coverage.looks(*cell) > 0).count();
-            let area_px = (covered * cell_px * cell_px) as f64;
-            100.0 * (area_px / self.rims[0].lit_px(size).max(1.0) - 1.0)
+            let area_px = (covered * self.coverage.cell_px().pow(2)) as f64;
+            100.0 * (area_px / lit_px.max(1.0) - 1.0)
         });
     }
 
@@ -201,12 +176,4 @@ fn keep_off(rect: CellRect, size: (usize, usize), cell_px: usize) -> CellRect {
         x1: rect.x1 - spare(rect.x1 == columns),
         y1: rect.y1 - spare(rect.y1 == rows),
     }
-}
-
-/// The inverse of a view's map, with positive weights where the view lies.
-fn view_from_plane(plane_from_view: &[f64; 9], (width, height): (usize, usize)) -> Homography {
-    let map = Homography(*plane_from_view);
-    let inverse = map.inverse_bounded().unwrap_or_default();
-    let middle = map.map([width as f64 / 2.0, height as f64 / 2.0]);
-    if inverse.weight(middle) < 0.0 { Homography(inverse.0.map(|v| -v)) } else { inverse }
 }
