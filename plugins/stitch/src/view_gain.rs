@@ -5,7 +5,7 @@ use std::fmt::Write;
 use panoscope_node::abi::Scalar;
 use panoscope_node::{Result, Slot, TextPacket};
 
-/// Below this gain the words say that one view shows about as much, percent.
+/// Below this gain the words say that it is small, percent.
 const LITTLE_PERCENT: f64 = 5.0;
 /// The words change when the gain differs by more than this from what they say, percent.
 const SAME_PERCENT: f64 = 0.75;
@@ -26,10 +26,11 @@ impl ViewGain {
         let told = percent.round();
         self.told_percent = Some(told);
         self.words.clear();
-        let _ = write!(self.words, "{told:+.0} % over one view");
-        if told < LITTLE_PERCENT {
-            self.words.push_str(": little more than one camera");
-        }
+        let _ = match told {
+            ..1.0 => write!(self.words, "no wider than one view"),
+            ..LITTLE_PERCENT => write!(self.words, "only {told:+.0} % over one view"),
+            _ => write!(self.words, "{told:+.0} % over one view"),
+        };
     }
 
     /// Writes the outputs that are read.
@@ -61,7 +62,7 @@ mod tests {
         assert_eq!(words(12.4), "+12 % over one view");
         assert_eq!([words(12.6), words(11.4)], ["+12 % over one view", "+12 % over one view"]);
         assert_eq!(words(13.1), "+13 % over one view");
-        assert_eq!(words(3.2), "+3 % over one view: little more than one camera");
-        assert_eq!(words(-2.0), "-2 % over one view: little more than one camera");
+        assert_eq!(words(3.2), "only +3 % over one view");
+        assert_eq!(words(-2.0), "no wider than one view");
     }
 }
