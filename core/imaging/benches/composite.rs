@@ -69,10 +69,13 @@ fn main() {
     let path = CompositeParams { seam: SeamMethod::DynamicProgramming, seam_interval_frames: 1, ..default.clone() };
     let feather = CompositeParams { blend: BlendMethod::Feather, ..default.clone() };
     let hard = CompositeParams { blend: BlendMethod::None, ..default.clone() };
+    let filled = CompositeParams { crop: CropMethod::Filled, ..default.clone() };
     for pool in [&panoscope_imaging::Serial as &dyn Parallel, &pair] {
         for moving in [false, true] {
             time("graph cut, multi-band", &default, (640, 480), moving, pool);
         }
+        time("the same, cropped", &filled, (640, 480), false, pool);
+        time("the same, cropped", &filled, (640, 480), true, pool);
         time("graph cut every frame", &every, (640, 480), true, pool);
         time("shortest path every frame", &path, (640, 480), true, pool);
         time("feather", &feather, (640, 480), true, pool);

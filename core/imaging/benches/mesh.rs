@@ -42,9 +42,10 @@ fn map((w, h): (usize, usize), t: f64) -> Vec<f32> {
     (0..h).flat_map(|y| (0..w).map(move |x| at(x, y))).collect()
 }
 
-fn time(size: (usize, usize), pool: &dyn Parallel) -> Option<()> {
+fn time(size: (usize, usize), crop: CropMethod, pool: &dyn Parallel) -> Option<()> {
     let (w, h) = size;
-    let case = format!("{w}x{h} {} threads", pool.threads());
+    let cropped = if crop == CropMethod::None { "" } else { " cropped" };
+    let case = format!("{w}x{h} {} threads{cropped}", pool.threads());
     if std::env::args().skip(1).any(|word| !word.starts_with("--") && !case.contains(&word)) {
         return Some(());
     }
@@ -67,6 +68,7 @@ fn time(size: (usize, usize), pool: &dyn Parallel) -> Option<()> {
     let params = CompositeParams {
         seam: SeamMethod::DynamicProgramming,
         blend: BlendMethod::Feather,
+        crop,
         ..CompositeParams::default()
     };
     let mut compositor = Compositor::new(params);
@@ -93,11 +95,12 @@ fn time(size: (usize, usize), pool: &dyn Parallel) -> Option<()> {
     }
     let [update, draw] = [update_ms, draw_ms].map(|mut ms| {
         ms.sort_unstable_by(f64::total_cmp);
-        (ms[0], ms[ms.len() / 2])
+        let mean = ms.iter().sum::<f64>() / ms.len() as f64;
+        (ms[0], ms[ms.len() / 2], mean)
     });
     println!(
-        "{case}  mesh min {:6.3} median {:6.3} ms  picture min {:6.3} median {:6.3} ms",
-        update.0, update.1, draw.0, draw.1
+        "{case}  mesh min {:6.3} median {:6.3} ms  picture min {:6.3} median {:6.3} mean {:6.3} ms",
+        update.0, update.1, draw.0, draw.1, draw.2
     );
     Some(())
 }
@@ -105,8 +108,9 @@ fn time(size: (usize, usize), pool: &dyn Parallel) -> Option<()> {
 fn main() {
     let pair = Threads::new(2);
     for pool in [&panoscope_imaging::Serial as &dyn Parallel, &pair] {
-        for size in [(640, 480), (1920, 1080)] {
-            if time(size, pool).is_none() {
+        let sizes = [(640, 480), (1920, 1080)];
+        for (size, crop) in sizes.into_iter().flat_map(|size| [(size, CropMethod::None), (size, CropMethod::Filled)]) {
+            if time(size, crop, pool).is_none() {
                 println!("the compositor refuses the views");
             }
         }

@@ -6,7 +6,7 @@ use panoscope_imaging::draw::{self, Area, Colormap, Labels};
 use panoscope_imaging::fit::Fit;
 use panoscope_node::abi::{Detection, Homography, Roi, Scalar, Tip};
 use panoscope_node::{
-    Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, Mask, Node, NodeError, NodeInfo, Open,
+    Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, List, Mask, Node, NodeError, NodeInfo, Open,
     Params, Ports, Result, Slot, Table, Text, Validation, Value, View, ViewMut,
 };
 
@@ -78,8 +78,8 @@ pub struct In<'f> {
     pub table: Option<Table<'f>>,
     /// A number.
     pub scalar: Option<Value<'f, Scalar>>,
-    /// A text.
-    pub text: Option<Text<'f>>,
+    /// Texts, each on lines of its own.
+    pub text: Option<List<'f, Text<'f>>>,
     /// A mask of the picture's size.
     pub mask: Option<Image<'f, Mask>>,
     /// Disparity map, px, shown as an inset.
@@ -218,7 +218,7 @@ impl Overlay {
         if !params.show_numbers {
             return;
         }
-        if let Some(text) = &input.text {
+        for text in input.text.iter().flat_map(|texts| texts.iter()).flatten() {
             let _ = writeln!(words, "{}", text.trim_end());
         }
         if let Some(scalar) = &input.scalar {

@@ -190,6 +190,19 @@ fn long_words_leave_the_middle_free() {
     assert!(changed(&out.plane::<Bgr8>("image").unwrap()).unwrap().2 > SIZE.0 / 2);
 }
 
+#[test]
+fn several_texts_stand_one_below_the_other() {
+    let drawn = |texts: &[&str]| {
+        let mut node = overlay("text_scale = 1.0");
+        for text in texts {
+            node.input_text("text", text);
+        }
+        node.process().unwrap().plane::<Bgr8>("image").unwrap().data.to_vec()
+    };
+    assert_eq!(drawn(&["the arm waits", "+12 %"]), drawn(&["the arm waits\n+12 %"]));
+    assert_ne!(drawn(&["the arm waits", "+12 %"]), drawn(&["the arm waits"]));
+}
+
 /// Everything that could write words, with words below the picture.
 fn all_words_below(params: &str, text: &str, score: f32, labels: &str) -> Harness<Overlay> {
     let mut node = overlay(&format!("words = \"below\", {params}"));

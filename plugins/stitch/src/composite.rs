@@ -1,17 +1,21 @@
 //! `composite`: overlapping views and their homographies in, one wide picture out (thesis, chapter 2.2 and Alg. 2.3).
 
+use std::time::Duration;
+
 use panoscope_gpu::{Device, Warper, given_up};
 use panoscope_imaging::Report;
 use panoscope_imaging::lit::HeldMask;
 use panoscope_imaging::stitch::{
-    self, BlendMethod, BorderMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, Painter,
-    SeamCost, SeamMethod,
+    self, BlendMethod, BorderMethod, CompositeParams, Compositor, CropMethod, ExposureMethod, GeometryState, MAX_VIEWS,
+    Painter, SeamCost, SeamMethod,
 };
-use panoscope_node::abi::{self, Homography, Roi};
+use panoscope_node::abi::{self, Homography, Roi, Scalar};
 use panoscope_node::{
-    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation,
-    Value, View, error,
+    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TextPacket,
+    Validation, Value, View, error,
 };
+
+use crate::view_gain::ViewGain;
 
 /// Method that finds the seam between two views.
 #[derive(Choice, Clone, Copy, PartialEq)]
@@ -77,6 +81,17 @@ pub enum Border {
     Crop,
 }
 
+/// Which part of the plane the panorama shows.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Crop {
+    /// All of the canvas around the first good registration.
+    None,
+    /// The bounding box of what the views show with light.
+    Content,
+    /// The largest upright rectangle that the views fill with light: no black border.
+    Filled,
+}
+
 /// Parameters of the composite.
 #[derive(Params, Clone, PartialEq)]
 pub struct CompositeNodeParams {
@@ -117,6 +132,12 @@ pub struct CompositeNodeParams {
     /// Number of frames in a row that must leave the canvas before it grows; 0 never grows it.
     #[param(default = 0, range = 0..=10000, unit = "frames")]
     canvas_grow: u32,
+    /// Which part of the plane the panorama shows. A crop is held: its size changes in steps, seldom. Without effect beside a fixed width and height.
+    #[param(default = "none")]
+    crop: Crop,
+    /// Time for which a larger part must have been covered before a cropped panorama grows, or a bounding box must have been off before it changes.
+    #[param(default = 4.0, range = 0.0..=60.0, step = 0.5, unit = "s")]
+    crop_hold: f32,
     /// What becomes of the outer border of the panorama.
     #[param(default = "as_is")]
     border: Border,
@@ -149,12 +170,22 @@ pub(crate) struct Drawer {
     device: Device,
     /// Seams found since the node was opened.
     seams: u64,
+    gain: ViewGain,
+    /// Capture time of the last tick, ns.
+    captured_ns: Option<i64>,
 }
 
 impl Drawer {
     pub(crate) fn new(params: &CompositeNodeParams, report: &dyn Report) -> Self {
         let kernel = Compositor::new(params.kernel());
-        let mut drawer = Self { kernel, masks: Default::default(), device: Device::Cpu, seams: 0 };
+        let mut drawer = Self {
+            kernel,
+            masks: Default::default(),
+            device: Device::Cpu,
+            seams: 0,
+            gain: ViewGain::default(),
+            captured_ns: None,
+        };
         drawer.choose(params.device, report);
         drawer
     }
@@ -234,6 +265,12 @@ impl CompositeNodeParams {
             canvas: fixed.then_some((self.canvas_width as usize, self.canvas_height as usize)),
             canvas_margin_px: self.canvas_margin as usize,
             canvas_grow_after_frames: self.canvas_grow,
+            crop: match self.crop {
+                Crop::None => CropMethod::None,
+                Crop::Content => CropMethod::Content,
+                Crop::Filled => CropMethod::Filled,
+            },
+            crop_hold_s: self.crop_hold,
             border: match self.border {
                 Border::AsIs => BorderMethod::AsIs,
                 Border::Fade => BorderMethod::Fade,
@@ -277,6 +314,10 @@ pub struct Out<'f> {
     canvas: Slot<'f, Roi>,
     /// View that each pixel shows: 0 none, 1 the first, 2 the second and so on.
     shown: Slot<'f, Gray8>,
+    /// How much more area the panorama covers than the first view, percent. Of a cropped one only what is lit counts.
+    gain: Slot<'f, Scalar>,
+    /// The same as words: `+12 % over one view`. They change seldom.
+    gain_text: Slot<'f, TextPacket>,
 }
 
 /// See the module.
@@ -369,6 +410,8 @@ pub(crate) struct Slots<'s, 'f> {
     pub mask: &'s mut Slot<'f, Mask>,
     pub canvas: &'s mut Slot<'f, Roi>,
     pub shown: &'s mut Slot<'f, Gray8>,
+    pub gain: &'s mut Slot<'f, Scalar>,
+    pub gain_text: &'s mut Slot<'f, TextPacket>,
 }
 
 /// Draws the panorama of a tick and fills the outputs beside it.
@@ -378,7 +421,11 @@ pub(crate) fn draw(
     (views, maps, state): (&[View<'_, u8>], &[[f64; 9]], GeometryState),
     slots: Slots<'_, '_>,
 ) -> Result<()> {
-    let Drawer { kernel, seams, .. } = drawer;
+    let Drawer { kernel, seams, gain, captured_ns, .. } = drawer;
+    let now_ns = cx.tick().capture_ns;
+    if let Some(elapsed_ns) = captured_ns.replace(now_ns).and_then(|before| u64::try_from(now_ns - before).ok()) {
+        kernel.set_frame_interval(Duration::from_nanos(elapsed_ns));
+    }
     let canvas = kernel.canvas(views, maps, state)?;
     let mask_is_read = slots.mask.is_read();
     let mut panorama = slots.panorama.alloc(canvas.width, canvas.height)?;
@@ -391,6 +438,9 @@ pub(crate) fn draw(
     cx.metric("seam_ms", report.seam_time.as_secs_f64() * 1e3);
     *seams += u64::from(report.seam_found);
     cx.metric("seams_found", *seams as f64);
+    cx.metric("view_gain_pct", report.view_gain_percent);
+    gain.update(report.view_gain_percent);
+    gain.set(report.view_gain_percent, slots.gain, slots.gain_text)?;
     if slots.shown.is_read() {
         kernel.shown(&mut slots.shown.alloc(canvas.width, canvas.height)?)?;
     }
@@ -456,8 +506,8 @@ impl Node for Composite {
         if params.on_lost == OnLost::Skip && !self.drawer.kernel.accepts(views, maps, scene.state)? {
             return Ok(());
         }
-        let Out { panorama, mask, canvas, shown } = &mut out;
-        let slots = Slots { panorama, mask, canvas, shown };
+        let Out { panorama, mask, canvas, shown, gain, gain_text } = &mut out;
+        let slots = Slots { panorama, mask, canvas, shown, gain, gain_text };
         draw(&mut self.drawer, cx, (views, maps, scene.state), slots)
     }
 }

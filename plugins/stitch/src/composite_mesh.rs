@@ -2,10 +2,10 @@
 
 use panoscope_imaging::geometry;
 use panoscope_imaging::stitch::{Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners};
-use panoscope_node::abi::{self, Calibration, Camera, Homography, Roi};
+use panoscope_node::abi::{self, Calibration, Camera, Homography, Roi, Scalar};
 use panoscope_node::{
     Bgr8, Context, Disparity, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData,
-    Validation, Value, View, error,
+    TextPacket, Validation, Value, View, error,
 };
 
 use crate::calibrated_views::{CalibratedViews, check_map};
@@ -106,6 +106,10 @@ pub struct Out<'f> {
     /// Vertices of the mesh: which point of the right view, and of the left one, each point of the panorama shows. Empty before the first mesh. With
     /// `views` those of all further views, one after the other, after the number of the view; the first view then stays as it is.
     mesh: Slot<'f, TableData>,
+    /// How much more area the panorama covers than the first view, percent. Of a cropped one only what is lit counts.
+    gain: Slot<'f, Scalar>,
+    /// The same as words: `+12 % over one view`. They change seldom.
+    gain_text: Slot<'f, TextPacket>,
 }
 
 /// Share of the border between two views along which the mesh guesses, from which on a warning says so, and below which it ends.
@@ -364,8 +368,8 @@ impl Node for CompositeMesh {
         if out.mesh.is_read() {
             self.set_vertices(&mut out.mesh, scene.count, input.views.is_some())?;
         }
-        let Out { panorama, mask, canvas, shown, .. } = &mut out;
-        let slots = Slots { panorama, mask, canvas, shown };
+        let Out { panorama, mask, canvas, shown, gain, gain_text, .. } = &mut out;
+        let slots = Slots { panorama, mask, canvas, shown, gain, gain_text };
         draw(&mut self.drawer, cx, (views, maps, scene.state), slots)
     }
 }

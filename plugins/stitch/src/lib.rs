@@ -13,6 +13,7 @@ pub mod mosaic;
 mod register_grid;
 mod register_surf;
 mod registration;
+mod view_gain;
 
 pub use composite::Composite;
 pub use composite_mesh::CompositeMesh;

@@ -2,6 +2,7 @@
 //!
 //! A view ends where its tissue does: the black that surrounds the round picture of an endoscope, or that rectification leaves, is outside.
 
+use super::crop::LargestRectangle;
 use super::params::{BorderMethod, CompositeParams};
 use super::warp::Span;
 use crate::{Parallel, Rect, SharedMut, ViewMut};
@@ -20,10 +21,7 @@ const KEPT_PERCENT: usize = 95;
 pub(super) struct Border {
     /// Distance of each cell to what no view covers, px, up to the width of the fade.
     distance_px: Vec<f32>,
-    /// Covered cells above each cell of a row, that one included.
-    heights: Vec<usize>,
-    /// Open rectangles of the search: first column and height.
-    open: Vec<(usize, usize)>,
+    largest: LargestRectangle,
     /// Black cells whose neighbours are to be looked at.
     black: Vec<usize>,
     kept: Option<Rect>,
@@ -149,7 +147,7 @@ impl Border {
 
     fn crop(&mut self, spans: &[Vec<Span>], out: &mut ViewMut<u8>) {
         let (columns, rows) = self.cells(spans, out);
-        let best = self.largest(columns, rows);
+        let best = self.largest.find(columns, rows, |cell| self.distance_px[cell] > 0.0);
         let is_covered = |r: &Rect| {
             r.x + r.width <= columns
                 && r.y + r.height <= rows
@@ -173,40 +171,18 @@ impl Border {
             }
         }
     }
-
-    /// The largest rectangle of covered cells: the largest below a histogram, row by row.
-    fn largest(&mut self, columns: usize, rows: usize) -> Rect {
-        let mut best = Rect { x: 0, y: 0, width: 0, height: 0 };
-        self.heights.clear();
-        self.heights.resize(columns + 1, 0);
-        for row in 0..rows {
-            self.open.clear();
-            for column in 0..=columns {
-                let is_covered = column < columns && self.distance_px[row * columns + column] > 0.0;
-                let height = if is_covered { self.heights[column] + 1 } else { 0 };
-                self.heights[column] = height;
-                let mut first = column;
-                while let Some(&(start, tall)) = self.open.last() {
-                    if tall < height {
-                        break;
-                    }
-                    self.open.pop();
-                    if tall * (column - start) > best.width * best.height {
-                        best = Rect { x: start, y: row + 1 - tall, width: column - start, height: tall };
-                    }
-                    first = start;
-                }
-                self.open.push((first, height));
-            }
-        }
-        best
-    }
 }
 
 /// Columns of a row that views cover, from the first to the last.
 fn covered(spans: &[Vec<Span>], y: usize) -> (i64, i64) {
     let rows = spans.iter().filter_map(|view| view.get(y)).filter(|span| !span.is_empty());
     rows.fold((i64::MAX, 0), |(from, to), span| (from.min(i64::from(span.start)), to.max(i64::from(span.end))))
+}
+
+/// Pixels of the canvas from the first to the last that views cover in each row.
+pub(super) fn covered_px(spans: &[Vec<Span>]) -> usize {
+    let rows = spans.first().map_or(0, Vec::len);
+    (0..rows).map(|y| covered(spans, y)).map(|(from, to)| (to - from.min(to)) as usize).sum()
 }
 
 /// The two cells whose centres are before and behind a pixel, and its place between them.

@@ -1,7 +1,8 @@
 //! The compositor: views and homographies in, panorama out.
 
-use super::border::Border;
+use super::border::{self, Border};
 use super::canvas::{Bounds, CanvasHolder};
+use super::crop::Crop;
 use super::drawing::Painter;
 use super::lit_spans;
 use super::mark;
@@ -13,8 +14,11 @@ use super::segments;
 use super::taps::{TAPS, Taps};
 use super::warp::Span;
 use crate::geometry::{Homography, Point};
-use crate::lit::LitPart;
+use crate::lit::{LitFinder, LitPart};
 use crate::{Parallel, Rect, Simd, View, ViewMut};
+
+/// Time from one frame to the next that is taken when none is told, s.
+const USUAL_FRAME_S: f64 = 1.0 / 30.0;
 
 /// Joins views into one panorama. Keeps everything that outlives a frame: canvas, seam, gains, last good geometry,
 /// work memory. In steady state nothing is allocated.
@@ -22,6 +26,14 @@ use crate::{Parallel, Rect, Simd, View, ViewMut};
 pub struct Compositor {
     pub(super) params: CompositeParams,
     holder: CanvasHolder,
+    crop: Crop,
+    /// Lit parts of the views that none is given for, found while the panorama is cropped.
+    finders: [LitFinder; MAX_VIEWS],
+    is_lit_given: [bool; MAX_VIEWS],
+    /// Canvas of the frame before.
+    drawn: Option<Canvas>,
+    /// Time from one frame to the next, s.
+    frame_s: Option<f64>,
     sizes: Vec<(usize, usize)>,
     good: Option<[[f64; 9]; MAX_VIEWS]>,
     prepared: Option<Prepared>,
@@ -65,6 +77,10 @@ impl Compositor {
         if params.canvas != self.params.canvas {
             self.holder.reset();
         }
+        if params.crop != self.params.crop {
+            self.crop.forget();
+            self.forget_found_parts();
+        }
         if params.exposure != self.params.exposure {
             self.layers.forget_gains();
         }
@@ -95,11 +111,18 @@ impl Compositor {
     /// Forgets canvas, seam, gains and geometry, as after a cut in the video. Work memory stays.
     pub fn reset(&mut self) {
         self.holder.reset();
+        self.crop.forget();
+        self.forget_found_parts();
         self.good = None;
         self.prepared = None;
         self.placed = None;
         self.layers.forget();
         self.border.forget();
+    }
+
+    /// Says how much time passes from one frame to the next, which the crop counts; 1/30 s unless told. At most 1 s counts.
+    pub fn set_frame_interval(&mut self, interval: std::time::Duration) {
+        self.frame_s = Some(interval.as_secs_f64().min(1.0));
     }
 
     /// Draws view `view` by a mesh instead of its homography, or by its homography again with `None`, from the next frame on.
@@ -123,7 +146,12 @@ impl Compositor {
 
     /// Shows, blends and compares only the lit part of view `view` from the next frame on; all of it with `None`. A part of another size than the view has
     /// no effect.
+    ///
+    /// A cropped panorama finds the lit parts of views without one itself.
     pub fn set_lit(&mut self, view: usize, part: Option<&LitPart>) {
+        if let Some(given) = self.is_lit_given.get_mut(view) {
+            *given = part.is_some();
+        }
         if let Some(held) = self.layers.lit.get_mut(view)
             && held.as_ref() != part
         {
@@ -195,7 +223,7 @@ impl Compositor {
         }
         let mut fault = None;
         if given_state != GeometryState::Lost {
-            match self.accept(&given) {
+            match self.accept(views, &given) {
                 Ok(canvas) => {
                     self.good = Some(given);
                     let p = Prepared {
@@ -214,7 +242,8 @@ impl Compositor {
             }
         }
         let state = GeometryState::Lost;
-        let p = match (self.good, self.holder.current()) {
+        let held = if self.is_cropped() { self.crop.canvas() } else { self.holder.current() };
+        let p = match (self.good, held) {
             (Some(used), Some(canvas)) => {
                 Prepared { given, given_state, canvas, used, active: views.len(), state, fault }
             }
@@ -223,12 +252,12 @@ impl Compositor {
                 let (w, h) = self.sizes[0];
                 let (x, y) = ((w - 1) as f64, (h - 1) as f64);
                 let bounds = Bounds { x0: 0.0, y0: 0.0, x1: x, y1: y };
-                let canvas = CanvasHolder::default().update(bounds, &self.params).unwrap_or(Canvas {
-                    width: w,
-                    height: h,
-                    left: 0,
-                    top: 0,
-                });
+                let alone = Canvas { width: w, height: h, left: 0, top: 0 };
+                let canvas = if self.is_cropped() {
+                    alone
+                } else {
+                    CanvasHolder::default().update(bounds, &self.params).unwrap_or(alone)
+                };
                 Prepared { given, given_state, canvas, used: [IDENTITY; MAX_VIEWS], active: 1, state, fault }
             }
         };
@@ -236,7 +265,11 @@ impl Compositor {
         Ok(p)
     }
 
-    fn accept(&mut self, given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
+    fn is_cropped(&self) -> bool {
+        self.params.crop != CropMethod::None && self.params.canvas.is_none()
+    }
+
+    fn accept(&mut self, views: &[View<u8>], given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
         let mut quads = [[(0.0, 0.0); 4]; MAX_VIEWS];
         for (view, (w, h)) in self.sizes.iter().enumerate() {
             quads[view] = projective::warped_corners(&given[view], *w, *h, view)?;
@@ -248,7 +281,48 @@ impl Compositor {
                 bounds = bounds.union(Bounds { x0, y0, x1, y1 });
             }
         }
-        self.holder.update(bounds, &self.params)
+        let canvas = self.holder.update(bounds, &self.params)?;
+        if !self.is_cropped() {
+            return Ok(canvas);
+        }
+        if self.crop.is_due() {
+            self.look(views, given, bounds);
+        }
+        Ok(self.crop.canvas().unwrap_or(canvas))
+    }
+
+    /// Shows the crop what the views cover on the plane, as they are drawn.
+    fn look(&mut self, views: &[View<u8>], given: &[[f64; 9]; MAX_VIEWS], bounds: Bounds) {
+        for (index, (finder, view)) in self.finders.iter_mut().zip(views).enumerate() {
+            if !self.is_lit_given[index] && finder.look(*view, None) {
+                let part = Some(finder.part()).filter(|part| !part.is_whole());
+                self.layers.lit[index] = part.cloned();
+                self.has_new_part = true;
+            }
+        }
+        let canvas = self.crop.whole(bounds, self.sizes[0].0);
+        self.reserve_views(views.len());
+        let avx2 = Simd::detect().avx2();
+        for (view, used) in given.iter().enumerate().take(views.len()) {
+            self.cover(view, used, canvas, avx2);
+        }
+        if views.len() == 2 && self.layers.lit[0].is_some() {
+            let (base, new) = self.layers.spans.split_at_mut(1);
+            let reaches_right = lit_spans::reaches_right(&base[0], &new[0]);
+            lit_spans::cut_beyond(&base[0], &mut new[0], reaches_right);
+        }
+        // What is drawn is placed again.
+        self.placed = None;
+        let one_px = (self.sizes[0].0 * self.sizes[0].1) as f64;
+        let lit_px = one_px * self.layers.lit[0].as_ref().map_or(1.0, LitPart::share);
+        self.crop.update(&self.layers.spans[..views.len()], self.sizes[0], lit_px, &self.params);
+    }
+
+    fn forget_found_parts(&mut self) {
+        self.finders.iter_mut().for_each(LitFinder::forget);
+        for (lit, _) in self.layers.lit.iter_mut().zip(&self.is_lit_given).filter(|(_, is_given)| !**is_given) {
+            self.has_new_part |= lit.take().is_some();
+        }
     }
 
     /// Draws the panorama of `views` on `out`.
@@ -279,8 +353,13 @@ impl Compositor {
             return Err(CompositeError::Output { width, height, channels: 1 });
         }
         self.prepared = None;
+        self.crop.elapse(self.frame_s.unwrap_or(USUAL_FRAME_S));
         let avx2 = Simd::detect().avx2();
         let key = (p.canvas, p.active, p.used);
+        if self.drawn.replace(p.canvas).is_some_and(|drawn| drawn != p.canvas) {
+            // Cells of the seam lie on the canvas.
+            self.layers.steps.iter_mut().for_each(|step| step.seam.forget());
+        }
         let has_new_shape = std::mem::take(&mut self.has_new_mesh) | std::mem::take(&mut self.has_new_part);
         let moved = has_new_shape | (self.placed != Some(key));
         if moved {
@@ -303,6 +382,7 @@ impl Compositor {
         }
         self.border.draw(&self.params, &self.layers.spans[..p.active], out, pool);
         mark::draw_marks(out, p.canvas, p.state, &self.params);
+        let cropped_gain = self.crop.gain_percent().filter(|_| self.is_cropped() && p.active > 1);
         let mut gains = [[1.0; 3]; MAX_VIEWS];
         gains[..p.active].copy_from_slice(&self.layers.gains[..p.active]);
         Ok(CompositeReport {
@@ -312,6 +392,10 @@ impl Compositor {
             seam_found,
             seam_cost,
             seam_time,
+            view_gain_percent: cropped_gain.unwrap_or_else(|| {
+                let one = self.sizes[0].0 * self.sizes[0].1;
+                100.0 * (border::covered_px(&self.layers.spans[..p.active]) as f64 / one as f64 - 1.0)
+            }),
             gains,
         })
     }
@@ -345,14 +429,8 @@ impl Compositor {
         Ok(())
     }
 
-    /// Brings the geometry of all views onto the canvas.
-    fn place(&mut self, p: &Prepared, avx2: bool) {
-        let scale = self.params.cell_px(self.sizes[0].0);
-        let (columns, rows) = (p.canvas.width.div_ceil(scale), p.canvas.height.div_ceil(scale));
-        let step = scale as f64 / TAPS as f64;
-        let shift = [1.0, 0.0, -f64::from(p.canvas.left), 0.0, 1.0, -f64::from(p.canvas.top), 0.0, 0.0, 1.0];
-        let tap = [step, 0.0, step / 2.0 - 0.5, 0.0, step, step / 2.0 - 0.5, 0.0, 0.0, 1.0];
-        while self.layers.warps.len() < p.active {
+    fn reserve_views(&mut self, count: usize) {
+        while self.layers.warps.len() < count {
             self.layers.warps.push(Warp {
                 source_from_canvas: IDENTITY,
                 source_from_tap: IDENTITY,
@@ -365,55 +443,72 @@ impl Compositor {
             self.layers.spans.push(Vec::new());
             self.layers.steps.push(Step::default());
         }
+    }
+
+    /// Finds which columns of each row of a canvas a view covers, and how it is read there.
+    fn cover(&mut self, view: usize, used: &[f64; 9], canvas: Canvas, avx2: bool) {
+        let shift = [1.0, 0.0, -f64::from(canvas.left), 0.0, 1.0, -f64::from(canvas.top), 0.0, 0.0, 1.0];
+        let (w, h) = self.sizes[view];
+        // `accept` has refused matrices without an inverse.
+        let used = Homography(*used);
+        let inverse = used.inverse_bounded().unwrap_or_default();
+        let Homography(mut m) = inverse.product(&Homography(shift));
+        let [x, y] = used.map([w as f64 / 2.0, h as f64 / 2.0]);
+        let (x, y) = (x + f64::from(canvas.left), y + f64::from(canvas.top));
+        if m[6] * x + m[7] * y + m[8] < 0.0 {
+            m = m.map(|v| -v);
+        }
+        let warp = &mut self.layers.warps[view];
+        warp.source_from_canvas = m;
+        let n = m.map(|v| v / m[8]);
+        let whole = (0..9).all(|i| [2, 5].contains(&i) || (n[i] - IDENTITY[i]).abs() < 1e-12)
+            && (n[2] - n[2].round()).abs() < 1e-6
+            && (n[5] - n[5].round()).abs() < 1e-6;
+        warp.shift = whole.then(|| (n[2].round() as i64, n[5].round() as i64));
+        warp.origins[0] = [-canvas.left, -canvas.top].map(|at| at as f32);
+        let mesh = self.layers.meshes[view].given();
+        let (spans, size) = (&mut self.layers.spans[view], canvas);
+        warp.mapping(mesh).coverage((w, h), size.width, size.height, spans);
+        warp.moved = None;
+        if let Some(mesh) = mesh.filter(|_| view == 0) {
+            warp.moved = mesh.moved().and_then(|bounds| on_canvas(bounds, canvas));
+            stay_outside(mesh, (w, h), canvas, spans);
+        }
+        let lit = self.layers.lit[view].as_ref().filter(|part| part.size() == (w, h));
+        if let Some(lit) = lit {
+            // The mesh of the reference view ends within it; beyond, the view stays where it is.
+            let (plane, shaped) = (Mapping::Plane(&warp.source_from_canvas), warp.mapping(mesh));
+            if view == 0 {
+                lit_spans::cut(plane, lit, 0..size.height, spans, avx2);
+            }
+            let rows = warp.moved.filter(|_| view == 0).map_or(0..size.height, |moved| moved.y..moved.y + moved.height);
+            if view > 0 || mesh.is_some() {
+                lit_spans::cut(shaped, lit, rows, spans, avx2);
+            }
+        }
+    }
+
+    /// Brings the geometry of all views onto the canvas.
+    fn place(&mut self, p: &Prepared, avx2: bool) {
+        let scale = self.params.cell_px(self.sizes[0].0);
+        let (columns, rows) = (p.canvas.width.div_ceil(scale), p.canvas.height.div_ceil(scale));
+        let step = scale as f64 / TAPS as f64;
+        let tap = [step, 0.0, step / 2.0 - 0.5, 0.0, step, step / 2.0 - 0.5, 0.0, 0.0, 1.0];
+        self.reserve_views(p.active);
         for view in 0..p.active {
-            let (w, h) = self.sizes[view];
-            // `accept` has refused matrices without an inverse.
-            let used = Homography(p.used[view]);
-            let inverse = used.inverse_bounded().unwrap_or_default();
-            let Homography(mut m) = inverse.product(&Homography(shift));
-            let [x, y] = used.map([w as f64 / 2.0, h as f64 / 2.0]);
-            let (x, y) = (x + f64::from(p.canvas.left), y + f64::from(p.canvas.top));
-            if m[6] * x + m[7] * y + m[8] < 0.0 {
-                m = m.map(|v| -v);
-            }
-            let warp = &mut self.layers.warps[view];
-            warp.source_from_canvas = m;
-            warp.source_from_tap = Homography(m).product(&Homography(tap)).0;
-            let n = m.map(|v| v / m[8]);
-            let whole = (0..9).all(|i| [2, 5].contains(&i) || (n[i] - IDENTITY[i]).abs() < 1e-12)
-                && (n[2] - n[2].round()).abs() < 1e-6
-                && (n[5] - n[5].round()).abs() < 1e-6;
-            warp.shift = whole.then(|| (n[2].round() as i64, n[5].round() as i64));
-            let canvas = [-p.canvas.left, -p.canvas.top].map(|at| at as f32);
-            warp.origins = [canvas, canvas.map(|at| at + (step / 2.0 - 0.5) as f32)];
-            warp.tap_step = step as f32;
+            self.cover(view, &p.used[view], p.canvas, avx2);
             let mesh = self.layers.meshes[view].given();
-            let (spans, size) = (&mut self.layers.spans[view], p.canvas);
-            warp.mapping(mesh).coverage((w, h), size.width, size.height, spans);
-            warp.moved = None;
-            if let Some(mesh) = mesh.filter(|_| view == 0) {
-                warp.moved = mesh.moved().and_then(|bounds| on_canvas(bounds, p.canvas));
-                stay_outside(mesh, (w, h), p.canvas, spans);
-            }
-            let lit = self.layers.lit[view].as_ref().filter(|part| part.size() == (w, h));
-            if let Some(lit) = lit {
-                // The mesh of the reference view ends within it; beyond, the view stays where it is.
-                let (plane, shaped) = (Mapping::Plane(&warp.source_from_canvas), warp.mapping(mesh));
-                if view == 0 {
-                    lit_spans::cut(plane, lit, 0..size.height, spans, avx2);
-                }
-                let rows =
-                    warp.moved.filter(|_| view == 0).map_or(0..size.height, |moved| moved.y..moved.y + moved.height);
-                if view > 0 || mesh.is_some() {
-                    lit_spans::cut(shaped, lit, rows, spans, avx2);
-                }
-            }
+            let warp = &mut self.layers.warps[view];
+            warp.source_from_tap = Homography(warp.source_from_canvas).product(&Homography(tap)).0;
+            warp.origins[1] = warp.origins[0].map(|at| at + (step / 2.0 - 0.5) as f32);
+            warp.tap_step = step as f32;
+            let size = self.sizes[view];
             let from_tap = match mesh {
                 Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: warp.origins[1], step: warp.tap_step }),
                 None => Mapping::Plane(&warp.source_from_tap),
             };
-            warp.taps.place(columns * TAPS, rows * TAPS, from_tap, (w, h));
-            if let Some(lit) = lit {
+            warp.taps.place(columns * TAPS, rows * TAPS, from_tap, size);
+            if let Some(lit) = self.layers.lit[view].as_ref().filter(|part| part.size() == size) {
                 lit_spans::cut(from_tap, lit, 0..rows * TAPS, &mut warp.taps.spans, avx2);
             }
         }

@@ -10,6 +10,7 @@ mod canvas;
 mod coarse;
 mod compositor;
 pub mod correspond;
+mod crop;
 pub mod cut;
 pub mod disparity_plane;
 mod drawing;
@@ -40,7 +41,7 @@ pub use graph_cut::GridCut;
 pub use grid::{CellPoint, GridParams, GridRegistration, RectifiedView, RegisterGrid};
 pub use mesh::{Lattice, Mesh, MeshFollower, MeshParams, MeshReport};
 pub use params::{
-    BlendMethod, BorderMethod, Canvas, CompositeError, CompositeParams, CompositeReport, ExposureMethod, GeometryFault,
-    GeometryState, MAX_VIEWS, SeamCost, SeamMethod,
+    BlendMethod, BorderMethod, Canvas, CompositeError, CompositeParams, CompositeReport, CropMethod, ExposureMethod,
+    GeometryFault, GeometryState, MAX_VIEWS, SeamCost, SeamMethod,
 };
 pub use projective::{IDENTITY, warped_corners};

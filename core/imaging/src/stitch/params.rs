@@ -78,6 +78,18 @@ pub enum BorderMethod {
     Crop,
 }
 
+/// Which part of the plane the panorama shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CropMethod {
+    /// The canvas around the first good geometry, with its margin.
+    #[default]
+    None,
+    /// The bounding box of what the views show with light.
+    Content,
+    /// The largest upright rectangle that the views fill with light: no black border.
+    Filled,
+}
+
 /// Parameters of a [`Compositor`](super::Compositor).
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompositeParams {
@@ -110,6 +122,10 @@ pub struct CompositeParams {
     pub canvas_grow_after_frames: u32,
     /// Upper bound of canvas width and height, pixels.
     pub max_canvas_side_px: usize,
+    /// Which part of the plane is shown. Without effect beside a fixed `canvas`.
+    pub crop: CropMethod,
+    /// Time for which a larger part must have been covered before the panorama grows, s; 0..=60.
+    pub crop_hold_s: f32,
     /// What becomes of the outer border.
     pub border: BorderMethod,
     /// Width of a fading border, canvas pixels; 1..=1024.
@@ -149,6 +165,8 @@ impl Default for CompositeParams {
             canvas_margin_px: 16,
             canvas_grow_after_frames: 15,
             max_canvas_side_px: 8192,
+            crop: CropMethod::default(),
+            crop_hold_s: 4.0,
             border: BorderMethod::default(),
             border_px: 24,
             up_cue_deg: None,
@@ -286,6 +304,8 @@ pub struct CompositeReport {
     pub seam_cost: f32,
     /// Time for the seam: sampling the overlap at its scale, comparing the views there and, when it is due, finding the seam anew.
     pub seam_time: std::time::Duration,
+    /// How much more area the panorama covers than the reference view, percent. Where it is cropped, only what is lit counts, of both.
+    pub view_gain_percent: f64,
     /// Gains applied per view, B, G, R.
     pub gains: [[f32; 3]; MAX_VIEWS],
 }
