@@ -6,8 +6,11 @@ use super::super::grid::RectifiedView;
 use super::border::{Border, borders};
 use super::energy::{Energy, Stiffness};
 use super::fitted::Fitted;
+use super::hints::InstrumentHints;
+use super::instruments::{Arrangement, Instruments, nearer_px};
 use super::observe::{Observations, Sampling};
 use super::relax::{Continuation, Relax};
+use super::rigid::Rigid;
 use super::scaled::Scaled;
 use super::{Lattice, Mesh};
 use crate::geometry::{Homography, Point, overlap_roi};
@@ -57,6 +60,11 @@ const SETTLED_PX: f64 = 0.2;
 const SOLVED_BEYOND_CELLS: f64 = 6.0;
 /// A mesh that moves by less than this stays as it is, px of the pictures: what follows from it need not be computed again.
 const DEAD_BAND_PX: f64 = 0.02;
+/// Share of the outlier limit from which on an observation where an instrument was does not count.
+const FRONT_PX: f64 = 0.35;
+/// Parallax that observations which the mesh does not follow may have where they show an instrument, px of a view of 640 columns.
+const LOOSE_PX: f64 = 8.0;
+const MAX_NEARER_PX: f64 = 240.0;
 /// The mesh starts afresh when the share of the lines in which nothing is observed falls by more than this: where it guessed it may be so far off that
 /// what is observed there now would pass for mistakes.
 const LESS_BLIND: f64 = 0.1;
@@ -99,6 +107,8 @@ pub struct MeshParams {
     pub reach_px: f64,
     /// Observations below which the mesh is held.
     pub least_observations: usize,
+    /// Finds instruments in front of the tissue, tells which view must show each, and does not bend it there; for two views.
+    pub keeps_instruments: bool,
     /// Draws the reference view along in the zone, by [`MeshFollower::reference_mesh`], so that both views fit there too.
     pub moves_reference: bool,
     /// Where the other camera stands, in units of the baseline of the disparity: `[1, 0]` for the right one of a pair, `[0, 1]` for one as far below
@@ -126,6 +136,7 @@ impl Default for MeshParams {
             jump_px: 12.0,
             reach_px: 96.0,
             least_observations: 24,
+            keeps_instruments: true,
             moves_reference: true,
             along: [1.0, 0.0],
         }
@@ -186,6 +197,11 @@ pub struct MeshFollower {
     before: Vec<Point>,
     observations: Observations,
     located: Vec<Located>,
+    /// Observations that the mesh does not follow: far from the homography, or few. They may show an instrument.
+    loose: Vec<Located>,
+    hints: InstrumentHints,
+    instruments: Instruments,
+    rigid: Rigid,
     blocks: Vec<[f64; 3]>,
     sorted: Vec<f64>,
     is_seen: Vec<bool>,
@@ -212,12 +228,20 @@ impl MeshFollower {
         self.params = params;
     }
 
+    /// What a detector says about instruments, until it is changed.
+    pub fn hints_mut(&mut self) -> &mut InstrumentHints {
+        &mut self.hints
+    }
+
     /// Forgets the mesh.
     pub fn reset(&mut self) {
         self.lattice = Lattice::default();
         self.mesh.lattice = self.lattice;
         self.mesh.source.clear();
+        self.mesh.kept.clear();
         self.reference.source.clear();
+        self.instruments.forget();
+        self.rigid.forget();
         self.scaled.clear();
     }
 
@@ -262,11 +286,13 @@ impl MeshFollower {
         self.observations.keep_patches(p.least_patch);
         self.locate(p.reach_px * scale);
         report.observations = self.located.len();
-        report.blind = self.blind(overlap_roi(left_from_right, right.size.0, right.size.1, left.size.0, left.size.1));
+        let overlap = overlap_roi(left_from_right, right.size.0, right.size.1, left.size.0, left.size.1);
+        report.blind = self.blind(overlap);
         if self.located.len() < p.least_observations {
             if !report.is_new {
                 self.shift.clone_from(&self.shift_before);
                 self.go_on(left_from_right, left.size, right.size);
+                self.show(left_from_right);
                 self.publish(false);
             }
             return report;
@@ -288,13 +314,8 @@ impl MeshFollower {
         let stiffness = Stiffness { bend: p.bend, slope: p.slope, place: 1e-4 };
         let limit_px = p.outlier_px * scale;
         let solved = if report.is_new {
-            self.shift.clear();
-            self.shift.resize(lattice.len(), [0.0; 2]);
-            FIRST_PASSES.iter().all(|(stiffer, times)| {
-                let wanted = if *stiffer > 1.0 { FIRST_STIFFNESS.times(*stiffer) } else { stiffness };
-                self.energy.reset(columns, rows, wanted);
-                self.pass(times * limit_px, 0.0)
-            }) && self.settle(limit_px)
+            self.instruments.forget();
+            self.fit_first(stiffness, limit_px)
         } else {
             self.energy.reset(columns, rows, stiffness);
             let still = 1.0 / (1.0 + (report.motion_px / (p.still_px * scale)).powi(4));
@@ -315,6 +336,14 @@ impl MeshFollower {
         }
         self.go_on(left_from_right, left.size, right.size);
         report.residual_px = self.judge();
+        self.keep_instruments(overlap, report.is_new);
+        if report.is_new && self.instruments.is_any() && self.fit_first(stiffness, limit_px) {
+            // Without them the mesh lies behind them, and more of them is found.
+            self.go_on(left_from_right, left.size, right.size);
+            report.residual_px = self.judge();
+            self.keep_instruments(overlap, true);
+        }
+        self.show(left_from_right);
         report.is_held = false;
         self.publish(!report.is_new);
         report
@@ -390,15 +419,16 @@ impl MeshFollower {
     /// Finds the observations that lie inside the mesh and near the homography.
     fn locate(&mut self, reach_px: f64) {
         self.located.clear();
+        self.loose.clear();
         let (lattice, base) = (self.lattice, &self.base);
         let share = (WEIGHED_OBSERVATIONS / self.params.observations.max(1) as f64).powi(2);
-        for (index, seen) in self.observations.cells.iter().enumerate().filter(|(_, seen)| seen.weight > 0.0) {
+        for (index, seen) in self.observations.cells.iter().enumerate().filter(|(_, seen)| seen.weight != 0.0) {
             let Some((cell, t)) = lattice.cell_of(seen.at) else { continue };
             let at = lattice.interpolate(|vertex| base[vertex], cell, t);
             let shift = [seen.source[0] - at[0], seen.source[1] - at[1]];
-            if length(shift) <= reach_px {
-                self.located.push(Located { index, cell, t, shift, weight: share * f64::from(seen.weight) });
-            }
+            let located = Located { index, cell, t, shift, weight: share * f64::from(seen.weight.abs()) };
+            let counts = seen.weight > 0.0 && length(shift) <= reach_px;
+            if counts { &mut self.located } else { &mut self.loose }.push(located);
         }
     }
 
@@ -445,6 +475,18 @@ impl MeshFollower {
         (of_full(length), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
     }
 
+    /// Solves without a frame before.
+    fn fit_first(&mut self, stiffness: Stiffness, limit_px: f64) -> bool {
+        let [columns, rows] = [0, 1].map(|axis| self.solved[axis].len());
+        self.shift.clear();
+        self.shift.resize(self.lattice.len(), [0.0; 2]);
+        FIRST_PASSES.iter().all(|(stiffer, times)| {
+            let wanted = if *stiffer > 1.0 { FIRST_STIFFNESS.times(*stiffer) } else { stiffness };
+            self.energy.reset(columns, rows, wanted);
+            self.pass(times * limit_px, 0.0)
+        }) && self.settle(limit_px)
+    }
+
     /// Repeats a pass of a first fit until the mesh rests.
     fn settle(&mut self, limit_px: f64) -> bool {
         for _ in 0..SETTLE_PASSES {
@@ -464,6 +506,8 @@ impl MeshFollower {
     fn pass(&mut self, limit_px: f64, hold: f64) -> bool {
         self.energy.begin();
         let (lattice, shift, [columns, rows]) = (self.lattice, &self.shift, &self.solved);
+        let (has_instruments, along) = (self.instruments.is_any(), self.params.along);
+        let nearer = |off: Point| nearer_px(along, off);
         for seen in &self.located {
             let at = lattice.interpolate(|vertex| shift[vertex], seen.cell, seen.t);
             let square = ((seen.shift[0] - at[0]).powi(2) + (seen.shift[1] - at[1]).powi(2)) / (limit_px * limit_px);
@@ -472,7 +516,11 @@ impl MeshFollower {
                 && columns.contains(&(column + 1))
                 && rows.contains(&row)
                 && rows.contains(&(row + 1));
-            if square > MOST_SQUARE || !is_solved {
+            let is_instrument = || {
+                self.instruments.was_at(seen.index)
+                    && nearer([seen.shift[0] - at[0], seen.shift[1] - at[1]]) > FRONT_PX * limit_px
+            };
+            if square > MOST_SQUARE || !is_solved || (has_instruments && is_instrument()) {
                 continue;
             }
             let cell = (column - columns.start, row - rows.start);
@@ -543,11 +591,17 @@ impl MeshFollower {
         for border in self.borders(left_from_right, left, right).iter().flatten() {
             self.relax.apply(&mut self.drawn, &self.lattice, border, &how, [left_from_right, &back]);
         }
+    }
+
+    /// Makes the mesh rigid at instruments, and sets what is shown of the reference view.
+    fn show(&mut self, left_from_right: &Homography) {
+        self.rigid.straighten(&mut self.drawn, &self.base);
         if !self.params.moves_reference {
             return;
         }
         let fitted = Fitted { lattice: &self.lattice, base: &self.base, shift: &self.shift, there: left_from_right };
         fitted.find(&self.drawn, &mut self.shown);
+        self.rigid.keep_reference(&mut self.shown, &self.lattice);
     }
 
     /// Notes where the mesh and the observations differ. Returns the median distance, px.
@@ -555,6 +609,9 @@ impl MeshFollower {
         let Observations { cell_px, columns, rows, .. } = self.observations;
         let doubt = &mut self.mesh.doubt;
         doubt.reset(cell_px, columns, rows);
+        if self.params.keeps_instruments {
+            self.instruments.begin(cell_px, columns, rows);
+        }
         self.sorted.clear();
         for seen in &self.located {
             let (drawn, base, shift) = (&self.drawn, &self.base, &self.shift);
@@ -567,10 +624,41 @@ impl MeshFollower {
             let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
             doubt.mark(seen.index, off);
             self.sorted.push(length(off));
+            if self.params.keeps_instruments {
+                self.instruments.set(seen.index, nearer_px(self.params.along, off));
+            }
         }
         let scale = self.lattice.cell_px as f64 / self.params.cell_px;
         doubt.spread(self.params.margin_px * scale);
         median(&mut self.sorted)
+    }
+
+    /// Finds the instruments in front of the mesh, and where it must be rigid.
+    fn keep_instruments(&mut self, overlap: Rect, is_new: bool) {
+        if !self.params.keeps_instruments {
+            self.mesh.kept.clear();
+            return;
+        }
+        let scale = self.lattice.cell_px as f64 / self.params.cell_px;
+        for seen in &self.loose {
+            let at = self.lattice.interpolate(|vertex| self.shift[vertex], seen.cell, seen.t);
+            let nearer = nearer_px(self.params.along, [seen.shift[0] - at[0], seen.shift[1] - at[1]]);
+            // What lies behind the tissue, or on it, is a wrong match.
+            if nearer > LOOSE_PX * scale && nearer < MAX_NEARER_PX * scale {
+                self.instruments.set(seen.index, nearer);
+            }
+        }
+        let cell_px = self.observations.cell_px.max(1);
+        let cells = |low: usize, size: usize| [low / cell_px, (low + size).saturating_sub(1) / cell_px];
+        let how = Arrangement {
+            along: self.params.along,
+            scale,
+            shared: [cells(overlap.x, overlap.width), cells(overlap.y, overlap.height)],
+            factor: self.scaled.factor(),
+            margin_px: self.params.margin_px * scale,
+        };
+        self.instruments.find(&self.observations, &how, &self.hints, &mut self.mesh.kept);
+        self.rigid.update(&mut self.instruments, &how, &self.lattice, [&self.drawn, &self.base], is_new);
     }
 
     /// Makes the solution the mesh of this frame. A `steady` one that hardly differs from the mesh in force leaves it alone.
