@@ -1,20 +1,22 @@
 //! The mesh over time: fitted to each disparity map, steady while nothing moves, held while nothing is seen.
 
+mod gauge;
+mod whole;
+
 use std::ops::Range;
 
 use super::super::grid::RectifiedView;
 use super::border::{Border, borders};
 use super::energy::{Energy, Stiffness};
-use super::fitted::Fitted;
 use super::hints::InstrumentHints;
-use super::instruments::{Arrangement, Instruments, nearer_px};
+use super::instruments::{Instruments, nearer_px};
 use super::observe::{Observations, Sampling};
 use super::relax::{Continuation, Relax};
 use super::rigid::Rigid;
 use super::scaled::Scaled;
 use super::{Lattice, Mesh};
 use crate::geometry::{Homography, Point, overlap_roi};
-use crate::{Parallel, Rect, Simd, View};
+use crate::{Parallel, Simd, View};
 
 /// Columns of a view that lengths of [`MeshParams`] refer to.
 const REFERENCE_COLUMNS: f64 = 640.0;
@@ -24,10 +26,6 @@ const MARGIN_CELLS: f64 = 2.5;
 const SPARE_CELLS: i32 = 6;
 /// Vertices at most: a homography that needs more is no plausible one.
 const MOST_VERTICES: usize = 8192;
-/// Cells of observations per block, each way, in which motion is told from noise.
-const BLOCK_CELLS: usize = 4;
-/// Observations of a block that tells of motion.
-const LEAST_BLOCK: f64 = 4.0;
 /// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the sides towards which its camera
 /// stands, and on the others, where the perspective of far corners is no overlap.
 const BEYOND_CELLS: [f64; 2] = [1.0, 4.0];
@@ -62,9 +60,6 @@ const SOLVED_BEYOND_CELLS: f64 = 6.0;
 const DEAD_BAND_PX: f64 = 0.02;
 /// Share of the outlier limit from which on an observation where an instrument was does not count.
 const FRONT_PX: f64 = 0.35;
-/// Parallax that observations which the mesh does not follow may have where they show an instrument, px of a view of 640 columns.
-const LOOSE_PX: f64 = 8.0;
-const MAX_NEARER_PX: f64 = 240.0;
 /// The mesh starts afresh when the share of the lines in which nothing is observed falls by more than this: where it guessed it may be so far off that
 /// what is observed there now would pass for mistakes.
 const LESS_BLIND: f64 = 0.1;
@@ -432,49 +427,6 @@ impl MeshFollower {
         }
     }
 
-    /// See [`MeshReport::blind`].
-    fn blind(&mut self, overlap: Rect) -> f64 {
-        let Observations { cell_px, columns, rows, .. } = self.observations;
-        let by_rows = self.params.along[0] != 0.0;
-        let (count, first_px, size_px) =
-            if by_rows { (rows, overlap.y, overlap.height) } else { (columns, overlap.x, overlap.width) };
-        self.is_seen.clear();
-        self.is_seen.resize(count, false);
-        for seen in &self.located {
-            self.is_seen[if by_rows { seen.index / columns } else { seen.index % columns }] = true;
-        }
-        let lines = first_px.div_ceil(cell_px)..((first_px + size_px) / cell_px).min(count);
-        let shared = self.is_seen.get(lines).unwrap_or_default();
-        let seen = shared.iter().filter(|is_seen| **is_seen).count();
-        1.0 - seen as f64 / shared.len().max(1) as f64
-    }
-
-    /// Motion of the observations against the mesh of the frame before: the median over blocks of observations of their mean distance from it, px, and
-    /// the displacement that most of them share. Noise of matching averages out in a block, motion does not.
-    fn motion(&mut self) -> (f64, Point) {
-        let columns = self.observations.columns.div_ceil(BLOCK_CELLS);
-        let rows = self.observations.rows.div_ceil(BLOCK_CELLS);
-        self.blocks.clear();
-        self.blocks.resize(columns * rows, [0.0; 3]);
-        let (before, base) = (&self.before, &self.base);
-        for seen in &self.located {
-            let difference = |vertex: usize| [before[vertex][0] - base[vertex][0], before[vertex][1] - base[vertex][1]];
-            let old = self.lattice.interpolate(difference, seen.cell, seen.t);
-            let (x, y) = (seen.index % self.observations.columns, seen.index / self.observations.columns);
-            let block = &mut self.blocks[y / BLOCK_CELLS * columns + x / BLOCK_CELLS];
-            for (sum, value) in block.iter_mut().zip([seen.shift[0] - old[0], seen.shift[1] - old[1], 1.0]) {
-                *sum += value;
-            }
-        }
-        let mut of_full = |value: fn([f64; 2]) -> f64| {
-            self.sorted.clear();
-            let full = self.blocks.iter().filter(|block| block[2] >= LEAST_BLOCK);
-            self.sorted.extend(full.map(|[x, y, count]| value([x / count, y / count])));
-            median(&mut self.sorted)
-        };
-        (of_full(length), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
-    }
-
     /// Solves without a frame before.
     fn fit_first(&mut self, stiffness: Stiffness, limit_px: f64) -> bool {
         let [columns, rows] = [0, 1].map(|axis| self.solved[axis].len());
@@ -591,74 +543,6 @@ impl MeshFollower {
         for border in self.borders(left_from_right, left, right).iter().flatten() {
             self.relax.apply(&mut self.drawn, &self.lattice, border, &how, [left_from_right, &back]);
         }
-    }
-
-    /// Makes the mesh rigid at instruments, and sets what is shown of the reference view.
-    fn show(&mut self, left_from_right: &Homography) {
-        self.rigid.straighten(&mut self.drawn, &self.base);
-        if !self.params.moves_reference {
-            return;
-        }
-        let fitted = Fitted { lattice: &self.lattice, base: &self.base, shift: &self.shift, there: left_from_right };
-        fitted.find(&self.drawn, &mut self.shown);
-        self.rigid.keep_reference(&mut self.shown, &self.lattice);
-    }
-
-    /// Notes where the mesh and the observations differ. Returns the median distance, px.
-    fn judge(&mut self) -> f64 {
-        let Observations { cell_px, columns, rows, .. } = self.observations;
-        let doubt = &mut self.mesh.doubt;
-        doubt.reset(cell_px, columns, rows);
-        if self.params.keeps_instruments {
-            self.instruments.begin(cell_px, columns, rows);
-        }
-        self.sorted.clear();
-        for seen in &self.located {
-            let (drawn, base, shift) = (&self.drawn, &self.base, &self.shift);
-            // Where the reference view is drawn along, what counts is whether both views still fit.
-            let of = |vertex: usize| match self.params.moves_reference {
-                true => shift[vertex],
-                false => [drawn[vertex][0] - base[vertex][0], drawn[vertex][1] - base[vertex][1]],
-            };
-            let at = self.lattice.interpolate(of, seen.cell, seen.t);
-            let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
-            doubt.mark(seen.index, off);
-            self.sorted.push(length(off));
-            if self.params.keeps_instruments {
-                self.instruments.set(seen.index, nearer_px(self.params.along, off));
-            }
-        }
-        let scale = self.lattice.cell_px as f64 / self.params.cell_px;
-        doubt.spread(self.params.margin_px * scale);
-        median(&mut self.sorted)
-    }
-
-    /// Finds the instruments in front of the mesh, and where it must be rigid.
-    fn keep_instruments(&mut self, overlap: Rect, is_new: bool) {
-        if !self.params.keeps_instruments {
-            self.mesh.kept.clear();
-            return;
-        }
-        let scale = self.lattice.cell_px as f64 / self.params.cell_px;
-        for seen in &self.loose {
-            let at = self.lattice.interpolate(|vertex| self.shift[vertex], seen.cell, seen.t);
-            let nearer = nearer_px(self.params.along, [seen.shift[0] - at[0], seen.shift[1] - at[1]]);
-            // What lies behind the tissue, or on it, is a wrong match.
-            if nearer > LOOSE_PX * scale && nearer < MAX_NEARER_PX * scale {
-                self.instruments.set(seen.index, nearer);
-            }
-        }
-        let cell_px = self.observations.cell_px.max(1);
-        let cells = |low: usize, size: usize| [low / cell_px, (low + size).saturating_sub(1) / cell_px];
-        let how = Arrangement {
-            along: self.params.along,
-            scale,
-            shared: [cells(overlap.x, overlap.width), cells(overlap.y, overlap.height)],
-            factor: self.scaled.factor(),
-            margin_px: self.params.margin_px * scale,
-        };
-        self.instruments.find(&self.observations, &how, &self.hints, &mut self.mesh.kept);
-        self.rigid.update(&mut self.instruments, &how, &self.lattice, [&self.drawn, &self.base], is_new);
     }
 
     /// Makes the solution the mesh of this frame. A `steady` one that hardly differs from the mesh in force leaves it alone.

@@ -37,6 +37,17 @@ const BORDER_PX: f64 = 16.0;
 /// Cells at a border of a view that tell that an instrument is cut off by it.
 const MIN_CUT: usize = 2;
 
+/// Pieces that meet in unmatched cells are one instrument where those lie within so many cells of both.
+const MAX_CONTACT: u8 = 8;
+
+/// Cells at the border of the reference view, and at that of the other view.
+type Cut = [usize; 2];
+
+/// Whether neither view shows all of an instrument made of two pieces.
+fn is_cut_twice(a: Cut, b: Cut) -> bool {
+    (0..2).all(|view| a[view] + b[view] >= MIN_CUT)
+}
+
 /// One instrument over time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Track {
@@ -101,6 +112,8 @@ pub struct Instruments {
     depth: Vec<u8>,
     queue: Vec<usize>,
     line: Vec<u8>,
+    /// Of the instruments of this frame.
+    cuts: [Cut; MAX_INSTRUMENTS],
     tracks: [Track; MAX_INSTRUMENTS],
 }
 
@@ -186,12 +199,13 @@ impl Instruments {
         self.own.clear();
         self.own.resize(self.nearer.len(), 0);
         self.before.resize(self.nearer.len(), 0);
-        self.find_pieces(how, hints);
+        self.cuts = Default::default();
+        self.find_pieces(observations, how, hints);
         self.sure.clone_from(&self.own);
         self.add_unmatched(how, hints);
         self.join_pieces();
         self.keep_missing();
-        self.choose(observations, how);
+        self.choose(how);
         self.draw(how);
         self.keep_views(how, kept);
     }
@@ -205,7 +219,7 @@ impl Instruments {
     }
 
     /// Sets `own` where matched cells make up an instrument.
-    fn find_pieces(&mut self, how: &Arrangement, hints: &InstrumentHints) {
+    fn find_pieces(&mut self, observations: &Observations, how: &Arrangement, hints: &InstrumentHints) {
         let [seed, hinted_seed, grow, step] =
             [SEED_PX, HINTED_SEED_PX, GROW_PX, MAX_STEP_PX].map(|px| px * how.scale as f32);
         let most = (MAX_SHARE * self.own.len() as f64) as usize;
@@ -237,7 +251,7 @@ impl Instruments {
                         }
                         let other = self.nearer[to];
                         let cells = column.abs_diff(x).max(row.abs_diff(y)) as f32;
-                        let is_near = other >= grow && !((other - nearer).abs() > step * cells);
+                        let is_near = other >= grow && (nearer.is_nan() || (other - nearer).abs() <= step * cells);
                         if is_near || (!hints.is_empty() && self.hint(to, how, hints) == Hint::Certain) {
                             self.is_visited[to] = true;
                             piece.push(to);
@@ -246,20 +260,49 @@ impl Instruments {
                 }
             }
             if (seeds >= MIN_SEEDS || hinted >= MIN_HINTED_SEEDS) && piece.len() <= most {
-                self.number(&piece);
+                let cut = self.cut_of(&piece, observations, how);
+                self.number(&piece, cut);
             }
             self.queue = piece;
         }
     }
 
+    /// Whether a cell lies at the border of the reference view beyond which the other view reaches.
+    fn is_at_border(&self, place: [usize; 2], how: &Arrangement) -> bool {
+        let border = (BORDER_PX * how.scale / self.cell_px as f64).round().max(1.0) as usize;
+        let (place, size) = (place[how.axis()], [self.columns, self.rows][how.axis()]);
+        if how.is_beyond_end() { place + border >= size } else { place < border }
+    }
+
+    /// Where borders of views cut a piece off.
+    fn cut_of(&self, piece: &[usize], observations: &Observations, how: &Arrangement) -> Cut {
+        let axis = how.axis();
+        let size = [self.columns, self.rows][axis];
+        let border_px = BORDER_PX * how.scale;
+        let mut cut = [0; 2];
+        for cell in piece {
+            cut[0] += usize::from(self.is_at_border([cell % self.columns, cell / self.columns], how));
+            let seen = &observations.cells[*cell];
+            if seen.weight != 0.0 {
+                let source = seen.source[axis];
+                let far = if how.is_beyond_end() { source } else { (size * self.cell_px) as f64 - source };
+                cut[1] += usize::from(far < border_px);
+            }
+        }
+        cut
+    }
+
     /// Gives the cells of a piece the number of the instrument that was there, or a new one.
-    fn number(&mut self, piece: &[usize]) {
+    fn number(&mut self, piece: &[usize], cut: Cut) {
         let mut votes = [0usize; MAX_INSTRUMENTS + 1];
         for cell in piece {
             votes[self.before[*cell] as usize] += 1;
         }
         let least = ((MIN_VOTES * piece.len() as f64) as usize).max(1);
-        let takes_part = |label: usize| label > 0 && votes[label] >= least;
+        let cuts = self.cuts;
+        // An instrument that reaches to the borders of both views is two.
+        let fits = |label: usize| !is_cut_twice(cuts[label - 1], cut) || is_cut_twice(cuts[label - 1], [0; 2]);
+        let takes_part = |label: usize| label > 0 && votes[label] >= least && fits(label);
         let best = (1..=MAX_INSTRUMENTS).filter(|label| takes_part(*label)).max_by_key(|label| votes[*label]);
         let Some(best) = best else {
             let Some(free) = self.tracks.iter().position(|track| track.view == Kept::Free && track.shift.is_none())
@@ -269,8 +312,12 @@ impl Instruments {
             // Marked as used until its view is chosen.
             self.tracks[free].shift = Some([f64::NAN; 2]);
             piece.iter().for_each(|cell| self.own[*cell] = free as u8 + 1);
+            self.cuts[free] = cut;
             return;
         };
+        for (sum, cells) in self.cuts[best - 1].iter_mut().zip(cut) {
+            *sum += cells;
+        }
         // Instruments that touch, and are shown by different views, stay two.
         let view = self.tracks[best - 1].view;
         let is_two = |label: usize| takes_part(label) && self.tracks[label - 1].view != view;
@@ -336,6 +383,8 @@ impl Instruments {
                     let step = u8::from(self.hint(to, how, hints) == Hint::Nothing);
                     self.depth[to] = self.depth[cell] + step;
                     self.queue.push(to);
+                    let place = [to % self.columns, to / self.columns];
+                    self.cuts[self.own[to] as usize - 1][0] += usize::from(self.is_at_border(place, how));
                 }
             }
         }
@@ -343,6 +392,7 @@ impl Instruments {
 
     /// Makes one instrument of those that touch, as jaws do, unless different views show them.
     fn join_pieces(&mut self) {
+        let mut cuts = self.cuts;
         let mut same: [u8; MAX_INSTRUMENTS + 1] = std::array::from_fn(|label| label as u8);
         for (cell, here) in self.own.iter().enumerate().filter(|(_, label)| **label != 0) {
             let (x, y) = (cell % self.columns, cell / self.columns);
@@ -351,18 +401,25 @@ impl Instruments {
             let wide = self.columns;
             for near in rows.flat_map(|row| columns.clone().map(move |column| row * wide + column)) {
                 let there = self.own[near];
+                if self.depth[cell] + self.depth[near] > MAX_CONTACT {
+                    continue;
+                }
                 let [a, b] = [*here, there].map(|label| same[label as usize]);
                 if there == 0 || a == b {
                     continue;
                 }
                 let views = [a, b].map(|label| self.tracks[label as usize - 1].view);
-                if views[0] == views[1] || views.contains(&Kept::Free) {
+                let is_two = is_cut_twice(cuts[a as usize - 1], cuts[b as usize - 1]);
+                if !is_two && (views[0] == views[1] || views.contains(&Kept::Free)) {
                     // The one that has a view stays.
                     let (stays, goes) = if views[0] == Kept::Free { (b, a) } else { (a, b) };
                     same.iter_mut().filter(|label| **label == goes).for_each(|label| *label = stays);
+                    let gone = std::mem::take(&mut cuts[goes as usize - 1]);
+                    cuts[stays as usize - 1].iter_mut().zip(gone).for_each(|(sum, cells)| *sum += cells);
                 }
             }
         }
+        self.cuts = cuts;
         for label in 1..=MAX_INSTRUMENTS {
             if same[label] != label as u8 {
                 self.tracks[label - 1] = Track::default();
@@ -396,27 +453,13 @@ impl Instruments {
     }
 
     /// Chooses the view that shows each instrument: the one that does not cut it off, and else the one that showed it before.
-    fn choose(&mut self, observations: &Observations, how: &Arrangement) {
+    fn choose(&mut self, how: &Arrangement) {
         let axis = how.axis();
-        let size = [self.columns, self.rows];
-        // Cells at the border of either view, and sums for the direction: count, first and second moments.
-        let mut cut = [[0usize; 2]; MAX_INSTRUMENTS];
+        // Count, first and second moments.
         let mut sums = [[0.0f64; 6]; MAX_INSTRUMENTS];
-        let border_px = BORDER_PX * how.scale;
-        let border = (border_px / self.cell_px as f64).round() as usize;
         for (cell, label) in self.own.iter().enumerate().filter(|(_, label)| **label != 0) {
             let index = *label as usize - 1;
             let place = [cell % self.columns, cell / self.columns];
-            let at_end = |place: usize, count: usize, is_end: bool| {
-                if is_end { place + border >= count } else { place < border.max(1) }
-            };
-            cut[index][0] += usize::from(at_end(place[axis], size[axis], how.is_beyond_end()));
-            let seen = &observations.cells[cell];
-            if seen.weight != 0.0 {
-                let source = seen.source[axis];
-                let far = if how.is_beyond_end() { source } else { (size[axis] * self.cell_px) as f64 - source };
-                cut[index][1] += usize::from(far < border_px);
-            }
             let (a, b) = (place[axis] as f64, place[1 - axis] as f64);
             let terms = [1.0, a, b, a * a, a * b, b * b];
             sums[index].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
@@ -427,13 +470,14 @@ impl Instruments {
             if count == 0.0 {
                 continue;
             }
-            let [by_reference, by_other] = cut[index].map(|cells| cells >= MIN_CUT);
+            let cut = self.cuts[index];
+            let [by_reference, by_other] = cut.map(|cells| cells >= MIN_CUT);
             let middle = 0.5 * (low + high) as f64;
             let is_beyond_middle = (a / count > middle) == how.is_beyond_end();
             let wanted = match (by_reference, by_other, track.view) {
                 (true, false, _) => Kept::Other,
                 (false, true, _) => Kept::Reference,
-                (_, _, Kept::Free) if by_reference && cut[index][0] >= cut[index][1] => Kept::Other,
+                (_, _, Kept::Free) if by_reference && cut[0] >= cut[1] => Kept::Other,
                 (false, false, Kept::Free) if is_beyond_middle => Kept::Other,
                 (_, _, Kept::Free) => Kept::Reference,
                 (_, _, view) => view,
@@ -447,7 +491,9 @@ impl Instruments {
             }
             let (aa, ab, bb) = (aa - a * a / count, ab - a * b / count, bb - b * b / count);
             let turn = 0.5 * (2.0 * ab).atan2(aa - bb);
-            track.slope = by_reference.then(|| turn.tan().clamp(-1.5, 1.5));
+            if track.missing_frames == 0 {
+                track.slope = by_reference.then(|| turn.tan().clamp(-1.5, 1.5));
+            }
         }
     }
 
