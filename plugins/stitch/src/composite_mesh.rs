@@ -4,8 +4,8 @@ use panoscope_imaging::geometry;
 use panoscope_imaging::stitch::{Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners};
 use panoscope_node::abi::{self, Calibration, Camera, Homography, Roi, Scalar};
 use panoscope_node::{
-    Bgr8, Context, Disparity, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData,
-    TextPacket, Validation, Value, View, error,
+    Bgr8, Context, Detections, Disparity, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot,
+    TableData, TextPacket, Validation, Value, View, error,
 };
 
 use crate::calibrated_views::{CalibratedViews, check_map};
@@ -41,6 +41,12 @@ pub struct CompositeMeshParams {
     /// Weight of the mesh of the frame before while nothing moves; 0 fits each frame anew.
     #[param(default = 10.0, range = 0.0..=1000.0, step = 1.0, unit = "ratio")]
     steady: f64,
+    /// Shows each instrument in front of the tissue whole, by one of the views, and does not bend it; for `left` and `right`.
+    #[param(default = true)]
+    instruments: bool,
+    /// Lowest score of a box at `detections`.
+    #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    min_score: f32,
     /// Number of `views` side by side in one row of cameras, which stand one baseline apart with parallel axes.
     #[param(default = 2, range = 1..=8)]
     camera_columns: u32,
@@ -61,6 +67,7 @@ impl CompositeMeshParams {
             slope: self.fade,
             outlier_px: self.outlier_px,
             hold_still: self.steady,
+            keeps_instruments: is_pair && self.instruments,
             ..MeshParams::default()
         }
     }
@@ -80,6 +87,11 @@ pub struct In<'f> {
     disparity: Option<Image<'f, Disparity>>,
     /// Calibration of the views. Unconnected, they are taken as rectified.
     calibration: Option<Value<'f, Calibration>>,
+    /// Boxes of instruments in the left view, if there is a detector: what lies in front of the tissue there is an instrument sooner. Those of an
+    /// earlier picture will do.
+    detections: Option<Detections<'f>>,
+    /// Nonzero on instruments in the left view, if something finds their outlines.
+    mask: Option<Image<'f, Mask>>,
     /// Two to eight views instead of `left` and `right`, row by row, of cameras one baseline apart with parallel axes.
     views: Option<List<'f, Image<'f, Bgr8>>>,
     /// One homography for each further view of `views`, which maps its pixels to the first view's.
@@ -239,6 +251,34 @@ impl CompositeMesh {
         Ok(Some(self.followers[view - 1].update(disparity, &first, &other, &map, cx.pool())))
     }
 
+    /// Tells the follower of a pair what a detector says about instruments.
+    fn hint(&mut self, input: &In<'_>, min_score: f32, (width, height): (usize, usize)) -> Result<()> {
+        let hints = self.followers[0].hints_mut();
+        hints.clear();
+        if let Some(found) = &input.detections {
+            let (of_width, of_height) = found.image_size();
+            if of_width > 0 && of_height > 0 {
+                let grow = [width as f64 / of_width as f64, height as f64 / of_height as f64];
+                for item in found.items().iter().filter(|item| item.score >= min_score) {
+                    let at = [item.x_px, item.y_px].map(f64::from);
+                    let size = [item.width_px, item.height_px].map(f64::from);
+                    hints.push_box([0, 1].map(|k| at[k] * grow[k]), [0, 1].map(|k| size[k] * grow[k]));
+                }
+            }
+        }
+        if let Some(mask) = &input.mask {
+            let mask = mask.view();
+            if (mask.width, mask.height) != (width, height) {
+                return Err(error!(
+                    "`mask` is {}x{}, the left view {width}x{height}: connect a mask of the left view",
+                    mask.width, mask.height
+                ));
+            }
+            hints.add_mask(mask);
+        }
+        Ok(())
+    }
+
     /// Brings all meshes up to this tick.
     fn follow_all(
         &mut self,
@@ -265,6 +305,9 @@ impl CompositeMesh {
             let columns = if input.views.is_some() { params.camera_columns as usize } else { 2 };
             let along = [view % columns, view / columns].map(|steps| steps as f64);
             self.followers[view - 1].set_params(params.mesh(along, input.views.is_none()));
+            if view == 1 {
+                self.hint(input, params.min_score, size)?;
+            }
             if let Some(report) = self.follow(cx, (scene, view), disparity, input.calibration.as_deref())? {
                 all = Some(all.map_or(report, |others| worst(others, report)));
             }

@@ -5,4 +5,5 @@ mod composite_lost;
 mod composite_mesh;
 mod device;
 mod errors;
+mod instruments;
 mod mosaic;

@@ -39,7 +39,7 @@ pub use compositor::Compositor;
 pub use drawing::{Drawing, DrawnMesh, DrawnView, Painter, Runs};
 pub use graph_cut::GridCut;
 pub use grid::{CellPoint, GridParams, GridRegistration, RectifiedView, RegisterGrid};
-pub use mesh::{Lattice, Mesh, MeshFollower, MeshParams, MeshReport};
+pub use mesh::{InstrumentHints, Keep, Kept, Lattice, Mesh, MeshFollower, MeshParams, MeshReport};
 pub use params::{
     BlendMethod, BorderMethod, Canvas, CompositeError, CompositeParams, CompositeReport, CropMethod, ExposureMethod,
     GeometryFault, GeometryState, MAX_VIEWS, SeamCost, SeamMethod,

@@ -124,6 +124,7 @@ impl Layers {
             let step = &mut self.steps[k];
             step.seam.resize(canvas.width.div_ceil(scale), canvas.height.div_ceil(scale));
             self.joined.measure(taps, &gain, &mut step.seam, pool);
+            step.seam.keep(self.meshes[k].given(), canvas, scale);
             if step.seam.is_due(params, may_learn) {
                 step.seam.doubt(self.meshes[k].given(), self.meshes[0].given(), canvas, scale);
             }

@@ -1,7 +1,7 @@
 //! The seam between the pictures joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
 
 use super::graph_cut::GridCut;
-use super::mesh::{Mesh, length};
+use super::mesh::{Keep, Kept, Mesh, length};
 use super::params::{Canvas, CompositeParams, SeamCost, SeamMethod};
 
 /// What covers a cell: bit 0 the pictures so far, bit 1 the new view.
@@ -19,6 +19,9 @@ const LENGTH_LEVELS: f32 = 1.0;
 const DOUBT_LEVELS: f32 = 4.0;
 /// Doubt per pixel by which the reference view is moved.
 const MOVED_DOUBT: f32 = 1.0;
+/// Levels that a cell costs whose view is not the one that must show it: more than any seam around it, but where an instrument is only likely.
+const KEPT_LEVELS: f32 = 2000.0;
+const LIKELY_LEVELS: f32 = 6.0;
 /// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
 const RIM: f32 = 3.0;
 
@@ -39,6 +42,17 @@ fn moved_px(reference: &Mesh, [low, high]: [[f64; 2]; 2], at: [f64; 2]) -> f64 {
     most
 }
 
+/// Whether a cell must be shown by the new view, or by those before, and what it costs if it is not, levels; `None` where either may.
+fn must_take(kept: &[Keep], cell: usize) -> Option<(bool, f32)> {
+    let Keep { view, is_sure } = *kept.get(cell)?;
+    let levels = if is_sure { KEPT_LEVELS } else { LIKELY_LEVELS };
+    match view {
+        Kept::Reference => Some((false, levels)),
+        Kept::Other => Some((true, levels)),
+        Kept::Free => None,
+    }
+}
+
 /// Which cells show the new view rather than those before it.
 #[derive(Debug, Default)]
 pub struct Seam {
@@ -54,6 +68,8 @@ pub struct Seam {
     pub gradient: Vec<f32>,
     /// Cost per cell beside the colours, levels: how uncertain it is that the views match there.
     doubt: Vec<f32>,
+    /// The view that must show each cell; empty where all are free.
+    kept: Vec<Keep>,
     /// 1 where the new view is shown.
     pub take: Vec<u8>,
     known: bool,
@@ -80,6 +96,7 @@ impl Seam {
         self.path_from.reserve(path.saturating_sub(self.path_from.len()));
         self.path.reserve(columns.max(rows).saturating_sub(self.path.len()));
         self.changes.reserve(rows.saturating_sub(self.changes.len()));
+        self.kept.reserve((columns * rows).saturating_sub(self.kept.len()));
         cut.reserve(columns * rows);
     }
 
@@ -115,6 +132,24 @@ impl Seam {
                 self.doubt[y * self.columns + x] = DOUBT_LEVELS * doubt_px;
             }
         }
+    }
+
+    /// Takes over which view must show each cell, so that instruments are whole. To be called after [`Seam::resize`].
+    pub fn keep(&mut self, mesh: Option<&Mesh>, canvas: Canvas, scale: usize) {
+        self.kept.clear();
+        let Some(mesh) = mesh.filter(|mesh| mesh.keeps_any()) else { return };
+        for y in 0..self.rows {
+            let middle = |cell: usize, origin: i32| (cell as f32 + 0.5) * scale as f32 - origin as f32;
+            let row = middle(y, canvas.top);
+            self.kept.extend((0..self.columns).map(|x| mesh.kept_at([middle(x, canvas.left), row])));
+        }
+    }
+
+    /// Whether a cell of the overlap that is known to show an instrument shows the wrong view.
+    fn is_cut(&self) -> bool {
+        let must = |cell: usize| must_take(&self.kept, cell).filter(|_| self.kept[cell].is_sure);
+        let is_wrong = |cell: usize| must(cell).is_some_and(|(new, _)| new != (self.take[cell] == 1));
+        (0..self.kept.len()).any(|cell| self.class[cell] == BOTH && is_wrong(cell))
     }
 
     /// Mean colour difference at the cells on both sides of the seam inside the overlap, levels.
@@ -159,7 +194,7 @@ impl Seam {
     pub fn is_due(&self, params: &CompositeParams, may_find: bool) -> bool {
         let is_old = self.age_frames.saturating_add(1) >= params.seam_interval_frames.max(1)
             || self.cost_along() > self.cost_found * params.seam_cost_growth.max(1.0) + 2.0;
-        !self.known || (may_find && is_old)
+        !self.known || (may_find && (is_old || self.is_cut()))
     }
 
     fn label(
@@ -256,6 +291,11 @@ impl Seam {
                 if self.class[p] != BOTH {
                     continue;
                 }
+                if let Some((is_new, levels)) = must_take(&self.kept, p) {
+                    let kept = (levels * UNIT) as i32;
+                    let [base, new] = if is_new { [0, kept] } else { [kept, 0] };
+                    cut.add_terminal(node, base, new);
+                }
                 let bias = (hold * UNIT) as i32;
                 if self.take[p] == 0 {
                     cut.add_terminal(node, bias, 0);
@@ -341,14 +381,24 @@ impl Seam {
             };
             let above = last.and_then(|l| range(&self.class, l).map(|r| (l, r)));
             first = first.or(Some(line));
+            // Levels of the cells that show the wrong view when all lie behind the crossing; then one after the other lies before it.
+            let (kept, class) = (&self.kept, &self.class);
+            let is_wrong = |c: usize, is_behind: bool| {
+                let must = must_take(kept, index(line, c)).filter(|_| class[index(line, c)] == BOTH);
+                must.filter(|(new, _)| *new != (is_behind == new_last)).map_or(0.0, |(_, levels)| levels)
+            };
+            let mut wrong: f32 = if self.kept.is_empty() { 0.0 } else { (low..high).map(|c| is_wrong(c, true)).sum() };
             for x in low..=high {
+                if x > low && !self.kept.is_empty() {
+                    wrong += is_wrong(x - 1, false) - is_wrong(x - 1, true);
+                }
                 let mut own = match x {
                     x if x == low => RIM * (2.0 * self.weight[index(line, low)] + LENGTH_LEVELS),
                     x if x == high => RIM * (2.0 * self.weight[index(line, high - 1)] + LENGTH_LEVELS),
                     _ => self.weight[index(line, x - 1)] + self.weight[index(line, x)] + LENGTH_LEVELS,
                 };
                 let changed = (low..high).filter(|c| (self.take[index(line, *c)] == 1) != ((*c >= x) == new_last));
-                own += hold * changed.count() as f32;
+                own += hold * changed.count() as f32 + wrong;
                 let mut best = (0.0, x as u32);
                 if let Some((l, (from, to))) = above {
                     best = (f32::MAX, from as u32);

@@ -1,17 +1,22 @@
 //! The mesh over time: fitted to each disparity map, steady while nothing moves, held while nothing is seen.
 
+mod gauge;
+mod whole;
+
 use std::ops::Range;
 
 use super::super::grid::RectifiedView;
 use super::border::{Border, borders};
 use super::energy::{Energy, Stiffness};
-use super::fitted::Fitted;
+use super::hints::InstrumentHints;
+use super::instruments::{Instruments, nearer_px};
 use super::observe::{Observations, Sampling};
 use super::relax::{Continuation, Relax};
+use super::rigid::Rigid;
 use super::scaled::Scaled;
 use super::{Lattice, Mesh};
 use crate::geometry::{Homography, Point, overlap_roi};
-use crate::{Parallel, Rect, Simd, View};
+use crate::{Parallel, Simd, View};
 
 /// Columns of a view that lengths of [`MeshParams`] refer to.
 const REFERENCE_COLUMNS: f64 = 640.0;
@@ -21,10 +26,6 @@ const MARGIN_CELLS: f64 = 2.5;
 const SPARE_CELLS: i32 = 6;
 /// Vertices at most: a homography that needs more is no plausible one.
 const MOST_VERTICES: usize = 8192;
-/// Cells of observations per block, each way, in which motion is told from noise.
-const BLOCK_CELLS: usize = 4;
-/// Observations of a block that tells of motion.
-const LEAST_BLOCK: f64 = 4.0;
 /// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the sides towards which its camera
 /// stands, and on the others, where the perspective of far corners is no overlap.
 const BEYOND_CELLS: [f64; 2] = [1.0, 4.0];
@@ -57,6 +58,8 @@ const SETTLED_PX: f64 = 0.2;
 const SOLVED_BEYOND_CELLS: f64 = 6.0;
 /// A mesh that moves by less than this stays as it is, px of the pictures: what follows from it need not be computed again.
 const DEAD_BAND_PX: f64 = 0.02;
+/// Share of the outlier limit from which on an observation where an instrument was does not count.
+const FRONT_PX: f64 = 0.35;
 /// The mesh starts afresh when the share of the lines in which nothing is observed falls by more than this: where it guessed it may be so far off that
 /// what is observed there now would pass for mistakes.
 const LESS_BLIND: f64 = 0.1;
@@ -99,6 +102,8 @@ pub struct MeshParams {
     pub reach_px: f64,
     /// Observations below which the mesh is held.
     pub least_observations: usize,
+    /// Finds instruments in front of the tissue, tells which view must show each, and does not bend it there; for two views.
+    pub keeps_instruments: bool,
     /// Draws the reference view along in the zone, by [`MeshFollower::reference_mesh`], so that both views fit there too.
     pub moves_reference: bool,
     /// Where the other camera stands, in units of the baseline of the disparity: `[1, 0]` for the right one of a pair, `[0, 1]` for one as far below
@@ -126,6 +131,7 @@ impl Default for MeshParams {
             jump_px: 12.0,
             reach_px: 96.0,
             least_observations: 24,
+            keeps_instruments: true,
             moves_reference: true,
             along: [1.0, 0.0],
         }
@@ -186,6 +192,11 @@ pub struct MeshFollower {
     before: Vec<Point>,
     observations: Observations,
     located: Vec<Located>,
+    /// Observations that the mesh does not follow: far from the homography, or few. They may show an instrument.
+    loose: Vec<Located>,
+    hints: InstrumentHints,
+    instruments: Instruments,
+    rigid: Rigid,
     blocks: Vec<[f64; 3]>,
     sorted: Vec<f64>,
     is_seen: Vec<bool>,
@@ -212,12 +223,20 @@ impl MeshFollower {
         self.params = params;
     }
 
+    /// What a detector says about instruments, until it is changed.
+    pub fn hints_mut(&mut self) -> &mut InstrumentHints {
+        &mut self.hints
+    }
+
     /// Forgets the mesh.
     pub fn reset(&mut self) {
         self.lattice = Lattice::default();
         self.mesh.lattice = self.lattice;
         self.mesh.source.clear();
+        self.mesh.kept.clear();
         self.reference.source.clear();
+        self.instruments.forget();
+        self.rigid.forget();
         self.scaled.clear();
     }
 
@@ -262,11 +281,13 @@ impl MeshFollower {
         self.observations.keep_patches(p.least_patch);
         self.locate(p.reach_px * scale);
         report.observations = self.located.len();
-        report.blind = self.blind(overlap_roi(left_from_right, right.size.0, right.size.1, left.size.0, left.size.1));
+        let overlap = overlap_roi(left_from_right, right.size.0, right.size.1, left.size.0, left.size.1);
+        report.blind = self.blind(overlap);
         if self.located.len() < p.least_observations {
             if !report.is_new {
                 self.shift.clone_from(&self.shift_before);
                 self.go_on(left_from_right, left.size, right.size);
+                self.show(left_from_right);
                 self.publish(false);
             }
             return report;
@@ -288,13 +309,8 @@ impl MeshFollower {
         let stiffness = Stiffness { bend: p.bend, slope: p.slope, place: 1e-4 };
         let limit_px = p.outlier_px * scale;
         let solved = if report.is_new {
-            self.shift.clear();
-            self.shift.resize(lattice.len(), [0.0; 2]);
-            FIRST_PASSES.iter().all(|(stiffer, times)| {
-                let wanted = if *stiffer > 1.0 { FIRST_STIFFNESS.times(*stiffer) } else { stiffness };
-                self.energy.reset(columns, rows, wanted);
-                self.pass(times * limit_px, 0.0)
-            }) && self.settle(limit_px)
+            self.instruments.forget();
+            self.fit_first(stiffness, limit_px)
         } else {
             self.energy.reset(columns, rows, stiffness);
             let still = 1.0 / (1.0 + (report.motion_px / (p.still_px * scale)).powi(4));
@@ -315,6 +331,14 @@ impl MeshFollower {
         }
         self.go_on(left_from_right, left.size, right.size);
         report.residual_px = self.judge();
+        self.keep_instruments(overlap, report.is_new);
+        if report.is_new && self.instruments.is_any() && self.fit_first(stiffness, limit_px) {
+            // Without them the mesh lies behind them, and more of them is found.
+            self.go_on(left_from_right, left.size, right.size);
+            report.residual_px = self.judge();
+            self.keep_instruments(overlap, true);
+        }
+        self.show(left_from_right);
         report.is_held = false;
         self.publish(!report.is_new);
         report
@@ -390,59 +414,29 @@ impl MeshFollower {
     /// Finds the observations that lie inside the mesh and near the homography.
     fn locate(&mut self, reach_px: f64) {
         self.located.clear();
+        self.loose.clear();
         let (lattice, base) = (self.lattice, &self.base);
         let share = (WEIGHED_OBSERVATIONS / self.params.observations.max(1) as f64).powi(2);
-        for (index, seen) in self.observations.cells.iter().enumerate().filter(|(_, seen)| seen.weight > 0.0) {
+        for (index, seen) in self.observations.cells.iter().enumerate().filter(|(_, seen)| seen.weight != 0.0) {
             let Some((cell, t)) = lattice.cell_of(seen.at) else { continue };
             let at = lattice.interpolate(|vertex| base[vertex], cell, t);
             let shift = [seen.source[0] - at[0], seen.source[1] - at[1]];
-            if length(shift) <= reach_px {
-                self.located.push(Located { index, cell, t, shift, weight: share * f64::from(seen.weight) });
-            }
+            let located = Located { index, cell, t, shift, weight: share * f64::from(seen.weight.abs()) };
+            let counts = seen.weight > 0.0 && length(shift) <= reach_px;
+            if counts { &mut self.located } else { &mut self.loose }.push(located);
         }
     }
 
-    /// See [`MeshReport::blind`].
-    fn blind(&mut self, overlap: Rect) -> f64 {
-        let Observations { cell_px, columns, rows, .. } = self.observations;
-        let by_rows = self.params.along[0] != 0.0;
-        let (count, first_px, size_px) =
-            if by_rows { (rows, overlap.y, overlap.height) } else { (columns, overlap.x, overlap.width) };
-        self.is_seen.clear();
-        self.is_seen.resize(count, false);
-        for seen in &self.located {
-            self.is_seen[if by_rows { seen.index / columns } else { seen.index % columns }] = true;
-        }
-        let lines = first_px.div_ceil(cell_px)..((first_px + size_px) / cell_px).min(count);
-        let shared = self.is_seen.get(lines).unwrap_or_default();
-        let seen = shared.iter().filter(|is_seen| **is_seen).count();
-        1.0 - seen as f64 / shared.len().max(1) as f64
-    }
-
-    /// Motion of the observations against the mesh of the frame before: the median over blocks of observations of their mean distance from it, px, and
-    /// the displacement that most of them share. Noise of matching averages out in a block, motion does not.
-    fn motion(&mut self) -> (f64, Point) {
-        let columns = self.observations.columns.div_ceil(BLOCK_CELLS);
-        let rows = self.observations.rows.div_ceil(BLOCK_CELLS);
-        self.blocks.clear();
-        self.blocks.resize(columns * rows, [0.0; 3]);
-        let (before, base) = (&self.before, &self.base);
-        for seen in &self.located {
-            let difference = |vertex: usize| [before[vertex][0] - base[vertex][0], before[vertex][1] - base[vertex][1]];
-            let old = self.lattice.interpolate(difference, seen.cell, seen.t);
-            let (x, y) = (seen.index % self.observations.columns, seen.index / self.observations.columns);
-            let block = &mut self.blocks[y / BLOCK_CELLS * columns + x / BLOCK_CELLS];
-            for (sum, value) in block.iter_mut().zip([seen.shift[0] - old[0], seen.shift[1] - old[1], 1.0]) {
-                *sum += value;
-            }
-        }
-        let mut of_full = |value: fn([f64; 2]) -> f64| {
-            self.sorted.clear();
-            let full = self.blocks.iter().filter(|block| block[2] >= LEAST_BLOCK);
-            self.sorted.extend(full.map(|[x, y, count]| value([x / count, y / count])));
-            median(&mut self.sorted)
-        };
-        (of_full(length), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
+    /// Solves without a frame before.
+    fn fit_first(&mut self, stiffness: Stiffness, limit_px: f64) -> bool {
+        let [columns, rows] = [0, 1].map(|axis| self.solved[axis].len());
+        self.shift.clear();
+        self.shift.resize(self.lattice.len(), [0.0; 2]);
+        FIRST_PASSES.iter().all(|(stiffer, times)| {
+            let wanted = if *stiffer > 1.0 { FIRST_STIFFNESS.times(*stiffer) } else { stiffness };
+            self.energy.reset(columns, rows, wanted);
+            self.pass(times * limit_px, 0.0)
+        }) && self.settle(limit_px)
     }
 
     /// Repeats a pass of a first fit until the mesh rests.
@@ -464,6 +458,8 @@ impl MeshFollower {
     fn pass(&mut self, limit_px: f64, hold: f64) -> bool {
         self.energy.begin();
         let (lattice, shift, [columns, rows]) = (self.lattice, &self.shift, &self.solved);
+        let (has_instruments, along) = (self.instruments.is_any(), self.params.along);
+        let nearer = |off: Point| nearer_px(along, off);
         for seen in &self.located {
             let at = lattice.interpolate(|vertex| shift[vertex], seen.cell, seen.t);
             let square = ((seen.shift[0] - at[0]).powi(2) + (seen.shift[1] - at[1]).powi(2)) / (limit_px * limit_px);
@@ -472,7 +468,11 @@ impl MeshFollower {
                 && columns.contains(&(column + 1))
                 && rows.contains(&row)
                 && rows.contains(&(row + 1));
-            if square > MOST_SQUARE || !is_solved {
+            let is_instrument = || {
+                self.instruments.was_at(seen.index)
+                    && nearer([seen.shift[0] - at[0], seen.shift[1] - at[1]]) > FRONT_PX * limit_px
+            };
+            if square > MOST_SQUARE || !is_solved || (has_instruments && is_instrument()) {
                 continue;
             }
             let cell = (column - columns.start, row - rows.start);
@@ -543,34 +543,6 @@ impl MeshFollower {
         for border in self.borders(left_from_right, left, right).iter().flatten() {
             self.relax.apply(&mut self.drawn, &self.lattice, border, &how, [left_from_right, &back]);
         }
-        if !self.params.moves_reference {
-            return;
-        }
-        let fitted = Fitted { lattice: &self.lattice, base: &self.base, shift: &self.shift, there: left_from_right };
-        fitted.find(&self.drawn, &mut self.shown);
-    }
-
-    /// Notes where the mesh and the observations differ. Returns the median distance, px.
-    fn judge(&mut self) -> f64 {
-        let Observations { cell_px, columns, rows, .. } = self.observations;
-        let doubt = &mut self.mesh.doubt;
-        doubt.reset(cell_px, columns, rows);
-        self.sorted.clear();
-        for seen in &self.located {
-            let (drawn, base, shift) = (&self.drawn, &self.base, &self.shift);
-            // Where the reference view is drawn along, what counts is whether both views still fit.
-            let of = |vertex: usize| match self.params.moves_reference {
-                true => shift[vertex],
-                false => [drawn[vertex][0] - base[vertex][0], drawn[vertex][1] - base[vertex][1]],
-            };
-            let at = self.lattice.interpolate(of, seen.cell, seen.t);
-            let off = [seen.shift[0] - at[0], seen.shift[1] - at[1]];
-            doubt.mark(seen.index, off);
-            self.sorted.push(length(off));
-        }
-        let scale = self.lattice.cell_px as f64 / self.params.cell_px;
-        doubt.spread(self.params.margin_px * scale);
-        median(&mut self.sorted)
     }
 
     /// Makes the solution the mesh of this frame. A `steady` one that hardly differs from the mesh in force leaves it alone.

@@ -153,7 +153,7 @@ pub(super) fn inside(a: [f32; 2], b: [f32; 2], limit: [f32; 2]) -> Option<(f32, 
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Doubt, Lattice};
+    use super::super::Lattice;
     use super::*;
     use panoscope_base::random::lattice as random;
 
@@ -178,7 +178,7 @@ mod tests {
                     y as f32 + 30.0 + 5.0 * random(n as i64, 1, 1) as f32,
                 ]
             });
-            let mesh = Mesh { lattice, source: source.collect(), doubt: Doubt::default() };
+            let mesh = Mesh { lattice, source: source.collect(), ..Mesh::default() };
             let grid = MeshGrid { mesh: &mesh, origin: [-12.3, -4.6], step };
             for (x, y, count) in [(0, 0, 64), (64, 7, 61), (5, 20, 9)] {
                 let blocks = [false, std::arch::is_x86_feature_detected!("avx2")].map(|avx2| {

@@ -12,19 +12,28 @@ mod doubt;
 mod energy;
 mod fitted;
 mod follow;
+mod hints;
+#[cfg(test)]
+mod instrument_tests;
+mod instruments;
+mod kept;
 mod locate;
 mod observe;
 mod relax;
+mod rigid;
 mod scaled;
 #[cfg(test)]
 mod tests;
 
 pub(super) use follow::length;
 pub use follow::{MeshFollower, MeshParams, MeshReport};
+pub use hints::InstrumentHints;
+pub use kept::{Keep, Kept};
 pub(super) use locate::{Mapping, MeshGrid};
 
 use crate::geometry::Point;
 use doubt::Doubt;
+use kept::KeptCells;
 
 /// A vertex that differs from its own position by less is not moved, px.
 const LEAST_MOVE_PX: f64 = 1e-3;
@@ -93,6 +102,8 @@ pub struct Mesh {
     source: Vec<[f32; 2]>,
     /// How far the mesh is from what was measured.
     doubt: Doubt,
+    /// Where instruments must be shown by one view.
+    kept: KeptCells,
 }
 
 impl Mesh {
@@ -102,7 +113,7 @@ impl Mesh {
     pub fn of_vertices(lattice: Lattice, source: Vec<[f32; 2]>) -> Option<Self> {
         let fits = lattice.cell_px > 0 && lattice.columns > 1 && lattice.rows > 1 && lattice.len() == source.len();
         let finite = source.iter().flatten().all(|v| v.is_finite());
-        (fits && finite).then_some(Self { lattice, source, doubt: Doubt::default() })
+        (fits && finite).then(|| Self { lattice, source, ..Self::default() })
     }
 
     /// A mesh from its vertices: `source(x, y)` is the position in the other view of the point `(x, y)` of the reference plane.
@@ -134,6 +145,16 @@ impl Mesh {
         self.doubt.at(at)
     }
 
+    /// The view that must show a point of the reference plane, so that an instrument is whole.
+    pub fn kept_at(&self, at: [f32; 2]) -> Keep {
+        self.kept.at(at)
+    }
+
+    /// Whether one view must be shown anywhere.
+    pub fn keeps_any(&self) -> bool {
+        !self.kept.is_empty()
+    }
+
     /// Itself, unless it is empty.
     pub(super) fn given(&self) -> Option<&Self> {
         (!self.source.is_empty()).then_some(self)
@@ -142,6 +163,7 @@ impl Mesh {
     /// Takes over another mesh in the memory that is there. Returns whether a position changed.
     pub(super) fn copy_from(&mut self, other: &Self) -> bool {
         self.doubt.copy_from(&other.doubt);
+        self.kept.copy_from(&other.kept);
         if self.lattice == other.lattice && self.source == other.source {
             return false;
         }
@@ -169,6 +191,7 @@ impl Mesh {
     pub(super) fn clear(&mut self) -> bool {
         let was_given = !self.source.is_empty();
         self.source.clear();
+        self.kept.clear();
         was_given
     }
 

@@ -83,6 +83,7 @@ impl Mesh {
         let Lattice { cell_px, first, columns, rows } = small.lattice;
         self.lattice = Lattice { cell_px: cell_px * factor, first, columns, rows };
         self.source.clear();
+        self.kept.clear();
         if small.source.is_empty() {
             return;
         }
@@ -97,5 +98,6 @@ impl Mesh {
             }
         }
         self.doubt.enlarge(&small.doubt, factor);
+        self.kept.enlarge(&small.kept, factor);
     }
 }

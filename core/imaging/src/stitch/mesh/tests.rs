@@ -52,9 +52,14 @@ fn update(follower: &mut MeshFollower, map: &[f32], plane: &Homography) -> MeshR
     follower.update(View::new(map, SIZE.0, SIZE.1, 1), &camera(), &camera(), plane, &Serial)
 }
 
-/// A follower whose mesh follows the disparity up to the border.
+/// A follower whose mesh follows the disparity up to the border, also beside instruments.
 fn up_to_the_border() -> MeshFollower {
-    MeshFollower::new(MeshParams { zone_px: 0.0, ..MeshParams::default() })
+    MeshFollower::new(MeshParams { zone_px: 0.0, keeps_instruments: false, ..MeshParams::default() })
+}
+
+/// A follower whose mesh follows the tissue also beside instruments.
+fn of_tissue() -> MeshFollower {
+    MeshFollower::new(MeshParams { keeps_instruments: false, ..MeshParams::default() })
 }
 
 /// Largest and root mean square error of the mesh at points that both views see, `rim` px inside.
@@ -229,8 +234,7 @@ fn a_tool_in_front_does_not_bend_the_tissue() {
     };
     let mesh = mesh_of(up_to_the_border(), &with_tool);
     // Before the border the mesh leaves the tissue on purpose: with a tool as much as without.
-    let left =
-        [&with_tool as &dyn Fn(f64, f64) -> f64, &hills].map(|d| mesh_of(MeshFollower::new(MeshParams::default()), d));
+    let left = [&with_tool as &dyn Fn(f64, f64) -> f64, &hills].map(|d| mesh_of(of_tissue(), d));
     for (x, y) in [(300.0, 220.0), (490.0, 150.0), (490.0, 290.0), (600.0, 220.0)] {
         let [u, _] = mesh.map([x, y]).expect("inside");
         let error = u - (x - hills(x, y));
@@ -267,10 +271,10 @@ fn a_large_instrument_keeps_its_shape_also_when_it_comes_in_slowly() {
         assert!(rms < 18.0, "{what}: {rms} px of the instrument's 70");
         assert!(mesh.doubt_px([520.0, 235.0]) > 8.0, "{what}: the seam must not cross it");
     };
-    let mut follower = MeshFollower::new(MeshParams::default());
+    let mut follower = of_tissue();
     update(&mut follower, &map(seen(400.0), 0.3, 0), &plane());
     check(&follower, "at once");
-    let mut follower = MeshFollower::new(MeshParams::default());
+    let mut follower = of_tissue();
     for frame in 0..60 {
         let tip = (660.0 - 10.0 * f64::from(frame)).max(400.0);
         update(&mut follower, &map(seen(tip), 0.3, i64::from(frame)), &plane());

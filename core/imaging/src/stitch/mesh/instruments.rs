@@ -1,0 +1,567 @@
+//! Instruments in front of the tissue, found by steps of disparity, and the view that shows each of them.
+//!
+//! The cells of the reference view whose disparity lies before the mesh make up instruments; metal is often unmatched, so that unmatched cells beside
+//! them count as well. An instrument is drawn at two positions: by the reference view where it is, by the other view displaced by its parallax. The
+//! panorama shows it whole when one view shows both and all between.
+
+use super::hints::{Hint, InstrumentHints};
+use super::kept::{Keep, Kept, KeptCells};
+use super::observe::Observations;
+use crate::geometry::Point;
+
+/// Instruments that are followed at a time.
+pub const MAX_INSTRUMENTS: usize = 8;
+/// Parallax against the mesh from which on a cell shows an instrument, px of a view of 640 columns; inside the box of a detector less is enough.
+const SEED_PX: f32 = 12.0;
+const HINTED_SEED_PX: f32 = 6.0;
+/// Parallax of further cells of it.
+const GROW_PX: f32 = 5.0;
+/// Seeds of an instrument at least: chance matches make smaller pieces.
+const MIN_SEEDS: usize = 36;
+const MIN_HINTED_SEEDS: usize = 6;
+/// Cells of an instrument lie this many cells apart at most, and their parallax differs by at most [`MAX_STEP_PX`] per cell on the way.
+const GAP_CELLS: usize = 2;
+const MAX_STEP_PX: f32 = 4.0;
+/// Unmatched cells this far from a matched one of an instrument belong to it.
+const UNMATCHED_CELLS: u8 = 14;
+/// What covers more than this share of the cells is the scene.
+const MAX_SHARE: f64 = 0.45;
+/// An instrument that takes part in a piece holds this share of its cells.
+const MIN_VOTES: f64 = 0.15;
+/// Frames that an instrument is kept when it is not found.
+const KEPT_FRAMES: u32 = 6;
+/// Frames in a row that the other view must be the better one before it shows the instrument.
+const SWITCH_FRAMES: u32 = 8;
+/// An instrument that comes nearer to the border of a view than this is cut off there, px.
+const BORDER_PX: f64 = 16.0;
+/// Cells at a border of a view that tell that an instrument is cut off by it.
+const MIN_CUT: usize = 2;
+
+/// Pieces that meet in unmatched cells are one instrument where those lie within so many cells of both.
+const MAX_CONTACT: u8 = 8;
+
+/// Cells at the border of the reference view, and at that of the other view.
+type Cut = [usize; 2];
+
+/// Whether neither view shows all of an instrument made of two pieces.
+fn is_cut_twice(a: Cut, b: Cut) -> bool {
+    (0..2).all(|view| a[view] + b[view] >= MIN_CUT)
+}
+
+/// One instrument over time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Track {
+    /// View that shows it; free for an unused slot.
+    pub view: Kept,
+    /// Displacement against the homography that its picture in the other view has, px.
+    pub shift: Option<Point>,
+    /// Change of the position across the border with that along it, of an instrument that the border of the reference view cuts off.
+    pub slope: Option<f64>,
+    missing_frames: u32,
+    pending_frames: u32,
+}
+
+/// How instruments lie to the views.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrangement {
+    /// Where the other camera stands, in baselines.
+    pub along: [f64; 2],
+    /// Px of the map by which lengths of a view of 640 columns grow.
+    pub scale: f64,
+    /// What both views see, in cells: first and last column and row.
+    pub shared: [[usize; 2]; 2],
+    /// Pixels of the pictures per pixel of the map.
+    pub factor: usize,
+    /// How far around an instrument its view is kept, px of the map; half as far for sure.
+    pub margin_px: f64,
+}
+
+impl Arrangement {
+    /// 0 when the other camera stands more beside than below, else 1.
+    pub fn axis(&self) -> usize {
+        usize::from(self.along[1].abs() > self.along[0].abs())
+    }
+
+    /// Whether the other view reaches beyond the far side of the reference view.
+    pub fn is_beyond_end(&self) -> bool {
+        self.along[self.axis()] >= 0.0
+    }
+}
+
+/// How much nearer than the mesh a point is that lies so far from it in the other view, px. `along`: where the other camera stands.
+pub fn nearer_px([x, y]: [f64; 2], off: Point) -> f64 {
+    -(off[0] * x + off[1] * y) / (x * x + y * y).sqrt().max(1e-9)
+}
+
+/// The instruments of a view, on the grid of observations.
+#[derive(Clone, Debug, Default)]
+pub struct Instruments {
+    cell_px: usize,
+    columns: usize,
+    rows: usize,
+    /// Parallax against the mesh, px; NaN where unmatched.
+    nearer: Vec<f32>,
+    /// Number of the instrument that the reference view shows in a cell, from 1; 0 for none. Then that of the frame before, and the parallax there.
+    own: Vec<u8>,
+    before: Vec<u8>,
+    nearer_before: Vec<f32>,
+    /// The same for what either view draws there, and for the part of that which is matched.
+    drawn: Vec<u8>,
+    sure: Vec<u8>,
+    is_visited: Vec<bool>,
+    depth: Vec<u8>,
+    queue: Vec<usize>,
+    line: Vec<u8>,
+    /// Of the instruments of this frame.
+    cuts: [Cut; MAX_INSTRUMENTS],
+    tracks: [Track; MAX_INSTRUMENTS],
+}
+
+impl Instruments {
+    /// Forgets all instruments.
+    pub fn forget(&mut self) {
+        self.own.clear();
+        self.drawn.clear();
+        self.tracks = Default::default();
+    }
+
+    /// Starts a frame: no cell is matched.
+    pub fn begin(&mut self, cell_px: usize, columns: usize, rows: usize) {
+        let count = columns * rows;
+        if (self.cell_px, self.columns, self.rows) != (cell_px, columns, rows) {
+            self.forget();
+            (self.cell_px, self.columns, self.rows) = (cell_px, columns, rows);
+        }
+        std::mem::swap(&mut self.nearer, &mut self.nearer_before);
+        self.nearer.clear();
+        self.nearer.resize(count, f32::NAN);
+        self.nearer_before.resize(count, f32::NAN);
+        self.own.resize(count, 0);
+    }
+
+    /// A matched cell, so many px nearer than the mesh. Those at the rim, which are compared with less of their surroundings, count as unmatched.
+    pub fn set(&mut self, cell: usize, nearer_px: f64) {
+        let (x, y) = (cell % self.columns, cell / self.columns);
+        if x > 0 && y > 0 && x + 1 < self.columns && y + 1 < self.rows {
+            self.nearer[cell] = nearer_px as f32;
+        }
+    }
+
+    /// Whether a cell showed an instrument, in either view, in the frame before.
+    pub fn was_at(&self, cell: usize) -> bool {
+        self.drawn.get(cell).is_some_and(|label| *label != 0)
+    }
+
+    /// Whether there are instruments.
+    pub fn is_any(&self) -> bool {
+        self.tracks.iter().any(|track| track.view != Kept::Free)
+    }
+
+    /// Centre of each cell that shows an instrument, px, and its number; in the reference view alone, or in either view.
+    pub fn cells(&self, in_either: bool) -> impl Iterator<Item = (Point, usize)> {
+        let labels = if in_either { &self.drawn } else { &self.own };
+        let centre = |index: usize| (index as f64 + 0.5) * self.cell_px as f64;
+        let place = move |cell: usize| [centre(cell % self.columns), centre(cell / self.columns)];
+        labels.iter().enumerate().filter(|(_, label)| **label != 0).map(move |(i, label)| (place(i), *label as usize))
+    }
+
+    /// Columns and rows of the grid, and the side of its cells, px.
+    pub fn grid(&self) -> ([usize; 2], usize) {
+        ([self.columns, self.rows], self.cell_px)
+    }
+
+    /// The instrument of this number, from 1.
+    pub fn track(&self, number: usize) -> &Track {
+        &self.tracks[number - 1]
+    }
+
+    /// The same, to be changed.
+    pub fn track_mut(&mut self, number: usize) -> &mut Track {
+        &mut self.tracks[number - 1]
+    }
+
+    /// Finds the instruments of a frame whose matched cells are set, and chooses the view of each.
+    pub fn find(
+        &mut self,
+        observations: &Observations,
+        how: &Arrangement,
+        hints: &InstrumentHints,
+        kept: &mut KeptCells,
+    ) {
+        let least = SEED_PX * how.scale as f32;
+        let seeds = self.nearer.iter().filter(|nearer| **nearer >= least).count();
+        if seeds < MIN_SEEDS && hints.is_empty() && !self.is_any() {
+            self.drawn.clear();
+            kept.clear();
+            return;
+        }
+        std::mem::swap(&mut self.own, &mut self.before);
+        self.own.clear();
+        self.own.resize(self.nearer.len(), 0);
+        self.before.resize(self.nearer.len(), 0);
+        self.cuts = Default::default();
+        self.find_pieces(observations, how, hints);
+        self.sure.clone_from(&self.own);
+        self.add_unmatched(how, hints);
+        self.join_pieces();
+        self.keep_missing();
+        self.choose(how);
+        self.draw(how);
+        self.keep_views(how, kept);
+    }
+
+    fn hint(&self, cell: usize, how: &Arrangement, hints: &InstrumentHints) -> Hint {
+        if hints.is_empty() {
+            return Hint::Nothing;
+        }
+        let centre = |index: usize| (index as f64 + 0.5) * (self.cell_px * how.factor) as f64;
+        hints.at([centre(cell % self.columns), centre(cell / self.columns)])
+    }
+
+    /// Sets `own` where matched cells make up an instrument.
+    fn find_pieces(&mut self, observations: &Observations, how: &Arrangement, hints: &InstrumentHints) {
+        let [seed, hinted_seed, grow, step] =
+            [SEED_PX, HINTED_SEED_PX, GROW_PX, MAX_STEP_PX].map(|px| px * how.scale as f32);
+        let most = (MAX_SHARE * self.own.len() as f64) as usize;
+        self.is_visited.clear();
+        self.is_visited.resize(self.own.len(), false);
+        for start in 0..self.own.len() {
+            let is_certain = !hints.is_empty() && self.hint(start, how, hints) == Hint::Certain;
+            if self.is_visited[start] || !(self.nearer[start] >= grow || is_certain) {
+                continue;
+            }
+            let (mut seeds, mut hinted) = (0, 0);
+            let mut piece = std::mem::take(&mut self.queue);
+            piece.clear();
+            piece.push(start);
+            self.is_visited[start] = true;
+            let mut next = 0;
+            while let Some(&cell) = piece.get(next) {
+                next += 1;
+                let nearer = self.nearer[cell];
+                let hint = self.hint(cell, how, hints);
+                seeds += usize::from(nearer >= seed);
+                hinted += usize::from(hint == Hint::Certain || (hint == Hint::Likely && nearer >= hinted_seed));
+                let (x, y) = (cell % self.columns, cell / self.columns);
+                for row in y.saturating_sub(GAP_CELLS)..(y + GAP_CELLS + 1).min(self.rows) {
+                    for column in x.saturating_sub(GAP_CELLS)..(x + GAP_CELLS + 1).min(self.columns) {
+                        let to = row * self.columns + column;
+                        if self.is_visited[to] {
+                            continue;
+                        }
+                        let other = self.nearer[to];
+                        let cells = column.abs_diff(x).max(row.abs_diff(y)) as f32;
+                        let is_near = other >= grow && (nearer.is_nan() || (other - nearer).abs() <= step * cells);
+                        if is_near || (!hints.is_empty() && self.hint(to, how, hints) == Hint::Certain) {
+                            self.is_visited[to] = true;
+                            piece.push(to);
+                        }
+                    }
+                }
+            }
+            if (seeds >= MIN_SEEDS || hinted >= MIN_HINTED_SEEDS) && piece.len() <= most {
+                let cut = self.cut_of(&piece, observations, how);
+                self.number(&piece, cut);
+            }
+            self.queue = piece;
+        }
+    }
+
+    /// Whether a cell lies at the border of the reference view beyond which the other view reaches.
+    fn is_at_border(&self, place: [usize; 2], how: &Arrangement) -> bool {
+        let border = (BORDER_PX * how.scale / self.cell_px as f64).round().max(1.0) as usize;
+        let (place, size) = (place[how.axis()], [self.columns, self.rows][how.axis()]);
+        if how.is_beyond_end() { place + border >= size } else { place < border }
+    }
+
+    /// Where borders of views cut a piece off.
+    fn cut_of(&self, piece: &[usize], observations: &Observations, how: &Arrangement) -> Cut {
+        let axis = how.axis();
+        let size = [self.columns, self.rows][axis];
+        let border_px = BORDER_PX * how.scale;
+        let mut cut = [0; 2];
+        for cell in piece {
+            cut[0] += usize::from(self.is_at_border([cell % self.columns, cell / self.columns], how));
+            let seen = &observations.cells[*cell];
+            if seen.weight != 0.0 {
+                let source = seen.source[axis];
+                let far = if how.is_beyond_end() { source } else { (size * self.cell_px) as f64 - source };
+                cut[1] += usize::from(far < border_px);
+            }
+        }
+        cut
+    }
+
+    /// Gives the cells of a piece the number of the instrument that was there, or a new one.
+    fn number(&mut self, piece: &[usize], cut: Cut) {
+        let mut votes = [0usize; MAX_INSTRUMENTS + 1];
+        for cell in piece {
+            votes[self.before[*cell] as usize] += 1;
+        }
+        let least = ((MIN_VOTES * piece.len() as f64) as usize).max(1);
+        let cuts = self.cuts;
+        // An instrument that reaches to the borders of both views is two.
+        let fits = |label: usize| !is_cut_twice(cuts[label - 1], cut) || is_cut_twice(cuts[label - 1], [0; 2]);
+        let takes_part = |label: usize| label > 0 && votes[label] >= least && fits(label);
+        let best = (1..=MAX_INSTRUMENTS).filter(|label| takes_part(*label)).max_by_key(|label| votes[*label]);
+        let Some(best) = best else {
+            let Some(free) = self.tracks.iter().position(|track| track.view == Kept::Free && track.shift.is_none())
+            else {
+                return;
+            };
+            // Marked as used until its view is chosen.
+            self.tracks[free].shift = Some([f64::NAN; 2]);
+            piece.iter().for_each(|cell| self.own[*cell] = free as u8 + 1);
+            self.cuts[free] = cut;
+            return;
+        };
+        for (sum, cells) in self.cuts[best - 1].iter_mut().zip(cut) {
+            *sum += cells;
+        }
+        // Instruments that touch, and are shown by different views, stay two.
+        let view = self.tracks[best - 1].view;
+        let is_two = |label: usize| takes_part(label) && self.tracks[label - 1].view != view;
+        if !(1..=MAX_INSTRUMENTS).any(is_two) {
+            piece.iter().for_each(|cell| self.own[*cell] = best as u8);
+            return;
+        }
+        for cell in piece {
+            let label = self.before[*cell];
+            self.own[*cell] = if label as usize == best || is_two(label as usize) { label } else { 0 };
+        }
+        let mut is_changed = true;
+        while is_changed {
+            is_changed = false;
+            for cell in piece {
+                if self.own[*cell] == 0
+                    && let Some(label) = self.neighbour(*cell)
+                {
+                    (self.own[*cell], is_changed) = (label, true);
+                }
+            }
+        }
+        for cell in piece {
+            if self.own[*cell] == 0 {
+                self.own[*cell] = best as u8;
+            }
+        }
+    }
+
+    /// Number of an instrument in a cell within reach.
+    fn neighbour(&self, cell: usize) -> Option<u8> {
+        let (x, y) = (cell % self.columns, cell / self.columns);
+        let rows = y.saturating_sub(GAP_CELLS)..(y + GAP_CELLS + 1).min(self.rows);
+        let columns = x.saturating_sub(GAP_CELLS)..(x + GAP_CELLS + 1).min(self.columns);
+        rows.flat_map(|row| columns.clone().map(move |column| row * self.columns + column))
+            .map(|near| self.own[near])
+            .find(|label| *label != 0)
+    }
+
+    /// Adds the unmatched cells beside instruments, with the parallax of the nearest matched one.
+    fn add_unmatched(&mut self, how: &Arrangement, hints: &InstrumentHints) {
+        self.queue.clear();
+        self.queue.extend((0..self.own.len()).filter(|cell| self.own[*cell] != 0));
+        self.depth.clear();
+        self.depth.resize(self.own.len(), 0);
+        let [[x0, x1], [y0, y1]] = how.shared;
+        let mut next = 0;
+        while let Some(&cell) = self.queue.get(next) {
+            next += 1;
+            if self.depth[cell] >= UNMATCHED_CELLS {
+                continue;
+            }
+            let (x, y) = (cell % self.columns, cell / self.columns);
+            // Not along the rim, where nothing counts as matched.
+            let rows = y.saturating_sub(1).max(y0).max(1)..(y + 2).min(y1 + 1).min(self.rows - 1);
+            let columns = x.saturating_sub(1).max(x0).max(1)..(x + 2).min(x1 + 1).min(self.columns - 1);
+            let wide = self.columns;
+            for to in rows.flat_map(|row| columns.clone().map(move |column| row * wide + column)) {
+                if self.own[to] == 0 && self.nearer[to].is_nan() {
+                    self.own[to] = self.own[cell];
+                    self.nearer[to] = self.nearer[cell];
+                    // A detector tells how far it reaches.
+                    let step = u8::from(self.hint(to, how, hints) == Hint::Nothing);
+                    self.depth[to] = self.depth[cell] + step;
+                    self.queue.push(to);
+                    let place = [to % self.columns, to / self.columns];
+                    self.cuts[self.own[to] as usize - 1][0] += usize::from(self.is_at_border(place, how));
+                }
+            }
+        }
+    }
+
+    /// Makes one instrument of those that touch, as jaws do, unless different views show them.
+    fn join_pieces(&mut self) {
+        let mut cuts = self.cuts;
+        let mut same: [u8; MAX_INSTRUMENTS + 1] = std::array::from_fn(|label| label as u8);
+        for (cell, here) in self.own.iter().enumerate().filter(|(_, label)| **label != 0) {
+            let (x, y) = (cell % self.columns, cell / self.columns);
+            let rows = y..(y + GAP_CELLS + 1).min(self.rows);
+            let columns = x.saturating_sub(GAP_CELLS)..(x + GAP_CELLS + 1).min(self.columns);
+            let wide = self.columns;
+            for near in rows.flat_map(|row| columns.clone().map(move |column| row * wide + column)) {
+                let there = self.own[near];
+                if self.depth[cell] + self.depth[near] > MAX_CONTACT {
+                    continue;
+                }
+                let [a, b] = [*here, there].map(|label| same[label as usize]);
+                if there == 0 || a == b {
+                    continue;
+                }
+                let views = [a, b].map(|label| self.tracks[label as usize - 1].view);
+                let is_two = is_cut_twice(cuts[a as usize - 1], cuts[b as usize - 1]);
+                if !is_two && (views[0] == views[1] || views.contains(&Kept::Free)) {
+                    // The one that has a view stays.
+                    let (stays, goes) = if views[0] == Kept::Free { (b, a) } else { (a, b) };
+                    same.iter_mut().filter(|label| **label == goes).for_each(|label| *label = stays);
+                    let gone = std::mem::take(&mut cuts[goes as usize - 1]);
+                    cuts[stays as usize - 1].iter_mut().zip(gone).for_each(|(sum, cells)| *sum += cells);
+                }
+            }
+        }
+        self.cuts = cuts;
+        for label in 1..=MAX_INSTRUMENTS {
+            if same[label] != label as u8 {
+                self.tracks[label - 1] = Track::default();
+            }
+        }
+        self.own.iter_mut().for_each(|label| *label = same[*label as usize]);
+        self.sure.iter_mut().for_each(|label| *label = same[*label as usize]);
+        self.before.iter_mut().for_each(|label| *label = same[*label as usize]);
+    }
+
+    /// Keeps the cells of an instrument that is not found for a few frames, then frees its slot.
+    fn keep_missing(&mut self) {
+        let mut is_seen = [false; MAX_INSTRUMENTS + 1];
+        self.own.iter().for_each(|label| is_seen[*label as usize] = true);
+        for (index, track) in self.tracks.iter_mut().enumerate() {
+            track.missing_frames = if is_seen[index + 1] { 0 } else { track.missing_frames + 1 };
+            if track.missing_frames > KEPT_FRAMES {
+                *track = Track::default();
+            }
+        }
+        for cell in 0..self.own.len() {
+            let label = self.before[cell];
+            if label == 0 || self.own[cell] != 0 || is_seen[label as usize] {
+                continue;
+            }
+            if self.tracks[label as usize - 1].view != Kept::Free {
+                self.own[cell] = label;
+                self.nearer[cell] = self.nearer_before[cell];
+            }
+        }
+    }
+
+    /// Chooses the view that shows each instrument: the one that does not cut it off, and else the one that showed it before.
+    fn choose(&mut self, how: &Arrangement) {
+        let axis = how.axis();
+        // Count, first and second moments.
+        let mut sums = [[0.0f64; 6]; MAX_INSTRUMENTS];
+        for (cell, label) in self.own.iter().enumerate().filter(|(_, label)| **label != 0) {
+            let index = *label as usize - 1;
+            let place = [cell % self.columns, cell / self.columns];
+            let (a, b) = (place[axis] as f64, place[1 - axis] as f64);
+            let terms = [1.0, a, b, a * a, a * b, b * b];
+            sums[index].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+        }
+        let [low, high] = how.shared[axis];
+        for (index, track) in self.tracks.iter_mut().enumerate() {
+            let [count, a, b, aa, ab, bb] = sums[index];
+            if count == 0.0 {
+                continue;
+            }
+            let cut = self.cuts[index];
+            let [by_reference, by_other] = cut.map(|cells| cells >= MIN_CUT);
+            let middle = 0.5 * (low + high) as f64;
+            let is_beyond_middle = (a / count > middle) == how.is_beyond_end();
+            let wanted = match (by_reference, by_other, track.view) {
+                (true, false, _) => Kept::Other,
+                (false, true, _) => Kept::Reference,
+                (_, _, Kept::Free) if by_reference && cut[0] >= cut[1] => Kept::Other,
+                (false, false, Kept::Free) if is_beyond_middle => Kept::Other,
+                (_, _, Kept::Free) => Kept::Reference,
+                (_, _, view) => view,
+            };
+            track.pending_frames = if wanted == track.view { 0 } else { track.pending_frames + 1 };
+            if track.view == Kept::Free || track.pending_frames > SWITCH_FRAMES {
+                if track.view == Kept::Free {
+                    track.shift = None;
+                }
+                (track.view, track.pending_frames) = (wanted, 0);
+            }
+            let (aa, ab, bb) = (aa - a * a / count, ab - a * b / count, bb - b * b / count);
+            let turn = 0.5 * (2.0 * ab).atan2(aa - bb);
+            if track.missing_frames == 0 {
+                track.slope = by_reference.then(|| turn.tan().clamp(-1.5, 1.5));
+            }
+        }
+    }
+
+    /// Sets `drawn`: where the reference view shows the instruments, where the other view draws them, and all between; and `sure`, the same for what
+    /// is matched.
+    fn draw(&mut self, how: &Arrangement) {
+        self.drawn.clone_from(&self.own);
+        let [x, y] = how.along;
+        let long = (x * x + y * y).sqrt().max(1e-9);
+        for (cell, label) in self.own.iter().enumerate().filter(|(_, label)| **label != 0) {
+            let is_sure = self.sure[cell] != 0;
+            let cells = f64::from(self.nearer[cell]) / self.cell_px as f64;
+            let start = [(cell % self.columns) as f64, (cell / self.columns) as f64];
+            let limit = (self.columns + self.rows) as f64;
+            // NaN draws nothing.
+            for step in 1..=cells.clamp(0.0, limit).ceil() as usize {
+                let [u, v] = [0, 1].map(|k| (start[k] - how.along[k] / long * step as f64).round());
+                if u >= 0.0 && v >= 0.0 && (u as usize) < self.columns && (v as usize) < self.rows {
+                    let passed = v as usize * self.columns + u as usize;
+                    for (labels, counts) in [(&mut self.drawn, true), (&mut self.sure, is_sure)] {
+                        if counts && labels[passed] == 0 {
+                            labels[passed] = *label;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Keeps the view of each instrument in all cells around what is drawn of it.
+    fn keep_views(&mut self, how: &Arrangement, kept: &mut KeptCells) {
+        if !self.is_any() {
+            self.drawn.clear();
+            kept.clear();
+            return;
+        }
+        let cells = kept.reset(self.cell_px, self.columns, self.rows);
+        for (labels, margin_px, is_sure) in
+            [(&self.drawn, how.margin_px, false), (&self.sure, 0.5 * how.margin_px, true)]
+        {
+            let reach = (margin_px / self.cell_px as f64).round() as usize;
+            // Row by row into `depth`, then column by column into the cells.
+            self.depth.clear();
+            self.depth.resize(labels.len(), 0);
+            for (from, to) in labels.chunks_exact(self.columns).zip(self.depth.chunks_exact_mut(self.columns)) {
+                spread(from, to, reach);
+            }
+            for column in 0..self.columns {
+                self.line.clear();
+                self.line.extend(self.depth.iter().skip(column).step_by(self.columns));
+                self.line.resize(2 * self.rows, 0);
+                let (from, to) = self.line.split_at_mut(self.rows);
+                spread(from, to, reach);
+                for (row, label) in to.iter().enumerate().filter(|(_, label)| **label != 0) {
+                    let view = self.tracks[*label as usize - 1].view;
+                    cells[row * self.columns + column] = Keep { view, is_sure };
+                }
+            }
+        }
+    }
+}
+
+/// Copies a line of numbers, and carries each up to `reach` cells further where there is none.
+fn spread(from: &[u8], to: &mut [u8], reach: usize) {
+    to.copy_from_slice(from);
+    for (i, label) in from.iter().enumerate().filter(|(_, label)| **label != 0) {
+        for near in &mut to[i.saturating_sub(reach)..(i + reach + 1).min(from.len())] {
+            *near = if *near == 0 { *label } else { *near };
+        }
+    }
+}

@@ -1,0 +1,233 @@
+//! Where an instrument's picture must not be bent: around it the mesh is the homography displaced by one vector.
+//!
+//! A homography keeps lines straight. The displacement is the mean of the mesh there, slow in time, and fades into the mesh beside the instrument.
+
+use super::Lattice;
+use super::instruments::{Arrangement, Instruments, MAX_INSTRUMENTS};
+use super::kept::Kept;
+use crate::geometry::Point;
+
+/// Cells from an instrument within which the mesh is rigid; all corners of a cell with an instrument in it lie within.
+const FULL_CELLS: f64 = 1.5;
+/// Cells beyond those over which it fades.
+const FADE_CELLS: f64 = 5.0;
+/// Share of a weight that is left after a frame when the instrument has gone.
+const LEFT: f32 = 0.9;
+/// Weights grow by at most this in a frame.
+const MAX_RISE: f32 = 0.2;
+/// Share of a new displacement that enters the running one per frame.
+const RATE: f64 = 0.1;
+/// Weights below are none.
+const MIN_WEIGHT: f32 = 0.01;
+
+/// Weights of the vertices of one view.
+#[derive(Clone, Debug, Default)]
+struct Weights {
+    /// Distance to the nearest instrument, px, and its number.
+    distance_px: Vec<f32>,
+    nearest: Vec<u8>,
+    /// 1 where the mesh is rigid.
+    weight: Vec<f32>,
+}
+
+/// Weights of the vertices, and what they are pulled to.
+#[derive(Clone, Debug, Default)]
+pub struct Rigid {
+    lattice: Lattice,
+    /// For instruments that the reference view shows, and for those that the other view shows.
+    weights: [Weights; 2],
+    /// Displacement of the other view against the homography, px.
+    shift: Vec<Point>,
+    is_used: [bool; 2],
+}
+
+impl Rigid {
+    /// Forgets all weights.
+    pub fn forget(&mut self) {
+        self.is_used = [false; 2];
+    }
+
+    /// Brings the weights up to the instruments of a frame. `drawn`: where the mesh puts the vertices in the other view, `base`: where the homography
+    /// does. A `new` mesh takes the weights at once.
+    pub fn update(
+        &mut self,
+        instruments: &mut Instruments,
+        how: &Arrangement,
+        lattice: &Lattice,
+        [drawn, base]: [&[Point]; 2],
+        is_new: bool,
+    ) {
+        let rate = if is_new { 1.0 } else { RATE };
+        let is_new = is_new || self.lattice != *lattice;
+        self.lattice = *lattice;
+        for (which, view) in [Kept::Reference, Kept::Other].into_iter().enumerate() {
+            let weights = &mut self.weights[which];
+            if is_new || !self.is_used[which] {
+                weights.weight.clear();
+            }
+            weights.weight.resize(lattice.len(), 0.0);
+            let is_shown = instruments.is_any() && weights.measure(instruments, how, lattice, view);
+            if !is_shown && !self.is_used[which] {
+                continue;
+            }
+            if !is_shown {
+                weights.distance_px.clear();
+                weights.distance_px.resize(lattice.len(), f32::MAX);
+            }
+            if view == Kept::Other {
+                let full = FULL_CELLS * lattice.cell_px as f64;
+                follow_shifts(instruments, weights, (full as f32, rate), [drawn, base]);
+                self.shift.resize(lattice.len(), [0.0; 2]);
+            }
+            self.is_used[which] = false;
+            for vertex in 0..lattice.len() {
+                let target = target(weights.distance_px[vertex], lattice.cell_px as f32);
+                let held = weights.weight[vertex];
+                let weight = if is_new { target } else { target.max(LEFT * held).min(held + MAX_RISE) };
+                let weight = if weight < MIN_WEIGHT { 0.0 } else { weight };
+                weights.weight[vertex] = weight;
+                self.is_used[which] |= weight > 0.0;
+                if view == Kept::Other && target > 0.0 {
+                    let Some(wanted) = instruments.track(weights.nearest[vertex] as usize).shift else { continue };
+                    let share = if held > 0.0 { f64::from((target / weight.max(target)).min(1.0)) } else { 1.0 };
+                    let shift = &mut self.shift[vertex];
+                    *shift = [0, 1].map(|k| shift[k] + share * (wanted[k] - shift[k]));
+                }
+            }
+        }
+    }
+
+    /// Makes the mesh of the other view rigid around the instruments that it shows.
+    pub fn straighten(&self, drawn: &mut [Point], base: &[Point]) {
+        if !self.is_used[1] || self.weights[1].weight.len() != drawn.len() {
+            return;
+        }
+        for (vertex, weight) in self.weights[1].weight.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
+            let (at, base, shift) = (&mut drawn[vertex], base[vertex], self.shift[vertex]);
+            *at = [0, 1].map(|k| at[k] + f64::from(*weight) * (base[k] + shift[k] - at[k]));
+        }
+    }
+
+    /// Leaves the reference view where it is around the instruments that it shows.
+    pub fn keep_reference(&self, shown: &mut [Point], lattice: &Lattice) {
+        if !self.is_used[0] || self.weights[0].weight.len() != shown.len() {
+            return;
+        }
+        for (vertex, weight) in self.weights[0].weight.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
+            let own = lattice.position(vertex % lattice.columns, vertex / lattice.columns);
+            shown[vertex] = [0, 1].map(|k| shown[vertex][k] + f64::from(*weight) * (own[k] - shown[vertex][k]));
+        }
+    }
+}
+
+/// Weight at a distance from an instrument.
+fn target(distance_px: f32, cell_px: f32) -> f32 {
+    let t = 1.0 - (distance_px / cell_px - FULL_CELLS as f32) / FADE_CELLS as f32;
+    let t = t.clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// Lets the displacement of each instrument follow the mean of the mesh within `full_px` of it, of which the share `rate` enters.
+fn follow_shifts(
+    instruments: &mut Instruments,
+    weights: &Weights,
+    (full_px, rate): (f32, f64),
+    [drawn, base]: [&[Point]; 2],
+) {
+    let mut sums = [[0.0f64; 3]; MAX_INSTRUMENTS];
+    for (vertex, _) in weights.distance_px.iter().enumerate().filter(|(_, distance)| **distance <= full_px) {
+        let sum = &mut sums[weights.nearest[vertex] as usize - 1];
+        let (at, base) = (drawn[vertex], base[vertex]);
+        sum.iter_mut().zip([at[0] - base[0], at[1] - base[1], 1.0]).for_each(|(sum, term)| *sum += term);
+    }
+    for (index, [x, y, count]) in sums.into_iter().enumerate().filter(|(_, sum)| sum[2] > 0.0) {
+        let mean = [x / count, y / count];
+        let track = instruments.track_mut(index + 1);
+        track.shift = Some(match track.shift {
+            Some(held) => [0, 1].map(|k| held[k] + rate * (mean[k] - held[k])),
+            None => mean,
+        });
+    }
+}
+
+impl Weights {
+    /// Sets the distance of each vertex to the nearest instrument of a view. Whether there is one.
+    fn measure(&mut self, instruments: &Instruments, how: &Arrangement, lattice: &Lattice, view: Kept) -> bool {
+        self.distance_px.clear();
+        self.distance_px.resize(lattice.len(), f32::MAX);
+        self.nearest.clear();
+        self.nearest.resize(lattice.len(), 0);
+        let in_either = view == Kept::Other;
+        let axis = how.axis();
+        let (size, cell_px) = instruments.grid();
+        let end = size[axis] as f64 * cell_px as f64;
+        let is_last = |at: Point| {
+            // The cells at the rim itself are never matched.
+            let last = 2.0 * cell_px as f64;
+            if how.is_beyond_end() { at[axis] + last > end } else { at[axis] < last }
+        };
+        let outwards = if how.is_beyond_end() { 1.0 } else { -1.0 };
+        let mut is_any = false;
+        for (at, number) in instruments.cells(in_either) {
+            let track = instruments.track(number);
+            if track.view != view {
+                continue;
+            }
+            is_any = true;
+            self.mark(lattice, at, number);
+            // Only the other view sees how an instrument goes on beyond the border: straight.
+            let Some(slope) = track.slope.filter(|_| in_either && is_last(at)) else { continue };
+            let step = 0.5 * lattice.cell_px as f64;
+            for n in 1..=4 * lattice.columns.max(lattice.rows) {
+                let mut next = at;
+                next[axis] += outwards * step * n as f64;
+                next[1 - axis] += outwards * slope * step * n as f64;
+                if !self.mark(lattice, next, number) {
+                    break;
+                }
+            }
+        }
+        if is_any {
+            self.spread(lattice);
+        }
+        is_any
+    }
+
+    /// An instrument at a position. Whether that lies inside the mesh.
+    fn mark(&mut self, lattice: &Lattice, at: Point, number: usize) -> bool {
+        let Some(((column, row), _)) = lattice.cell_of(at) else { return false };
+        for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let own = lattice.position(column + dx, row + dy);
+            let distance = super::follow::length([own[0] - at[0], own[1] - at[1]]) as f32;
+            let vertex = (row + dy) * lattice.columns + column + dx;
+            if distance < self.distance_px[vertex] {
+                (self.distance_px[vertex], self.nearest[vertex]) = (distance, number as u8);
+            }
+        }
+        true
+    }
+
+    /// Carries distances on from vertex to vertex, forth and back.
+    fn spread(&mut self, lattice: &Lattice) {
+        let (columns, rows) = (lattice.columns as isize, lattice.rows as isize);
+        let side = lattice.cell_px as f32;
+        for forth in [1isize, -1] {
+            for n in 0..lattice.len() as isize {
+                let vertex = if forth > 0 { n } else { columns * rows - 1 - n };
+                let (x, y) = (vertex % columns, vertex / columns);
+                for (dx, dy) in [(-1, 0), (-1, -1), (0, -1), (1, -1)] {
+                    let (u, v) = (x + forth * dx, y + forth * dy);
+                    if u < 0 || v < 0 || u >= columns || v >= rows {
+                        continue;
+                    }
+                    let (from, to) = ((v * columns + u) as usize, vertex as usize);
+                    let way = if dx != 0 && dy != 0 { side * std::f32::consts::SQRT_2 } else { side };
+                    let distance = self.distance_px[from] + way;
+                    if distance < self.distance_px[to] {
+                        (self.distance_px[to], self.nearest[to]) = (distance, self.nearest[from]);
+                    }
+                }
+            }
+        }
+    }
+}

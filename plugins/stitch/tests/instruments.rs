@@ -1,0 +1,96 @@
+//! Instruments in the composite by a mesh: with the boxes or the mask of a detector one is whole that lies just before the tissue.
+
+use panoscope_node::abi::{self, Detection, Homography, Roi};
+use panoscope_node::harness::{Harness, Setup};
+use panoscope_node::{Bgr8, Disparity, Gray8, Mask};
+use panoscope_stitch::CompositeMesh;
+
+const SIZE: (usize, usize) = (320, 240);
+/// Disparity of the tissue, and of the instrument: too little before it to be told from a fold.
+const TISSUE_PX: f64 = 106.0;
+const TOOL_PX: f64 = 110.0;
+
+/// A bar from the right border far into what both views see.
+fn is_tool(x: f64, y: f64) -> bool {
+    x > 150.0 && (100.0..140.0).contains(&y)
+}
+
+fn picture(shift: f64) -> Vec<u8> {
+    let pixel = |i: usize| {
+        let (x, y) = ((i % SIZE.0) as f64, (i / SIZE.0) as f64);
+        let tool_x = if shift > 0.0 { x + TOOL_PX } else { x };
+        let wave = 60.0 * (0.35 * (x + shift) + (0.04 * y).sin()).sin() + 30.0 * (0.21 * y).sin();
+        if is_tool(tool_x, y) { [120; 3] } else { [110.0, 90.0, 140.0].map(|base| (base + wave) as u8) }
+    };
+    (0..SIZE.0 * SIZE.1).flat_map(pixel).collect()
+}
+
+/// Pixels of the bar in the overlap that come from the left and from the right view.
+fn shown(node: &mut Harness<CompositeMesh>, hint: impl Fn(&mut Harness<CompositeMesh>)) -> [usize; 2] {
+    let (left, right) = (picture(0.0), picture(TISSUE_PX));
+    let map: Vec<f32> = (0..SIZE.0 * SIZE.1)
+        .map(|i| ((i % SIZE.0) as f64, (i / SIZE.0) as f64))
+        .map(|(x, y)| (x, if is_tool(x, y) { TOOL_PX } else { TISSUE_PX }))
+        .map(|(x, d)| if x > d { d as f32 } else { f32::NAN })
+        .collect();
+    let mut counts = [0; 2];
+    for _ in 0..3 {
+        node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &left)
+            .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &right)
+            .input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &map);
+        hint(node);
+        let map = [1.0, 0.0, TISSUE_PX, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        let plane = Homography { left_from_right: map, rms_px: 1.0, inliers: 100, state: abi::STATE_FRESH };
+        let out = node.input_value("homography", plane).process().unwrap();
+        let (shown, canvas) = (out.plane::<Gray8>("shown").unwrap(), out.value::<Roi>("canvas").unwrap());
+        counts = [0; 2];
+        for y in 100..140 {
+            let row = shown.row((y + canvas.y) as usize);
+            for x in 150..SIZE.0 as i32 {
+                let view = row[(x + canvas.x) as usize];
+                counts[usize::from(view == 2)] += 1;
+            }
+        }
+    }
+    counts
+}
+
+fn node(params: &str) -> Harness<CompositeMesh> {
+    let seam = "seam = \"dynamic_programming\", seam_cost = \"transition\", blend = \"feather\", blend_px = 24";
+    Harness::open(Setup::new(&format!("params = {{ {seam}{params} }}"))).unwrap()
+}
+
+fn boxes(node: &mut Harness<CompositeMesh>, score: f32) {
+    let found =
+        Detection { x_px: 148.0, y_px: 98.0, width_px: 172.0, height_px: 44.0, score, class_index: 0, track_id: -1 };
+    node.input_detections("detections", &[found], "grasper", (SIZE.0, SIZE.1));
+}
+
+#[test]
+fn an_instrument_in_a_box_or_a_mask_comes_from_one_view() {
+    let [from_left, _] = shown(&mut node(""), |_| {});
+    assert!(from_left > 400, "without a detector the seam crosses it: {from_left}");
+    let [from_left, _] = shown(&mut node(""), |node| boxes(node, 0.9));
+    assert_eq!(from_left, 0, "in a box");
+    let [from_left, _] = shown(&mut node(""), |node| boxes(node, 0.2));
+    assert!(from_left > 400, "in a box of too low a score: {from_left}");
+    let [from_left, _] = shown(&mut node(", instruments = false"), |node| boxes(node, 0.9));
+    assert!(from_left > 400, "switched off: {from_left}");
+    let mask: Vec<u8> =
+        (0..SIZE.0 * SIZE.1).map(|i| if is_tool((i % SIZE.0) as f64, (i / SIZE.0) as f64) { 255 } else { 0 }).collect();
+    let [from_left, _] = shown(&mut node(""), |node| {
+        node.input_image::<Mask>("mask", SIZE.0, SIZE.1, &mask);
+    });
+    assert_eq!(from_left, 0, "in a mask");
+}
+
+#[test]
+fn a_mask_of_another_size_is_refused() {
+    let mut node = node("");
+    let (left, right) = (picture(0.0), picture(TISSUE_PX));
+    node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &left)
+        .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &right)
+        .input_image::<Mask>("mask", 16, 12, &[0; 16 * 12]);
+    let error = node.process().err().expect("an error").to_string();
+    assert!(error.contains("16x12") && error.contains("320x240") && error.contains("mask of the left view"), "{error}");
+}
