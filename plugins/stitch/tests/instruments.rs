@@ -1,6 +1,6 @@
-//! Instruments in the composite by a mesh: with the boxes or the mask of a detector one is whole that lies just before the tissue.
+//! Instruments in the composite by a mesh: with a mask one is whole that lies just before the tissue.
 
-use panoscope_node::abi::{self, Detection, Homography, Roi};
+use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::harness::{Harness, Setup};
 use panoscope_node::{Bgr8, Disparity, Gray8, Mask};
 use panoscope_stitch::CompositeMesh;
@@ -8,11 +8,11 @@ use panoscope_stitch::CompositeMesh;
 const SIZE: (usize, usize) = (320, 240);
 /// Disparity of the tissue, and of the instrument: too little before it to be told from a fold.
 const TISSUE_PX: f64 = 106.0;
-const TOOL_PX: f64 = 110.0;
+const TOOL_PX: f64 = 111.0;
 
 /// A bar from the right border far into what both views see.
 fn is_tool(x: f64, y: f64) -> bool {
-    x > 150.0 && (100.0..140.0).contains(&y)
+    x > 150.0 && (108.0..132.0).contains(&y)
 }
 
 fn picture(shift: f64) -> Vec<u8> {
@@ -20,7 +20,9 @@ fn picture(shift: f64) -> Vec<u8> {
         let (x, y) = ((i % SIZE.0) as f64, (i / SIZE.0) as f64);
         let tool_x = if shift > 0.0 { x + TOOL_PX } else { x };
         let wave = 60.0 * (0.35 * (x + shift) + (0.04 * y).sin()).sin() + 30.0 * (0.21 * y).sin();
-        if is_tool(tool_x, y) { [120; 3] } else { [110.0, 90.0, 140.0].map(|base| (base + wave) as u8) }
+        // What the left view shows of the tissue is off in the nearer half of what both see: the seam would rather run across the bar.
+        let haze = if shift == 0.0 && x < 230.0 { 50.0 } else { 0.0 };
+        if is_tool(tool_x, y) { [120; 3] } else { [110.0, 90.0, 140.0].map(|base| (base + wave - haze).max(0.0) as u8) }
     };
     (0..SIZE.0 * SIZE.1).flat_map(pixel).collect()
 }
@@ -44,7 +46,7 @@ fn shown(node: &mut Harness<CompositeMesh>, hint: impl Fn(&mut Harness<Composite
         let out = node.input_value("homography", plane).process().unwrap();
         let (shown, canvas) = (out.plane::<Gray8>("shown").unwrap(), out.value::<Roi>("canvas").unwrap());
         counts = [0; 2];
-        for y in 100..140 {
+        for y in 108..132 {
             let row = shown.row((y + canvas.y) as usize);
             for x in 150..SIZE.0 as i32 {
                 let view = row[(x + canvas.x) as usize];
@@ -56,32 +58,23 @@ fn shown(node: &mut Harness<CompositeMesh>, hint: impl Fn(&mut Harness<Composite
 }
 
 fn node(params: &str) -> Harness<CompositeMesh> {
-    let seam = "seam = \"dynamic_programming\", seam_cost = \"transition\", blend = \"feather\", blend_px = 24";
+    let seam = "seam = \"dynamic_programming\", seam_cost = \"transition\", blend = \"feather\", blend_px = 24, exposure = \"none\"";
     Harness::open(Setup::new(&format!("params = {{ {seam}{params} }}"))).unwrap()
 }
 
-fn boxes(node: &mut Harness<CompositeMesh>, score: f32) {
-    let found =
-        Detection { x_px: 148.0, y_px: 98.0, width_px: 172.0, height_px: 44.0, score, class_index: 0, track_id: -1 };
-    node.input_detections("detections", &[found], "grasper", (SIZE.0, SIZE.1));
-}
-
 #[test]
-fn an_instrument_in_a_box_or_a_mask_comes_from_one_view() {
-    let [from_left, _] = shown(&mut node(""), |_| {});
-    assert!(from_left > 400, "without a detector the seam crosses it: {from_left}");
-    let [from_left, _] = shown(&mut node(""), |node| boxes(node, 0.9));
-    assert_eq!(from_left, 0, "in a box");
-    let [from_left, _] = shown(&mut node(""), |node| boxes(node, 0.2));
-    assert!(from_left > 400, "in a box of too low a score: {from_left}");
-    let [from_left, _] = shown(&mut node(", instruments = false"), |node| boxes(node, 0.9));
-    assert!(from_left > 400, "switched off: {from_left}");
+fn an_instrument_in_a_mask_comes_from_one_view() {
     let mask: Vec<u8> =
         (0..SIZE.0 * SIZE.1).map(|i| if is_tool((i % SIZE.0) as f64, (i / SIZE.0) as f64) { 255 } else { 0 }).collect();
-    let [from_left, _] = shown(&mut node(""), |node| {
+    let masked = |node: &mut Harness<CompositeMesh>| {
         node.input_image::<Mask>("mask", SIZE.0, SIZE.1, &mask);
-    });
+    };
+    let [from_left, _] = shown(&mut node(""), |_| {});
+    assert!(from_left > 400, "without a detector the seam crosses it: {from_left}");
+    let [from_left, _] = shown(&mut node(""), masked);
     assert_eq!(from_left, 0, "in a mask");
+    let [from_left, _] = shown(&mut node(", instruments = false"), masked);
+    assert!(from_left > 400, "switched off: {from_left}");
 }
 
 #[test]
