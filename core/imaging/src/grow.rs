@@ -54,7 +54,8 @@ impl Grow {
     ) {
         let (right, bottom) = ((x + width).min(out.width).max(x), (y + height).min(out.height));
         let Columns { first, weight } = &mut self.columns;
-        (first.clear(), weight.clear());
+        first.clear();
+        weight.clear();
         for column in 0..right - x {
             let (left, share) = between(column, width, picture.width);
             first.push(3 * left as u32);
