@@ -182,7 +182,9 @@ impl Node for Screen {
         let area = |cell: &Cell| (cell.width * cell.height) as f64;
         let whole = (params.width * params.height) as f64;
         cx.metric("main_pct", 100.0 * self.shown.first().map_or(0.0, area) / whole);
-        cx.metric("dead_pct", 100.0 - 100.0 * self.shown.iter().map(area).sum::<f64>() / whole);
+        let titled = |(cell, tile): (&Cell, &Tile)| (cell.width * tile.caption) as f64;
+        let used = self.shown.iter().map(area).sum::<f64>() + self.cells.iter().zip(tiles).map(titled).sum::<f64>();
+        cx.metric("dead_pct", 100.0 - 100.0 * used / whole);
         let mut screen = out.image.alloc(params.width, params.height)?;
         fill_around(&mut screen, &self.shown);
         for (picture, shown) in pictures().zip(&self.shown) {
