@@ -308,8 +308,8 @@ impl Compositor {
         }
         if views.len() == 2 && self.layers.lit[0].is_some() {
             let (base, new) = self.layers.spans.split_at_mut(1);
-            let reaches_right = lit_spans::reaches_right(&base[0], &new[0]);
-            lit_spans::cut_beyond(&base[0], &mut new[0], reaches_right);
+            self.layers.is_left = lit_spans::reaches_left(&base[0], &new[0], self.layers.is_left);
+            lit_spans::cut_beyond(&base[0], &mut new[0], self.layers.is_left);
         }
         // What is drawn is placed again.
         self.placed = None;
@@ -531,11 +531,11 @@ impl Compositor {
 impl Compositor {
     /// Leaves out what the second of two views shows beyond a rim of the first on the side where it shows less.
     fn cut_beyond_first(&mut self) {
-        let Layers { spans, warps, .. } = &mut self.layers;
+        let Layers { spans, warps, is_left, .. } = &mut self.layers;
         let ([base, new, ..], [first, second, ..]) = (&mut spans[..], &mut warps[..]) else { return };
-        let reaches_right = lit_spans::reaches_right(base, new);
-        lit_spans::cut_beyond(base, new, reaches_right);
-        lit_spans::cut_beyond(&first.taps.spans, &mut second.taps.spans, reaches_right);
+        *is_left = lit_spans::reaches_left(base, new, *is_left);
+        lit_spans::cut_beyond(base, new, *is_left);
+        lit_spans::cut_beyond(&first.taps.spans, &mut second.taps.spans, *is_left);
     }
 }
 

@@ -76,22 +76,28 @@ pub fn cut(mapping: Mapping, lit: &LitPart, rows: std::ops::Range<usize>, spans:
     }
 }
 
-/// Whether the new view reaches farther to the right of the pictures so far than to the left.
-pub fn reaches_right(base: &[Span], new: &[Span]) -> bool {
-    let sides = base.iter().zip(new).filter(|(base, new)| !base.is_empty() && !new.is_empty());
-    let beyond = sides
-        .map(|(base, new)| i64::from(new.end) - i64::from(base.end) - i64::from(base.start) + i64::from(new.start));
-    beyond.sum::<i64>() >= 0
+/// How much more one side must show than the other before the new view changes to it: equal ones would flip.
+const CLEARLY_MORE: i64 = 125;
+
+/// Whether the new view is shown to the left of the pictures so far, or to the right. The side of the picture before is kept unless the other one shows
+/// clearly more.
+pub fn reaches_left(base: &[Span], new: &[Span], was_left: bool) -> bool {
+    let (mut left, mut right) = (0, 0);
+    for (base, new) in base.iter().zip(new).filter(|(base, new)| !base.is_empty() && !new.is_empty()) {
+        right += (i64::from(new.end) - i64::from(base.end)).max(0);
+        left += (i64::from(base.start) - i64::from(new.start)).max(0);
+    }
+    if was_left { 100 * right <= CLEARLY_MORE * left } else { 100 * left > CLEARLY_MORE * right }
 }
 
 /// Cuts off what of the new view lies beside the pictures so far on the side where it shows less. A seam passes from one view to the other once: on that
 /// side it would end at a rim.
-pub fn cut_beyond(base: &[Span], new: &mut [Span], reaches_right: bool) {
+pub fn cut_beyond(base: &[Span], new: &mut [Span], is_left: bool) {
     for (base, new) in base.iter().zip(new).filter(|(base, _)| !base.is_empty()) {
-        if reaches_right {
-            new.start = new.start.max(base.start).min(new.end);
-        } else {
+        if is_left {
             new.end = new.end.min(base.end).max(new.start);
+        } else {
+            new.start = new.start.max(base.start).min(new.end);
         }
     }
 }
@@ -143,10 +149,13 @@ mod tests {
     fn a_view_shows_beyond_the_other_on_one_side_only() {
         let span = |start, end| Span { start, end };
         let (base, mut new) = ([span(20, 80), span(30, 80), span(0, 0)], [span(10, 120), span(35, 110), span(5, 90)]);
-        assert!(reaches_right(&base, &new) && !reaches_right(&new, &base));
-        cut_beyond(&base, &mut new, true);
-        assert_eq!(new.map(|s| (s.start, s.end)), [(20, 120), (35, 110), (5, 90)]);
+        assert!([true, false].iter().all(|was| !reaches_left(&base, &new, *was) && reaches_left(&new, &base, *was)));
+        // Nearly equal sides: where it was.
+        let even = [span(10, 92), span(20, 90), span(5, 90)];
+        assert!(reaches_left(&base, &even, true) && !reaches_left(&base, &even, false));
         cut_beyond(&base, &mut new, false);
+        assert_eq!(new.map(|s| (s.start, s.end)), [(20, 120), (35, 110), (5, 90)]);
+        cut_beyond(&base, &mut new, true);
         assert_eq!(new.map(|s| (s.start, s.end)), [(20, 80), (35, 80), (5, 90)]);
     }
 

@@ -25,6 +25,8 @@ pub(super) struct Layers {
     pub(super) meshes: [Mesh; MAX_VIEWS],
     /// What of the views is lit; `None` stands for all.
     pub(super) lit: [Option<LitPart>; MAX_VIEWS],
+    /// The second of two views is shown to the left of the first, not to the right.
+    pub(super) is_left: bool,
     /// Columns that a view covers, by view and canvas row.
     pub(super) spans: Vec<Vec<Span>>,
     /// Views in use; the vectors keep the memory of more.
