@@ -252,6 +252,10 @@ impl Artifacts {
         if message["reason"] != "compiler-artifact" {
             return message["reason"].is_string();
         }
+        // Tests of a program have its name too.
+        if message["profile"]["test"] == true {
+            return true;
+        }
         let target = &message["target"];
         let has_kind = |kind: &str| target["kind"].as_array().is_some_and(|kinds| kinds.iter().any(|k| k == kind));
         if has_kind("bin") && target["name"] == PROGRAM {
@@ -394,6 +398,8 @@ mod tests {
             r#"{"reason":"compiler-artifact","manifest_path":"/r/core/cli/Cargo.toml","target":{"kind":["lib"],"name":"panoscope_cli"},"filenames":["/t/debug/libpanoscope_cli.rlib"],"executable":null}"#.to_owned(),
             r#"{"reason":"compiler-artifact","manifest_path":"/r/core/cli/Cargo.toml","target":{"kind":["bin"],"name":"panoscope"},"filenames":["/t/debug/panoscope"],"executable":"/t/debug/panoscope"}"#.to_owned(),
             format!(r#"{{"reason":"compiler-artifact","manifest_path":"/r/plugins/stitch/Cargo.toml","target":{{"kind":["cdylib","rlib"],"name":"panoscope_stitch"}},"filenames":["/t/debug/libpanoscope_stitch.rlib","{library}"],"executable":null}}"#),
+            // The program's own tests, which may be built last.
+            r#"{"reason":"compiler-artifact","manifest_path":"/r/core/cli/Cargo.toml","target":{"kind":["bin"],"name":"panoscope"},"profile":{"test":true},"filenames":["/t/debug/deps/panoscope-1"],"executable":"/t/debug/deps/panoscope-1"}"#.to_owned(),
             r#"{"reason":"build-finished","success":true}"#.to_owned(),
         ];
         for line in &lines {
