@@ -1,5 +1,5 @@
 //! What a graph's screen shows: how much of it is the main picture, how much is empty, how much of the known surface is cut off, and whether the colours of
-//! depth still tell depths apart.
+//! depth cover the depths.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,6 +15,7 @@ use crate::error::{Context, EvalError, FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::graph_file;
 use crate::inputs::references::upstream;
+use crate::packets;
 use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::Session;
 
@@ -37,8 +38,8 @@ const METRICS: [(&str, &str, bool); 6] = [
     ("screen", "dead_pct", true),
     ("turntable", "cut_pct", true),
     ("colorize", "beyond_pct", true),
-    ("composite", "gain_pct", false),
-    ("composite_mesh", "gain_pct", false),
+    ("composite", "view_gain_pct", false),
+    ("composite_mesh", "view_gain_pct", false),
 ];
 /// Share of the main picture of all that a screen shows, dead area, cut surface and depths beyond the colours, %: beyond it a tick counts as faulty.
 const LIMITS: [(&str, f64); 4] = [("main_pct", 60.0), ("dead_pct", 8.0), ("cut_pct", 2.0), ("beyond_pct", 5.0)];
@@ -55,18 +56,12 @@ fn hear(heard: &Heard, name: &str, value: f64) {
 
 /// Share of the pixels that show nothing, %, and the picture.
 fn seen(frame: &FrameRef) -> Option<(f64, RgbImage)> {
-    let (described, bytes) = (frame.frame(), frame.bytes());
-    let (width, height, stride) = (described.width, described.height, described.stride_bytes as usize);
-    let mut picture = RgbImage::new(width, height);
-    let mut unlit = 0usize;
-    for (y, row) in picture.rows_mut().enumerate() {
-        let from = bytes.get(y * stride..y * stride + 3 * width as usize)?;
-        for (pixel, bgr) in row.zip(from.as_chunks::<3>().0) {
-            pixel.0 = [bgr[2], bgr[1], bgr[0]];
-            unlit += usize::from(bgr.iter().all(|v| *v <= UNLIT));
-        }
-    }
-    Some((100.0 * unlit as f64 / (f64::from(width) * f64::from(height)).max(1.0), picture))
+    let mut pixels = packets::bytes(frame, 3)?;
+    let all = pixels.as_chunks_mut::<3>().0;
+    all.iter_mut().for_each(|pixel| pixel.reverse());
+    let unlit = all.iter().filter(|pixel| pixel.iter().all(|v| *v <= UNLIT)).count();
+    let share = 100.0 * unlit as f64 / all.len().max(1) as f64;
+    Some((share, RgbImage::from_raw(frame.frame().width, frame.frame().height, pixels)?))
 }
 
 /// Runs the graph up to its screens and judges each tick.
@@ -102,12 +97,12 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             continue;
         }
         let (heard, id) = (Arc::clone(&heard), node.id.clone());
-        let told = move |_: &panoscope_abi::Tick, name: &str, value: f64| {
+        let record = move |_: &panoscope_abi::Tick, name: &str, value: f64| {
             if metrics.contains(&name) {
                 hear(&heard, &format!("{name}/{id}"), value);
             }
         };
-        numbers.push(NumberListener { node: node.id.clone(), hear: Arc::new(told) });
+        numbers.push(NumberListener { node: node.id.clone(), hear: Arc::new(record) });
     }
     if let Some(folder) = &options.pictures {
         std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
