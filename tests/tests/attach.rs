@@ -169,7 +169,7 @@ fn a_window_on_another_machine_survives_a_cut_cable_and_the_graph_loses_nothing(
     assert!(refused.words.contains("lever"), "{refused:?}");
     space.set_joined(false);
     let cut = Instant::now();
-    // At least 5 s, so that a picture of before the cut can be told by its age.
+    // At least 5 s, so that a picture of before the cut can be recognized by its age.
     let is_lost = || cut.elapsed() > Duration::from_secs(5) && matches!(window.state().contact, Contact::Lost(_));
     assert!(until(60, is_lost), "{:?}", window.state());
     match window.state().contact {

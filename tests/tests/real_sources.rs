@@ -39,7 +39,7 @@ fn surgeon(folder: &Folder, left: &Path, right: &Path, more: &[&str]) -> Option<
     run_file(&root().join("graphs/surgeon.toml"), &options, FRAMES)
 }
 
-/// What the screen shows in the end: a main picture on three fifths of it, a surface without false holes, colours that tell depths apart.
+/// What the screen shows in the end: a main picture on three fifths of it, a surface without false holes, colours that cover the depths.
 fn looks_right(run: &Run, most_dead_pct: f64) {
     let metric = |node: &str, name: &str| {
         let of = &run.report.nodes[node].metrics;

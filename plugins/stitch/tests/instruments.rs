@@ -6,7 +6,7 @@ use panoscope_node::{Bgr8, Disparity, Gray8, Mask};
 use panoscope_stitch::CompositeMesh;
 
 const SIZE: (usize, usize) = (320, 240);
-/// Disparity of the tissue, and of the instrument: too little before it to be told from a fold.
+/// Disparity of the tissue, and of the instrument: too little before it to be separated from a fold.
 const TISSUE_PX: f64 = 106.0;
 const TOOL_PX: f64 = 111.0;
 

@@ -17,7 +17,7 @@ use crate::geometry::{Homography, Point};
 use crate::lit::{LitFinder, LitPart};
 use crate::{Parallel, Rect, Simd, View, ViewMut};
 
-/// Time from one frame to the next that is taken when none is told, s.
+/// Time from one frame to the next that is taken when none is set, s.
 const USUAL_FRAME_S: f64 = 1.0 / 30.0;
 
 /// Joins views into one panorama. Keeps everything that outlives a frame: canvas, seam, gains, last good geometry,
@@ -120,7 +120,7 @@ impl Compositor {
         self.border.forget();
     }
 
-    /// Says how much time passes from one frame to the next, which the crop counts; 1/30 s unless told. At most 1 s counts.
+    /// Says how much time passes from one frame to the next, which the crop counts; 1/30 s unless set. At most 1 s counts.
     pub fn set_frame_interval(&mut self, interval: std::time::Duration) {
         self.frame_s = Some(interval.as_secs_f64().min(1.0));
     }

@@ -258,7 +258,7 @@ fn an_instrument_is_kept_while_it_is_not_matched_for_a_few_frames() {
 
 #[test]
 fn a_detector_finds_instruments_near_the_tissue() {
-    // 8 px before the tissue: too near to be told from a fold, but not in the box of an instrument.
+    // 8 px before the tissue: too near to be separated from a fold, but not in the box of an instrument.
     let near = map(|x, y| FROM_RIGHT.covers(x, y), |x, y| hills(x, y) + 8.0);
     let kept = |hint: &dyn Fn(&mut InstrumentHints)| {
         let mut follower = follower(true);

@@ -34,7 +34,7 @@ const KEPT_FRAMES: u32 = 6;
 const SWITCH_FRAMES: u32 = 8;
 /// An instrument that comes nearer to the border of a view than this is cut off there, px.
 const BORDER_PX: f64 = 16.0;
-/// Cells at a border of a view that tell that an instrument is cut off by it.
+/// Cells at a border of a view that show that an instrument is cut off by it.
 const MIN_CUT: usize = 2;
 
 /// Pieces that meet in unmatched cells are one instrument where those lie within so many cells of both.

@@ -27,7 +27,7 @@ pub struct Observation {
     pub at: [f64; 2],
     /// The same point in the other picture, px.
     pub source: [f64; 2],
-    /// 0 where nothing is known, up to 1; negative where the matches are too few to count, and tell of small things in front at most.
+    /// 0 where nothing is known, up to 1; negative where the matches are too few to count, and show small things in front at most.
     pub weight: f32,
 }
 

@@ -6,7 +6,7 @@ use super::{MeshFollower, length, median};
 use crate::Rect;
 use crate::geometry::Point;
 
-/// Cells of observations per block, each way, in which motion is told from noise.
+/// Cells of observations per block, each way, in which motion is separated from noise.
 const BLOCK_CELLS: usize = 4;
 /// Observations of a block that tells of motion.
 const LEAST_BLOCK: f64 = 4.0;
