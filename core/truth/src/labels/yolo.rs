@@ -1,8 +1,12 @@
 //! YOLO: one text file a picture; class numbers, places in shares of the picture.
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 use super::LabelError;
+
+/// Numbers of classes are below this.
+const MAX_CLASSES: usize = 10_000;
 
 /// What marks an object.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,7 +55,7 @@ pub fn yolo(text: &str) -> Result<Vec<YoloObject>, LabelError> {
         let values: Option<Vec<f64>> =
             line.split_whitespace().map(|v| v.parse().ok().filter(|v: &f64| v.is_finite())).collect();
         let values = values
-            .filter(|v| v.len() >= 5 && v.len() % 2 == 1 && (0.0..10_000.0).contains(&v[0]))
+            .filter(|v| v.len() >= 5 && v.len() % 2 == 1 && (0.0..MAX_CLASSES as f64).contains(&v[0]))
             .ok_or(LabelError::Line { line: index + 1 })?;
         let shape = match values[..] {
             [_, x, y, w, h] => YoloShape::Box([x - w / 2.0, y - h / 2.0, w, h]),
@@ -62,25 +66,47 @@ pub fn yolo(text: &str) -> Result<Vec<YoloObject>, LabelError> {
     Ok(objects)
 }
 
-/// Names by class number: one a line in classes.txt, `names: [a, b]` or a list or map below `names:` in data.yaml. Empty without either.
+/// Names by class number: one a line in classes.txt, or `names:` in data.yaml (else the only YAML file): a list or a map, in brackets or below it.
+/// A number that the map leaves out is called `class N`. Empty without either file.
 pub fn yolo_names(folder: &Path) -> Vec<String> {
     if let Ok(text) = std::fs::read_to_string(folder.join("classes.txt")) {
         return text.lines().map(|l| l.trim().to_owned()).filter(|l| !l.is_empty()).collect();
     }
-    let Ok(text) = std::fs::read_to_string(folder.join("data.yaml")) else { return Vec::new() };
+    std::fs::read_to_string(folder.join("data.yaml"))
+        .or_else(|error| only_yaml(folder).map_or(Err(error), std::fs::read_to_string))
+        .map(|text| names_in_yaml(&text))
+        .unwrap_or_default()
+}
+
+fn only_yaml(folder: &Path) -> Option<PathBuf> {
+    let is_yaml = |p: &PathBuf| p.extension().is_some_and(|e| e == "yaml" || e == "yml");
+    let mut all = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path()).filter(is_yaml);
+    all.next().filter(|_| all.next().is_none())
+}
+
+fn names_in_yaml(text: &str) -> Vec<String> {
     let clean = |t: &str| t.trim().trim_matches(['\'', '"']).to_owned();
-    let mut lines = text.lines().skip_while(|l| !l.starts_with("names:"));
-    let Some(first) = lines.next().and_then(|l| l.strip_prefix("names:")) else { return Vec::new() };
-    let first = first.trim();
-    if let Some(list) = first.strip_prefix('[') {
-        return list.trim_end_matches(']').split(',').map(clean).collect();
+    let mut lines = text.lines().map(|l| l.split(" #").next().unwrap_or(l)).skip_while(|l| !l.starts_with("names:"));
+    let Some(first) = lines.next().and_then(|l| l.strip_prefix("names:")).map(str::trim) else { return Vec::new() };
+    let entries: Vec<String> = if first.starts_with(['[', '{']) {
+        // Up to the closing bracket, which may be on a later line.
+        let all = std::iter::once(first).chain(lines).collect::<Vec<_>>().join(" ");
+        let inside = all[1..].split([']', '}']).next().unwrap_or_default();
+        inside.split(',').map(|entry| entry.trim().to_owned()).filter(|entry| !entry.is_empty()).collect()
+    } else {
+        let below = lines.filter(|l| !l.trim().is_empty()).take_while(|l| l.starts_with([' ', '-', '\t']));
+        below.map(|l| l.trim().trim_start_matches('-').trim().to_owned()).collect()
+    };
+    let mut names: BTreeMap<usize, String> = BTreeMap::new();
+    for (index, entry) in entries.iter().enumerate() {
+        let numbered = entry.split_once(':').and_then(|(key, name)| Some((clean(key).parse().ok()?, clean(name))));
+        let (number, name) = numbered.unwrap_or_else(|| (index, clean(entry)));
+        if number < MAX_CLASSES {
+            names.insert(number, name);
+        }
     }
-    let below = lines.take_while(|l| l.starts_with([' ', '-', '\t']));
-    below
-        .map(|l| {
-            clean(l.trim().trim_start_matches('-').split_once(':').map_or(l.trim().trim_start_matches('-'), |(_, n)| n))
-        })
-        .collect()
+    let count = names.last_key_value().map_or(0, |(last, _)| last + 1);
+    (0..count).map(|number| names.remove(&number).unwrap_or_else(|| format!("class {number}"))).collect()
 }
 
 #[cfg(test)]
@@ -97,5 +123,21 @@ mod tests {
         for wrong in ["0 1 2 3", "a 1 2 3 4", "0 1 2 3 4 5", "-1 1 2 3 4", "0 1 2 3 inf"] {
             assert_eq!(yolo(&format!("\n{wrong}")), Err(LabelError::Line { line: 2 }), "{wrong}");
         }
+    }
+
+    #[test]
+    fn names_are_read_from_every_form_of_yaml() {
+        let wanted = ["grasper", "hook", "class 2", "clip applier"];
+        for text in [
+            "nc: 4\nnames: {0: grasper, 1: 'hook', 3: clip applier}\n",
+            "names: {3: clip applier,\n  1: \"hook\", 0: grasper}  # ours\nnc: 4\n",
+            "names:\n  3: clip applier\n\n  0: grasper # the left one\n  1: hook\nnc: 4\n",
+            "names: [grasper, 'hook', \"class 2\",\n  clip applier]\n",
+            "names:\n- grasper\n- hook\n- class 2\n- 'clip applier'\npath: .\n",
+        ] {
+            assert_eq!(names_in_yaml(text), wanted, "{text}");
+        }
+        assert!(names_in_yaml("nc: 3\n").is_empty() && names_in_yaml("names: []\n").is_empty());
+        assert_eq!(names_in_yaml("names: {99999999: far}\n"), Vec::<String>::new());
     }
 }

@@ -1,7 +1,7 @@
 //! COCO: one JSON file for all pictures.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
@@ -108,19 +108,17 @@ fn parse(path: &Path) -> Result<File> {
     serde_json::from_str(&text).with_context(|| format!("{} is neither a COCO nor a VIA file", path.display()))
 }
 
-pub fn read(path: &Path, folder: &Path) -> Result<Truth> {
+/// Reads the ground truth; each picture is in the first of `folders` that has it.
+pub fn read(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     let file = parse(path)?;
     let mut truth = Truth::default();
     let classes: BTreeMap<u64, usize> = file.categories.iter().map(|c| (c.id, truth.class(&c.name))).collect();
     let mut place = BTreeMap::new();
     for image in file.images {
-        let mut picture = folder.join(&image.file_name);
-        if !picture.is_file() && folder.join("images").join(&image.file_name).is_file() {
-            picture = folder.join("images").join(&image.file_name);
-        }
-        if !picture.is_file() {
-            bail!("{} names {}, which is not in {}", path.display(), image.file_name, folder.display());
-        }
+        let Some(picture) = folders.iter().map(|folder| folder.join(&image.file_name)).find(|file| file.is_file())
+        else {
+            bail!("{} names {}, which is not in {}", path.display(), image.file_name, folders[0].display());
+        };
         if image.width.checked_mul(image.height).is_none_or(|n| n == 0 || n as u64 > MOST_PIXELS) {
             bail!("{}: {} of {}x{} px", path.display(), image.file_name, image.width, image.height);
         }

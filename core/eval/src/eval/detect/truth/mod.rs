@@ -122,21 +122,53 @@ fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     found
 }
 
-/// One file for all pictures: of VIA, or of COCO.
-fn one_file(path: &Path, folder: &Path) -> Result<Truth> {
+/// One file for all pictures: of VIA, or of COCO with pictures in one of `folders`.
+fn one_file(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     let value: Option<serde_json::Value> = serde_json::from_str(&text).ok();
     match value.as_ref().and_then(via::pictures) {
-        Some(pictures) => via::read(path, pictures, folder),
-        None => coco::read(path, folder),
+        Some(pictures) => via::read(path, pictures, &folders[0]),
+        None => coco::read(path, folders),
     }
 }
 
+/// The COCO or VIA file of a folder: as COCO, Roboflow, CVAT and `eval` itself call it.
+fn file_in(folder: &Path, split: Option<&str>) -> Option<PathBuf> {
+    let names = match split {
+        Some(s) => vec![
+            format!("{s}.json"),
+            format!("{s}/_annotations.coco.json"),
+            format!("{s}/annotations.json"),
+            format!("annotations/instances_{s}.json"),
+            format!("annotations/{s}.json"),
+        ],
+        None => ["annotations.json", "_annotations.coco.json", "annotations/instances_default.json"]
+            .map(str::to_owned)
+            .into(),
+    };
+    names.iter().map(|name| folder.join(name)).find(|file| file.is_file())
+}
+
 /// Reads whichever form `path` is or holds. `split` chooses a list of VOC, COCO or YOLO; nothing takes all.
+///
+/// # Errors
+/// There is no ground truth, it is damaged, or it has no picture or no object at all.
 pub fn read(session: &dyn Session, path: &Path, split: Option<&str>, images: Option<&Path>) -> Result<Truth> {
+    let truth = read_any(session, path, split, images)?;
+    if truth.pictures.iter().all(|picture| picture.objects.is_empty()) {
+        bail!(
+            "{}: no object in {} pictures: nothing can be compared with it; are the labels in another folder?",
+            path.display(),
+            truth.pictures.len()
+        );
+    }
+    Ok(truth)
+}
+
+fn read_any(session: &dyn Session, path: &Path, split: Option<&str>, images: Option<&Path>) -> Result<Truth> {
     if path.is_file() {
         let folder = images.or(path.parent()).unwrap_or(Path::new(""));
-        return one_file(path, folder);
+        return one_file(path, &[folder.to_owned(), folder.join("images")]);
     }
     if !path.is_dir() {
         bail!("{} is not there: give a COCO or VIA file, or a folder of VOC, labelme or YOLO truth", path.display());
@@ -145,10 +177,15 @@ pub fn read(session: &dyn Session, path: &Path, split: Option<&str>, images: Opt
     if annotations.is_dir() {
         return voc::read(session, path, split);
     }
-    if let Some(file) = split.map(|s| path.join(format!("{s}.json"))).filter(|f| f.is_file()) {
-        return one_file(&file, images.unwrap_or(path));
+    if let Some(file) = file_in(path, split) {
+        let mut folders = vec![images.unwrap_or(path).to_owned()];
+        folders.push(folders[0].join("images"));
+        for folder in split.into_iter().flat_map(|s| [path.join(s), path.join("images").join(s)]) {
+            folders.push(folder);
+        }
+        return one_file(&file, &folders);
     }
-    if path.join("labels").is_dir() || path.join("images").is_dir() {
+    if yolo_text::folder_of(path, "labels", split).is_dir() || yolo_text::folder_of(path, "images", split).is_dir() {
         return yolo_text::read(path, split);
     }
     let polygons = [path.to_owned(), path.join("ann_dir")].into_iter().find(|f| !files(f, &["json"]).is_empty());
@@ -156,7 +193,7 @@ pub fn read(session: &dyn Session, path: &Path, split: Option<&str>, images: Opt
         return labelme::read(&folder, images);
     }
     bail!(
-        "{}: no Annotations/ (VOC), no SPLIT.json (COCO, VIA), no labels/ (YOLO) and no labelme files in it",
+        "{}: no Annotations/ (VOC), no SPLIT.json, annotations.json or _annotations.coco.json (COCO, VIA), no labels/ (YOLO) and no labelme files in it",
         path.display()
     )
 }

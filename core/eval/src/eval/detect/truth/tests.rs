@@ -116,6 +116,50 @@ fn yolo_text_gives_boxes_and_outlines() {
 }
 
 #[test]
+fn the_layouts_of_public_tools_are_found() {
+    let coco = |picture: &str| {
+        format!(
+            "{{\"images\":[{{\"id\":1,\"file_name\":\"{picture}\",\"width\":20,\"height\":10}}],\"annotations\":[{{\"image_id\":1,\"category_id\":2,\"bbox\":[1,1,2,2]}}],\"categories\":[{{\"id\":2,\"name\":\"Hook\"}}]}}"
+        )
+    };
+    // File of boxes, its picture, the split.
+    for (index, (file, picture, split)) in [
+        ("annotations.json", "images/a.png", None),
+        ("_annotations.coco.json", "a.png", None),
+        ("annotations/instances_default.json", "images/a.png", None),
+        ("valid/_annotations.coco.json", "valid/a.png", Some("valid")),
+        ("annotations/instances_val2017.json", "val2017/a.png", Some("val2017")),
+        ("annotations/instances_val2017.json", "images/val2017/a.png", Some("val2017")),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let home = folder(&format!("layout_{index}"), &[picture]);
+        fs::create_dir_all(home.join(file).parent().unwrap()).unwrap();
+        fs::write(home.join(file), coco("a.png")).unwrap();
+        let truth = read(&Silent, &home, split, None).unwrap();
+        assert_eq!((truth.pictures.len(), truth.pictures[0].objects.len(), truth.classes[0].as_str()), (1, 1, "hook"));
+        assert_eq!(truth.pictures[0].path, home.join(picture));
+        fs::remove_dir_all(home).unwrap();
+    }
+    // Roboflow's YOLO, with a map of names in one line.
+    let home = folder("roboflow", &["valid/images/p.png"]);
+    fs::create_dir_all(home.join("valid/labels")).unwrap();
+    fs::write(home.join("data.yaml"), "nc: 2\nnames: {0: grasper, 1: hook}\n").unwrap();
+    fs::write(home.join("valid/labels/p.txt"), "1 0.5 0.5 0.2 0.4\n").unwrap();
+    let truth = read(&Silent, &home, Some("valid"), None).unwrap();
+    assert_eq!((truth.classes[truth.pictures[0].objects[0].class].as_str(), truth.pictures.len()), ("hook", 1));
+    fs::write(home.join("valid/labels/p.txt"), "2 0.5 0.5 0.2 0.4\n").unwrap();
+    let error = read(&Silent, &home, Some("valid"), None).unwrap_err().to_string();
+    assert!(error.contains("p.txt:1: class 2") && error.contains("2 classes"), "{error}");
+    // Labels that nobody finds are no truth of empty pictures.
+    fs::rename(home.join("valid/labels"), home.join("valid/boxes")).unwrap();
+    let error = read(&Silent, &home, Some("valid"), None).unwrap_err().to_string();
+    assert!(error.contains("no object in 1 pictures"), "{error}");
+    fs::remove_dir_all(home).unwrap();
+}
+
+#[test]
 fn classes_are_put_in_the_models_order() {
     let object = |class| Object { class, bbox: [0.0; 4], mask: None, ignored: false };
     let picture = Picture { path: "a.png".into(), width: 1, height: 1, objects: vec![object(0), object(1)] };

@@ -1,7 +1,7 @@
-//! YOLO: `images/SPLIT`, `labels/SPLIT/NAME.txt` with class, centre and size in shares of the picture, or class and a polygon; names in
-//! `data.yaml`, `classes.txt` or numbers.
+//! YOLO: `images/SPLIT`, `labels/SPLIT/NAME.txt` (Ultralytics) or `SPLIT/images`, `SPLIT/labels/NAME.txt` (Roboflow) with class, centre and size in
+//! shares of the picture, or class and a polygon; names in `data.yaml`, `classes.txt` or numbers.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{Picture, Truth, files, outlined, size_of};
 use panoscope_imaging::detect::{Mask, Object};
@@ -9,11 +9,18 @@ use panoscope_truth::labels::{self, LabelError, YoloShape};
 
 use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 
+/// Folder of the `images` or `labels` of a split.
+pub fn folder_of(folder: &Path, kind: &str, split: Option<&str>) -> PathBuf {
+    let Some(split) = split else { return folder.join(kind) };
+    let inside = folder.join(split).join(kind);
+    if inside.is_dir() { inside } else { folder.join(kind).join(split) }
+}
+
 pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
-    let part = |kind: &str| split.map_or_else(|| folder.join(kind), |s| folder.join(kind).join(s));
+    let part = |kind: &str| folder_of(folder, kind, split);
     let pictures = files(&part("images"), &["jpg", "jpeg", "png"]);
     if pictures.is_empty() {
-        bail!("{} holds no pictures", part("images").display());
+        bail!("{} holds no pictures; with --split it may be a folder in it", part("images").display());
     }
     let mut truth = Truth::default();
     let names = labels::yolo_names(folder);
@@ -37,7 +44,18 @@ pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
             other => other.into(),
         };
         for object in labels::yolo(&text).map_err(wrong)? {
-            let class = truth.class(names.get(object.class).map_or(&format!("class {}", object.class), |n| n));
+            let name = match names.get(object.class) {
+                Some(name) => name.clone(),
+                None if names.is_empty() => format!("class {}", object.class),
+                None => bail!(
+                    "{}:{}: class {}, but data.yaml or classes.txt names {} classes, from 0",
+                    label.display(),
+                    object.line,
+                    object.class,
+                    names.len()
+                ),
+            };
+            let class = truth.class(&name);
             match &object.shape {
                 YoloShape::Box([x, y, bw, bh]) => {
                     let bbox = [x * w, y * h, bw * w, bh * h];
