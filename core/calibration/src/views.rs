@@ -50,6 +50,23 @@ fn comparable(views: &[Vec<PathBuf>]) -> Option<Vec<Vec<Key>>> {
     all.iter().all(unique).then_some(all)
 }
 
+/// The first two files, in the order of their numbers, between which numbers are missing. `None` if all follow each other or are not numbered.
+pub fn gap(files: &[PathBuf]) -> Option<[&Path; 2]> {
+    let number = |key: &Key| match key.as_slice() {
+        [one] => {
+            if one.is_empty() {
+                Some(0)
+            } else {
+                one.parse::<u64>().ok()
+            }
+        }
+        _ => None,
+    };
+    let numbers: Vec<u64> = keys(files).iter().map(number).collect::<Option<_>>()?;
+    let index = numbers.windows(2).position(|pair| pair[1] > pair[0] + 1)?;
+    Some([&files[index], &files[index + 1]])
+}
+
 /// Groups the pictures that carry the same number. Where numbers are missing, repeat or are never the same in all views, the order
 /// of the lists decides.
 pub fn matched(views: &[Vec<PathBuf>]) -> Matched {
@@ -123,6 +140,17 @@ mod tests {
         assert!(!found.by_number);
         let found = both(&["l10.png", "l11.png"], &["r20.png", "r21.png"]);
         assert_eq!(found.views, [files(&["l10.png", "l11.png"]), files(&["r20.png", "r21.png"])]);
+    }
+
+    #[test]
+    fn missing_numbers_are_found() {
+        let none = |names: &[&str]| assert_eq!(gap(&files(names)), None, "{names:?}");
+        none(&["d_9.pfm", "d_10.pfm", "d_11.pfm"]);
+        none(&["000000_10.png", "000001_10.png"]);
+        none(&["a.png", "c.png"]);
+        none(&["d_7.pfm"]);
+        let names = files(&["d_000.pfm", "d_001.pfm", "d_003.pfm"]);
+        assert_eq!(gap(&names), Some([names[1].as_path(), names[2].as_path()]));
     }
 
     #[test]

@@ -16,7 +16,7 @@ use crate::position::{Position, ViewPosition};
 use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings};
 use crate::source::{Clock, Demands, Lock, SourceName, Stream};
 use crate::timing::{Time, Timing};
-use crate::views::{Grabbed, View, Views, pair_by_numbers};
+use crate::views::{Grabbed, View, Views, pair_by_numbers, same_files};
 
 /// Rate of images, which have no times.
 const IMAGE_FPS: f64 = 30.0;
@@ -447,6 +447,12 @@ impl Node for Capture {
         let texts: Vec<String> = texts.into_iter().map(|(_, text)| text.to_owned()).collect();
         let names = texts.iter().map(|text| SourceName::parse(text, open.graph_dir()));
         let mut names = names.collect::<std::result::Result<Vec<_>, _>>()?;
+        if let Some([a, b]) = same_files(&names) {
+            return Err(NodeError::new(format!(
+                "views {a} and {b} are the same files, `{}`: give each view its own folder or pattern, such as left_*.png and right_*.png",
+                texts[b]
+            )));
+        }
         for remark in pair_by_numbers(&mut names, &texts) {
             open.warn(&remark);
         }

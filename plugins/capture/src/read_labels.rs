@@ -1,9 +1,7 @@
 //! `read_labels`: true boxes from VOC or YOLO files, in step with the pictures that they belong to.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use panoscope_calibration::pictures::is_image;
 use panoscope_node::{
     AnyImage, Context, LabeledDetections, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot,
 };
@@ -29,12 +27,11 @@ pub struct Out<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct ReadLabelsParams {
-    /// Folder or pattern (labels/*.txt, Annotations/*.xml) of YOLO or VOC labels. The n-th file in the order of their numbers belongs to the n-th
-    /// picture.
+    /// Folder or pattern (labels/*.txt, Annotations/*.xml) of YOLO or VOC labels.
     #[param(default = "", reopen, file)]
     path: String,
-    /// Folder or pattern of the pictures, as in the source. With it labels belong to the picture of their name, and a picture without labels shows
-    /// nothing; without it there must be a file for every picture.
+    /// Folder or pattern of the images, as in the source. With it labels belong to the image of their name, else of their number, and an image
+    /// without labels shows nothing; without it the n-th file in the order of their numbers belongs to the n-th image, and no number may be missing.
     #[param(default = "", reopen, file)]
     pictures: String,
     /// Starts with the first file again behind the last one, as `loop` of `capture`.
@@ -44,15 +41,8 @@ pub struct ReadLabelsParams {
 
 /// See the module.
 pub struct ReadLabels {
-    /// Labels, or pictures where they are given.
     series: Series,
-    /// Labels by the name of their picture.
-    by_name: Option<BTreeMap<String, PathBuf>>,
     boxes: Boxes,
-}
-
-fn stem(path: &Path) -> String {
-    path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
 }
 
 fn is_labels(path: &Path) -> bool {
@@ -77,16 +67,11 @@ impl Node for ReadLabels {
     type Params = ReadLabelsParams;
 
     fn open(open: &Open<'_>, params: &ReadLabelsParams) -> Result<Self> {
-        let wrong = |error: crate::series::SeriesError| NodeError::new(error.to_string());
-        let labels = Series::open(&params.path, open.graph_dir(), "file of labels", is_labels).map_err(wrong)?;
-        let first = labels.files().first().filter(|file| boxes::is_yolo(file));
+        let series = Series::open((&params.path, &params.pictures), open.graph_dir(), "file of labels", is_labels)
+            .map_err(|error| NodeError::new(error.to_string()))?;
+        let first = series.files().next().filter(|file| boxes::is_yolo(file));
         let boxes = Boxes::new(first.map_or_else(Vec::new, |file| yolo_classes(file)));
-        if params.pictures.trim().is_empty() {
-            return Ok(Self { series: labels, by_name: None, boxes });
-        }
-        let by_name = labels.files().iter().map(|file| (stem(file), file.clone())).collect();
-        let series = Series::open(&params.pictures, open.graph_dir(), "picture", is_image).map_err(wrong)?;
-        Ok(Self { series, by_name: Some(by_name), boxes })
+        Ok(Self { series, boxes })
     }
 
     fn process<'f>(
@@ -97,14 +82,10 @@ impl Node for ReadLabels {
         params: &ReadLabelsParams,
     ) -> Result<()> {
         let Some((_, file)) = self.series.of_tick(cx, params.r#loop) else { return Ok(()) };
-        let file = match &self.by_name {
-            Some(by_name) => by_name.get(&stem(file)).cloned(),
-            None => Some(file.to_owned()),
-        };
         let size = (input.image.width(), input.image.height());
         self.boxes.clear();
         if let Some(file) = file {
-            self.boxes.read(&file, size)?;
+            self.boxes.read(file, size)?;
         }
         self.boxes.write(&mut out.detections, size)
     }

@@ -36,11 +36,14 @@ pub struct Out<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct ReadMapsParams {
-    /// Folder, pattern (truth/*.pfm or truth/%04d.png) or file: NPY, PFM, TIFF, EXR or PNG. The n-th file in the order of their numbers belongs to
-    /// the n-th picture; a single file to every picture. Of TIFF files with three floats the third one is taken; SCARED's x, y, z are of the raw left
+    /// Folder, pattern (truth/*.pfm or truth/%04d.png) or file: NPY, PFM, TIFF, EXR or PNG; a single file belongs to every image. Of TIFF files with three floats the third one is taken; SCARED's x, y, z are of the raw left
     /// camera, so that z fits no rectified view: `data_set` moves them there.
     #[param(default = "", reopen, file)]
     path: String,
+    /// Folder or pattern of the images, as in the source. With it a map belongs to the image of its name, else of its number, and an image without
+    /// a map has no ground truth; without it the n-th map in the order of their numbers belongs to the n-th image, and no number may be missing.
+    #[param(default = "", reopen, file)]
+    pictures: String,
     /// What the files hold.
     #[param(default = "disparity", reopen)]
     holds: Holds,
@@ -75,7 +78,7 @@ impl Node for ReadMaps {
             let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
             maps::ENDINGS.contains(&ending.as_str())
         };
-        let series = Series::open(&params.path, open.graph_dir(), "map", is_map);
+        let series = Series::open((&params.path, &params.pictures), open.graph_dir(), "map", is_map);
         Ok(Self { series: series.map_err(|error| NodeError::new(error.to_string()))?, known: None })
     }
 
@@ -86,7 +89,7 @@ impl Node for ReadMaps {
         mut out: Out<'f>,
         params: &ReadMapsParams,
     ) -> Result<()> {
-        let Some((index, file)) = self.series.of_tick(cx, params.r#loop) else { return Ok(()) };
+        let Some((index, Some(file))) = self.series.of_tick(cx, params.r#loop) else { return Ok(()) };
         let given = params.divisor;
         if self.known.as_ref().is_none_or(|(known, divisor, _)| (*known, *divisor) != (index, given)) {
             self.known = None;

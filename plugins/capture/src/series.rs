@@ -1,8 +1,10 @@
-//! Files that belong to the pictures of a source: number n of the files to picture n.
+//! Files that belong to the images of a source: by the names or numbers of the images if those are given, else file n to image n.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use panoscope_calibration::pictures::{is_pattern, numbered_files};
+use panoscope_calibration::pictures::{is_image, is_pattern, numbered_files};
+use panoscope_calibration::views::{gap, matched};
 use panoscope_node::Context;
 
 /// Why there are no files.
@@ -27,26 +29,74 @@ pub enum SeriesError {
         /// What the folder holds instead.
         hint: String,
     },
+    /// Numbers are missing between two files.
+    #[error(
+        "number(s) between {before} and {after} are missing, so that it is not known which image each {what} belongs to: name the images in `pictures`",
+        before = before.display(),
+        after = after.display()
+    )]
+    Gap {
+        /// What the files are.
+        what: &'static str,
+        /// The last file before the gap.
+        before: PathBuf,
+        /// The first file after it.
+        after: PathBuf,
+    },
+    /// No file belongs to any of the images.
+    #[error(
+        "no {what} has the name or the number of an image: {file} and {image} are the first of each",
+        file = file.display(),
+        image = image.display()
+    )]
+    Unpaired {
+        /// What the files are.
+        what: &'static str,
+        /// The first of them.
+        file: PathBuf,
+        /// The first image.
+        image: PathBuf,
+    },
 }
 
-/// Files in the order of their numbers.
+/// The file of each image.
 #[derive(Debug)]
 pub struct Series {
     /// What the files are, for messages.
     what: &'static str,
-    files: Vec<PathBuf>,
-    /// One file that belongs to every picture.
+    /// By image; `None` for an image without one.
+    files: Vec<Option<PathBuf>>,
+    /// One file that belongs to every image.
     is_single: bool,
     is_end_reported: bool,
 }
 
+/// The files for each of `images`: with the same name, else with the same number.
+fn pair(what: &'static str, files: Vec<PathBuf>, images: &[PathBuf]) -> Result<Vec<Option<PathBuf>>, SeriesError> {
+    let by_name: BTreeMap<_, _> = files.iter().map(|file| (file.file_stem(), file)).collect();
+    let named: Vec<_> =
+        images.iter().map(|image| by_name.get(&image.file_stem()).map(|file| (*file).clone())).collect();
+    if named.iter().any(Option::is_some) {
+        return Ok(named);
+    }
+    let found = matched(&[images.to_vec(), files]);
+    let [shown, theirs] = found.views.as_slice() else { return Ok(named) };
+    if !found.by_number {
+        let first = |all: &[PathBuf]| all.first().cloned().unwrap_or_default();
+        return Err(SeriesError::Unpaired { what, file: first(theirs), image: first(shown) });
+    }
+    let by_image: BTreeMap<_, _> = shown.iter().zip(theirs).collect();
+    Ok(images.iter().map(|image| by_image.get(image).map(|file| (*file).clone())).collect())
+}
+
 impl Series {
-    /// Reads `text` as `capture` reads its sources: a folder, a pattern with `*`, `?` or `%04d`, or a file; relative paths stand in `folder`.
+    /// Reads `text` as `capture` reads its sources: a folder, a pattern with `*`, `?` or `%04d`, or a file; relative paths are in `folder`.
+    /// `images` names the images in the same way; without them the files must be numbered without gaps.
     ///
     /// # Errors
     /// See [`SeriesError`].
     pub fn open(
-        text: &str,
+        (text, images): (&str, &str),
         folder: &Path,
         what: &'static str,
         fits: impl Fn(&Path) -> bool,
@@ -55,22 +105,23 @@ impl Series {
         if text.is_empty() {
             return Err(SeriesError::Empty);
         }
-        let path = std::path::absolute(folder.join(text)).unwrap_or_else(|_| folder.join(text));
-        let pattern = match (path.is_dir(), path.exists()) {
-            (true, _) => path.join("*"),
-            (false, true) => {
-                return Ok(Self { what, files: vec![path], is_single: true, is_end_reported: false });
+        let (files, is_single) = list(text, folder, what, fits)?;
+        let files = if is_single {
+            files.into_iter().map(Some).collect()
+        } else if images.trim().is_empty() {
+            if let Some([before, after]) = gap(&files) {
+                return Err(SeriesError::Gap { what, before: before.to_owned(), after: after.to_owned() });
             }
-            (false, false) if is_pattern(text) => path,
-            (false, false) => return Err(SeriesError::Missing { path }),
+            files.into_iter().map(Some).collect()
+        } else {
+            pair(what, files, &list(images.trim(), folder, "image", is_image)?.0)?
         };
-        let files = numbered_files(&pattern, what, fits);
-        let files = files.map_err(|hint| SeriesError::NoMatch { what, pattern, hint })?;
-        Ok(Self { what, files, is_single: false, is_end_reported: false })
+        Ok(Self { what, files, is_single, is_end_reported: false })
     }
 
-    /// The file of the tick's picture and its index; `None` behind the last one unless they start again with `is_repeated`.
-    pub fn of_tick(&mut self, cx: &Context<'_>, is_repeated: bool) -> Option<(usize, &Path)> {
+    /// Index of the tick's image and the file that belongs to it, if there is one. `None` behind the last image unless they start again with
+    /// `is_repeated`.
+    pub fn of_tick(&mut self, cx: &Context<'_>, is_repeated: bool) -> Option<(usize, Option<&Path>)> {
         let (number, count) = (cx.tick().seq, self.files.len());
         let index = if self.is_single {
             0
@@ -82,17 +133,35 @@ impl Series {
         if index >= count && !self.is_end_reported {
             self.is_end_reported = true;
             cx.warn(&format!(
-                "picture {} and later ones have no {}: there are {count} files, from {} on",
+                "image {} and later ones have no {}: there are {count}, from {} on",
                 number + 1,
                 self.what,
-                self.files.first().map_or_else(String::new, |file| file.display().to_string()),
+                self.files().next().map_or_else(String::new, |file| file.display().to_string()),
             ));
         }
-        self.files.get(index).map(|file| (index, file.as_path()))
+        self.files.get(index).map(|file| (index, file.as_deref()))
     }
 
     /// The files.
-    pub fn files(&self) -> &[PathBuf] {
-        &self.files
+    pub fn files(&self) -> impl Iterator<Item = &PathBuf> {
+        self.files.iter().flatten()
     }
+}
+
+/// Files in the order of their numbers, and whether `text` names one file.
+fn list(
+    text: &str,
+    folder: &Path,
+    what: &'static str,
+    fits: impl Fn(&Path) -> bool,
+) -> Result<(Vec<PathBuf>, bool), SeriesError> {
+    let path = std::path::absolute(folder.join(text)).unwrap_or_else(|_| folder.join(text));
+    let pattern = match (path.is_dir(), path.exists()) {
+        (true, _) => path.join("*"),
+        (false, true) => return Ok((vec![path], true)),
+        (false, false) if is_pattern(text) => path,
+        (false, false) => return Err(SeriesError::Missing { path }),
+    };
+    let files = numbered_files(&pattern, what, fits);
+    Ok((files.map_err(|hint| SeriesError::NoMatch { what, pattern, hint })?, false))
 }

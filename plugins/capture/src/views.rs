@@ -80,6 +80,16 @@ fn listed(files: &[PathBuf]) -> String {
     text
 }
 
+/// Two views with the same image files, such as one folder given for both.
+pub fn same_files(names: &[SourceName]) -> Option<[usize; 2]> {
+    let images = |index: usize| match &names[index] {
+        SourceName::Images(files) if files.len() > 1 => Some(files),
+        _ => None,
+    };
+    let pairs = (0..names.len()).flat_map(|a| (0..a).map(move |b| [b, a]));
+    pairs.into_iter().find(|[a, b]| images(*a).is_some() && images(*a) == images(*b))
+}
+
 /// Pairs the pictures of folders and patterns by the numbers in their names; lists of files keep their order. Returns remarks for the user.
 pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String> {
     let mut remarks = Vec::new();

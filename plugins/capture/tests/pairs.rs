@@ -24,6 +24,17 @@ fn a_missing_file_shifts_no_pair() {
 }
 
 #[test]
+fn one_folder_is_not_both_views() {
+    let folder = Folder::new("one_folder");
+    for index in [1, 2] {
+        folder.image(&format!("left_{index}.png"), index, WIDTH);
+        folder.image(&format!("right_{index}.png"), 100 + index, WIDTH);
+    }
+    let error = folder.refused(r#"left = ".", right = ".""#);
+    assert!(error.contains("views 0 and 1 are the same files") && error.contains("left_*.png"), "{error}");
+}
+
+#[test]
 fn unequal_counts_are_said() {
     let folder = Folder::new("counts");
     for name in ["a", "b", "c"] {

@@ -29,6 +29,26 @@ fn the_map_of_a_picture_has_its_number() -> TestResult {
     for (name, value) in [("d_2.pfm", 2.0), ("d_10.pfm", 10.0), ("d_1.pfm", 1.0)] {
         fs::write(folder.0.join(name), formats::write_pfm(&map(value))).expect("written");
     }
+    // Which image each belongs to is not known: numbers are missing.
+    let error = maps(&folder, r#"path = "d_*.pfm""#).err().map(|e| e.to_string()).unwrap_or_default();
+    assert!(error.contains("d_2.pfm") && error.contains("d_10.pfm") && error.contains("`pictures`"), "{error}");
+    for number in [1, 2, 3, 10] {
+        folder.image(&format!("left_{number:03}.png"), 2, 1);
+    }
+    let mut node = maps(&folder, r#"path = "d_*.pfm", pictures = "left_*.png""#)?;
+    for expected in [Some(1.0), Some(2.0), None, Some(10.0)] {
+        let out = node.input_image::<Gray8>("image", 2, 1, &[0; 2]).process()?;
+        assert_eq!(out.is_empty("disparity")?, expected.is_none());
+        if let Some(expected) = expected {
+            assert_eq!(out.plane::<Disparity>("disparity")?.data[0], expected);
+        }
+    }
+    let error = maps(&folder, r#"path = "d_*.pfm", pictures = "none_*.png""#).err().map(|e| e.to_string());
+    assert!(error.is_some_and(|e| e.contains("none_*.png")));
+    folder.image("other_7.png", 2, 1);
+    let error = maps(&folder, r#"path = "d_*.pfm", pictures = "other_*.png""#).err().map(|e| e.to_string());
+    assert!(error.as_ref().is_some_and(|e| e.contains("name or the number") && e.contains("other_7.png")), "{error:?}");
+    fs::rename(folder.0.join("d_10.pfm"), folder.0.join("d_3.pfm")).expect("renamed");
     let mut node = maps(&folder, r#"path = "d_*.pfm""#)?;
     for expected in [1.0, 2.0, 10.0] {
         let out = node.input_image::<Gray8>("image", 2, 1, &[0; 2]).process()?;
@@ -40,7 +60,7 @@ fn the_map_of_a_picture_has_its_number() -> TestResult {
         let out = node.input_image::<Gray8>("image", 2, 1, &[0; 2]).process()?;
         assert!(out.is_empty("disparity")?);
     }
-    let warnings = node.logs().iter().filter(|line| line.level == Level::Warn && line.message.contains("3 files"));
+    let warnings = node.logs().iter().filter(|line| line.level == Level::Warn && line.message.contains("there are 3"));
     assert_eq!(warnings.count(), 1, "{:?}", node.logs());
     // A picture that was dropped takes its map with it; `loop` starts again.
     let mut node = maps(&folder, r#"path = "d_*.pfm", loop = true, holds = "depth", divisor = 2.0"#)?;
