@@ -130,6 +130,31 @@ fn matchers_and_parameters_are_compared_against_truth_in_files() {
 }
 
 #[test]
+fn a_node_that_always_fails_is_no_measurement() {
+    let folder = data_set("faults");
+    for pair in 0..DISPARITY.len() {
+        fs::write(folder.join(format!("truth_{pair}.pfm")), b"Pf\n1 1\n-1\n\0\0\x80?").expect("written");
+    }
+    let (graph, out) = (text(&folder.join("judged.toml")), folder.join("study"));
+    let (code, said, told) = run(&[
+        "sweep",
+        &graph,
+        "--param",
+        "match.search_px=32,64",
+        "--measure",
+        "evaluate.bad2_pct",
+        "--out",
+        &text(&out),
+    ]);
+    assert_eq!(code, 1, "{said}{told}");
+    assert!(said.contains("0 of 2 values measured"), "{said}{told}");
+    let table = fs::read_to_string(out.join("results.csv")).expect("a table");
+    let failed = table.lines().skip(1).filter(|line| line.contains("every call of node `truth` failed")).count();
+    assert_eq!(failed, 2, "{table}");
+    fs::remove_dir_all(folder).expect("removed");
+}
+
+#[test]
 fn random_runs_repeat_with_their_seed_and_mistakes_are_named() {
     let folder = data_set("random");
     let graph = text(&folder.join("judged.toml"));

@@ -62,6 +62,13 @@ pub(crate) fn close(engine: &Engine) -> Result<Report> {
     }
 }
 
+/// The first node all of whose calls failed, and its last message in the log.
+pub(crate) fn failed_node(engine: &Engine, report: &Report) -> Option<(String, String)> {
+    let (node, _) = report.nodes.iter().find(|(_, n)| n.faults > 0 && n.faults >= n.count)?;
+    let last = engine.recent_log().into_iter().rev().find(|(_, id, _)| id == node);
+    Some((node.clone(), last.map_or_else(String::new, |(_, _, text)| text)))
+}
+
 /// Runs the graph to its end; without a number of frames until each port has shown a packet.
 pub fn run(session: &dyn Session, plan: &Plan<'_>) -> Result<RunOutput> {
     run_watched(session, plan, Watchers::default())
@@ -132,10 +139,8 @@ pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -
         take_newest();
     }
     let report = close(&engine)?;
-    if let Some((node, _)) = report.nodes.iter().find(|(_, n)| n.faults > 0 && n.faults >= n.count) {
-        let last = engine.recent_log().into_iter().rev().find(|(_, id, _)| id == node);
-        let reason = last.map_or_else(String::new, |(_, _, text)| text);
-        return Err(EvalError::Node { node: node.clone(), reason });
+    if let Some((node, reason)) = failed_node(&engine, &report) {
+        return Err(EvalError::Node { node, reason });
     }
     Ok(RunOutput { packets, report })
 }

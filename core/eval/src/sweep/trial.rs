@@ -12,6 +12,7 @@ use panoscope_loader::Loader;
 use panoscope_record::{Recording, Replay, ReplayOptions};
 
 use super::measure::{Measure, NoSummary, Received, Summary};
+use crate::run::failed_node;
 
 /// How long nodes may take to end.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -62,10 +63,12 @@ impl Trial<'_> {
                 Ok::<(), Infallible>(())
             });
             let outcome = engine.close(PATIENCE);
-            (outcome, engine.report())
+            let report = engine.report();
+            let failed = failed_node(engine, &report);
+            (outcome, report, failed)
         };
         let settings = std::mem::take(&mut self.settings);
-        let (outcome, report) = match self.recording {
+        let (outcome, report, failed) = match self.recording {
             Some(recording) => {
                 let replay_options = ReplayOptions {
                     graph: Some((self.path.to_owned(), self.text.to_owned())),
@@ -92,6 +95,9 @@ impl Trial<'_> {
         };
         if let Outcome::Failed(reason) = outcome {
             return Err(NoSummary::Run(reason));
+        }
+        if let Some((node, reason)) = failed {
+            return Err(NoSummary::Run(format!("every call of node `{node}` failed: {reason}")));
         }
         Ok(self.measures.iter().zip(&*received).map(|(m, r)| m.summary(&lock(r), &report)).collect())
     }
