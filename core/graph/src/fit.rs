@@ -1,9 +1,10 @@
 //! Optional connections, views and pins: left out where an overlay replaced the node that they name and the new one does not have what they name.
+//! Optional connections are also left out where the type of their own node has no such input, as after a swap of its algorithm.
 
 use std::borrow::Cow;
 use std::collections::HashSet;
 
-use crate::catalog::Catalog;
+use crate::catalog::{Catalog, NodeType};
 use crate::file::{InputText, NodeText, RefText};
 use crate::text::GraphText;
 
@@ -17,7 +18,7 @@ struct Absent<'a> {
 
 impl Absent<'_> {
     /// Whether the node was replaced and none of the types that it may have has `name`. An unknown type is reported elsewhere.
-    fn lacks(&self, id: &str, has: impl Fn(&crate::catalog::NodeType) -> bool) -> bool {
+    fn lacks(&self, id: &str, has: impl Fn(&NodeType) -> bool) -> bool {
         if self.nodes.contains(id) {
             return true;
         }
@@ -31,8 +32,18 @@ impl Absent<'_> {
     }
 
     fn reference(&self, reference: &RefText) -> bool {
-        let output = |t: &crate::catalog::NodeType| t.output(&reference.port).is_some();
+        let output = |t: &NodeType| t.output(&reference.port).is_some();
         reference.absent || reference.optional && self.lacks(&reference.node, output)
+    }
+
+    /// Whether the input is optional and the type of its node has none of this name. A name that no type has is a spelling mistake.
+    fn input(&self, node: &NodeText, input: &InputText) -> bool {
+        let types = node.type_name.as_ref().map_or_else(Vec::new, |name| self.catalog.find(&name.value));
+        let has = |t: &NodeType| t.input(&input.port.value).is_some();
+        is_optional(input)
+            && !types.is_empty()
+            && !types.into_iter().any(|t| has(&self.catalog.node_types[t]))
+            && self.catalog.node_types.iter().any(has)
     }
 
     /// Whether a node had connections and has lost all of them.
@@ -42,10 +53,14 @@ impl Absent<'_> {
     }
 }
 
+fn is_optional(input: &InputText) -> bool {
+    !input.refs.is_empty() && input.refs.iter().all(|reference| reference.optional)
+}
+
 impl GraphText {
     /// The graph with its optional connections, views and pins as far as they exist. A node that loses its only connections is left out too.
     pub(crate) fn fitted(&self, catalog: &Catalog) -> Cow<'_, Self> {
-        if self.flat.replaced.is_empty() {
+        if self.flat.replaced.is_empty() && !self.flat.nodes.iter().flat_map(|node| &node.inputs).any(is_optional) {
             return Cow::Borrowed(self);
         }
         let mut absent = Absent { text: self, catalog, nodes: HashSet::new() };
@@ -60,7 +75,11 @@ impl GraphText {
         let mut fitted = self.clone();
         fitted.flat.nodes.retain(|n| !absent.nodes.contains(&n.id.value));
         for node in &mut fitted.flat.nodes {
+            let mut unknown = node.inputs.iter().map(|input| absent.input(node, input)).collect::<Vec<_>>().into_iter();
             node.inputs.retain_mut(|input: &mut InputText| {
+                if unknown.next() == Some(true) {
+                    return false;
+                }
                 let before = input.refs.len();
                 input.refs.retain(|r| !absent.reference(r));
                 before == 0 || !input.refs.is_empty()

@@ -550,6 +550,27 @@ fn optional_connections_are_left_out_with_a_source_that_does_not_have_them() {
 }
 
 #[test]
+fn an_optional_connection_is_left_out_where_the_type_has_no_such_input() {
+    let check_with = |input: &str| {
+        let text = format!(
+            r#"plugins = ["phantom", "stereo"]
+[nodes.view]
+type = "phantom"
+[nodes.match]
+type = "stereo_bm"
+inputs = {{ left = "view.left", right = "view.right", {input} = {{ from = "view.left", optional = true }} }}
+"#
+        );
+        check(&GraphText::parse(Path::new("graph.toml"), &text), &common::catalog()).into_result()
+    };
+    // `packet` is an input of other types, such as the one that stood here before.
+    let (graph, _) = check_with("packet").unwrap_or_else(|d| panic!("{}", d.render(false)));
+    assert_eq!(graph.edges.len(), 2);
+    let said = check_with("packett").expect_err("a spelling mistake").render(false);
+    assert!(said.contains("has no input `packett`"), "{said}");
+}
+
+#[test]
 fn other_connections_to_a_replaced_source_are_errors_that_name_the_overlay() {
     let folder = carried("lacks");
     let needs = USER.replacen(", optional = true", "", 1);
