@@ -6,7 +6,7 @@ use panoscope_imaging::lit::HeldMask;
 use panoscope_node::abi::{Detection, Scalar};
 use panoscope_node::{
     AnyImage, Bgr8, Choice, Context, Gray8, Image, LabeledDetections, Mask, Node, NodeInfo, Open, Parallel, Params,
-    Ports, Result, Slot, Validation, View, error,
+    Ports, Result, Slot, TextPacket, Validation, View, error,
 };
 
 use crate::calibration::{Calibration, Rule};
@@ -38,6 +38,17 @@ pub struct Out<'f> {
     /// How unlike the pictures that the model learned from the last ones are, smoothed, as a share of the model's limit: from 1 on it knows little of
     /// such pictures. Empty where the model carries no statistics of pictures. Metric `unlike` is 1 while it is above.
     unlikeness: Slot<'f, Scalar>,
+    /// What a screen says while the images are too unlike those that the model learned from; else empty text.
+    text: Slot<'f, TextPacket>,
+}
+
+/// What happens to boxes in images that are too unlike those that the model learned from.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unlike {
+    /// They are kept; a warning says so.
+    Keep,
+    /// They are dropped, so that nothing follows them.
+    Drop,
 }
 
 /// Families of exports.
@@ -126,6 +137,9 @@ pub struct YoloParams {
     /// Time over which the deviation of the pictures from those learned from is smoothed.
     #[param(default = 2.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     unlike_s: f32,
+    /// What happens to the boxes while `unlikeness` is 1 or more.
+    #[param(default = "keep")]
+    unlike: Unlike,
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
@@ -358,6 +372,15 @@ impl Node for Yolo {
             }
             self.was_unlike = is_unlike;
             out.unlikeness.set_scalar("unlikeness", f64::from(smoothed), "")?;
+        }
+        let drops = self.was_unlike && params.unlike == Unlike::Drop;
+        out.text.set_text(match (self.was_unlike, drops) {
+            (false, _) => "",
+            (true, false) => "instruments may be missed or misnamed: unfamiliar images",
+            (true, true) => "instruments are not followed: unfamiliar images",
+        })?;
+        if drops {
+            self.candidates.clear();
         }
         if let Some(rule) = &rule {
             rule.apply(&mut self.candidates);

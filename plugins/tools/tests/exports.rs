@@ -139,7 +139,11 @@ fn pictures_unlike_those_learned_from_are_said_after_a_while() {
     }
     let m = |limit: &str, statistics: &str| {
         let mut m = model(vec![
-            ("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[])),
+            (
+                "output",
+                vec![1, CELLS as i64, 7],
+                rows(CELLS, 7, &[(19, vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8])]),
+            ),
             // Two channels of 2 x 2 cells; the picture of 128 x 96 fills 64 x 48 px of the input: the upper cells.
             ("features", vec![1, 2, 2, 2], Fixed::Floats(vec![1.0, 3.0, 50.0, 50.0, 4.0, 4.0, 50.0, 50.0])),
         ]);
@@ -150,23 +154,32 @@ fn pictures_unlike_those_learned_from_are_said_after_a_while() {
     // Means 2 and 4, less 1 and 2; whitened by ones: root of (1 + 4) / 2 = 1.5811.
     let statistics = "panoscope-pictures-1 1 2 1 0 0 1";
     let folder = folder("pictures");
-    let seen = |path: &Path| {
-        let mut node = open(path, "").expect("the model opens");
-        let mut last = (0.0, 0.0);
+    // `unlikeness` and `unlike` of the last image, boxes in it and the text for a screen; how often the log says it.
+    let seen = |path: &Path, params: &str| {
+        let mut node = open(path, params).expect("the model opens");
+        let mut last = (0.0, 0.0, 0, String::new());
         for tick in 0..60 {
             node.at_tick(tick, tick as i64 * 100_000_000);
             let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("it runs");
             let value = out.value::<panoscope_node::abi::Scalar>("unlikeness").expect("a number").value;
-            last = (value, node.metric("unlike").expect("a metric"));
+            let boxes = out.detections("detections").expect("boxes").items().len();
+            let text = out.text("text").expect("a text").to_owned();
+            last = (value, node.metric("unlike").expect("a metric"), boxes, text);
         }
         (last, node.logs().iter().filter(|line| line.message.contains("unlike those")).count())
     };
-    let ((value, is_on), warnings) = seen(&m("1", statistics).write(&folder, "far.onnx"));
+    let far = m("1", statistics).write(&folder, "far.onnx");
+    let ((value, is_on, boxes, text), warnings) = seen(&far, "");
     assert!((value - 1.5811).abs() < 0.05, "{value}");
-    assert_eq!((is_on, warnings), (1.0, 1), "said once");
-    let ((value, is_on), warnings) = seen(&m("3", statistics).write(&folder, "near.onnx"));
+    assert_eq!((is_on, boxes, warnings), (1.0, 1, 1), "said once");
+    assert!(text.contains("may be missed"), "{text}");
+    let ((_, _, boxes, text), _) = seen(&far, r#", unlike = "drop""#);
+    assert_eq!(boxes, 0);
+    assert!(text.contains("not followed"), "{text}");
+    let ((value, is_on, boxes, text), warnings) =
+        seen(&m("3", statistics).write(&folder, "near.onnx"), r#", unlike = "drop""#);
     assert!((value - 1.5811 / 3.0).abs() < 0.02, "{value}");
-    assert_eq!((is_on, warnings), (0.0, 0));
+    assert_eq!((is_on, boxes, text.as_str(), warnings), (0.0, 1, "", 0));
     let error = open(&m("1", "panoscope-pictures-1 1 2 3").write(&folder, "damaged.onnx"), "").err().expect("refused");
     assert!(error.to_string().contains("3 numbers, 6 fit 2 channels"), "{error}");
     // A model without statistics says nothing of its pictures.
