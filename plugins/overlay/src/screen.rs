@@ -1,5 +1,7 @@
 //! `screen`: one large picture and smaller ones beside it, as a surgeon looks at them (thesis, chapter 6).
 
+use std::time::Duration;
+
 use panoscope_imaging::draw;
 use panoscope_imaging::fit::Fit;
 use panoscope_node::{
@@ -47,8 +49,15 @@ pub struct Settings {
     /// Size of the titles on a screen 720 px high, with which it grows: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
+    /// Age of its light from which a picture is dimmed and framed, with its age in the middle. 0 shows every picture as it is.
+    #[param(default = 1000, range = 0..=60000, unit = "ms")]
+    pub max_age_ms: u64,
 }
 
+/// Brightness that is left of a picture that is too old, of 256.
+const DIMMED: u16 = 90;
+/// Frame and age of a picture that is too old: amber.
+const STALE: [u8; 3] = [40, 180, 255];
 const BACKGROUND: u8 = 16;
 /// Height of a screen on which margins and titles have the size of the parameters.
 const USUAL_HEIGHT: f32 = 720.0;
@@ -152,6 +161,24 @@ fn fill_around(screen: &mut ViewMut<'_, u8>, pictures: &[Cell]) {
     }
 }
 
+/// Dims a picture, frames it and writes how old its light is in its middle.
+fn mark_stale(screen: &mut ViewMut<'_, u8>, cell: Cell, age: Duration, scale: f32) {
+    for y in cell.y..cell.y + cell.height {
+        for value in &mut screen.row_mut(y)[3 * cell.x..3 * (cell.x + cell.width)] {
+            *value = ((u16::from(*value) * DIMMED) >> 8) as u8;
+        }
+    }
+    let [x, y, width, height] = [cell.x, cell.y, cell.width, cell.height].map(|v| v as f32);
+    let thickness = scale.max(2.0);
+    draw::rectangle(screen, x + 1.0, y + 1.0, width - 2.0, height - 2.0, thickness, STALE);
+    let text = match age {
+        Duration::MAX => "not live".to_owned(),
+        _ => format!("{:.1} s old", age.as_secs_f64()),
+    };
+    let (text_width, text_height) = draw::text_size(&text, scale);
+    draw::text(screen, x + (width - text_width) / 2.0, y + (height - text_height) / 2.0, &text, scale, STALE);
+}
+
 impl Node for Screen {
     const INFO: NodeInfo =
         NodeInfo::compute("screen", "overlay", "Puts one large picture and smaller ones beside it on a screen.");
@@ -190,6 +217,12 @@ impl Node for Screen {
         for (picture, shown) in pictures().zip(&self.shown) {
             if let Some(pixels) = picture.as_ref().and_then(bytes) {
                 self.fit.place(&mut screen, &pixels, (shown.x, shown.y), (shown.width, shown.height));
+            }
+        }
+        for (picture, shown) in pictures().zip(&self.shown) {
+            let Some(age) = picture.as_ref().map(|picture| cx.age(picture)) else { continue };
+            if params.max_age_ms > 0 && age.as_millis() > u128::from(params.max_age_ms) {
+                mark_stale(&mut screen, *shown, age, 1.5 * text_scale(params));
             }
         }
         // Right below the pictures, so that no word lies on one.

@@ -435,6 +435,29 @@ fn a_screen_keeps_its_size_and_its_main_picture_large() {
     assert!(node.process().err().unwrap().to_string().contains("`main` holds no 8-bit picture"));
 }
 
+#[test]
+fn a_picture_that_is_too_old_is_dimmed_and_framed() {
+    let shown = |params: &str, age_ms: u64| {
+        let params = format!("params = {{ width = 320, height = 200, gap_px = 0 {params} }}");
+        let mut node = Harness::<Screen>::from_toml(&params).unwrap();
+        node.input_image::<Gray8>("main", 160, 120, &[200; 160 * 120]);
+        node.input_image::<Gray8>("side", 160, 120, &[100; 160 * 120]);
+        node.input_age("side", std::time::Duration::from_millis(age_ms));
+        let out = node.process().unwrap();
+        let view = out.plane::<Bgr8>("image").unwrap();
+        let pixels = view.data.as_chunks::<3>().0;
+        let count = |value: [u8; 3]| pixels.iter().filter(|pixel| **pixel == value).count();
+        assert!(count([200; 3]) > 15_000, "the living picture stays as it is");
+        (count([100; 3]), count([40, 180, 255]))
+    };
+    let (bright, amber) = shown("", 900);
+    assert!(bright > 1000 && amber == 0, "{bright} {amber}");
+    let (bright, amber) = shown("", 1200);
+    assert!(bright == 0 && amber > 100, "{bright} {amber}");
+    let (bright, amber) = shown(", max_age_ms = 0", 1200);
+    assert!(bright > 1000 && amber == 0, "{bright} {amber}");
+}
+
 /// Everything at once on a real picture, for people to look at: `PANOSCOPE_SHOW=folder cargo test -p panoscope-overlay`.
 #[test]
 fn a_full_picture() {
