@@ -1,5 +1,7 @@
 //! What a graph's screen shows: how much of it is the main picture, how much is empty, how much of the known surface is cut off, and whether the colours of
-//! depth cover the depths.
+//! depth cover the depths. On rendered scenes also whether the panorama shows instruments as one of its views does.
+
+mod instruments;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,7 +16,7 @@ use toml::{Table, Value};
 use crate::error::{Context, EvalError, FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::graph_file;
-use crate::inputs::references::upstream;
+use crate::inputs::references::{from, node_of, upstream};
 use crate::packets;
 use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::Session;
@@ -42,9 +44,19 @@ const METRICS: [(&str, &str, bool); 6] = [
     ("composite_mesh", "view_gain_pct", false),
 ];
 /// Share of the main picture of all that a screen shows, dead area, cut surface and depths beyond the colours, %: beyond it a tick counts as faulty.
-const LIMITS: [(&str, f64); 4] = [("main_pct", 60.0), ("dead_pct", 8.0), ("cut_pct", 2.0), ("beyond_pct", 5.0)];
+const LIMITS: [(&str, f64); 6] = [
+    ("main_pct", 60.0),
+    ("dead_pct", 8.0),
+    ("cut_pct", 2.0),
+    ("beyond_pct", 5.0),
+    ("instrument_px", MAX_DEVIATION_PX),
+    ("instrument_jump_px", MAX_DEVIATION_PX),
+];
 /// Brightness up to which a pixel of the screen shows nothing: that of its ground.
 const UNLIT: u8 = 24;
+
+/// Largest deviation of an instrument in the panorama from the view that shows it, and largest change of its position between two ticks, px.
+const MAX_DEVIATION_PX: f64 = 1.0;
 
 /// Values of a metric over the ticks.
 type Heard = Arc<Mutex<BTreeMap<String, Vec<f64>>>>;
@@ -108,7 +120,8 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
     }
     let failed: Arc<Mutex<Option<(PathBuf, image::ImageError)>>> = Arc::default();
-    let listen = screens.iter().map(|node| {
+    let mut listen = listen_to_instruments(nodes, &heard);
+    listen.extend(screens.iter().map(|node| {
         let (heard, key) = (Arc::clone(&heard), format!("unlit_pct/{node}"));
         let (failed, folder, name) = (Arc::clone(&failed), options.pictures.clone(), node.replace('/', "_"));
         let look = move |packet: &FrameRef| {
@@ -121,12 +134,12 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             }
         };
         Listener { node: node.clone(), output: "image".to_owned(), hear: Arc::new(look) }
-    });
+    }));
     let text = graph.to_string();
     let path = std::path::absolute(&options.graph).unwrap_or_else(|_| options.graph.clone());
     let plan =
         Plan { text: &text, path: &path, frames: Some(options.frames), threads: 0, ports: &[], pace: Pace::Alone };
-    run::run_watched(session, &plan, Watchers { listen: listen.collect(), numbers, tracer: None })?;
+    run::run_watched(session, &plan, Watchers { listen, numbers, tracer: None })?;
     if let Some((file, error)) = failed.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error).with_context(|| format!("cannot write {}", file.display()));
     }
@@ -134,24 +147,91 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     Ok(heard.iter().flat_map(|(name, values)| figures(name, values, &options.graph)).collect())
 }
 
+/// Listeners that compare the instruments of each panorama with those of its two views, where the views are rendered.
+fn listen_to_instruments(nodes: &Table, heard: &Heard) -> Vec<Listener> {
+    if !nodes.values().any(|node| node.get("type").and_then(Value::as_str) == Some("phantom")) {
+        return Vec::new();
+    }
+    let mut all = Vec::new();
+    for (id, node) in nodes {
+        let is_composite = node.get("type").and_then(Value::as_str).is_some_and(|t| t.starts_with("composite"));
+        let input = |name: &str| node.get("inputs").and_then(|inputs| inputs.get(name)).and_then(from);
+        let (true, Some(left), Some(right)) = (is_composite, input("left"), input("right")) else { continue };
+        let panorama = format!("{id}.panorama");
+        let watch =
+            Arc::new(Mutex::new(InstrumentWatch { id: id.clone(), heard: Arc::clone(heard), ..Default::default() }));
+        for (index, output) in [&panorama, left, right].into_iter().enumerate() {
+            let watch = Arc::clone(&watch);
+            let hear = move |packet: &FrameRef| {
+                watch.lock().unwrap_or_else(PoisonError::into_inner).take(index, packet);
+            };
+            let port = output.split_once('.').map_or("", |(_, port)| port);
+            all.push(Listener { node: node_of(output).to_owned(), output: port.to_owned(), hear: Arc::new(hear) });
+        }
+    }
+    all
+}
+
+/// Compares the instruments of a panorama with those of its views, tick by tick.
+#[derive(Default)]
+struct InstrumentWatch {
+    /// The composite.
+    id: String,
+    heard: Heard,
+    /// Panorama, left and right view of ticks that are not complete.
+    waiting: BTreeMap<u64, [Option<instruments::Image>; 3]>,
+    /// Position of the largest instrument in the tick before.
+    before: Option<(usize, [f64; 2])>,
+}
+
+impl InstrumentWatch {
+    fn take(&mut self, index: usize, packet: &FrameRef) {
+        let (width, height) = (packet.frame().width as usize, packet.frame().height as usize);
+        let Some(pixels) = packets::bytes(packet, 3) else { return };
+        let seq = packet.tick().seq;
+        let images = self.waiting.entry(seq).or_default();
+        images[index] = Some(instruments::Image { width, height, pixels });
+        let [Some(panorama), Some(left), Some(right)] = images else { return };
+        let found = instruments::compare(panorama, [left, right]);
+        // Ticks without a panorama never become complete.
+        self.waiting.retain(|other, _| *other > seq);
+        if let Some(worst) = found.deviations_px.iter().copied().reduce(f64::max) {
+            hear(&self.heard, &format!("instrument_px/{}", self.id), worst);
+        }
+        if let (Some((view, now)), Some((same, before))) = (found.position, self.before)
+            && view == same
+        {
+            let moved = (now[0] - before[0]).hypot(now[1] - before[1]);
+            hear(&self.heard, &format!("instrument_jump_px/{}", self.id), moved);
+        }
+        self.before = found.position;
+    }
+}
+
 /// Median and worst value of a metric, and how many ticks miss its limit.
 fn figures(name: &str, values: &[f64], graph: &Path) -> Vec<Figure> {
     let metric = name.split('/').next().unwrap_or(name);
     let more_is_better = METRICS.iter().any(|(_, known, less)| *known == metric && !less);
+    let unit = if metric.ends_with("_px") { "px" } else { "%" };
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let input = format!("{}, {} pictures", graph.display(), values.len());
     let at = |index: usize| sorted.get(index).copied().unwrap_or(f64::NAN);
     let worst = if more_is_better { at(0) } else { at(sorted.len().saturating_sub(1)) };
     let mut found = vec![
-        Figure::new(&format!("{name}/median"), at(sorted.len() / 2), "%", &input),
-        Figure::new(&format!("{name}/worst"), worst, "%", &input),
+        Figure::new(&format!("{name}/median"), at(sorted.len() / 2), unit, &input),
+        Figure::new(&format!("{name}/worst"), worst, unit, &input),
     ];
     if let Some((_, limit)) = LIMITS.iter().find(|(known, _)| *known == metric) {
         let misses = |v: &&f64| if more_is_better { **v < *limit } else { **v > *limit };
         let count = sorted.iter().filter(misses).count() as f64;
         let side = if more_is_better { "below" } else { "above" };
-        found.push(Figure::new(&format!("{name}/{side}_{limit}_pct"), count, "pictures", &input));
+        found.push(Figure::new(
+            &format!("{name}/{side}_{limit}_{}", if unit == "%" { "pct" } else { unit }),
+            count,
+            "pictures",
+            &input,
+        ));
     }
     found
 }

@@ -1,0 +1,383 @@
+//! Whether a panorama shows instruments with the shape that they have in one of its views.
+//!
+//! Works on rendered scenes: metal and plastic are gray there, tissue is red, so that outlines are where the color changes, to fractions of a
+//! pixel. The outline of each instrument in the panorama is laid on those of either view by an affine map (iterative closest points), which keeps
+//! straight edges straight; what differs then is a bent, torn or missing piece.
+
+use nalgebra::{Matrix2x3, Matrix3, Matrix3x2, RowVector2, Vector3};
+
+/// An image in blue, green, red without padding.
+#[derive(Clone, Debug)]
+pub struct Image {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Three bytes per pixel.
+    pub pixels: Vec<u8>,
+}
+
+/// How the instruments of a panorama differ from the views.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Comparison {
+    /// For each instrument the 98 % quantile of the distance between its outline and that of the view that fits best, px.
+    pub deviations_px: Vec<f64>,
+    /// View that fits the largest instrument best (0 left, 1 right), and where the instrument's centre is in that view minus where it is in the
+    /// panorama, px.
+    pub position: Option<(usize, Point)>,
+}
+
+type Point = [f64; 2];
+
+/// (R - B) / R up to which a pixel is gray.
+const MAX_REDNESS: f32 = 0.14;
+/// Red below which redness is not divided by it: noise in the dark.
+const DARK: f32 = 36.0;
+/// Brighter pixels are reflections on tissue.
+const MAX_BRIGHTNESS: f32 = 225.0;
+/// Share of the image's pixels that an instrument has at least.
+const MIN_AREA: f64 = 0.006;
+/// Outlines nearer to the border of an image are those of the image, px.
+const BORDER_PX: f64 = 5.0;
+/// Outlines farther apart do not belong together, px.
+const REACH_PX: f64 = 16.0;
+/// Length by which coordinates are divided before equations are solved, px.
+const CONDITION_PX: f64 = 300.0;
+/// Side of a cell in which points of an outline are looked up, px.
+const CELL_PX: f64 = 4.0;
+const ITERATIONS: usize = 25;
+/// Share of an outline that must be inside a view for a comparison.
+const MIN_INSIDE: f64 = 0.5;
+const QUANTILE: f64 = 0.98;
+
+/// Outlines of the instruments in an image.
+struct Outlines {
+    width: usize,
+    height: usize,
+    /// Of each instrument, the largest first.
+    instruments: Vec<Vec<Point>>,
+    cells: Vec<Vec<Point>>,
+    columns: usize,
+}
+
+/// Compares the instruments of a panorama with those of the left and the right view.
+pub fn compare(panorama: &Image, views: [&Image; 2]) -> Comparison {
+    let shown = Outlines::of(panorama);
+    let views = views.map(Outlines::of);
+    let mut found = Comparison::default();
+    for outline in &shown.instruments {
+        let fits = views.iter().enumerate().filter_map(|(view, other)| Some((view, fit(outline, &shown, other)?)));
+        let Some((view, fit)) = fits.min_by(|a, b| a.1.deviation_px.total_cmp(&b.1.deviation_px)) else { continue };
+        found.deviations_px.push(fit.deviation_px);
+        found.position.get_or_insert((view, fit.offset));
+    }
+    found
+}
+
+impl Outlines {
+    fn of(image: &Image) -> Self {
+        let (width, height) = (image.width, image.height);
+        let redness = redness(image);
+        let labels = label(&redness, width, height);
+        let count = labels.iter().copied().max().unwrap_or(0);
+        let mut instruments = vec![Vec::new(); count];
+        let mut cross = |a: usize, b: usize, step: Point| {
+            // One of the two pixels is an instrument, the other is not gray.
+            let (label, is_edge) = match (labels[a], labels[b]) {
+                (0, n) if n > 0 => (n, redness[a] > MAX_REDNESS),
+                (n, 0) if n > 0 => (n, redness[b] > MAX_REDNESS),
+                _ => return,
+            };
+            if is_edge {
+                let t = f64::from((MAX_REDNESS - redness[a]) / (redness[b] - redness[a]));
+                let point = [(a % width) as f64 + t * step[0], (a / width) as f64 + t * step[1]];
+                if is_inside(point, width, height) {
+                    instruments[label - 1].push(point);
+                }
+            }
+        };
+        for at in 0..width * height {
+            if at % width + 1 < width {
+                cross(at, at + 1, [1.0, 0.0]);
+            }
+            if at / width + 1 < height {
+                cross(at, at + width, [0.0, 1.0]);
+            }
+        }
+        instruments.retain(|points| points.len() >= 16);
+        instruments.sort_by_key(|points| std::cmp::Reverse(points.len()));
+        let columns = (width as f64 / CELL_PX) as usize + 1;
+        let mut cells = vec![Vec::new(); columns * ((height as f64 / CELL_PX) as usize + 1)];
+        for point in instruments.iter().flatten() {
+            cells[(point[1] / CELL_PX) as usize * columns + (point[0] / CELL_PX) as usize].push(*point);
+        }
+        Self { width, height, instruments, cells, columns }
+    }
+
+    /// The nearest point of all outlines within reach, and the distance to the line through it and its neighbour.
+    fn nearest(&self, to: Point) -> Option<(Point, f64)> {
+        let rows = self.cells.len() / self.columns;
+        let reach = (REACH_PX / CELL_PX) as isize;
+        let [x, y] = to.map(|v| (v / CELL_PX).floor() as isize);
+        let mut best: [Option<(f64, Point)>; 2] = [None; 2];
+        for ring in 0..=reach {
+            // Two points of the rings before are nearer than any of the next ring.
+            if best[1].is_some_and(|(d, _)| d.sqrt() < (ring - 1).max(0) as f64 * CELL_PX) {
+                break;
+            }
+            for cy in y - ring..=y + ring {
+                let step = if (cy - y).abs() == ring { 1 } else { (2 * ring).max(1) };
+                for cx in (x - ring..=x + ring).step_by(step as usize) {
+                    if cx < 0 || cy < 0 || cx as usize >= self.columns || cy as usize >= rows {
+                        continue;
+                    }
+                    for point in &self.cells[cy as usize * self.columns + cx as usize] {
+                        let d = square(minus(*point, to));
+                        if best[0].is_none_or(|(first, _)| d < first) {
+                            best = [Some((d, *point)), best[0]];
+                        } else if best[1].is_none_or(|(second, _)| d < second) {
+                            best[1] = Some((d, *point));
+                        }
+                    }
+                }
+            }
+        }
+        let (d, near) = best[0]?;
+        let distance = match best[1] {
+            Some((_, other)) if square(minus(other, near)) > 1e-6 => to_segment(to, near, other),
+            _ => d.sqrt(),
+        };
+        (d.sqrt() <= REACH_PX).then_some((near, distance))
+    }
+}
+
+/// How gray each pixel is, averaged over 3 x 3 pixels. Reflections count as red.
+fn redness(image: &Image) -> Vec<f32> {
+    let (width, height) = (image.width, image.height);
+    let pixels = image.pixels.as_chunks::<3>().0;
+    let mut out = Vec::with_capacity(width * height);
+    for y in 0..height {
+        for x in 0..width {
+            let mut sum = [0.0; 3];
+            let mut count = 0.0;
+            for row in y.saturating_sub(1)..(y + 2).min(height) {
+                for pixel in &pixels[row * width + x.saturating_sub(1)..row * width + (x + 2).min(width)] {
+                    (0..3).for_each(|k| sum[k] += f32::from(pixel[k]));
+                    count += 1.0;
+                }
+            }
+            let [blue, _, red] = sum.map(|v| v / count);
+            out.push(if red > MAX_BRIGHTNESS { 1.0 } else { (red - blue) / red.max(DARK) });
+        }
+    }
+    out
+}
+
+/// Numbers connected gray areas from 1; 0 for red pixels and areas that are too small.
+fn label(redness: &[f32], width: usize, height: usize) -> Vec<usize> {
+    const UNKNOWN: usize = usize::MAX;
+    let mut labels: Vec<usize> = redness.iter().map(|r| if *r <= MAX_REDNESS { UNKNOWN } else { 0 }).collect();
+    let least = (MIN_AREA * (width * height) as f64) as usize;
+    let (mut next, mut area) = (1, Vec::new());
+    for start in 0..labels.len() {
+        if labels[start] != UNKNOWN {
+            continue;
+        }
+        area.clear();
+        area.push(start);
+        labels[start] = next;
+        let mut done = 0;
+        while let Some(&at) = area.get(done) {
+            done += 1;
+            let (x, y) = (at % width, at / width);
+            let around = [(x > 0, at.wrapping_sub(1)), (x + 1 < width, at + 1)];
+            let across = [(y > 0, at.wrapping_sub(width)), (y + 1 < height, at + width)];
+            for (_, to) in around.into_iter().chain(across).filter(|(is_inside, _)| *is_inside) {
+                if labels[to] == UNKNOWN {
+                    labels[to] = next;
+                    area.push(to);
+                }
+            }
+        }
+        if area.len() < least {
+            area.iter().for_each(|at| labels[*at] = 0);
+        } else {
+            next += 1;
+        }
+    }
+    labels
+}
+
+/// An affine map: the product of its rows with `[x, y, 1]`.
+#[derive(Clone, Copy, Debug)]
+struct Affine(Matrix2x3<f64>);
+
+impl Affine {
+    fn shift(dx: f64, dy: f64) -> Self {
+        Self(Matrix2x3::new(1.0, 0.0, dx, 0.0, 1.0, dy))
+    }
+
+    fn map(&self, [x, y]: Point) -> Point {
+        (self.0 * Vector3::new(x, y, 1.0)).into()
+    }
+
+    fn inverse(&self) -> Option<Self> {
+        let turn = self.0.fixed_columns::<2>(0).try_inverse()?;
+        let shift = -(turn * self.0.column(2));
+        Some(Self(Matrix2x3::from_columns(&[turn.column(0).into(), turn.column(1).into(), shift])))
+    }
+
+    /// The one that moves the first points of the pairs next to the second ones, by least squares.
+    fn of(pairs: &[(Point, Point)]) -> Option<Self> {
+        let (mut normal, mut right) = (Matrix3::zeros(), Matrix3x2::zeros());
+        for ([x, y], to) in pairs {
+            let row = Vector3::new(x / CONDITION_PX, y / CONDITION_PX, 1.0);
+            normal += row * row.transpose();
+            right += row * RowVector2::from(*to);
+        }
+        let solved = (normal.try_inverse()? * right).transpose();
+        Some(Self(solved * Matrix3::from_diagonal(&Vector3::new(1.0 / CONDITION_PX, 1.0 / CONDITION_PX, 1.0))))
+    }
+}
+
+struct Fit {
+    deviation_px: f64,
+    offset: Point,
+}
+
+/// Lays an outline of `shown` on those of a view. `None` if the view does not show enough of it.
+fn fit(outline: &[Point], shown: &Outlines, view: &Outlines) -> Option<Fit> {
+    let starts = view.instruments.iter().flat_map(|other| starts(outline, other));
+    // The mean distance inside the view: what is beyond its border says nothing.
+    let near = |start: &Affine| {
+        let sample = outline.iter().step_by((outline.len() / 64).max(1)).map(|p| start.map(*p));
+        let (inside, outside): (Vec<Point>, Vec<Point>) = sample.partition(|p| is_inside(*p, view.width, view.height));
+        if (inside.len() as f64) < MIN_INSIDE * (inside.len() + outside.len()) as f64 {
+            return REACH_PX;
+        }
+        inside.iter().map(|p| view.nearest(*p).map_or(REACH_PX, |(_, d)| d)).sum::<f64>() / inside.len() as f64
+    };
+    let mut at = starts.min_by(|a, b| near(a).total_cmp(&near(b)))?;
+    for step in 0..ITERATIONS {
+        // Pieces that do not fit must not draw the rest away.
+        let reach = match step {
+            0..5 => REACH_PX,
+            5..15 => 3.0,
+            _ => 1.5,
+        };
+        let pairs: Vec<(Point, Point)> = outline
+            .iter()
+            .filter(|p| is_inside(at.map(**p), view.width, view.height))
+            .filter_map(|p| view.nearest(at.map(*p)).filter(|(_, d)| *d < reach).map(|(q, _)| (*p, q)))
+            .collect();
+        at = Affine::of(&pairs)?;
+    }
+    let inside: Vec<Point> =
+        outline.iter().map(|p| at.map(*p)).filter(|p| is_inside(*p, view.width, view.height)).collect();
+    if (inside.len() as f64) < MIN_INSIDE * outline.len() as f64 {
+        return None;
+    }
+    let far = |outlines: &Outlines, p: Point| outlines.nearest(p).map_or(REACH_PX, |(_, d)| d);
+    let there = quantile(inside.iter().map(|p| far(view, *p)).collect());
+    // And back, so that no piece is missing: of the instrument of the view that has most of the points.
+    let near = |other: &Vec<Point>| {
+        let mut count = 0;
+        for p in inside.iter().step_by(8) {
+            count += usize::from(other.iter().any(|q| square(minus(*p, *q)) < 9.0));
+        }
+        count
+    };
+    let same = view.instruments.iter().max_by_key(|other| near(other))?;
+    let back = at.inverse()?;
+    let returned = same.iter().map(|p| back.map(*p)).filter(|p| is_inside(*p, shown.width, shown.height));
+    let back = quantile(returned.map(|p| far(shown, p)).collect());
+    let centre = outline.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]).map(|v| v / outline.len() as f64);
+    Some(Fit { deviation_px: there.max(back), offset: minus(at.map(centre), centre) })
+}
+
+/// Translations that lay corners of the bounds, or the centres, of two outlines on each other.
+fn starts(outline: &[Point], other: &[Point]) -> Vec<Affine> {
+    let bounds = |points: &[Point]| {
+        let all = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+        points.iter().fold(all, |b, p| [b[0].min(p[0]), b[1].min(p[1]), b[2].max(p[0]), b[3].max(p[1])])
+    };
+    let (a, b) = (bounds(outline), bounds(other));
+    let mut all = vec![Affine::shift((b[0] + b[2] - a[0] - a[2]) / 2.0, (b[1] + b[3] - a[1] - a[3]) / 2.0)];
+    for x in [0, 2] {
+        all.extend([1, 3].map(|y| Affine::shift(b[x] - a[x], b[y] - a[y])));
+    }
+    all
+}
+
+fn is_inside([x, y]: Point, width: usize, height: usize) -> bool {
+    (BORDER_PX..width as f64 - BORDER_PX).contains(&x) && (BORDER_PX..height as f64 - BORDER_PX).contains(&y)
+}
+
+fn minus(a: Point, b: Point) -> Point {
+    [a[0] - b[0], a[1] - b[1]]
+}
+
+fn square([x, y]: Point) -> f64 {
+    x * x + y * y
+}
+
+fn to_segment(p: Point, a: Point, b: Point) -> f64 {
+    let (along, off) = (minus(b, a), minus(p, a));
+    let t = ((off[0] * along[0] + off[1] * along[1]) / square(along)).clamp(-1.0, 1.0);
+    square([off[0] - t * along[0], off[1] - t * along[1]]).sqrt()
+}
+
+fn quantile(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let index = (QUANTILE * values.len() as f64) as usize;
+    values.get(index.min(values.len().saturating_sub(1))).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A gray bar of 22 px from the right border to (60, 130), `bent` px lower left of column 150, displaced by `dx`.
+    fn scene(width: usize, dx: f64, bent: f64) -> Image {
+        let height = 240;
+        let mut pixels = Vec::new();
+        for y in 0..height {
+            for x in 0..width {
+                let (x, y) = (x as f64 - dx, y as f64);
+                let middle = 130.0 - 0.25 * (x - 60.0) + if x < 150.0 { bent } else { 0.0 };
+                let inside = (11.5 - (y - middle).abs()).clamp(0.0, 1.0) * (x - 60.0).clamp(0.0, 1.0);
+                let mix = |gray: f64, tissue: f64| (gray * inside + tissue * (1.0 - inside)) as u8;
+                pixels.extend([mix(80.0, 60.0), mix(80.0, 90.0), mix(80.0, 180.0)]);
+            }
+        }
+        Image { width, height, pixels }
+    }
+
+    #[test]
+    fn an_instrument_of_one_view_deviates_by_less_than_half_a_pixel() {
+        let views = [scene(320, 0.0, 0.0), scene(320, -21.3, 0.0)];
+        for dx in [0.0, 7.4, -21.3] {
+            let found = compare(&scene(360, dx, 0.0), [&views[0], &views[1]]);
+            assert_eq!(found.deviations_px.len(), 1);
+            assert!(found.deviations_px[0] < 0.5, "{dx}: {found:?}");
+            let (view, offset) = found.position.unwrap();
+            let wanted = if view == 0 { -dx } else { -21.3 - dx };
+            assert!((offset[0] - wanted).abs() < 1.0 && offset[1].abs() < 1.0, "{dx}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_torn_instrument_deviates_by_its_step() {
+        let view = scene(320, 0.0, 0.0);
+        for bent in [3.0, 6.0] {
+            let found = compare(&scene(320, 0.0, bent), [&view, &view]);
+            assert!((0.5 * bent..1.6 * bent).contains(&found.deviations_px[0]), "{bent}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn tissue_alone_has_no_instruments() {
+        let tissue = Image { width: 64, height: 48, pixels: [60, 90, 180].repeat(64 * 48) };
+        assert_eq!(compare(&tissue, [&tissue, &tissue]), Comparison::default());
+    }
+}
