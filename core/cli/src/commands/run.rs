@@ -10,15 +10,16 @@ use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
-use panoscope_eval::timeline::{self, Timeline};
 use panoscope_graph::{Catalog, Diagnostics, GraphOptions, GraphText, OnFault, installed};
 use panoscope_live::{FoxgloveServer, LiveServerError};
 use panoscope_loader::Live;
+use panoscope_loader::graph_file::Ready;
 use panoscope_loader::live::FileWatch;
 use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, LockError, lock_path};
 use panoscope_loader::sealed::readable;
 use panoscope_loader::verify::{self, Seal, VerifyError};
 use panoscope_monitor::{Address, Monitor};
+use panoscope_record::timeline::{self, Timeline};
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 
 use crate::given::Given;
@@ -30,7 +31,6 @@ use crate::trust::{IsolatedPlugins, Keys};
 use crate::{End, allocations, interrupt, summary};
 
 use super::windows;
-use panoscope_eval::graph_file::Ready;
 
 /// How long nodes may take to finish after the end of a run was asked for.
 pub const PATIENCE: Duration = Duration::from_secs(30);

@@ -4,7 +4,7 @@ use std::io::{BufRead, IsTerminal, Write};
 
 use anyhow::{Result, bail};
 use panoscope_dicom::Entry;
-use panoscope_eval::text_table::table as text_table;
+use panoscope_engine::text_table::table as text_table;
 
 use crate::terminal::log;
 

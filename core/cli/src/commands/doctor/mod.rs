@@ -10,6 +10,7 @@ use anyhow::Result;
 use panoscope_engine::Machine;
 use panoscope_graph::{NodeType, ParamKind, can_listen, installed};
 use panoscope_loader as loader;
+use panoscope_loader::graph_file;
 use panoscope_loader::keys::Trust;
 
 use super::devices;
@@ -17,7 +18,6 @@ use crate::End;
 use crate::installation::{Installation, Kind};
 use crate::terminal::{out, stdout_color};
 use libraries::{ELEMENTS, GStreamer};
-use panoscope_eval::graph_file;
 
 /// How a thing stands.
 #[derive(Clone, Copy, PartialEq, Eq)]
