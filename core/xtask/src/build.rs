@@ -16,6 +16,8 @@ use crate::workspace::{Plugin, Workspace};
 /// The package of the `panoscope` command.
 const PROGRAM_PACKAGE: &str = "panoscope-cli";
 const PROGRAM: &str = "panoscope";
+/// The program that `panoscope` hands commands such as `eval` to, which the demo does not need; package and program have one name.
+const LAB: &str = "panoscope-lab";
 /// The windows that `panoscope edit` and `panoscope theatre` start; packages and programs have one name.
 const EDITOR: &str = "panoscope-editor";
 const THEATRE: &str = "panoscope-theatre";
@@ -30,7 +32,7 @@ const PYTHON: &str = "core/python";
 const PYTHON_PACKAGE: &str = "panoscope-python";
 const NATIVE: &str = "_native.abi3.so";
 /// What the program is not complete without, beside the plugins.
-const PRODUCT: [&str; 4] = [PROGRAM_PACKAGE, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
+const PRODUCT: [&str; 5] = [PROGRAM_PACKAGE, LAB, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
 /// Endings of the files of the Python package: code, the native part, types and the mark that there are types.
 pub const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
 /// Unites the features of external packages, so that every build uses the same ones.
@@ -365,9 +367,9 @@ pub fn program_name() -> String {
     format!("{PROGRAM}{EXE_SUFFIX}")
 }
 
-/// Names of the files of the programs that other programs start: the arm's guard, and what links machines.
-pub fn helper_names() -> [String; 2] {
-    [GUARD, MACHINE].map(|name| format!("{name}{EXE_SUFFIX}"))
+/// Names of the files of the programs that other programs start: the commands of the lab, the arm's guard, and what links machines.
+pub fn helper_names() -> [String; 3] {
+    [LAB, GUARD, MACHINE].map(|name| format!("{name}{EXE_SUFFIX}"))
 }
 
 /// Names of the files of the editor and the theatre.

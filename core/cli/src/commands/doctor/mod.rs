@@ -14,9 +14,9 @@ use panoscope_loader::graph_file;
 use panoscope_loader::keys::Trust;
 
 use super::devices;
-use crate::End;
 use crate::installation::{Installation, Kind};
 use crate::terminal::{out, stdout_color};
+use crate::{End, beside};
 use libraries::{ELEMENTS, GStreamer};
 
 /// How a thing stands.
@@ -72,18 +72,22 @@ impl Doctor {
                 }
             }
         }
-        for (program, what) in [("panoscope-editor", "`panoscope edit`"), ("panoscope-theatre", "`panoscope theatre`")]
-        {
+        let programs = [
+            (beside::LAB, "`panoscope eval`, `export`, `dicom` and others"),
+            (beside::EDITOR, "`panoscope edit`"),
+            (beside::THEATRE, "`panoscope theatre`"),
+        ];
+        for (program, what) in programs {
             let file = self.installation.program_dir.join(program);
             match file.is_file() {
                 true => self.say(State::Fine, program, &file.display().to_string()),
                 false => {
                     let (state, how) = match self.installation.kind {
                         Kind::Build => (State::Optional, self.installation.repair()),
-                        Kind::Wheel => {
+                        Kind::Wheel if program != beside::LAB => {
                             (State::Optional, "the Python package is without windows: install the Debian package")
                         }
-                        Kind::Package | Kind::Folder => (State::Bad, self.installation.repair()),
+                        Kind::Package | Kind::Folder | Kind::Wheel => (State::Bad, self.installation.repair()),
                     };
                     let how = format!("{what} needs {}; {how}", file.display());
                     self.say(state, program, &how);
@@ -247,7 +251,9 @@ impl Doctor {
         out!("network: nothing listens unless you ask for it");
         let web = "pictures, ages and metrics over HTTP, for reading only; on 127.0.0.1 unless you give IP:PORT";
         self.say(State::Fine, "run --web PORT", web);
-        for one in panoscope_live::LISTENERS.iter().chain(panoscope_attach::LISTENERS) {
+        let foxglove = "WebSocket, outputs and parameters for Foxglove; on 127.0.0.1; reads outputs and parameters; sets numbers, switches and choices only with --foxglove-set";
+        self.say(State::Fine, "run --foxglove PORT|IP:PORT", foxglove);
+        for one in panoscope_attach::LISTENERS {
             self.say(State::Fine, one.option, &format!("{}; on {}; {}", one.what, one.default_address, one.access));
         }
         let serve = "nodes of other machines over TLS; hosts that --allow names, with certificates of your authority";

@@ -11,9 +11,9 @@ use panoscope_loader::python_module;
 use panoscope_record::{PortTypes, Recording, own_folders};
 use serde::Deserialize;
 
-use crate::End;
-use crate::terminal::{log, raw};
-use crate::trust::OwnPlugins;
+use panoscope_cli::End;
+use panoscope_cli::terminal::{log, raw};
+use panoscope_cli::trust::OwnPlugins;
 
 /// Module of the Python package that writes files of rerun.
 const RERUN_MODULE: &str = "panoscope.rerun_file";

@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use panoscope_dicom::Entry;
 use panoscope_engine::text_table::table as text_table;
 
-use crate::terminal::log;
+use panoscope_cli::terminal::log;
 
 /// A name as people write it: `Müller, Änne` of `Müller^Änne`.
 fn name(patient: &str) -> String {
