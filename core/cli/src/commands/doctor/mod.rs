@@ -28,6 +28,9 @@ enum State {
     Bad,
 }
 
+/// The highest real-time priority that a part of Panoscope asks for: that of the arm's guard.
+const PRIORITY: i32 = 60;
+
 struct Doctor {
     color: bool,
     bad: usize,
@@ -165,7 +168,7 @@ impl Doctor {
         } else {
             let how = format!(
                 "not allowed: control nodes run at normal priority. For a user `me`: `me - rtprio {}` in /etc/security/limits.d/panoscope.conf, then log in again",
-                arm::PRIORITY
+                PRIORITY
             );
             self.say(State::Optional, "real-time priority", &how);
         }
@@ -183,7 +186,7 @@ impl Doctor {
             }
         }
         for (state, what, about) in arm::lines() {
-            self.say(state, what, &about);
+            self.say(state, &what, &about);
         }
     }
 
