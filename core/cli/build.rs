@@ -1,8 +1,9 @@
-//! Makes the program's allocation and exit functions the ones that plugins and their libraries call: allocations are counted, and nobody ends
+//! Makes a program's allocation and exit functions the ones that plugins and their libraries call: allocations are counted, and nobody ends
 //! the program without a word.
 
 fn main() {
-    println!("cargo:rerun-if-changed=build.rs");
+    // A change of this file counts by itself; it is the build script of two packages.
+    println!("cargo:rerun-if-changed=Cargo.toml");
     let target = |key: &str| std::env::var(format!("CARGO_CFG_TARGET_{key}")).unwrap_or_default();
     if target("OS") == "linux" && target("ENV") == "gnu" {
         for symbol in ["malloc", "calloc", "realloc", "aligned_alloc", "posix_memalign", "memalign"] {

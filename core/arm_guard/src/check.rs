@@ -47,34 +47,48 @@ impl Check {
         }
     }
 
-    /// One `name=value` per line.
-    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
-        let number = |value: Option<u64>| value.map_or_else(|| "none".to_owned(), |n| n.to_string());
-        writeln!(out, "locked_memory={}", self.granted.locked_memory)?;
-        writeln!(out, "real_time={}", self.granted.real_time)?;
-        writeln!(out, "priority_limit={}", number(self.priority_limit))?;
-        writeln!(out, "memory_limit_kib={}", number(self.memory_limit_kib))?;
-        writeln!(out, "folder={}", self.folder.display())?;
-        writeln!(out, "folder_problem={}", self.folder_problem.as_deref().unwrap_or_default().replace('\n', " "))
+    /// What was granted, what was not with its remedy: whether it is fine, what it is, about it.
+    pub fn findings(&self) -> [(bool, &'static str, String); 3] {
+        let number = |value: Option<u64>| value.map_or_else(|| "no limit".to_owned(), |n| n.to_string());
+        let priority = if self.granted.real_time {
+            format!("SCHED_FIFO {}", realtime::PRIORITY)
+        } else {
+            format!(
+                "no SCHED_FIFO {needed} (RLIMIT_RTPRIO {limit}): a busy machine may hold the guard up; the arm's own watchdog then stops the arm. For a user `me`: `me - rtprio {needed}` in /etc/security/limits.d/panoscope.conf, then log in again",
+                needed = realtime::PRIORITY,
+                limit = number(self.priority_limit),
+            )
+        };
+        let memory = if self.granted.locked_memory {
+            "allowed".to_owned()
+        } else {
+            format!(
+                "not allowed (RLIMIT_MEMLOCK {limit} KiB, {needed} needed): a machine that swaps may hold the guard up. For a user `me`: `me - memlock {needed}` in /etc/security/limits.d/panoscope.conf, then log in again",
+                needed = realtime::MEMORY_KIB,
+                limit = number(self.memory_limit_kib),
+            )
+        };
+        let folder = self.folder.display();
+        let latches = match &self.folder_problem {
+            None => folder.to_string(),
+            Some(problem) => {
+                format!(
+                    "{folder}: {problem}; set {} to a folder on a disk that this user may write",
+                    latch::FOLDER_VARIABLE
+                )
+            }
+        };
+        [
+            (self.granted.real_time, "arm's guard, priority", priority),
+            (self.granted.locked_memory, "arm's guard, locked memory", memory),
+            (self.folder_problem.is_none(), "arm's latched stops", latches),
+        ]
     }
 
-    /// Reads what [`Check::write`] wrote; `None` for anything else.
-    pub fn read(text: &str) -> Option<Self> {
-        let value = |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('='));
-        let number = |name: &str| match value(name)? {
-            "none" => Some(None),
-            text => text.parse().ok().map(Some),
-        };
-        let problem = value("folder_problem")?;
-        Some(Self {
-            granted: Granted {
-                locked_memory: value("locked_memory")?.parse().ok()?,
-                real_time: value("real_time")?.parse().ok()?,
-            },
-            priority_limit: number("priority_limit")?,
-            memory_limit_kib: number("memory_limit_kib")?,
-            folder: value("folder")?.into(),
-            folder_problem: (!problem.is_empty()).then(|| problem.to_owned()),
+    /// A line per finding: `ok` or `absent`, what it is, about it; tabs between them.
+    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
+        self.findings().iter().try_for_each(|(is_fine, what, about)| {
+            writeln!(out, "{}\t{what}\t{}", if *is_fine { "ok" } else { "absent" }, about.replace(['\n', '\t'], " "))
         })
     }
 }
@@ -111,27 +125,33 @@ fn may_create(folder: &Path) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    fn check() -> Check {
+    fn check(granted: bool) -> Check {
         Check {
-            granted: Granted { locked_memory: true, real_time: false },
-            priority_limit: Some(20),
-            memory_limit_kib: None,
-            folder: "/var/lib/panoscope/arms".into(),
-            folder_problem: Some("it cannot be written: no space".to_owned()),
+            granted: Granted { locked_memory: granted, real_time: granted },
+            priority_limit: Some(0),
+            memory_limit_kib: Some(8192),
+            folder: "/somewhere/arms".into(),
+            folder_problem: None,
         }
     }
 
     #[test]
-    fn a_check_comes_back_as_it_was_written() {
-        for check in [check(), Check { folder_problem: None, priority_limit: None, ..check() }] {
-            let mut text = Vec::new();
-            check.write(&mut text).expect("memory");
-            let text = String::from_utf8(text).expect("text");
-            assert_eq!(Check::read(&text), Some(check));
-            for line in text.lines() {
-                assert_eq!(Check::read(&text.replace(line, "")), None, "without `{line}`");
-            }
-        }
+    fn a_machine_that_grants_everything_is_fine() {
+        let mut text = Vec::new();
+        check(true).write(&mut text).expect("memory");
+        let text = String::from_utf8(text).expect("text");
+        assert!(text.lines().count() == 3 && text.lines().all(|line| line.starts_with("ok\t")), "{text}");
+        assert!(text.ends_with("\tarm's latched stops\t/somewhere/arms\n"), "{text}");
+    }
+
+    #[test]
+    fn what_is_missing_comes_with_its_remedy() {
+        let findings = Check { folder_problem: Some("it is in memory".to_owned()), ..check(false) }.findings();
+        let about =
+            |words: &[&str]| findings.iter().any(|(ok, _, about)| !ok && words.iter().all(|word| about.contains(word)));
+        assert!(about(&["RLIMIT_RTPRIO 0", "`me - rtprio 60`", "/etc/security/limits.d"]));
+        assert!(about(&["RLIMIT_MEMLOCK 8192 KiB", "`me - memlock 65536`", "/etc/security/limits.d"]));
+        assert!(about(&["/somewhere/arms: it is in memory", "PANOSCOPE_ARM_STATE"]));
     }
 
     #[test]

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use panoscope_eval::graph_file::Ready;
 use panoscope_graph::{Diagnostics, GraphText, Severity};
+use panoscope_loader::graph_file::Ready;
 use panoscope_loader::trial::{is_model, try_node};
 
 /// Start of the message of a node that found no ONNX Runtime.

@@ -1,9 +1,8 @@
 //! The table at the end of a run.
 
 use panoscope_engine::Report;
+use panoscope_engine::text_table::table;
 use panoscope_graph::Graph;
-
-use panoscope_eval::text_table::table;
 
 fn cells<const N: usize>(row: [&str; N]) -> Vec<String> {
     row.iter().map(|cell| (*cell).to_owned()).collect()

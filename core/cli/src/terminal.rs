@@ -4,16 +4,18 @@ use std::fmt::Arguments;
 use std::io::{IsTerminal, Write};
 
 /// Writes a line to standard output.
+#[macro_export]
 macro_rules! out {
     ($($argument:tt)*) => { $crate::terminal::line(format_args!($($argument)*)) };
 }
 
 /// Writes a line to standard error.
+#[macro_export]
 macro_rules! log {
     ($($argument:tt)*) => { $crate::terminal::error_line(format_args!($($argument)*)) };
 }
 
-pub(crate) use {log, out};
+pub use {log, out};
 
 /// Writes a line to standard output.
 pub fn line(text: Arguments<'_>) {

@@ -42,6 +42,7 @@ mod schedule;
 mod scratch;
 pub mod stats;
 pub mod sync;
+pub mod text_table;
 mod thread_id;
 mod threads;
 mod times;

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use panoscope_engine::text_table;
 use serde::Serialize;
 
 use crate::error::{FileAction, OnFile, Result};
-use crate::text_table;
 
 /// One figure.
 #[derive(Clone, Debug, Serialize)]

@@ -11,7 +11,6 @@ pub mod calibration;
 mod error;
 pub mod eval;
 pub mod figures;
-pub mod graph_file;
 pub mod inputs;
 pub mod packets;
 pub mod plot;
@@ -25,8 +24,6 @@ pub mod statistics;
 mod svg;
 pub mod sweep;
 mod system;
-pub mod text_table;
-pub mod timeline;
 pub mod tune;
 
 pub use error::{Cause, EvalError, FileAction, Result, chain};

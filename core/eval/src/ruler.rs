@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use panoscope_engine::memory::FrameRef;
+use panoscope_engine::text_table::table;
 
 use crate::error::{Context, Result};
 use crate::figures::Figure;
@@ -12,7 +13,6 @@ use crate::plot::{self, Chart, Series, Style};
 use crate::run::{self, Pace, Plan};
 use crate::session::Session;
 use crate::statistics::percentile;
-use crate::text_table::table;
 
 /// Size of the phantom's pictures, px.
 pub const SIZE: (usize, usize) = (640, 480);

@@ -7,10 +7,10 @@ use std::time::Duration;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::trace::Tracer;
 use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
-use panoscope_graph::GraphText;
+use panoscope_graph::{GraphOptions, GraphText};
+use panoscope_loader::graph_file;
 
-use crate::error::{EvalError, Result};
-use crate::graph_file;
+use crate::error::{Context, EvalError, Result};
 use crate::session::{Session, check_cancelled};
 
 /// Longest wait for nodes that do not close.
@@ -49,6 +49,15 @@ pub struct RunOutput {
     pub packets: Vec<Option<FrameRef>>,
     /// Counters of the engine.
     pub report: Report,
+}
+
+/// Text of a checked graph in which parts are replaced by their nodes, overlays and settings are applied and arguments have their values.
+///
+/// # Errors
+/// The graph has mistakes.
+pub fn flattened(path: &Path, options: &GraphOptions) -> Result<String> {
+    let ready = graph_file::open(path, options).map_err(|diagnostics| EvalError::Check { diagnostics })?;
+    ready.text.settled(&ready.catalog).context("the settings")
 }
 
 /// Closes a graph and returns its counters.

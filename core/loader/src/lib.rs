@@ -7,6 +7,7 @@
 pub mod depends;
 pub mod elf;
 mod error;
+pub mod graph_file;
 pub mod isolated;
 pub mod keys;
 pub mod live;

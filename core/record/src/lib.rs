@@ -20,6 +20,7 @@ mod recorder;
 mod recording;
 mod replay;
 mod script;
+pub mod timeline;
 
 pub use coding::Coding;
 pub use digest::Digests;

@@ -16,6 +16,8 @@ use crate::workspace::{Plugin, Workspace};
 /// The package of the `panoscope` command.
 const PROGRAM_PACKAGE: &str = "panoscope-cli";
 const PROGRAM: &str = "panoscope";
+/// The program that `panoscope` hands commands such as `eval` to, which the demo does not need; package and program have one name.
+const LAB: &str = "panoscope-lab";
 /// The windows that `panoscope edit` and `panoscope theatre` start; packages and programs have one name.
 const EDITOR: &str = "panoscope-editor";
 const THEATRE: &str = "panoscope-theatre";
@@ -30,11 +32,15 @@ const PYTHON: &str = "core/python";
 const PYTHON_PACKAGE: &str = "panoscope-python";
 const NATIVE: &str = "_native.abi3.so";
 /// What the program is not complete without, beside the plugins.
-const PRODUCT: [&str; 4] = [PROGRAM_PACKAGE, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
+const PRODUCT: [&str; 5] = [PROGRAM_PACKAGE, LAB, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
 /// Endings of the files of the Python package: code, the native part, types and the mark that there are types.
 pub const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
-/// Unites the features of external packages, so that every build uses the same ones.
-pub const FEATURES: &str = "panoscope-features";
+/// Arguments for cargo that unite the features of external packages, so that every build uses the same ones.
+pub const FEATURES: [&str; 4] = ["--package", "panoscope-features", REST[0], REST[1]];
+/// The same where the whole workspace is built.
+pub const REST: [&str; 2] = ["--features", "panoscope-features/rest"];
+/// Plugins that need none of the packages which [`REST`] adds: those of the demo.
+const LIGHT: [&str; 3] = ["phantom", "sinks", "stitch"];
 /// Folder beside the program for plugins that only tests use.
 const TEST_PLUGIN_DIR: &str = "test_plugins";
 
@@ -128,7 +134,8 @@ pub fn build_for_graph(workspace: &Workspace, needs: &Needs) -> Result<Built> {
     let optional = optional.into_iter().filter(|(needed, _)| *needed).map(|(_, package)| package);
     let named = plugins.iter().map(|plugin| plugin.package.as_str());
     let packages: Vec<&str> = [PROGRAM_PACKAGE].into_iter().chain(optional).chain(named).collect();
-    let artifacts = compile(workspace, Profile::Dev, &packages)?;
+    let is_light = packages.len() == 1 + plugins.len() && plugins.iter().all(|p| LIGHT.contains(&p.name.as_str()));
+    let artifacts = compile_with(workspace, Profile::Dev, &FEATURES[..if is_light { 2 } else { 4 }], &packages)?;
     let built = artifacts.built()?;
     for plugin in &plugins {
         place_plugin(plugin, &artifacts.libraries, &built.plugin_dir)?;
@@ -164,7 +171,7 @@ pub fn build_for_tests(workspace: &Workspace, extent: Extent) -> Result<BuiltFor
             time::forget_builds(workspace);
             let mut cargo = workspace.cargo_dev();
             let json = "--message-format=json-render-diagnostics";
-            finish(cargo.args(["build", json, "--timings", "--workspace", "--all-targets"]), Profile::Dev)?
+            finish(cargo.args(["build", json, "--timings", "--workspace", "--all-targets"]).args(REST), Profile::Dev)?
         }
     };
     let built = if extent == Extent::Plugins {
@@ -186,16 +193,21 @@ pub fn build_for_tests(workspace: &Workspace, extent: Extent) -> Result<BuiltFor
 /// # Errors
 /// A lint or the compiler found something; cargo prints what.
 pub fn check_all(workspace: &Workspace) -> Result<()> {
-    process::run(workspace.cargo_dev().args(["build", "--workspace", "--all-targets"]))
+    process::run(workspace.cargo_dev().args(["build", "--workspace", "--all-targets"]).args(REST))
 }
 
 /// Compiles packages.
 fn compile(workspace: &Workspace, profile: Profile, packages: &[&str]) -> Result<Artifacts> {
+    compile_with(workspace, profile, &FEATURES, packages)
+}
+
+/// Compiles packages, with external ones as these arguments say.
+fn compile_with(workspace: &Workspace, profile: Profile, features: &[&str], packages: &[&str]) -> Result<Artifacts> {
     let mut cargo = match profile {
         Profile::Dev => workspace.cargo_dev(),
         Profile::Release => workspace.cargo(),
     };
-    cargo.args(["build", "--message-format=json-render-diagnostics", "--package", FEATURES]);
+    cargo.args(["build", "--message-format=json-render-diagnostics"]).args(features);
     cargo.args(packages.iter().flat_map(|package| ["--package", package]));
     finish(&mut cargo, profile)
 }
@@ -365,9 +377,9 @@ pub fn program_name() -> String {
     format!("{PROGRAM}{EXE_SUFFIX}")
 }
 
-/// Names of the files of the programs that other programs start: the arm's guard, and what links machines.
-pub fn helper_names() -> [String; 2] {
-    [GUARD, MACHINE].map(|name| format!("{name}{EXE_SUFFIX}"))
+/// Names of the files of the programs that other programs start: the commands of the lab, the arm's guard, and what links machines.
+pub fn helper_names() -> [String; 3] {
+    [LAB, GUARD, MACHINE].map(|name| format!("{name}{EXE_SUFFIX}"))
 }
 
 /// Names of the files of the editor and the theatre.
@@ -456,12 +468,22 @@ mod tests {
     #[test]
     fn a_part_of_the_workspace_uses_external_packages_with_the_features_of_the_whole() {
         let workspace = Workspace::locate().unwrap();
-        let whole = features(&workspace, &["--workspace"], "normal,build,dev");
+        let whole = features(&workspace, &["--workspace", REST[0], REST[1]], "normal,build,dev");
         assert!(whole.len() > 400, "{}", whole.len());
-        let demo = ["panoscope-cli", "panoscope-phantom", "panoscope-sinks", "panoscope-stitch"];
-        for (packages, edges) in [(&demo[..], "normal,build"), (&["panoscope-engine"], "normal,build,dev")] {
-            let named: Vec<&str> = packages.iter().chain([&FEATURES]).flat_map(|name| ["--package", name]).collect();
-            let part = features(&workspace, &named, edges);
+        let package = |plugin: &Plugin| plugin.package.clone();
+        let plugins = workspace.plugins.iter().chain(&workspace.test_plugins).map(package);
+        let product: Vec<String> = PRODUCT.map(str::to_owned).into_iter().chain(plugins).collect();
+        let light = workspace.plugins.iter().filter(|plugin| LIGHT.contains(&plugin.name.as_str()));
+        let demo: Vec<String> = light.map(package).chain([PROGRAM_PACKAGE.to_owned()]).collect();
+        assert_eq!(demo.len(), 1 + LIGHT.len());
+        let engine = ["panoscope-engine".to_owned()];
+        for (packages, shared, edges) in [
+            (&demo[..], &FEATURES[..2], "normal,build"),
+            (&product, &FEATURES, "normal,build"),
+            (&engine, &FEATURES, "normal,build,dev"),
+        ] {
+            let named = packages.iter().flat_map(|name| ["--package", name]).chain(shared.iter().copied());
+            let part = features(&workspace, &named.collect::<Vec<_>>(), edges);
             let others: Vec<&String> = part.difference(&whole).collect();
             assert!(
                 others.is_empty(),

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 
-use crate::build::{BuiltForTests, Extent, build_for_tests};
+use crate::build::{BuiltForTests, Extent, REST, build_for_tests};
 use crate::nextest;
 use crate::packages::Purpose;
 use crate::process;
@@ -32,7 +32,7 @@ pub fn bless(workspace: &Workspace) -> Result<()> {
     let mut cargo = workspace.cargo_dev();
     test_environment(&mut cargo, workspace, &built)?;
     nextest.put_into(&mut cargo)?;
-    process::run(nextest::run(&mut cargo)?.arg("--workspace").env(BLESS, "1"))?;
+    process::run(nextest::run(&mut cargo)?.arg("--workspace").args(REST).env(BLESS, "1"))?;
     show_changes(workspace, ".")
 }
 

@@ -270,9 +270,9 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         cargo.args(sanitizer.arguments());
     }
     if packages.is_empty() {
-        cargo.arg("--workspace");
+        cargo.arg("--workspace").args(build::REST);
     } else {
-        cargo.args(["--package", build::FEATURES]);
+        cargo.args(build::FEATURES);
         cargo.args(request.suites.iter().flat_map(|suite| suite.packages).flat_map(|name| ["--package", name]));
     }
     if let Some(filter) = request.filter() {
@@ -300,7 +300,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
 /// Runs the examples in the documentation of the packages that have some; nextest does not.
 fn documented_examples(workspace: &Workspace) -> Result<()> {
     let mut cargo = workspace.cargo_dev();
-    cargo.args(["test", "--quiet", "--doc", "--package", build::FEATURES]);
+    cargo.args(["test", "--quiet", "--doc"]).args(build::FEATURES);
     cargo.args(WITH_EXAMPLES.iter().flat_map(|name| ["--package", name]));
     process::capture(&mut cargo).map(drop)
 }

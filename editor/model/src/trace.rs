@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use panoscope_engine::trace::{self, Tracer};
-use panoscope_eval::timeline::{Call, Calls, Dropped, Timeline};
+use panoscope_record::timeline::{Call, Calls, Dropped, Timeline};
 
 use crate::graph_view::GraphView;
 

@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use panoscope_graph::{Arg, GraphOptions, GraphText, Listening, listening};
+use panoscope_loader::graph_file::Ready;
 use serde_json::json;
 
 use crate::given::Given;
 use crate::terminal::{out, raw, stdout_color};
 use crate::trust::OwnPlugins;
 use crate::{End, models};
-use panoscope_eval::graph_file::Ready;
 
 /// Arguments of `check`.
 #[derive(clap::Args)]

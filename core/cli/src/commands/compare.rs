@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_eval::text_table::table;
+use panoscope_engine::text_table::table;
 use panoscope_record::compare::{Content, FirstCell, PortDifference, compare, compare_recordings};
 use panoscope_record::{Digests, Recording, RecordingError};
 

@@ -3,10 +3,10 @@
 use anyhow::Result;
 use panoscope_graph::{NodeKind, NodeType, Param, ParamKind, Port};
 use panoscope_loader::Loader;
+use panoscope_loader::graph_file;
 
 use crate::End;
 use crate::terminal::{log, out};
-use panoscope_eval::graph_file;
 
 /// Arguments of `describe`.
 #[derive(clap::Args)]

@@ -1,17 +1,12 @@
 //! `panoscope edit` and `panoscope theatre`: start the editor, a program of its own beside this one, so that the command needs no window system.
 
-use std::os::unix::process::CommandExt;
+use std::ffi::OsStr;
 use std::path::PathBuf;
-use std::process::Command;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
-use crate::End;
 use crate::terminal::log;
-
-/// The programs of the windows, each beside this one.
-const EDITOR: &str = "panoscope-editor";
-const THEATRE: &str = "panoscope-theatre";
+use crate::{End, beside};
 
 /// Arguments of `edit` and `theatre`.
 #[derive(clap::Args)]
@@ -39,19 +34,8 @@ pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
             return Ok(End::Wrong);
         }
     }
-    let this = std::env::current_exe().context("this program's own place is not known")?;
-    let beside = this.with_file_name(if theatre { THEATRE } else { EDITOR });
-    if !beside.is_file() {
-        log!(
-            "error: the window's program is missing: {} does not exist\n  help: `cargo xtask build` builds it",
-            beside.display()
-        );
-        return Ok(End::Failed);
-    }
-    let mut command = Command::new(&beside);
-    if let Some(name) = &arguments.attach {
-        command.args(["--attach", name]);
-    }
-    let error = command.args(&arguments.graph).args(&arguments.rest).exec();
-    Err(error).with_context(|| format!("{} does not start", beside.display()))
+    let attach = arguments.attach.iter().flat_map(|name| [OsStr::new("--attach"), OsStr::new(name)]);
+    let graph = arguments.graph.iter().map(|graph| graph.as_os_str());
+    let words = attach.chain(graph).chain(arguments.rest.iter().map(OsStr::new));
+    beside::start(if theatre { beside::THEATRE } else { beside::EDITOR }, words)
 }

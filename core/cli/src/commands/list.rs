@@ -1,11 +1,11 @@
 //! `panoscope list`.
 
 use anyhow::Result;
+use panoscope_loader::graph_file;
 use serde_json::json;
 
 use crate::End;
 use crate::terminal::{log, out};
-use panoscope_eval::graph_file;
 
 /// Arguments of `list`.
 #[derive(clap::Args)]

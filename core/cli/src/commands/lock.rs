@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_graph::GraphText;
+use panoscope_loader::graph_file;
 use panoscope_loader::keys::{SecretKey, public_file};
 use panoscope_loader::lock::{ALWAYS_LOCKED, Kind, Lock, lock_path};
 use panoscope_loader::verify::{self, VerifyError};
@@ -12,7 +13,6 @@ use crate::End;
 use crate::given::Given;
 use crate::terminal::{log, out, raw, stderr_color};
 use crate::trust::Keys;
-use panoscope_eval::graph_file;
 
 /// Arguments of `lock`.
 #[derive(clap::Args)]

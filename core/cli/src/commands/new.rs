@@ -7,8 +7,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::End;
 use crate::terminal::{log, out};
-use panoscope_eval::graph_file;
-use panoscope_loader::python_package;
+use panoscope_loader::{graph_file, python_package};
 
 /// Arguments of `new`.
 #[derive(clap::Args)]

@@ -29,6 +29,13 @@ pub struct Arguments {
     ports: Ports,
 }
 
+impl Arguments {
+    /// Those of `run`.
+    pub fn run(&self) -> &run::Arguments {
+        &self.run
+    }
+}
+
 /// What is kept of all nodes, not only of sources.
 #[derive(clap::Args)]
 pub struct Ports {
@@ -40,8 +47,8 @@ pub struct Ports {
     pub digests: Option<PathBuf>,
 }
 
-/// Records a run.
-pub fn run(arguments: &Arguments) -> Result<End> {
+/// Records a run, with a server for `--foxglove`.
+pub fn run(arguments: &Arguments, server: Option<Box<dyn run::Server>>) -> Result<End> {
     let options = RecordOptions {
         file: Some(arguments.output.clone()),
         digests: arguments.ports.digests.is_some(),
@@ -50,7 +57,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         compresses: !arguments.uncompressed,
         ..RecordOptions::default()
     };
-    Ok(match run::run_with(&arguments.run, Some(options), |_| {})? {
+    Ok(match run::run_with(&arguments.run, Some(options), server, |_| {})? {
         RunEnd::Not(end) => end,
         RunEnd::Over { mut verdict, recorded } => {
             if let Some(recorded) = recorded {

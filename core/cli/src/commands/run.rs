@@ -10,15 +10,15 @@ use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
-use panoscope_eval::timeline::{self, Timeline};
 use panoscope_graph::{Catalog, Diagnostics, GraphOptions, GraphText, OnFault, installed};
-use panoscope_live::{FoxgloveServer, LiveServerError};
 use panoscope_loader::Live;
+use panoscope_loader::graph_file::Ready;
 use panoscope_loader::live::FileWatch;
 use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, LockError, lock_path};
 use panoscope_loader::sealed::readable;
 use panoscope_loader::verify::{self, Seal, VerifyError};
 use panoscope_monitor::{Address, Monitor};
+use panoscope_record::timeline::{self, Timeline};
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 
 use crate::given::Given;
@@ -27,10 +27,9 @@ use crate::log_lines::{self, LogFormat};
 use crate::progress::Progress;
 use crate::terminal::{log, out, raw, stderr_color};
 use crate::trust::{IsolatedPlugins, Keys};
-use crate::{End, allocations, interrupt, summary};
+use crate::{End, allocations, beside, interrupt, summary};
 
 use super::windows;
-use panoscope_eval::graph_file::Ready;
 
 /// How long nodes may take to finish after the end of a run was asked for.
 pub const PATIENCE: Duration = Duration::from_secs(30);
@@ -99,9 +98,27 @@ pub struct Arguments {
     windows: windows::Arguments,
 }
 
-/// Runs a graph to its end.
-pub fn run(arguments: &Arguments) -> Result<End> {
-    Ok(match run_with(arguments, None, |_| {})? {
+impl Arguments {
+    /// Address for clients of Foxglove, and whether they may set parameters.
+    pub fn foxglove(&self) -> Option<(Address, bool)> {
+        self.foxglove.map(|address| (address, self.foxglove_set))
+    }
+}
+
+/// Serves a running graph to other programs.
+pub trait Server {
+    /// Starts to listen, before the graph of this name runs.
+    ///
+    /// # Errors
+    /// The address cannot be listened on.
+    fn start(&mut self, graph: &str) -> Result<()>;
+    /// Passes on what is new; called ten times a second.
+    fn update(&mut self, live: &mut Live<&Engine>);
+}
+
+/// Runs a graph to its end, with a server for `--foxglove`.
+pub fn run(arguments: &Arguments, server: Option<Box<dyn Server>>) -> Result<End> {
+    Ok(match run_with(arguments, None, server, |_| {})? {
         RunEnd::Not(end) => end,
         RunEnd::Over { verdict, .. } => conclude(&verdict),
     })
@@ -170,12 +187,17 @@ pub struct Running<'e> {
     pub expected_faults: BTreeSet<String>,
 }
 
-/// Runs a graph to its end, recorded where wanted, with a look at it ten times a second.
+/// Runs a graph to its end, recorded where wanted, with a look at it ten times a second. Without a server `--foxglove` is left to the program that
+/// has one.
 pub fn run_with(
     arguments: &Arguments,
     record: Option<RecordOptions>,
+    mut server: Option<Box<dyn Server>>,
     mut look: impl FnMut(&mut Running),
 ) -> Result<RunEnd> {
+    if arguments.foxglove.is_some() && server.is_none() {
+        return beside::lab().map(RunEnd::Not);
+    }
     let on_duty = signals::opening();
     let given = arguments.given.options(&arguments.set);
     let (mut ready, seal) = match open(arguments, &given)? {
@@ -206,14 +228,10 @@ pub fn run_with(
             return Ok(RunEnd::Not(End::Failed));
         }
     };
-    let mut foxglove = match arguments.foxglove.map(|address| serve_foxglove(&graph.name, address, arguments)) {
-        None => None,
-        Some(Ok(server)) => Some(server),
-        Some(Err(error)) => {
-            log!("error: {error}");
-            return Ok(RunEnd::Not(End::Failed));
-        }
-    };
+    if let Some(Err(error)) = server.as_mut().map(|server| server.start(&graph.name)) {
+        log!("error: {error}");
+        return Ok(RunEnd::Not(End::Failed));
+    }
     let attachable = match arguments.windows.start() {
         Ok(attachable) => attachable,
         Err(error) => {
@@ -280,8 +298,8 @@ pub fn run_with(
         if let Some(monitor) = &monitor {
             monitor.update(&engine, |graph| running.live.loader().catalog_of_graph(graph));
         }
-        if let Some(foxglove) = &mut foxglove {
-            foxglove.update(&mut running.live).iter().for_each(|line| log!("{line}"));
+        if let Some(server) = &mut server {
+            server.update(&mut running.live);
         }
         if let Some(windows) = windows {
             windows.update(&mut running.live).iter().for_each(|line| log!("{line}"));
@@ -291,7 +309,7 @@ pub fn run_with(
         }
     };
     windows::beside(windows, &engine, || watch(&engine, &mut progress, during));
-    drop((foxglove, attachable));
+    drop((server, attachable));
     let Running { expected_faults, .. } = running;
     let mut verdict = close(&engine, on_duty, arguments.frames, &progress, &expected_faults);
     if let Some(path) = &arguments.report {
@@ -303,18 +321,6 @@ pub fn run_with(
         verdict.add(Weight::Error, format!("cannot write {}: {error}", path.display()));
     }
     Ok(RunEnd::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
-}
-
-/// Serves the graph to Foxglove and says where.
-fn serve_foxglove(name: &str, address: Address, arguments: &Arguments) -> Result<FoxgloveServer, LiveServerError> {
-    let may_set = arguments.foxglove_set;
-    let server = FoxgloveServer::start(name, panoscope_live::Options { address, may_set })?;
-    log!("serves ws://{} for Foxglove", server.address());
-    if address.is_public() {
-        let also = if may_set { " and sets parameters" } else { "" };
-        log!("warning: other machines can reach this address; whoever does sees the pictures{also}");
-    }
-    Ok(server)
 }
 
 /// Closes a run that is over or to end, shows its summary and judges it. Faults of the nodes in `expected_faults` do not fail it.

@@ -1,10 +1,10 @@
 //! `panoscope schema`.
 
 use anyhow::Result;
+use panoscope_loader::graph_file;
 
 use crate::End;
 use crate::terminal::{log, out};
-use panoscope_eval::graph_file;
 
 /// Writes the JSON Schema of graph files for all plugins of this machine.
 pub fn run() -> Result<End> {

@@ -4,21 +4,21 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use panoscope_engine::text_table::{number, table};
 use panoscope_graph::{GraphOptions, GraphText};
+use panoscope_loader::graph_file;
+use panoscope_record::timeline::{Recorded, Waits};
 
 use super::scale;
 use super::system::{Rendered, Run, kept_pairs, run, screen_fps};
 use crate::bench::CAMERA_HZ;
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
-use crate::graph_file;
 use crate::inputs::pairs::Pairs;
 use crate::inputs::{Folder, quoted};
 use crate::plot::{self, Chart, Series, Style};
-use crate::run::Pace;
+use crate::run::{self, Pace};
 use crate::session::{Session, note};
-use crate::text_table::{number, table};
-use crate::timeline::{Recorded, Waits};
 
 /// Pictures of 16:9, as endoscopes and screens have them.
 const SIZES: [(u32, u32); 6] = [(640, 360), (960, 540), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160)];
@@ -112,7 +112,7 @@ fn cameras(session: &dyn Session, options: &Options, size: (u32, u32), counts: &
     let of_count = |count: &usize| {
         let file = folder.path().join(format!("panoramas{count}.toml"));
         std::fs::write(&file, panoramas(&pairs, *count, &parts, folder.path())).on_file(FileAction::Write, &file)?;
-        let text = graph_file::flattened(&file, &GraphOptions::default())?;
+        let text = run::flattened(&file, &GraphOptions::default())?;
         let read = 2 * pair_count;
         let frames = frames_of(size, options.quick) + read;
         Ok(Cost::of(&run(session, &text, &file, frames, Pace::Free, 0)?, 2.0 * *count as f64, read))

@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use panoscope_engine::{Engine, Options, Report};
 use panoscope_graph::GraphText;
+use panoscope_loader::graph_file;
 
 use crate::error::{EvalError, Result};
-use crate::graph_file;
 use crate::run;
 use crate::session::{Session, check_cancelled};
 use crate::system::usage;

@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::GraphText;
+use panoscope_loader::graph_file;
 
 use super::graph::{self, Pace};
 use crate::error::{Context, EvalError, Result};
 use crate::figures::Figure;
-use crate::graph_file;
 use crate::inputs::embedded;
 
 const NODES: usize = 1_000;

@@ -6,6 +6,8 @@
 
 use std::path::{Path, PathBuf};
 
+use panoscope_engine::text_table::table;
+
 use crate::bench::CAMERA_HZ;
 use crate::error::{Context, Result, chain};
 use crate::figures::Figure;
@@ -15,7 +17,6 @@ use crate::inputs::scene::rectified;
 use crate::ruler::Ruler;
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
-use crate::text_table::table;
 
 /// Options of [`measure`].
 #[derive(Clone, Debug)]

@@ -5,19 +5,19 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use panoscope_engine::Report;
+use panoscope_engine::text_table::table;
 use panoscope_graph::{GraphOptions, GraphText};
+use panoscope_loader::graph_file;
+use panoscope_record::timeline::{self, Budget, Calls, Timeline, Waits, work_tables};
 use toml::{Table, Value};
 
 use crate::error::{Context, Result};
 use crate::figures::Figure;
-use crate::graph_file;
 use crate::inputs::Folder;
 use crate::inputs::pairs::Pairs;
 use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::{Session, note};
 use crate::system::usage;
-use crate::text_table::table;
-use crate::timeline::{self, Budget, Calls, Timeline, Waits, work_tables};
 
 /// Pairs that are rendered, and played there and back again without end: as many as `capture` keeps as frames, so that no
 /// picture is read or copied twice.
@@ -66,7 +66,7 @@ pub(super) struct Rendered {
 impl Rendered {
     /// Renders the views of the phantom in the graph at `path`, in another size where `size` gives one.
     pub fn of(session: &dyn Session, path: &Path, given: &GraphOptions, size: Option<(u32, u32)>) -> Result<Self> {
-        let text = graph_file::flattened(path, given)?;
+        let text = run::flattened(path, given)?;
         let graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
         let (source, mut phantom) = source(&graph)?;
         if let Some((width, height)) = size

@@ -6,11 +6,11 @@ use std::path::Path;
 use panoscope_abi::{Calibration, Camera};
 use panoscope_calibration::ViewState;
 use panoscope_engine::memory::FrameRef;
+use panoscope_engine::text_table::table;
 
 use super::source::Source;
 use crate::error::{Context, FileAction, OnFile, Result};
 use crate::packets::Table;
-use crate::text_table::table;
 
 /// One row of the node's table.
 struct View {

@@ -9,7 +9,7 @@ use toml::{Table, Value};
 
 use super::options::Options;
 use crate::error::{Context, EvalError, Result, bail, ensure};
-use crate::graph_file;
+use crate::run;
 use crate::session::{Session, note};
 
 /// The calibrating node's name in the graph.
@@ -65,7 +65,7 @@ impl Source {
             for port in [&options.left, &options.right] {
                 ensure!(port.contains('.'), "with --graph, `{port}` must be a port such as scope.left");
             }
-            let text = graph_file::flattened(graph, &GraphOptions::default())?;
+            let text = run::flattened(graph, &GraphOptions::default())?;
             return Ok(Self::Graph(graph.clone(), text));
         }
         match (images(&options.left)?, images(&options.right)?) {

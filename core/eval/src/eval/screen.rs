@@ -11,11 +11,11 @@ use image::RgbImage;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Listener, NumberListener};
 use panoscope_graph::GraphOptions;
+use panoscope_loader::graph_file;
 use toml::{Table, Value};
 
 use crate::error::{Context, EvalError, FileAction, OnFile, Result};
 use crate::figures::Figure;
-use crate::graph_file;
 use crate::inputs::references::{from, node_of, upstream};
 use crate::packets;
 use crate::run::{self, Pace, Plan, Watchers};

@@ -1,12 +1,12 @@
 //! A sweep as lines, tables, JSON, CSV and a chart.
 
+use panoscope_engine::text_table;
 use serde_json::{Value, json};
 
 use super::measure::Summary;
 use super::run::{Point, Sweep};
 use crate::error::Result;
 use crate::plot::{Chart, Series, Style};
-use crate::text_table;
 
 pub(super) fn number(value: f64) -> String {
     if value.abs() >= 1000.0 { format!("{value:.0}") } else { format!("{value:.4}") }

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use panoscope_engine::Machine;
+use panoscope_engine::text_table;
 use panoscope_graph::GraphText;
 use panoscope_record::{FileHash, hash_file};
 use serde::{Deserialize, Serialize};
@@ -13,7 +14,6 @@ use super::measure::Summary;
 use super::report::number;
 use super::study::{RunResult, Study};
 use crate::error::{Context, EvalError, FileAction, OnFile, Result};
-use crate::text_table;
 
 /// Name of the file with the results of a run.
 pub const RESULTS: &str = "results.json";

@@ -10,9 +10,9 @@ use panoscope_arm_core::rehearsal::shipped_goals;
 use panoscope_arm_core::tuning::course::{Channel, Course};
 use panoscope_arm_core::tuning::relay::Tuned;
 use panoscope_graph::{Catalog, GraphOptions, Node, ParamValue};
+use panoscope_loader::graph_file;
 
 use crate::error::{Context, EvalError, Result, bail};
-use crate::graph_file;
 
 /// A controller and the arm that it moves.
 pub struct Plant {

@@ -9,12 +9,12 @@ use panoscope_arm_core::tuning::relay::{Parts, Rule};
 use panoscope_arm_core::tuning::search::{
     LATER_MS, MOST_OF_ULTIMATE, OVERSHOOT_COST, RAMP_MM_S, SHAKE_COST, STEP_MM, SWING_COST, SWING_MM, with,
 };
+use panoscope_engine::text_table::table;
 use serde_json::{Value, json};
 
 use super::search::{Candidate, Method, Tuning, Tunings};
 use crate::error::Result;
 use crate::plot::{self, Chart, Series, Style};
-use crate::text_table::table;
 
 fn number(value: f64, places: usize) -> String {
     if value.is_finite() { format!("{value:.places$}") } else { "never".to_owned() }

@@ -2,101 +2,68 @@
 
 use std::process::{Command, Stdio};
 
-use panoscope_arm_guard::check::Check;
-use panoscope_arm_guard::{client, latch, realtime};
-
 use super::State;
+use crate::beside;
 
-/// The highest real-time priority that a part of Panoscope asks for.
-pub const PRIORITY: i32 = realtime::PRIORITY;
+/// The guard's program.
+const PROGRAM: &str = "panoscope-arm";
 
 /// One line per thing: how it stands, its name, and what to do.
-pub type Lines = Vec<(State, &'static str, String)>;
+pub type Lines = Vec<(State, String, String)>;
 
 /// Asks the guard's program, which tries it: the rights of a program can differ from those of this one.
 pub fn lines() -> Lines {
-    let absent = |words: String| vec![(State::Optional, client::PROGRAM, words)];
-    let program = match client::program() {
-        Ok(program) => program,
-        Err(error) => return absent(format!("graphs with `arm_serial` need it: {error}")),
-    };
+    let absent = |words: String| vec![(State::Optional, PROGRAM.to_owned(), words)];
+    let program = beside::file(PROGRAM).unwrap_or_default();
+    if !program.is_file() {
+        return absent(format!("graphs with `arm_serial` or `arm_ur` need it: {} does not exist", program.display()));
+    }
     let output = Command::new(&program).arg("--check").stdin(Stdio::null()).stderr(Stdio::null()).output();
     let text = match output {
         Ok(output) => String::from_utf8_lossy(&output.stdout).into_owned(),
         Err(error) => return absent(format!("{} cannot be started: {error}", program.display())),
     };
-    match Check::read(&text) {
-        Some(check) => of(&check),
-        None => absent(format!("{} does not report; it belongs to another version of Panoscope", program.display())),
+    match text.lines().map(read).collect::<Option<Lines>>() {
+        Some(lines) if !lines.is_empty() => lines,
+        _ => absent(format!("{} does not report; it belongs to another version of Panoscope", program.display())),
     }
 }
 
-fn of(check: &Check) -> Lines {
-    let number = |value: Option<u64>| value.map_or_else(|| "no limit".to_owned(), |n| n.to_string());
-    let priority = if check.granted.real_time {
-        (State::Fine, "arm's guard, priority", format!("SCHED_FIFO {}", realtime::PRIORITY))
-    } else {
-        let about = format!(
-            "no SCHED_FIFO {needed} (RLIMIT_RTPRIO {limit}): a busy machine may hold the guard up; the arm's own watchdog then stops the arm. For a user `me`: `me - rtprio {needed}` in /etc/security/limits.d/panoscope.conf, then log in again",
-            needed = realtime::PRIORITY,
-            limit = number(check.priority_limit),
-        );
-        (State::Optional, "arm's guard, priority", about)
+/// Reads a line of `panoscope-arm --check`: `ok` or `absent`, what it is, about it; tabs between them.
+fn read(line: &str) -> Option<(State, String, String)> {
+    let mut parts = line.split('\t');
+    let state = match parts.next()? {
+        "ok" => State::Fine,
+        "absent" => State::Optional,
+        _ => return None,
     };
-    let memory = if check.granted.locked_memory {
-        (State::Fine, "arm's guard, locked memory", "allowed".to_owned())
-    } else {
-        let about = format!(
-            "not allowed (RLIMIT_MEMLOCK {limit} KiB, {needed} needed): a machine that swaps may hold the guard up. For a user `me`: `me - memlock {needed}` in /etc/security/limits.d/panoscope.conf, then log in again",
-            needed = realtime::MEMORY_KIB,
-            limit = number(check.memory_limit_kib),
-        );
-        (State::Optional, "arm's guard, locked memory", about)
-    };
-    let folder = match &check.folder_problem {
-        None => (State::Fine, "arm's latched stops", check.folder.display().to_string()),
-        Some(problem) => {
-            let about = format!(
-                "{}: {problem}; set {} to a folder on a disk that this user may write",
-                check.folder.display(),
-                latch::FOLDER_VARIABLE
-            );
-            (State::Optional, "arm's latched stops", about)
-        }
-    };
-    vec![priority, memory, folder]
+    Some((state, parts.next()?.to_owned(), parts.next()?.to_owned()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_arm_guard::realtime::Granted;
+    use panoscope_arm_guard::check::Check;
+    use panoscope_arm_guard::realtime::{self, Granted};
 
-    fn check(granted: bool) -> Check {
-        Check {
-            granted: Granted { locked_memory: granted, real_time: granted },
+    #[test]
+    fn what_the_guard_writes_is_read() {
+        let check = Check {
+            granted: Granted { locked_memory: true, real_time: false },
             priority_limit: Some(0),
-            memory_limit_kib: Some(8192),
+            memory_limit_kib: None,
             folder: "/somewhere/arms".into(),
-            folder_problem: None,
-        }
-    }
-
-    #[test]
-    fn a_machine_that_grants_everything_is_fine() {
-        let lines = of(&check(true));
-        assert!(lines.iter().all(|(state, ..)| *state == State::Fine));
-        assert!(lines.iter().any(|(_, _, about)| about.contains("/somewhere/arms")));
-    }
-
-    #[test]
-    fn what_is_missing_comes_with_its_remedy() {
-        let lines = of(&Check { folder_problem: Some("it is in memory".to_owned()), ..check(false) });
-        let about = |state: State, words: &[&str]| {
-            lines.iter().any(|(its, _, about)| *its == state && words.iter().all(|word| about.contains(word)))
+            folder_problem: Some("no space\tleft".to_owned()),
         };
-        assert!(about(State::Optional, &["RLIMIT_RTPRIO 0", "`me - rtprio 60`", "/etc/security/limits.d"]));
-        assert!(about(State::Optional, &["RLIMIT_MEMLOCK 8192 KiB", "`me - memlock 65536`", "/etc/security/limits.d"]));
-        assert!(about(State::Optional, &["/somewhere/arms: it is in memory", "PANOSCOPE_ARM_STATE"]));
+        let mut text = Vec::new();
+        check.write(&mut text).expect("memory");
+        let text = String::from_utf8(text).expect("text");
+        let lines = text.lines().map(read).collect::<Option<Lines>>().expect("lines");
+        assert_eq!(lines.len(), check.findings().len());
+        for (line, (is_fine, what, about)) in lines.iter().zip(check.findings()) {
+            assert_eq!((line.0 == State::Fine, line.1.as_str(), &line.2), (is_fine, what, &about.replace('\t', " ")));
+        }
+        assert!(read("real_time=true").is_none());
+        assert_eq!(super::super::PRIORITY, realtime::PRIORITY);
     }
 }

@@ -10,14 +10,14 @@ use anyhow::Result;
 use panoscope_engine::Machine;
 use panoscope_graph::{NodeType, ParamKind, can_listen, installed};
 use panoscope_loader as loader;
+use panoscope_loader::graph_file;
 use panoscope_loader::keys::Trust;
 
 use super::devices;
-use crate::End;
 use crate::installation::{Installation, Kind};
 use crate::terminal::{out, stdout_color};
+use crate::{End, beside};
 use libraries::{ELEMENTS, GStreamer};
-use panoscope_eval::graph_file;
 
 /// How a thing stands.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -27,6 +27,9 @@ enum State {
     Optional,
     Bad,
 }
+
+/// The highest real-time priority that a part of Panoscope asks for: that of the arm's guard.
+const PRIORITY: i32 = 60;
 
 struct Doctor {
     color: bool,
@@ -72,18 +75,22 @@ impl Doctor {
                 }
             }
         }
-        for (program, what) in [("panoscope-editor", "`panoscope edit`"), ("panoscope-theatre", "`panoscope theatre`")]
-        {
+        let programs = [
+            (beside::LAB, "`panoscope eval`, `export`, `dicom` and others"),
+            (beside::EDITOR, "`panoscope edit`"),
+            (beside::THEATRE, "`panoscope theatre`"),
+        ];
+        for (program, what) in programs {
             let file = self.installation.program_dir.join(program);
             match file.is_file() {
                 true => self.say(State::Fine, program, &file.display().to_string()),
                 false => {
                     let (state, how) = match self.installation.kind {
                         Kind::Build => (State::Optional, self.installation.repair()),
-                        Kind::Wheel => {
+                        Kind::Wheel if program != beside::LAB => {
                             (State::Optional, "the Python package is without windows: install the Debian package")
                         }
-                        Kind::Package | Kind::Folder => (State::Bad, self.installation.repair()),
+                        Kind::Package | Kind::Folder | Kind::Wheel => (State::Bad, self.installation.repair()),
                     };
                     let how = format!("{what} needs {}; {how}", file.display());
                     self.say(state, program, &how);
@@ -161,7 +168,7 @@ impl Doctor {
         } else {
             let how = format!(
                 "not allowed: control nodes run at normal priority. For a user `me`: `me - rtprio {}` in /etc/security/limits.d/panoscope.conf, then log in again",
-                arm::PRIORITY
+                PRIORITY
             );
             self.say(State::Optional, "real-time priority", &how);
         }
@@ -179,7 +186,7 @@ impl Doctor {
             }
         }
         for (state, what, about) in arm::lines() {
-            self.say(state, what, &about);
+            self.say(state, &what, &about);
         }
     }
 
@@ -247,7 +254,9 @@ impl Doctor {
         out!("network: nothing listens unless you ask for it");
         let web = "pictures, ages and metrics over HTTP, for reading only; on 127.0.0.1 unless you give IP:PORT";
         self.say(State::Fine, "run --web PORT", web);
-        for one in panoscope_live::LISTENERS.iter().chain(panoscope_attach::LISTENERS) {
+        let foxglove = "WebSocket, outputs and parameters for Foxglove; on 127.0.0.1; reads outputs and parameters; sets numbers, switches and choices only with --foxglove-set";
+        self.say(State::Fine, "run --foxglove PORT|IP:PORT", foxglove);
+        for one in panoscope_attach::LISTENERS {
             self.say(State::Fine, one.option, &format!("{}; on {}; {}", one.what, one.default_address, one.access));
         }
         let serve = "nodes of other machines over TLS; hosts that --allow names, with certificates of your authority";

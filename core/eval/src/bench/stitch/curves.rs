@@ -8,6 +8,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use panoscope_engine::text_table::table;
 use panoscope_engine::{Listener, NumberListener};
 
 use super::method::{Method, Seam, text_of};
@@ -17,7 +18,6 @@ use crate::inputs::pairs::Pairs;
 use crate::plot::{self, Chart, Series, Style};
 use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::Session;
-use crate::text_table::table;
 
 /// Pairs that are rendered and figures; a second and a half of the camera, and three.
 const FRAMES: (u64, u64) = (48, 96);

@@ -24,6 +24,7 @@ mod times;
 use std::path::{Path, PathBuf};
 
 use panoscope_engine::Report;
+use panoscope_engine::text_table::table;
 
 use crate::error::Result;
 use crate::figures::Figure;
@@ -32,7 +33,6 @@ use crate::inputs::pairs::Pairs;
 use crate::registration;
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
-use crate::text_table::table;
 use method::{Method, PICTURES, Seam, text_of};
 use times::{Stages, Times};
 

@@ -7,7 +7,6 @@ use panoscope_graph::GraphOptions;
 
 use super::preset;
 use crate::error::{Context, EvalError, Result};
-use crate::graph_file;
 use crate::inputs::Folder;
 use crate::packets::Table;
 use crate::run::{self, Pace, Plan};
@@ -139,7 +138,7 @@ pub fn run(session: &dyn Session, name: &str, seed: u64, seconds: u32, width: u3
 
 /// The same for a graph that ships.
 pub fn run_preset(session: &dyn Session, name: &str, seed: u64, seconds: u32, file: PathBuf) -> Result<Run> {
-    let text = graph_file::flattened(&file, &GraphOptions::default())?;
+    let text = run::flattened(&file, &GraphOptions::default())?;
     let preset = preset::of(name, seed, &text, file)?;
     judged(session, &preset.text, &preset.path, name, seconds, preset.size)
 }

@@ -24,7 +24,7 @@ use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 use crate::figures::Figure;
 use crate::inputs::{Folder, shipped_model};
 use crate::session::{Session, check_cancelled, note};
-use crate::text_table::table;
+use panoscope_engine::text_table::table;
 use panoscope_imaging::detect::{Shape, score};
 
 /// Another program that judges the same finds.

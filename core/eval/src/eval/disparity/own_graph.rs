@@ -4,6 +4,7 @@ use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Catalog, GraphOptions};
+use panoscope_loader::graph_file;
 use toml::{Table, Value};
 
 use super::data::Picture;
@@ -11,8 +12,8 @@ use crate::error::{Context, EvalError, FileAction, OnFile, Result, bail, ensure}
 use crate::inputs::references::{node_of, references, upstream};
 use crate::inputs::{Folder, level};
 use crate::packets::floats;
+use crate::run;
 use crate::session::Session;
-use crate::{graph_file, run};
 
 /// The graph, and where its disparity comes from.
 #[derive(Clone, Debug)]

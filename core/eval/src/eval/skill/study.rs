@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use panoscope_engine::text_table::table;
 use panoscope_tracking::skill::measures::FIGURES;
 use panoscope_tracking::skill::{self, Measures, Movement, Settings, Together};
 use serde_json::{Map, Value, json};
@@ -12,7 +13,6 @@ use super::trace::Trace;
 use super::tracks::Track;
 use crate::error::{Context, FileAction, OnFile, Result, ensure};
 use crate::session::{Session, check_cancelled};
-use crate::text_table::table;
 
 /// What a report is made of.
 pub struct SkillStudy {

@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use panoscope_engine::text_table::{number, table};
 use panoscope_graph::GraphOptions;
 use toml::Value;
 
@@ -18,7 +19,6 @@ use crate::packets::Table;
 use crate::plot::{self, Chart, Series, Style};
 use crate::session::{Session, note};
 use crate::statistics::rms;
-use crate::text_table::{number, table};
 
 /// Methods that are judged when no graph is given: the thesis's two, then ours.
 const METHODS: [&str; 4] = ["chapter 2", "chapter 4", "ROI", "grid"];

@@ -6,6 +6,7 @@
 
 use std::path::PathBuf;
 
+use panoscope_engine::text_table::table;
 use panoscope_graph::GraphOptions;
 
 use super::graphs;
@@ -17,7 +18,6 @@ use crate::packets::Table;
 use crate::registration::run_judged;
 use crate::session::Session;
 use crate::statistics::{mean, rms};
-use crate::text_table::table;
 
 /// Scenes of the phantom that are judged.
 const SCENES: [&str; 2] = ["bowel", "liver"];

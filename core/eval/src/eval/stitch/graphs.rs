@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use panoscope_graph::GraphOptions;
+use panoscope_loader::graph_file;
 
 use crate::error::{EvalError, Result};
-use crate::graph_file;
 use crate::inputs::wiring::Wiring;
 
 pub use crate::inputs::wiring::setting;

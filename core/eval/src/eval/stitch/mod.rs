@@ -16,6 +16,7 @@ mod tally;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use panoscope_engine::text_table::table;
 use panoscope_graph::GraphOptions;
 
 use crate::error::{FileAction, OnFile, Result};
@@ -27,7 +28,6 @@ use crate::plot::{self, Chart, Series, Style};
 use crate::registration::{JudgedRun, Registration, judges, registration, run_judged};
 use crate::session::{Session, note};
 use crate::statistics::rms;
-use crate::text_table::table;
 use sources::{Case, Missing, Places};
 
 pub use sources::CASES;

@@ -6,6 +6,7 @@
 
 use std::path::PathBuf;
 
+use panoscope_engine::text_table::{number, table};
 use panoscope_graph::GraphOptions;
 use toml::Value;
 
@@ -18,7 +19,6 @@ use crate::figures::Figure;
 use crate::plot::{self, Chart, Series, Style};
 use crate::session::{Session, note};
 use crate::statistics::rms;
-use crate::text_table::{number, table};
 
 /// Methods that are swept when no graph is given.
 const METHODS: [&str; 5] = ["conventional", "ROI", "grid", "chapter 2", "chapter 4"];

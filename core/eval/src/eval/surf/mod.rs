@@ -9,6 +9,7 @@ mod plane;
 
 use std::path::{Path, PathBuf};
 
+use panoscope_engine::text_table::table;
 use panoscope_imaging::View;
 use panoscope_imaging::features::{precision, repeatability};
 use panoscope_imaging::geometry::Homography;
@@ -19,7 +20,6 @@ use crate::figures::Figure;
 use crate::packets::Table;
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
-use crate::text_table::table;
 
 /// Where Debian and others put OpenCV's sample data.
 const FOLDERS: [&str; 4] = [

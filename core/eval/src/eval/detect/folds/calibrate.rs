@@ -11,7 +11,7 @@ use super::predictions::Predicted;
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::session::{Session, note};
-use crate::text_table::table;
+use panoscope_engine::text_table::table;
 use panoscope_imaging::detect::{Find, Object, Shape, overlap};
 
 /// Lowest score that is judged: a network answers any number of boxes below it, all wrong, which would make every error small.

@@ -15,7 +15,7 @@ use super::truth::{self, Truth};
 use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 use crate::figures::Figure;
 use crate::session::{Session, check_cancelled, note};
-use crate::text_table::table;
+use panoscope_engine::text_table::table;
 use panoscope_imaging::detect::{Find, Object, Ranking, Scores, Shape, mean, score};
 
 /// Options of [`judge`].

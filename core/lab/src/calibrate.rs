@@ -7,9 +7,9 @@ use panoscope_calibration::{Board, packet};
 use panoscope_eval::calibration::{self, Options, Source};
 use panoscope_eval::chain;
 
-use crate::End;
 use crate::session::Terminal;
-use crate::terminal::{log, out, raw};
+use panoscope_cli::End;
+use panoscope_cli::terminal::{log, out, raw};
 
 /// Arguments of `calibrate`.
 #[derive(clap::Args)]
@@ -65,7 +65,7 @@ impl Arguments {
 
 /// Calibrates, and shows and writes the result.
 pub fn run(arguments: &Arguments) -> Result<End> {
-    crate::interrupt::listen();
+    panoscope_cli::interrupt::listen();
     let options = arguments.options();
     let source = match Source::of(&Terminal, &options) {
         Ok(source) => source,

@@ -7,8 +7,8 @@ use panoscope_eval::Session;
 use panoscope_eval::eval::skill::{self, Options, SkillStudy};
 use panoscope_eval::figures::Figure;
 
-use crate::End;
-use crate::terminal::{log, raw};
+use panoscope_cli::End;
+use panoscope_cli::terminal::{log, raw};
 
 /// Arguments of `eval skill`.
 #[derive(clap::Args)]

@@ -15,9 +15,9 @@ use panoscope_graph::{Diagnostics, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
 use panoscope_record::{Recording, RecordingError};
 
-use crate::given::Given;
-use crate::terminal::{log, out, raw, stderr_color};
-use crate::{End, interrupt};
+use panoscope_cli::given::Given;
+use panoscope_cli::terminal::{log, out, raw, stderr_color};
+use panoscope_cli::{End, interrupt};
 
 /// Arguments of `sweep`.
 #[derive(clap::Args)]

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use anyhow::Result;
 use panoscope_eval::{bench, figures};
 
-use crate::given::Given;
 use crate::session::Terminal;
-use crate::terminal::raw;
-use crate::{End, allocations, interrupt};
+use panoscope_cli::given::Given;
+use panoscope_cli::terminal::raw;
+use panoscope_cli::{End, allocations, beside, interrupt};
 
 /// What is measured.
 #[derive(clap::Subcommand)]
@@ -165,13 +165,12 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
             (bench::stereo::measure(session, &options)?, common)
         }
         Bench::Editor(arguments) => {
-            let program = std::env::current_exe()?;
-            let editor = program.with_file_name("panoscope-editor");
+            let (program, editor) = (beside::file(beside::PROGRAM)?, beside::file(beside::EDITOR)?);
             (bench::editor::measure(&bench::editor::Options { program, editor, quick: arguments.quick })?, arguments)
         }
         Bench::Remote(arguments) => {
             interrupt::listen();
-            let options = bench::remote::Options { program: std::env::current_exe()?, quick: arguments.quick };
+            let options = bench::remote::Options { program: beside::file(beside::PROGRAM)?, quick: arguments.quick };
             (bench::remote::measure(session, &options)?, arguments)
         }
         Bench::Stitch(Stitch { common, size, plot }) => {
@@ -180,7 +179,7 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
             (bench::stitch::measure(session, &options)?, common)
         }
         Bench::Igtl(arguments) => {
-            let options = bench::igtl::Options { program: std::env::current_exe()?, quick: arguments.quick };
+            let options = bench::igtl::Options { program: beside::file(beside::PROGRAM)?, quick: arguments.quick };
             (bench::igtl::measure(session, &options)?, arguments)
         }
         Bench::Tools(Tools { common, python, model, masks }) => {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use panoscope_eval::eval::screen::Options;
 
-use crate::given::Given;
+use panoscope_cli::given::Given;
 
 /// Arguments of `eval screen`.
 #[derive(clap::Args)]

@@ -2,8 +2,8 @@
 
 use panoscope_eval::{AllocationCounters, Session};
 
-use crate::terminal::{log, raw};
-use crate::{allocations, interrupt};
+use panoscope_cli::terminal::{log, raw};
+use panoscope_cli::{allocations, interrupt};
 
 /// Progress goes to standard error, tables to standard output; a signal cancels.
 pub struct Terminal;

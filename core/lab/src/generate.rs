@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use clap::Command;
 use clap_complete::{Shell, generate_to};
 
-use crate::End;
+use panoscope_cli::End;
 
 /// Arguments of `panoscope generate`.
 #[derive(clap::Args)]

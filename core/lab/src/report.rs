@@ -6,8 +6,8 @@ use anyhow::{Context, Result};
 use panoscope_eval::EvalError;
 use panoscope_eval::report::{self, Options, Statistic};
 
-use crate::End;
-use crate::terminal::{log, out};
+use panoscope_cli::End;
+use panoscope_cli::terminal::{log, out};
 
 /// Arguments of `report`.
 #[derive(clap::Args)]

@@ -6,10 +6,10 @@ use anyhow::{Context, Result};
 use panoscope_arm_core::tuning::relay::Rule;
 use panoscope_eval::{EvalError, tune};
 
-use crate::given::Given;
 use crate::session::Terminal;
-use crate::terminal::{log, out, raw, stderr_color};
-use crate::{End, interrupt};
+use panoscope_cli::given::Given;
+use panoscope_cli::terminal::{log, out, raw, stderr_color};
+use panoscope_cli::{End, interrupt};
 
 /// Arguments of `tune`.
 #[derive(clap::Args)]

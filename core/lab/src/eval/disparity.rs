@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use panoscope_eval::eval::disparity::{self, GraphRequest, Options, Pair};
 
-use crate::given::Given;
+use panoscope_cli::given::Given;
 
 /// Arguments of `eval disparity`.
 #[derive(clap::Args)]

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use crate::error::{Context, EvalError, Result};
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphOptions, GraphText, check};
-use panoscope_loader::{self as loader, Loader};
+
+use crate::search::{Loader, search_path};
 
 /// A checked graph with what it was checked against.
 pub struct Ready {
@@ -25,18 +25,9 @@ pub fn open(path: &Path, options: &GraphOptions) -> Result<Ready, Diagnostics> {
     ready(&GraphText::load_with(path, options)?)
 }
 
-/// Text of a checked graph in which parts are replaced by their nodes, overlays and settings are applied and arguments have their values.
-///
-/// # Errors
-/// The graph has mistakes.
-pub fn flattened(path: &Path, options: &GraphOptions) -> Result<String> {
-    let ready = open(path, options).map_err(|diagnostics| EvalError::Check { diagnostics })?;
-    ready.text.settled(&ready.catalog).context("the settings")
-}
-
 /// Loads the plugins of a graph and checks it.
 pub fn ready(text: &GraphText) -> Result<Ready, Diagnostics> {
-    ready_with(text, Loader::search(&loader::search_path(&text.plugin_paths())))
+    ready_with(text, Loader::search(&search_path(&text.plugin_paths())))
 }
 
 /// As [`ready`], with the plugins that `loader` finds and may load.
@@ -48,5 +39,5 @@ pub fn ready_with(text: &GraphText, loader: Loader) -> Result<Ready, Diagnostics
 
 /// All plugins of this machine, found and not loaded.
 pub fn all_plugins() -> Loader {
-    Loader::search(&loader::search_path(&[]))
+    Loader::search(&search_path(&[]))
 }

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use panoscope_eval::soak::{Change, Disturbances, Disturber, Done, Soak};
 
-use super::run::{self, RunEnd, Running};
-use crate::End;
-use crate::judge::Weight;
-use crate::numbers::{NumberError, number_in};
-use crate::terminal::{log, raw};
+use crate::foxglove;
+use panoscope_cli::End;
+use panoscope_cli::commands::run::{self, RunEnd, Running};
+use panoscope_cli::judge::Weight;
+use panoscope_cli::numbers::{NumberError, number_in};
+use panoscope_cli::terminal::{log, raw};
 
 /// Arguments of `soak`.
 #[derive(clap::Args)]
@@ -45,22 +46,27 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let mut soak = Soak::default();
     let settings = Disturbances { edit_every_s: arguments.edit_every, kill_every_s: arguments.kill_every };
     let mut disturber = None;
-    let ran = run::run_with(&arguments.run, None, |Running { live, catalog, expected_faults }| {
-        let disturber = disturber.get_or_insert_with(|| {
-            let graph = live.engine().graph();
-            if arguments.kill_every.is_some() {
-                let isolated = graph.nodes.iter().filter(|node| node.isolate.is_some());
-                expected_faults.extend(isolated.map(|node| node.id.clone()));
+    let ran = run::run_with(
+        &arguments.run,
+        None,
+        foxglove::server(&arguments.run),
+        |Running { live, catalog, expected_faults }| {
+            let disturber = disturber.get_or_insert_with(|| {
+                let graph = live.engine().graph();
+                if arguments.kill_every.is_some() {
+                    let isolated = graph.nodes.iter().filter(|node| node.isolate.is_some());
+                    expected_faults.extend(isolated.map(|node| node.id.clone()));
+                }
+                Disturber::new(settings, live.text(), &graph, catalog)
+            });
+            if let Some(reason) = disturber.disturb(live) {
+                log!("warning: a change was refused: {reason}");
             }
-            Disturber::new(settings, live.text(), &graph, catalog)
-        });
-        if let Some(reason) = disturber.disturb(live) {
-            log!("warning: a change was refused: {reason}");
-        }
-        if soak.observe(live.engine()) >= arguments.minutes * 60.0 {
-            live.engine().stop();
-        }
-    })?;
+            if soak.observe(live.engine()) >= arguments.minutes * 60.0 {
+                live.engine().stop();
+            }
+        },
+    )?;
     let mut verdict = match ran {
         RunEnd::Not(end) => return Ok(end),
         RunEnd::Over { verdict, .. } => verdict,

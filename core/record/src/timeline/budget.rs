@@ -2,10 +2,10 @@
 
 use std::collections::HashMap;
 
+use panoscope_engine::text_table::{number, table};
 use panoscope_graph::{Align, Graph};
 
 use super::{Call, Calls};
-use crate::text_table::{number, table};
 
 /// What one node takes of the time of a picture, means over all pictures.
 #[derive(Clone, Debug, PartialEq)]

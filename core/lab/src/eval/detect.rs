@@ -7,7 +7,7 @@ use panoscope_eval::Session;
 use panoscope_eval::eval::detect::{self, Options, folds};
 use panoscope_eval::figures::Figure;
 
-use crate::terminal::raw;
+use panoscope_cli::terminal::raw;
 
 /// Another program that judges the same finds.
 #[derive(Clone, Copy, clap::ValueEnum)]

@@ -5,15 +5,15 @@ use std::process::Stdio;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use panoscope_eval::text_table::table;
+use panoscope_engine::text_table::table;
 use panoscope_export::{Export, ExportError, PortReport, Selection, folder, foxglove, ros2};
 use panoscope_loader::python_module;
 use panoscope_record::{PortTypes, Recording, own_folders};
 use serde::Deserialize;
 
-use crate::End;
-use crate::terminal::{log, raw};
-use crate::trust::OwnPlugins;
+use panoscope_cli::End;
+use panoscope_cli::terminal::{log, raw};
+use panoscope_cli::trust::OwnPlugins;
 
 /// Module of the Python package that writes files of rerun.
 const RERUN_MODULE: &str = "panoscope.rerun_file";

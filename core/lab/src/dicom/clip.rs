@@ -5,10 +5,11 @@ use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use panoscope_cli::beside;
 use panoscope_dicom::DicomError;
 use panoscope_dicom::object::Clip;
 
-use crate::terminal::log;
+use panoscope_cli::terminal::log;
 
 /// Constant rate factor of the video: looks like the original.
 const CRF: u8 = 18;
@@ -44,7 +45,7 @@ impl Clips {
         let graph = self.folder.join(format!("{}.toml", self.count));
         let text = graph_text(clip, &mp4).map_err(wrong)?;
         fs::write(&graph, text).map_err(|cause| DicomError::Write { file: graph.clone(), cause })?;
-        let program = std::env::current_exe().map_err(|error| wrong(error.to_string()))?;
+        let program = beside::file(beside::PROGRAM).map_err(|error| wrong(error.to_string()))?;
         let mut run = Command::new(program);
         run.arg("run").arg(&graph).arg("--headless").stdin(Stdio::null()).stdout(Stdio::null());
         let output = run.output().map_err(|error| wrong(error.to_string()))?;

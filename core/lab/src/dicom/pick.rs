@@ -4,9 +4,9 @@ use std::io::{BufRead, IsTerminal, Write};
 
 use anyhow::{Result, bail};
 use panoscope_dicom::Entry;
-use panoscope_eval::text_table::table as text_table;
+use panoscope_engine::text_table::table as text_table;
 
-use crate::terminal::log;
+use panoscope_cli::terminal::log;
 
 /// A name as people write it: `Müller, Änne` of `Müller^Änne`.
 fn name(patient: &str) -> String {

@@ -11,8 +11,8 @@ use panoscope_dicom::net::{self, AeTitle, Peer};
 use panoscope_dicom::object::Region;
 use panoscope_dicom::{Entry, Query, outbox};
 
-use crate::End;
-use crate::terminal::{log, out};
+use panoscope_cli::End;
+use panoscope_cli::terminal::{log, out};
 
 /// Commands of `dicom`.
 #[derive(clap::Subcommand)]

@@ -16,9 +16,9 @@ use std::path::PathBuf;
 use anyhow::Result;
 use panoscope_eval::{EvalError, eval, figures};
 
-use crate::End;
 use crate::session::Terminal;
-use crate::terminal::{log, raw};
+use panoscope_cli::End;
+use panoscope_cli::terminal::{log, raw};
 
 /// What is judged.
 #[derive(clap::Subcommand)]
@@ -47,7 +47,7 @@ pub enum Eval {
 
 /// Judges, and shows and writes the figures.
 pub fn run(eval: &Eval) -> Result<End> {
-    crate::interrupt::listen();
+    panoscope_cli::interrupt::listen();
     if let Eval::Skill(arguments) = eval
         && !arguments.files.is_empty()
     {

@@ -7,7 +7,7 @@ use panoscope_eval::Session;
 use panoscope_eval::eval::stitch::{self, SpeedList};
 use panoscope_eval::figures::Figure;
 
-use crate::given::Given;
+use panoscope_cli::given::Given;
 
 /// Arguments of `eval stitch`.
 #[derive(clap::Args)]

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_data_sets::{self as data_sets, Found, KNOWN, MOST_LEVELS, Pictures, Sequence};
-use panoscope_eval::text_table::table;
+use panoscope_engine::text_table::table;
 use serde_json::{Value, json};
 
-use crate::End;
-use crate::terminal::{log, out};
+use panoscope_cli::End;
+use panoscope_cli::terminal::{log, out};
 
 /// Overlay that plays a sequence.
 const OVERLAY: &str = "graphs/sources/data_set.toml";

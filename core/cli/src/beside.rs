@@ -1,0 +1,60 @@
+//! Programs beside this one, which this one becomes for some commands: it needs neither a window system nor the crates that only they use.
+
+use std::ffi::{OsStr, OsString};
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::End;
+use crate::terminal::log;
+
+/// Name of the program that runs graphs.
+pub const PROGRAM: &str = "panoscope";
+/// Names of the programs of the windows.
+pub const EDITOR: &str = "panoscope-editor";
+/// See [`EDITOR`].
+pub const THEATRE: &str = "panoscope-theatre";
+/// Name of the program with the commands that evaluate, convert and generate.
+pub const LAB: &str = "panoscope-lab";
+/// Id of the argument that [`Words`] has and no other command.
+pub const WORDS: &str = "words-of-the-lab";
+
+/// What follows the name of a command of the program [`LAB`], which parses it.
+#[derive(clap::Args)]
+#[command(disable_help_flag = true)]
+pub struct Words {
+    #[arg(id = WORDS, trailing_var_arg = true, allow_hyphen_values = true)]
+    _words: Vec<OsString>,
+}
+
+/// File of a program of this installation.
+///
+/// # Errors
+/// The system does not report which file runs.
+pub fn file(program: &str) -> std::io::Result<PathBuf> {
+    std::env::current_exe().map(|this| this.with_file_name(program))
+}
+
+/// Becomes the program [`LAB`] with this one's command line. Returns only if that fails.
+pub(crate) fn lab() -> Result<End> {
+    start(LAB, std::env::args_os().skip(1))
+}
+
+/// Becomes another program. Returns only if that fails.
+pub(crate) fn start(program: &str, words: impl Iterator<Item = impl AsRef<OsStr>>) -> Result<End> {
+    let file = file(program).context("this program's own place is not known")?;
+    if !file.is_file() {
+        log!(
+            "error: the program of this command is missing: {} does not exist\n  help: `cargo xtask build` builds it",
+            file.display()
+        );
+        return Ok(End::Failed);
+    }
+    let mut command = Command::new(&file);
+    if let Some(name) = std::env::args_os().next() {
+        command.arg0(name);
+    }
+    Err(command.args(words).exec()).with_context(|| format!("{} does not start", file.display()))
+}

@@ -1,0 +1,225 @@
+//! The `panoscope` command, and what its second program `panoscope-lab` shares with it. Exit codes: 0 done, 1 the run failed (`judge` has the
+//! rule), 2 the arguments or the graph are wrong; 128 and the signal's number where a signal ended the command before there was a run, or at once;
+//! the signal itself where a plugin crashed.
+
+pub mod allocations;
+pub mod beside;
+pub mod commands;
+pub mod given;
+mod installation;
+pub mod interrupt;
+pub mod judge;
+mod log_lines;
+mod models;
+pub mod numbers;
+mod progress;
+mod summary;
+pub mod terminal;
+pub mod trust;
+
+use std::ffi::OsString;
+
+use clap::error::ErrorKind;
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use panoscope_engine::ending::signals;
+use panoscope_engine::heap;
+use panoscope_graph::command_line::{self, CommandLine};
+use panoscope_loader::isolated;
+
+use beside::Words;
+
+/// Runs graphs of image-processing nodes on the live picture of two-camera endoscopes.
+#[derive(Parser)]
+#[command(name = "panoscope", version, disable_help_subcommand = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Runs a graph.
+    Run(commands::run::Arguments),
+    /// Opens a window over a graph while it runs: pictures, times, faults, sliders, wires.
+    Edit(commands::edit::Arguments),
+    /// Opens the surgeon's window: pictures full screen, and only the settings that the preset offers.
+    Theatre(commands::edit::Arguments),
+    /// Writes fingerprints of a graph and of all that its run depends on, signed where wanted, for the theatre to compare.
+    Lock(commands::lock::Arguments),
+    /// Shows the audit log of the theatre, and whether it is whole.
+    Audit(commands::audit::Arguments),
+    /// Stills, clips and measurements as DICOM: worklist, objects, storage at a PACS.
+    Dicom(Words),
+    /// Runs a graph and writes the run down, so that it can be repeated to the byte.
+    Record(commands::record::Arguments),
+    /// Plays a recording again, or runs another graph on its pictures.
+    Replay(commands::replay::Arguments),
+    /// Says where two recorded runs differ first, and by how much.
+    Compare(commands::compare::Arguments),
+    /// Writes what a recording holds as files of other programs: a folder of pictures and tables, Foxglove, rerun.
+    Export(Words),
+    /// Lists the sequences of public data sets in a folder, with their calibration, truth and labels.
+    Import(Words),
+    /// Runs a graph once for each value of parameters and shows what becomes of measures.
+    Sweep(Words),
+    /// Compares runs of sweeps on one HTML page.
+    Report(Words),
+    /// Finds gains of the arm's PID on the simulated arm: relay feedback, rules, a search; responses of P, PI and PID.
+    Tune(Words),
+    /// Runs a graph for minutes and says whether its memory grows.
+    Soak(Words),
+    /// Checks graph files and shows every mistake.
+    Check(commands::check::Arguments),
+    /// Lists plugins and their node types.
+    List(commands::list::Arguments),
+    /// Shows inputs, outputs and parameters of a node type.
+    Describe(commands::describe::Arguments),
+    /// Writes a graph as Graphviz text.
+    Dot(commands::dot::Arguments),
+    /// Writes a JSON Schema of graph files, for editors.
+    Schema,
+    /// Writes the beginnings of a plugin.
+    New(commands::new::Arguments),
+    /// Measures the runtime itself, beside its peers where they are installed.
+    Bench(Words),
+    /// Judges results beside truth and peers.
+    Eval(Words),
+    /// Calibrates two cameras from views of a printed board.
+    Calibrate(Words),
+    /// Runs nodes of graphs of other machines, those with `on` and this machine's name.
+    Serve(commands::serve::Arguments),
+    /// Makes certificates by which machines know each other.
+    Keys(commands::keys::Arguments),
+    /// Lists cameras.
+    Devices(commands::devices::Arguments),
+    /// Shows what is installed, what is missing and how to get it.
+    Doctor,
+    /// Writes manual pages and shell completions, for packages.
+    #[command(hide = true)]
+    Generate(Words),
+}
+
+/// How a command ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// Done.
+    Done,
+    /// The run failed; what was wrong has been said.
+    Failed,
+    /// The arguments or the graph are wrong; what was wrong has been said.
+    Wrong,
+}
+
+/// The command line of `panoscope`. Of the commands of [`beside::LAB`] it has names and descriptions, and leaves the arguments to that program.
+pub fn command() -> clap::Command {
+    Arguments::command()
+}
+
+/// Long options of the command that the words name, those of the command itself where it has commands of its own.
+pub fn own_options(program: &clap::Command, words: &[OsString]) -> Vec<String> {
+    let mut command = program;
+    for word in words.iter().skip(1) {
+        match word.to_str().and_then(|word| command.find_subcommand(word)) {
+            Some(inner) => command = inner,
+            None => break,
+        }
+    }
+    command.get_arguments().filter_map(clap::Arg::get_long).map(str::to_owned).collect()
+}
+
+/// Whether the words name a command of the program [`beside::LAB`].
+fn is_of_the_lab(program: &clap::Command, words: &[OsString]) -> bool {
+    let command = words.get(1).and_then(|word| program.find_subcommand(word));
+    command.is_some_and(|command| command.get_arguments().any(|argument| argument.get_id() == beside::WORDS))
+}
+
+/// Parses the command line of this process. Options that the graph declares are known to it, and its help shows them. Leaves the process where the
+/// command line is wrong or asks for help.
+pub fn parse<T: FromArgMatches>(mut command: clap::Command) -> T {
+    let words: Vec<OsString> = std::env::args_os().collect();
+    let CommandLine { words, help, problem } = match is_of_the_lab(&command, &words) {
+        true => CommandLine { words, ..CommandLine::default() },
+        false => {
+            let own = own_options(&command, &words);
+            command_line::rewrite_except(words, &own)
+        }
+    };
+    if let Some(problem) = problem {
+        terminal::log!("error: {problem}");
+        terminal::leave(2);
+    }
+    if !help.is_empty() {
+        command = command.mut_subcommands(|c| c.after_help(help.clone()));
+    }
+    let parsed = command.try_get_matches_from(words).and_then(|matches| T::from_arg_matches(&matches));
+    parsed.unwrap_or_else(|error| {
+        let unknown = error.kind() == ErrorKind::UnknownArgument;
+        // Not `exit`: the code of a help is 0, of an error 2.
+        let _ = error.print();
+        if unknown && !help.is_empty() {
+            terminal::log!("\n{}", help.trim_end());
+        }
+        terminal::leave(error.exit_code())
+    })
+}
+
+/// Prepares the process: its heap and its signals. Does not return where the process is one for isolated nodes.
+pub fn prepare() {
+    heap::keep_large_blocks_apart();
+    if std::env::args_os().nth(1).is_some_and(|word| word == isolated::COMMAND) {
+        isolated::serve();
+    }
+    if let Err(error) = signals::install() {
+        terminal::log!("warning: signals end the program without finishing files: {error}");
+    }
+}
+
+/// Leaves the process as a command ended.
+pub fn leave(end: anyhow::Result<End>) -> ! {
+    terminal::leave(match end {
+        Ok(End::Done) => 0,
+        Ok(End::Failed) => 1,
+        Ok(End::Wrong) => 2,
+        Err(error) => {
+            terminal::log!("error: {error:#}");
+            1
+        }
+    })
+}
+
+/// The program `panoscope`.
+pub fn main() -> ! {
+    prepare();
+    let arguments: Arguments = parse(command());
+    leave(match arguments.command {
+        Command::Run(arguments) => commands::run::run(&arguments, None),
+        Command::Edit(arguments) => commands::edit::run(&arguments, false),
+        Command::Theatre(arguments) => commands::edit::run(&arguments, true),
+        Command::Lock(arguments) => commands::lock::run(&arguments),
+        Command::Audit(arguments) => commands::audit::run(&arguments),
+        Command::Record(arguments) => commands::record::run(&arguments, None),
+        Command::Replay(arguments) => commands::replay::run(&arguments),
+        Command::Compare(arguments) => commands::compare::run(&arguments),
+        Command::Check(arguments) => commands::check::run(&arguments),
+        Command::List(arguments) => commands::list::run(&arguments),
+        Command::Describe(arguments) => commands::describe::run(&arguments),
+        Command::Dot(arguments) => commands::dot::run(&arguments),
+        Command::Schema => commands::schema::run(),
+        Command::New(arguments) => commands::new::run(&arguments),
+        Command::Doctor => commands::doctor::run(),
+        Command::Serve(arguments) => commands::serve::run(&arguments),
+        Command::Keys(arguments) => commands::keys::run(&arguments),
+        Command::Devices(arguments) => commands::devices::run(&arguments),
+        Command::Dicom(_)
+        | Command::Export(_)
+        | Command::Import(_)
+        | Command::Sweep(_)
+        | Command::Report(_)
+        | Command::Tune(_)
+        | Command::Soak(_)
+        | Command::Bench(_)
+        | Command::Eval(_)
+        | Command::Calibrate(_)
+        | Command::Generate(_) => beside::lab(),
+    })
+}
