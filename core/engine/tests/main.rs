@@ -3,6 +3,7 @@
 mod batch;
 mod campaign;
 mod common;
+mod edit_campaign;
 mod edits;
 mod endings;
 mod exclusive;

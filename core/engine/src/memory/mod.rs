@@ -81,6 +81,11 @@ impl Memory {
         self.limit_bytes.store(limit, Ordering::Relaxed);
     }
 
+    /// See [`Self::set_limit_bytes`].
+    pub fn limit_bytes(&self) -> i64 {
+        self.limit_bytes.load(Ordering::Relaxed)
+    }
+
     /// Bytes handed out now (as sizes of the buffers, not of the frames).
     pub fn in_use_bytes(&self) -> i64 {
         self.in_use_bytes.load(Ordering::Relaxed)

@@ -440,6 +440,10 @@ impl Shared {
         let node = reader.node;
         let runtime = &plan.runtimes[node];
         let mut join = lock(&runtime.join);
+        if join.is_handed_over() {
+            drop(join);
+            return self.arrive_at_successor(reader, frame);
+        }
         let dropped = if self.context.decider.is_none() {
             join.push(reader.slot, frame)
         } else if runtime.source {
@@ -465,6 +469,18 @@ impl Shared {
         let next = self.decide(plan, node, &mut join);
         drop(join);
         self.go_on(plan, node, next, ready);
+    }
+
+    /// Delivers to the successor of a node that a change replaced while its producer, in a region that the change does not hold, was in a call
+    /// under the plan before. The producer's readers are the same in both plans: otherwise the change would hold its region.
+    #[cold]
+    fn arrive_at_successor(&self, reader: &Reader, frame: FrameRef) {
+        // The change holds this lock until its plan is stored.
+        drop(lock(&self.finishing));
+        let plan = self.plan.load_full();
+        let mut ready = Ready::default();
+        self.arrive(&plan, reader, frame, &mut ready);
+        ready.dispatch_ready(self, &plan, 0);
     }
 
     /// Reports a full queue of packets that are matched by time.
