@@ -19,7 +19,7 @@ const POISON: [Change; 2] = [
         file: "memory/mod.rs",
         from: "            pool.put_back(slot as u32);\n",
         to: "            // SAFETY: the last reference is gone, so nobody reads or writes the slot.\n\
-             \x20           unsafe { crate::poison(pool.base.add(slot << pool.bits), 1 << pool.bits) };\n\
+             \x20           unsafe { crate::poison(pool.base.add(slot << pool.bits), pool.room()) };\n\
              \x20           pool.put_back(slot as u32);\n",
     },
     Change {
@@ -27,7 +27,7 @@ const POISON: [Change; 2] = [
         from: "        let id = BufferId { pool: number + 1, reserved: 0, offset };\n",
         to: "        let id = BufferId { pool: number + 1, reserved: 0, offset };\n\
              \x20       // SAFETY: the slot was handed out to this caller alone.\n\
-             \x20       unsafe { crate::poison(pool.base.add(offset as usize), 1 << bits) };\n",
+             \x20       unsafe { crate::poison(pool.base.add(offset as usize), pool.room()) };\n",
     },
 ];
 
