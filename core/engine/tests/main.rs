@@ -9,4 +9,5 @@ mod endings;
 mod exclusive;
 mod faults;
 mod limits;
+mod limits_of_calls;
 mod live;

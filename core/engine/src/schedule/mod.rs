@@ -57,6 +57,9 @@ pub(crate) struct Shared {
     pub own_threads: Mutex<HashMap<u32, OwnThread>>,
     /// A call without a budget that takes longer counts as hung.
     pub hang_ns: u64,
+    /// When the run was asked to end, 0 before; a call that takes longer than `stop_limit_ns` from then on counts as hung, too.
+    pub stop_ns: AtomicU64,
+    pub stop_limit_ns: u64,
     /// Media time between two ticks of the fastest source.
     pub frame_ns: AtomicU64,
 }
@@ -549,6 +552,7 @@ impl Shared {
 
     /// Asks the sources to end.
     pub fn stop(&self) {
+        let _ = self.stop_ns.compare_exchange(0, clock::now_ns().max(1), Ordering::Relaxed, Ordering::Relaxed);
         self.stopping.store(true, Ordering::Release);
         for (_, runtime) in self.plan.load().live().filter(|(_, c)| c.source) {
             runtime.runner.wake();
