@@ -430,6 +430,7 @@ pub fn play(case: Case, keep_trace: bool) -> Done {
     let settings = world::Settings { keep_trace, ..case.world.clone() };
     simulated();
     let before = memory().in_use_bytes();
+    panoscope_sim_engine::forget();
     let mine = case.clone();
     let ended = world::run(settings, move || run(mine));
     Done { case, ended, seen: observe::seen(), disk: observe::disk(), kept_bytes: memory().in_use_bytes() - before }
