@@ -8,6 +8,7 @@ use panoscope_engine::fault::Cause;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, Listener, Options, Outcome};
 use panoscope_loader::Live;
+use panoscope_loader::live::{Changed, FileWatch};
 use panoscope_tests::{DisturbedRun, has_python, load, root, run_disturbed, scratch};
 
 const MAX_RUN: Duration = Duration::from_secs(120);
@@ -166,6 +167,51 @@ fn a_wrong_result_is_named_with_what_is_wanted() {
 }
 
 #[test]
+fn a_node_that_returns_nothing_is_told_what_to_return() {
+    if !has_python() {
+        return;
+    }
+    let folder = folder("python-nothing");
+    let text = format!(
+        "{PICTURES}[nodes.one]\ntype = \"forgets\"\ninputs = {{ image = \"scope.left\" }}\n\
+         [nodes.one_end]\ntype = \"drain\"\ninputs = {{ image = \"one.image\" }}\n\
+         [nodes.both]\ntype = \"forgets_both\"\ninputs = {{ image = \"scope.left\" }}\n\
+         [nodes.both_end]\ntype = \"drain\"\ninputs = {{ image = \"both.image\" }}\n\
+         [nodes.second]\ntype = \"every_second\"\ninputs = {{ image = \"scope.left\" }}\n\
+         [nodes.end]\ntype = \"drain\"\ninputs = {{ image = \"second.image\" }}\n"
+    );
+    let run = run(&folder, &text, 6);
+    let said = |node: &str| run.faults.iter().find(|f| f.node == node).map_or("", |f| f.words.as_str());
+    let one = said("one");
+    assert!(one.contains("returned None instead of its output `image`") && one.contains("Optional"), "{one}");
+    let both = said("both");
+    assert!(both.contains("returned None instead of a dict {\"image\": ..., \"mean\": ...}"), "{both}");
+    assert_eq!(said("second"), "", "it says that it may have no output");
+    assert_eq!(run.port("second.image").len(), 3);
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn an_interpreter_without_numpy_is_named_with_the_remedy() {
+    if !has_python() {
+        return;
+    }
+    let folder = folder("python-no-numpy");
+    // An environment of its own has no package but the standard library.
+    let made =
+        std::process::Command::new("python3").args(["-m", "venv", "--without-pip"]).arg(folder.join(".venv")).output();
+    if !made.as_ref().is_ok_and(|made| made.status.success()) {
+        return panoscope_testing::skipped!("python3 makes no environment: {made:?}");
+    }
+    let text = "plugin_paths = [\".\"]\nplugins = [\"turned\"]\n[nodes.a]\ntype = \"count\"\n";
+    let mistakes = load(&folder.join("graph.toml"), text).err().expect("no NumPy");
+    assert!(mistakes.contains("NumPy is missing in") && mistakes.contains(".venv"), "{mistakes}");
+    assert!(mistakes.contains("-m pip install numpy") && mistakes.contains("PANOSCOPE_PYTHON"), "{mistakes}");
+    assert!(!mistakes.contains("replace the plugin"), "{mistakes}");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
 fn a_process_that_dies_or_hangs_is_a_fault_and_comes_back() {
     if !has_python() {
         return;
@@ -226,12 +272,15 @@ fn a_saved_file_is_swapped_in_and_state_is_kept() {
     let mut live = Live::new(&engine, &path, text.to_owned(), Vec::new(), loader);
     let file = folder.join("turned.py");
     let source = std::fs::read_to_string(&file).expect("the plugin");
+    let watch = std::cell::RefCell::new(FileWatch::new(&path, live.loader()));
+    (0..3).for_each(|_| assert_eq!(watch.borrow_mut().poll(), Changed::default(), "nothing was saved"));
     let changed = source.replace(
         "picture[:] = self.count % 256",
         "picture[:] = 1000 < self.count\n        ps.metric(\"state\", self.count)",
     );
     std::fs::write(&file, changed.replace("ps.empty((4, 6))", "ps.empty((4, 8))")).expect("saved");
     let before = counted(&engine);
+    wait(&|| watch.borrow_mut().poll().plugins);
     let applied = live.reload_plugins().unwrap_or_else(|error| panic!("{error}"));
     assert!(!applied.is_nothing());
     wait(&|| engine.report().nodes["count"].count > 3 && engine.report().nodes["count"].metrics.contains_key("state"));
@@ -243,8 +292,13 @@ fn a_saved_file_is_swapped_in_and_state_is_kept() {
         "import panoscope as ps\n@ps.node()\nclass Count:\n    def process(self, image) -> ps.Gray8: pass\n",
     )
     .expect("saved");
+    wait(&|| watch.borrow_mut().poll().plugins);
     let error = live.reload_plugins().expect_err("a mistake").to_string();
     assert!(error.contains("`image` needs a packet type"), "{error}");
+    std::fs::write(&file, source.replace("picture[:] = self.count % 256", "picture[:] = (")).expect("saved");
+    wait(&|| watch.borrow_mut().poll().plugins);
+    let error = live.reload_plugins().expect_err("no Python").to_string();
+    assert!(error.contains("SyntaxError") && error.contains("correct the file"), "{error}");
     let counted_then = counted(&engine);
     wait(&|| counted(&engine) > counted_then + 5);
     assert_eq!(engine.report().nodes["other_end"].dropped + engine.report().nodes["other"].faults, 0);

@@ -384,7 +384,10 @@ fn change<E: Deref<Target = Engine>>(live: &mut Live<E>, base: &str, text: &str)
     live.apply_text(text).map(|applied| applied.to_string()).map_err(|error| {
         let node = match &error {
             LiveError::Apply(
-                ApplyError::Open { node, .. } | ApplyError::NoReturn { node, .. } | ApplyError::Busy { node, .. },
+                ApplyError::Open { node, .. }
+                | ApplyError::NoReturn { node, .. }
+                | ApplyError::Busy { node, .. }
+                | ApplyError::Memory { node, .. },
             ) => Some(node.clone()),
             _ => None,
         };

@@ -116,7 +116,8 @@ impl Verdict {
 
 /// What was said of a node's newest fault.
 fn last_words<'a>(faults: &'a [Fault], node: &str) -> &'a str {
-    let of_node = |f: &&Fault| f.node == node && f.cause != Cause::Slow && f.cause != Cause::Silent;
+    let notes = [Cause::Slow, Cause::Silent, Cause::Incomplete];
+    let of_node = |f: &&Fault| f.node == node && !notes.contains(&f.cause);
     faults.iter().rev().find(of_node).map_or("see the lines above", |f| f.words.as_str())
 }
 
@@ -174,6 +175,13 @@ fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdi
         let weight = if asked && !always { Weight::Warning } else { Weight::Error };
         verdict.add(weight, format!("node `{id}` failed {times}{how_often}: {}", last_words(facts.faults, id)));
     }
+    if node.lacking > 0 {
+        let incomplete = facts.faults.iter().rev().find(|f| f.node == id && f.cause == Cause::Incomplete);
+        let why = incomplete.and_then(|fault| fault.words.split_once(": "));
+        let why = why.map_or_else(String::new, |(_, why)| format!(": {why}"));
+        let frames = plural(node.lacking, "frame");
+        verdict.add(Weight::Warning, format!("node `{id}` lacks {frames} of its source{why}"));
+    }
     if let Some(fault) = facts.faults.iter().rev().find(|f| f.node == id && f.done == Action::Bypass) {
         verdict.add(Weight::Warning, format!("node `{id}` was bypassed: {}", fault.words));
     }
@@ -223,6 +231,7 @@ mod tests {
             p99_ms: 0.0,
             max_ms: 0.0,
             dropped: 0,
+            lacking: 0,
             dropped_on: Vec::new(),
             skipped: 0,
             faults: 0,
@@ -279,6 +288,30 @@ mod tests {
         let stopped = judge(&Facts { stopped_by: Some("SIGTERM".to_owned()), ..facts(&report) });
         assert_eq!(stopped.end(), End::Done);
         assert_eq!(stopped.last_line(), "stopped by SIGTERM: 60 frames in 2.00 s, 3 dropped, 0 faults");
+    }
+
+    #[test]
+    fn a_recorder_that_lacks_frames_is_named_with_the_reason() {
+        let report = report(|nodes| nodes.get_mut("sink").expect("there").lacking = 58);
+        let words =
+            "it lacks 32 frames of `camera` so far: `slow` takes 200.0 ms; let `slow` read with align = \"latest\"";
+        let fault = Fault {
+            unix_ms: 0,
+            run_ms: 0.0,
+            node: "sink".to_owned(),
+            cause: Cause::Incomplete,
+            words: words.to_owned(),
+            done: Action::Note,
+            seq: Some(1),
+            late_ms: None,
+            count: 32,
+        };
+        let verdict = judge(&Facts { faults: &[fault], ..facts(&report) });
+        assert_eq!((verdict.end(), verdict.findings[0].weight), (End::Done, Weight::Warning));
+        assert_eq!(
+            verdict.findings[0].words,
+            "node `sink` lacks 58 frames of its source: `slow` takes 200.0 ms; let `slow` read with align = \"latest\""
+        );
     }
 
     #[test]

@@ -9,6 +9,8 @@ use panoscope_engine::Report;
 use crate::terminal::log;
 
 const PLAIN_EVERY: Duration = Duration::from_secs(2);
+/// A source without frames for a shorter time is slow, not lost.
+const MIN_STALL: Duration = Duration::from_secs(2);
 
 /// Shows progress.
 pub struct Progress {
@@ -27,6 +29,8 @@ struct Rate {
     at: Instant,
     frames: u64,
     fps: f64,
+    /// When the last frame was noticed.
+    newest: Instant,
 }
 
 impl Rate {
@@ -34,10 +38,19 @@ impl Rate {
         let seconds = now.duration_since(self.at).as_secs_f64();
         if seconds >= 0.5 {
             let fresh = frames.saturating_sub(self.frames) as f64 / seconds;
-            self.fps = if self.fps == 0.0 { fresh } else { 0.5 * self.fps + 0.5 * fresh };
+            let is_smooth = self.fps != 0.0 && fresh != 0.0;
+            self.fps = if is_smooth { 0.5 * self.fps + 0.5 * fresh } else { fresh };
+            if frames > self.frames {
+                self.newest = now;
+            }
             (self.at, self.frames) = (now, frames);
         }
         self.fps
+    }
+
+    /// How long no frame has come, where the rate is 0.
+    fn stalled(&self, now: Instant) -> Option<Duration> {
+        (self.fps == 0.0).then(|| now.duration_since(self.newest)).filter(|stalled| *stalled >= MIN_STALL)
     }
 }
 
@@ -57,7 +70,7 @@ impl Progress {
             bar
         });
         let now = Instant::now();
-        Self { bar, plain: Plain { last: now }, rate: Rate { at: now, frames: 0, fps: 0.0 }, wanted }
+        Self { bar, plain: Plain { last: now }, rate: Rate { at: now, frames: 0, fps: 0.0, newest: now }, wanted }
     }
 
     /// What shows a line without tearing the bar; may be called from any thread.
@@ -76,7 +89,12 @@ impl Progress {
         let age_ms = report.paths.values().map(|p| p.age_p50_ms).fold(0.0, f64::max);
         let dropped: u64 = report.nodes.values().map(|n| n.dropped).sum();
         let faults: u64 = report.nodes.values().map(|n| n.faults).sum();
-        let mut words = format!("{fps:.1} fps, age {age_ms:.1} ms, {dropped} dropped");
+        // Ages are those of all frames so far.
+        let age = match self.rate.stalled(now) {
+            Some(stalled) => format!("no frame for {:.0} s", stalled.as_secs_f64()),
+            None => format!("age {age_ms:.1} ms"),
+        };
+        let mut words = format!("{fps:.1} fps, {age}, {dropped} dropped");
         if faults > 0 {
             words.push_str(&format!(", {faults} faults"));
         }
@@ -99,5 +117,22 @@ impl Progress {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_source_without_frames_has_no_rate() {
+        let start = Instant::now();
+        let at = |seconds: f64| start + Duration::from_secs_f64(seconds);
+        let mut rate = Rate { at: start, frames: 0, fps: 0.0, newest: start };
+        assert_eq!((rate.update(20, at(1.0)), rate.stalled(at(1.0))), (20.0, None));
+        assert_eq!((rate.update(50, at(2.0)), rate.stalled(at(2.0))), (25.0, None), "half of the new rate");
+        assert_eq!((rate.update(50, at(3.0)), rate.stalled(at(3.0))), (0.0, None), "not long ago");
+        assert_eq!((rate.update(50, at(5.0)), rate.stalled(at(5.0))), (0.0, Some(Duration::from_secs(3))));
+        assert_eq!((rate.update(60, at(6.0)), rate.stalled(at(6.0))), (10.0, None), "it is back");
     }
 }

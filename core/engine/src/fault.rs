@@ -27,7 +27,7 @@ pub enum Cause {
     Hang,
     /// The node did not reopen.
     Open,
-    /// An output whose description does not fit its buffer, its declaration or the contract's sizes.
+    /// An output whose description does not fit its buffer, its declaration or the contract's sizes, or beyond whose end the node wrote.
     BadOutput,
     /// An output of a format that its reader does not accept.
     Format,
@@ -53,10 +53,12 @@ pub enum Cause {
     Release,
     /// The node's plugin ended the program: it crashed or called `exit`.
     Crash,
+    /// A node that writes files lacks ticks of its source, which were dropped because the nodes of its region are too slow.
+    Incomplete,
 }
 
 /// How many causes there are.
-pub(crate) const CAUSES: usize = Cause::Crash as usize + 1;
+pub(crate) const CAUSES: usize = Cause::Incomplete as usize + 1;
 
 /// The engine's response to a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]

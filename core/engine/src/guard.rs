@@ -11,6 +11,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::busy::CallKind;
+use crate::clock;
 use crate::instance::Instance;
 use crate::log::Level;
 use crate::node::NodeRuntime;
@@ -18,6 +19,7 @@ use crate::node::open::NotOpened;
 use crate::outbox::panic_words;
 use crate::params::Snapshot;
 use crate::schedule::Shared;
+use crate::sleeps::Sleeps;
 use crate::sync::lock;
 use crate::thread_id;
 
@@ -151,6 +153,7 @@ impl Shared {
         let state = State { todo, running: None, done: VecDeque::new(), thread: 0 };
         let line = Arc::new(Line { state: Mutex::new(state), changed: Condvar::new(), goes_on });
         let mut stop_since = None;
+        let mut sleeps = Sleeps::default();
         let mut state = line.state();
         loop {
             if let Some((runtime, answer)) = state.done.pop_front() {
@@ -204,7 +207,14 @@ impl Shared {
                 }
             }
             let step = limit.usual.min(Duration::from_millis(10)).max(Duration::from_millis(1));
+            sleeps.begin_wait(clock::now_ns());
             state = line.changed.wait_timeout(state, step).unwrap_or_else(PoisonError::into_inner).0;
+            // Calls get back the time that the process slept.
+            let slept = Duration::from_nanos(sleeps.end_wait(clock::now_ns(), step.as_nanos() as u64));
+            if let Some((_, _, since)) = &mut state.running {
+                *since = (*since + slept).min(Instant::now());
+            }
+            stop_since = stop_since.map(|stop: Instant| (stop + slept).min(Instant::now()));
         }
     }
 

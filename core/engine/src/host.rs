@@ -35,6 +35,8 @@ pub(crate) struct CallContext<'a> {
     pub runtime: &'a NodeRuntime,
     /// Files that the instance claims.
     pub holds: &'a Holds,
+    /// Outputs whose buffer the node could write in this call, one bit each; the last bit stands for all further ones.
+    pub written: u64,
     /// The node's error message; the buffer is reused.
     pub failure: &'a mut String,
     /// Whether the node reported a fault during this call.
@@ -53,6 +55,12 @@ pub(crate) struct CallContext<'a> {
     pub has_times: bool,
     /// Whether the call opens a node on trial, whose log lines are left out.
     pub is_trial: bool,
+}
+
+/// The bit of an output in [`CallContext::written`].
+#[inline]
+pub(crate) fn output_bit(output: u32) -> u64 {
+    1 << output.min(63)
 }
 
 /// See [`CallContext::lent`].
@@ -85,6 +93,7 @@ impl<'a> CallContext<'a> {
             first_formats: 0,
             runtime,
             holds,
+            written: 0,
             failure,
             has_failure: false,
             refused: None,
@@ -213,7 +222,10 @@ unsafe extern "C" fn alloc(
         return call_context.object(output, &wanted);
     }
     match call_context.allocate(len) {
-        Ok((buffer, data)) => call_context.place(output, &Frame { buffer, data, ..wanted }),
+        Ok((buffer, data)) => {
+            call_context.written |= output_bit(output);
+            call_context.place(output, &Frame { buffer, data, ..wanted })
+        }
         Err(status) => status,
     }
 }
@@ -238,6 +250,7 @@ pub(crate) unsafe fn place_made(call: *mut c_void, output: u32, frame: FrameRef,
     }
     // Its reference goes to the output.
     std::mem::forget(frame);
+    call_context.written |= output_bit(output);
     call_context.place(output, &made)
 }
 
@@ -248,6 +261,7 @@ unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame
     };
     let mut frame = *frame;
     frame.tick.flags = call_context.lag_of(&frame.tick);
+    call_context.written &= !output_bit(output);
     if output as usize >= call_context.outputs_len {
         return abi::STATUS_INVALID;
     }
@@ -285,6 +299,7 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
     // An isolated node cannot write the frames of this process.
     let own = call_context.runtime.domain().is_none_or(|domain| Memory::domain_of(frame.buffer) == domain);
     if !lent && own && memory().references(frame.buffer) == 1 {
+        call_context.written |= output_bit(output);
         return abi::STATUS_OK;
     }
     match call_context.allocate(frame.len) {
@@ -292,6 +307,7 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
             // SAFETY: two live buffers of at least `len` bytes that do not overlap.
             unsafe { std::ptr::copy_nonoverlapping(frame.data, data, frame.len) };
             bump(&call_context.runtime.stats.copies);
+            call_context.written |= output_bit(output);
             call_context.place(output, &Frame { buffer, data, ..frame })
         }
         Err(status) => status,

@@ -10,7 +10,7 @@ use crate::memory::FrameRef;
 use crate::region::Region;
 use crate::sync::lock;
 
-/// Most packets that a trigger slot queues while its region is paused.
+/// Most packets beyond its capacity that a slot queues while its region is paused.
 const MAX_PAUSED: usize = 1 << 10;
 /// Default queue length of `nearest` slots in live mode: about one second of a camera.
 const MAX_NEAREST: usize = 32;
@@ -50,13 +50,26 @@ pub(crate) struct Slot {
     dropped: u64,
     /// For a `delay` slot: a packet of the producer is expected.
     expects: bool,
+    /// Packets beyond the capacity that may wait, because they came during a pause.
+    spare: usize,
 }
 
 impl Slot {
     pub fn new(rule: Rule, optional: bool, capacity: usize) -> Self {
         let queue = VecDeque::with_capacity(capacity.clamp(8, MAX_RESERVED));
         let capacity = capacity.max(1);
-        Self { rule, optional, capacity, queue, held: None, ended: false, most: 0, dropped: 0, expects: false }
+        Self {
+            rule,
+            optional,
+            capacity,
+            queue,
+            held: None,
+            ended: false,
+            most: 0,
+            dropped: 0,
+            expects: false,
+            spare: 0,
+        }
     }
 
     /// Default queue length.
@@ -100,6 +113,25 @@ impl Slot {
         self.ended = old.ended;
         self.expects = old.expects;
         self.dropped = old.dropped;
+        self.spare = old.spare;
+    }
+
+    /// Retains during a pause what would otherwise be dropped, except values that fire nothing, of which only the newest counts. `fires` says
+    /// whether arrivals fire the node.
+    fn pause(&mut self, fires: bool) {
+        let retains = match self.rule {
+            Rule::Exact => false,
+            Rule::Latest { trigger } => trigger && fires,
+            Rule::Nearest { .. } | Rule::Delay => true,
+        };
+        if retains {
+            self.spare = MAX_PAUSED;
+        }
+    }
+
+    /// Most packets that may wait now.
+    fn room(&self) -> usize {
+        self.capacity.saturating_add(self.spare)
     }
 }
 
@@ -140,8 +172,10 @@ pub(crate) struct Join {
     batch: bool,
     /// Whether the inputs of a source were staged for a tick that it has not made: no producer makes a value for it.
     is_unmade: bool,
-    /// Packets beyond their capacity that trigger slots may queue after a pause.
-    spare: usize,
+    /// Whether a slot may queue more than its capacity, during a pause and until what came then is used.
+    has_spare: bool,
+    /// The slots were handed over to the node's successor, see [`Self::hand_over`].
+    is_handed_over: bool,
     /// Time in ns of the host's clock after which the node stops waiting for a `nearest` slot; 0 when it does not wait.
     pub nearest_deadline_ns: u64,
 }
@@ -211,7 +245,7 @@ impl Join {
                 if frame.is_empty() {
                     return 0; // An empty packet keeps the newest value.
                 }
-                while slot.queue.len() >= slot.capacity + if trigger { self.spare } else { 0 } {
+                while slot.queue.len() >= slot.room() {
                     slot.queue.pop_front();
                     // Replacing a value that would not fire loses nothing, so only triggers count.
                     dropped += u64::from(trigger && heads);
@@ -219,7 +253,7 @@ impl Join {
                 slot.dropped += dropped;
             }
             Rule::Nearest { .. } | Rule::Delay if !batch => {
-                while slot.queue.len() >= slot.capacity {
+                while slot.queue.len() >= slot.room() {
                     slot.queue.pop_front();
                     dropped += 1;
                 }
@@ -231,19 +265,25 @@ impl Join {
         dropped
     }
 
-    /// Queues everything that arrives during a pause, not only the newest.
+    /// Queues everything that arrives during a pause, up to [`MAX_PAUSED`] packets beyond each capacity.
     pub fn pause(&mut self) {
-        self.spare = MAX_PAUSED;
+        let fires = !self.exact;
+        self.slots.iter_mut().for_each(|s| s.pause(fires));
+        self.has_spare = true;
     }
 
-    /// Ends the pause: the queue drains, then only the newest packet is kept again.
+    /// Ends the pause: the queues drain, then capacities hold again.
     pub fn resume(&mut self) {
-        self.spare = 0;
-        for slot in &self.slots {
-            if slot.rule == (Rule::Latest { trigger: true }) {
-                self.spare = self.spare.max(slot.queue.len());
-            }
-        }
+        self.slots.iter_mut().for_each(|s| s.spare = s.spare.min(s.queue.len()));
+        self.has_spare = self.slots.iter().any(|s| s.spare > 0);
+    }
+
+    /// Takes back what a pause granted, as the queues drain.
+    #[cold]
+    fn shrink_spare(&mut self) {
+        let draining = |s: &&mut Slot| s.spare > 0 && s.spare < MAX_PAUSED;
+        self.slots.iter_mut().filter(draining).for_each(|s| s.spare = s.spare.min(s.queue.len()));
+        self.has_spare = self.slots.iter().any(|s| s.spare > 0);
     }
 
     /// Sets how many packets wait at most, slot by slot.
@@ -260,8 +300,19 @@ impl Join {
                 slot.inherit(old);
             }
         }
-        let (turn, spare) = (self.turn, self.spare);
-        *self = Join { turn, spare, ..new };
+        let (turn, has_spare) = (self.turn, self.has_spare);
+        *self = Join { turn, has_spare, ..new };
+    }
+
+    /// Hands all slots over to the node's successor. From here on packets that a call of a producer still delivers here belong to the successor.
+    pub fn hand_over(&mut self) -> Join {
+        std::mem::replace(self, Join { turn: Turn::Finished, is_handed_over: true, ..Join::default() })
+    }
+
+    /// Whether a successor has the slots.
+    #[inline]
+    pub fn is_handed_over(&self) -> bool {
+        self.is_handed_over
     }
 
     /// No further packet will come on this slot.
@@ -358,9 +409,9 @@ impl Join {
         Take::Fire { tick, complete }
     }
 
-    /// Packets that wait on a slot.
+    /// Packets that wait on a slot; none where a successor has it.
     pub fn waiting(&self, slot: usize) -> usize {
-        self.slots[slot].queue.len()
+        self.slots.get(slot).map_or(0, |slot| slot.queue.len())
     }
 
     /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still being made.
@@ -507,9 +558,8 @@ impl Join {
             complete &= slot.optional || !frame.is_empty();
             self.staged.push(frame);
         }
-        if self.spare > 0 {
-            let waiting = self.slots.iter().map(|s| s.queue.len()).max().unwrap_or(0);
-            self.spare = if self.spare == MAX_PAUSED { self.spare } else { self.spare.min(waiting) };
+        if self.has_spare {
+            self.shrink_spare();
         }
         self.staged_take = Some((tick, complete));
         Take::Fire { tick, complete }

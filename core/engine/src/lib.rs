@@ -40,6 +40,7 @@ mod report;
 mod retained;
 mod schedule;
 mod scratch;
+mod sleeps;
 pub mod stats;
 pub mod sync;
 pub mod text_table;

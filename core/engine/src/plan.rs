@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use panoscope_abi::{self as abi, PortRange};
-use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, NodeKind};
+use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, Node, NodeKind};
 
 use crate::isolation::Group;
 use crate::join::{Join, Rule, Slot};
@@ -204,6 +204,12 @@ pub(crate) fn outputs_read(graph: &Graph, node: usize) -> u64 {
     graph.outputs_of(node).fold(0u64, |bits, e| bits | 1u64.checked_shl(e.from_port as u32).unwrap_or(0))
 }
 
+/// The kind that a node counts as: one that waits for another machine is no work for the pool's threads, and one on a given core needs a thread.
+fn kind(node: &Node, declared: NodeKind) -> NodeKind {
+    let is_pinned = node.cpu.is_some() && declared == NodeKind::Compute;
+    if node.machine.is_some() || is_pinned { NodeKind::Blocking } else { declared }
+}
+
 /// The runtime of a node of the graph, without an open instance.
 pub(crate) fn runtime(
     graph: &Graph,
@@ -220,8 +226,7 @@ pub(crate) fn runtime(
         id: node.id.clone(),
         node_type,
         group,
-        // Waiting for another machine is no work for the pool's threads.
-        kind: if node.machine.is_some() { NodeKind::Blocking } else { description.kind },
+        kind: kind(node, description.kind),
         source: description.source,
         on_fault: node.on_fault,
         budget_ms: node.budget_ms,
@@ -424,7 +429,7 @@ fn find_regions(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_graph::{Node, OnFault, Preset};
+    use panoscope_graph::{OnFault, Preset};
 
     /// A graph of nodes by name; edges as `from > to`, `from ~ to` for the newest there is, `from . to` for that of the tick before.
     fn graph(nodes: &[&str], edges: &[&str]) -> Graph {

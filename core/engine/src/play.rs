@@ -62,6 +62,9 @@ impl Shared {
             if let Some(observer) = &self.context.observer {
                 observer.source_tick(&runtime.id, &runtime.output_names, &tick, &raw);
             }
+            if !known.gap && raw.iter().all(Frame::is_empty) && runtime.is_read() {
+                runtime.ticks.count_empty();
+            }
             runtime.ticks.set_last_capture_ns(tick.capture_ns);
             runtime.ticks.enter(seq);
             decider.source_done(&runtime.id);

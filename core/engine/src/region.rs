@@ -12,7 +12,8 @@ use crate::memory::FrameRef;
 use crate::sync::lock;
 
 const RING: usize = 256;
-/// Ticks retained during a pause; beyond that the oldest are dropped.
+/// Ticks retained during a pause; beyond that the oldest are dropped. A graph that is slower than its source works on all of them before newer
+/// ones, so more would make it late for longer.
 const MAX_PAUSED: usize = 256;
 
 struct State {

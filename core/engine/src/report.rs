@@ -19,7 +19,7 @@ use crate::sync::lock;
 pub struct Report {
     /// Name of the graph.
     pub graph: String,
-    /// Ticks that the busiest source made.
+    /// Ticks with a frame that the busiest source made.
     pub frames: u64,
     /// Wall time.
     pub seconds: f64,
@@ -54,6 +54,9 @@ pub struct NodeReport {
     pub max_ms: f64,
     /// Ticks and packets dropped where they would have entered here.
     pub dropped: u64,
+    /// For a node that writes files: ticks of its source that it lacks, because they were dropped where they would have entered its region.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub lacking: u64,
     /// Packets dropped per edge because its queue was full; edges without drops are not listed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub dropped_on: Vec<WireDrops>,
@@ -122,6 +125,10 @@ pub struct Machine {
     pub os: String,
 }
 
+fn is_zero(count: &u64) -> bool {
+    *count == 0
+}
+
 fn ms(ns: u64) -> f64 {
     ns as f64 / 1e6
 }
@@ -148,7 +155,7 @@ impl Report {
         };
         let seconds = end_ns.saturating_sub(shared.start_ns) as f64 / 1e9;
         let plan = shared.plan.load();
-        let frames = plan.live().map(|(_, c)| c.ticks.made()).max().unwrap_or(0);
+        let frames = plan.live().map(|(_, c)| c.ticks.with_frame()).max().unwrap_or(0);
         let mut nodes = BTreeMap::new();
         let mut paths = BTreeMap::new();
         for (slot, runtime) in plan.live() {
@@ -163,6 +170,7 @@ impl Report {
                     p99_ms: ms(stats.time.quantile_ns(0.99)),
                     max_ms: ms(stats.time.max_ns()),
                     dropped: load(&stats.dropped),
+                    lacking: load(&stats.lacking),
                     dropped_on: wire_drops(runtime),
                     skipped: load(&stats.skipped),
                     faults: load(&stats.faults),

@@ -152,6 +152,8 @@ pub struct NodeStats {
     pub recovery: RareHistogram,
     /// Ticks dropped at the node's inputs.
     pub dropped: AtomicU64,
+    /// For a node that writes files: ticks of its source that were dropped before they entered.
+    pub lacking: AtomicU64,
     /// Ticks for which a required input was empty.
     pub skipped: AtomicU64,
     /// Errors and panics.

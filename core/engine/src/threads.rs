@@ -223,6 +223,9 @@ impl Shared {
                 allowance_ns = LONGEST_WALK_NS.min(period_ns / WALK_SHARE);
             }
         }
+        if made.outputs.iter().all(Frame::is_empty) && runtime.is_read() {
+            runtime.ticks.count_empty();
+        }
         runtime.ticks.set_last_capture_ns(tick.capture_ns);
         runtime.ticks.arrive(seq, declared_ns.unwrap_or(now_ns as i64));
         runtime.subscribers.show(&made.outputs);
@@ -248,6 +251,7 @@ impl Shared {
         if let Some(old) = dropped {
             bump(&runtime.stats.dropped);
             if let Some(seq) = old.first().map(|f| f.tick().seq) {
+                self.count_lacking(node, seq);
                 runtime.record_event(&self.context, |node| Event::Dropped { node, seq });
                 if let Some(tracer) = &self.context.tracer {
                     tracer.dropped(&runtime.id, seq, clock::now_ns());
@@ -267,6 +271,36 @@ impl Shared {
             }
         }
         Step::Next
+    }
+
+    /// A tick of a source was dropped: the nodes of its region that write files lack it.
+    #[cold]
+    fn count_lacking(&self, source: usize, seq: u64) {
+        let plan = self.plan.load();
+        let members = || plan.extents[plan.wiring[source].region].members.iter().map(|&member| &plan.runtimes[member]);
+        for recorder in members().filter(|runtime| !runtime.source && runtime.writes_files()) {
+            let lacking = recorder.stats.lacking.fetch_add(1, Ordering::Relaxed) + 1;
+            recorder.report_repeated_fault(&self.context, Cause::Incomplete, Action::Note, Some(seq), || {
+                let (source, recorder) = (&plan.runtimes[source].id, &recorder.id);
+                let typical_ns = |runtime: &Arc<NodeRuntime>| runtime.stats.time.quantile_ns(0.5);
+                let slowest = members().filter(|runtime| !runtime.source).max_by_key(|runtime| typical_ns(runtime));
+                // Others are quick, but wait for another region.
+                let period_ns = self.frame_ns.load(Ordering::Relaxed);
+                let slowest = slowest.filter(|slow| typical_ns(slow) > period_ns / 2);
+                let slow = slowest.map_or_else(String::new, |slow| {
+                    let (id, ms) = (&slow.id, typical_ns(slow) as f64 / 1e6);
+                    let remedy = if id == recorder {
+                        "make its work smaller or the source slower".to_owned()
+                    } else {
+                        format!("let `{id}` read with align = \"latest\", or limit it with `max_rate_hz`")
+                    };
+                    format!(": `{id}` takes {ms:.1} ms; {remedy}")
+                });
+                let words = format!("it lacks {lacking} frames of `{source}` so far{slow}");
+                self.context.log.write(crate::log::Level::Warn, recorder, &words);
+                words
+            });
+        }
     }
 
     #[cold]

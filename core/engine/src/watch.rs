@@ -20,6 +20,7 @@ use crate::outbox::panic_words;
 use crate::plan::Plan;
 use crate::retained;
 use crate::schedule::{Ready, Shared};
+use crate::sleeps::Sleeps;
 use crate::stats::bump;
 use crate::sync::lock;
 
@@ -28,13 +29,17 @@ const MAX_STUCK: u32 = 3;
 /// Grace time after a node's budget until it counts as hung: two frames, within these limits.
 const SHORTEST_GRACE_NS: u64 = 20_000_000;
 const LONGEST_GRACE_NS: u64 = 66_000_000;
-/// In batch a call counts as hung only after this many times its budget.
-const BATCH_BUDGETS: u64 = 20;
+/// Shorter sleeps of the process are not logged: a busy machine looks like that.
+const MIN_LOGGED_SLEEP_NS: u64 = 1_000_000_000;
+/// In a replay a call counts as hung only after this many times its budget: the machine may be slower than that of the recording, and what a hang
+/// changes is in the recording.
+const REPLAY_BUDGETS: u64 = 20;
 
 impl Shared {
     /// Checks the running calls until `stop` is set.
     pub fn watch(&self, stop: &AtomicBool) {
         let mut next_look_ns = 0;
+        let mut sleeps = Sleeps::default();
         let mut refused = retained::refused_outside();
         while !stop.load(Ordering::Relaxed) {
             let (nearest, budgets) = {
@@ -42,13 +47,24 @@ impl Shared {
                 (plan.nearest, plan.live().any(|(_, c)| c.budget_ns() != 0))
             };
             let look_ms = if budgets && !self.context.batch { 4 } else { 20 };
-            std::thread::park_timeout(Duration::from_millis(if nearest { 1 } else { look_ms }));
+            let wait_ms = if nearest { 1 } else { look_ms };
+            sleeps.begin_wait(clock::now_ns());
+            std::thread::park_timeout(Duration::from_millis(wait_ms));
+            // First, because after a sleep the clock may have a step to make.
+            clock::keep();
+            let slept_ns = sleeps.end_wait(clock::now_ns(), wait_ms * 1_000_000);
+            if slept_ns >= MIN_LOGGED_SLEEP_NS {
+                let words = format!(
+                    "the machine or this process slept for {:.1} s; running calls get this time back",
+                    slept_ns as f64 / 1e9
+                );
+                self.context.log.write(Level::Warn, "engine", &words);
+            }
             self.try_fire_nearest();
             let now_ns = clock::now_ns();
             if now_ns >= next_look_ns {
                 next_look_ns = now_ns + look_ms * 1_000_000;
-                self.look_for_hangs(now_ns);
-                clock::keep();
+                self.look_for_hangs(now_ns, &sleeps);
                 if !self.context.ignores_wall_clock()
                     && let Err(cause) = self.pool.relieve(now_ns)
                 {
@@ -95,9 +111,9 @@ impl Shared {
             }
         }
         let budget_ns = runtime.budget_ns();
-        match (budget_ns, self.context.ignores_wall_clock()) {
+        match (budget_ns, self.context.decider.is_some()) {
             (0, _) => (self.hang_ns, 0),
-            (budget, true) => (self.hang_ns.max(budget.saturating_mul(BATCH_BUDGETS)), 0),
+            (budget, true) => (self.hang_ns.max(budget.saturating_mul(REPLAY_BUDGETS)), 0),
             (budget, false) => {
                 let frame_ns = self.frame_ns.load(Ordering::Relaxed);
                 (budget, frame_ns.saturating_mul(2).clamp(SHORTEST_GRACE_NS, LONGEST_GRACE_NS))
@@ -105,28 +121,48 @@ impl Shared {
         }
     }
 
-    fn look_for_hangs(&self, now_ns: u64) {
+    fn look_for_hangs(&self, now_ns: u64, sleeps: &Sleeps) {
         let plan = self.plan.load();
+        let stop_ns = self.stop_ns.load(Ordering::Relaxed);
         for (node, runtime) in plan.live() {
             let since_ns = runtime.busy.since_ns.load(Ordering::Acquire);
+            if since_ns == 0 || since_ns == ABANDONED {
+                continue;
+            }
             let (budget_ns, grace_ns) = self.time_limits(runtime);
-            let running = since_ns != 0 && since_ns != ABANDONED;
-            if running && now_ns.saturating_sub(since_ns) > budget_ns.saturating_add(grace_ns) {
-                self.abandon(&plan, node, runtime, since_ns, budget_ns);
+            let spent_ns = sleeps.awake_ns(since_ns, now_ns);
+            let is_late = spent_ns > budget_ns.saturating_add(grace_ns);
+            // A run that is to end does not wait for a long budget.
+            let is_late_at_stop = || {
+                stop_ns != 0
+                    && runtime.busy.kind() == CallKind::Process
+                    && sleeps.awake_ns(since_ns.max(stop_ns), now_ns) > self.stop_limit_ns
+            };
+            if is_late || is_late_at_stop() {
+                self.abandon(&plan, node, runtime, since_ns, [spent_ns, budget_ns]);
             }
         }
     }
 
     /// Abandons a call that does not return: its tick continues with empty outputs, and instance and thread are replaced.
     #[cold]
-    fn abandon(&self, plan: &Plan, node: usize, runtime: &Arc<NodeRuntime>, since_ns: u64, budget_ns: u64) {
+    fn abandon(
+        &self,
+        plan: &Plan,
+        node: usize,
+        runtime: &Arc<NodeRuntime>,
+        since_ns: u64,
+        [spent_ns, budget_ns]: [u64; 2],
+    ) {
         let busy = &runtime.busy;
         let (tick, thread, kind) = (busy.tick(), busy.thread.load(Ordering::Relaxed), busy.kind());
+        // Before the call is let go: from then on its thread may count it as returned.
+        let stuck = runtime.recovery.add_stuck();
         if !busy.abandon(since_ns) {
+            runtime.recovery.remove_stuck();
             return;
         }
         let now_ns = clock::now_ns();
-        let stuck = runtime.recovery.add_stuck();
         let failures = runtime.recovery.add_failure();
         bump(&runtime.stats.faults);
         let mut exec = runtime.fresh_exec();
@@ -134,7 +170,8 @@ impl Shared {
         exec.failures_in_a_row = failures;
         let done = match runtime.on_fault() {
             OnFault::Stop => Action::Stop,
-            OnFault::Restart if stuck <= MAX_STUCK => Action::Abandon,
+            // A run that ends makes no further call that may hang.
+            OnFault::Restart if stuck <= MAX_STUCK && !self.is_stopping() => Action::Abandon,
             _ => Action::Bypass,
         };
         exec.bypassed = done == Action::Bypass;
@@ -149,8 +186,7 @@ impl Shared {
             group.kill(&format!("node `{}` did not return{}", runtime.id, kind.return_words()));
         }
 
-        let late_ms = now_ns.saturating_sub(since_ns.saturating_add(budget_ns)) as f64 / 1e6;
-        let spent_ms = now_ns.saturating_sub(since_ns) as f64 / 1e6;
+        let (late_ms, spent_ms) = (spent_ns.saturating_sub(budget_ns) as f64 / 1e6, spent_ns as f64 / 1e6);
         let done_about = match &runtime.group {
             Some(_) => "its process was ended",
             None => "was left behind with its thread",

@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::folders;
+use crate::common::{folders, number};
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome};
@@ -179,10 +179,6 @@ fn attempts(case: &Case) -> Result<Seen, String> {
         }
     }
     Err(format!("in {ATTEMPTS} attempts the node was left out for being slow before its fault came"))
-}
-
-fn number(variable: &str, default: u64) -> u64 {
-    std::env::var(variable).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
 }
 
 fn tell(what: &str, mut times_ms: Vec<f64>) {

@@ -169,6 +169,59 @@ fn a_change_that_fails_changes_nothing() {
     assert_eq!(report.nodes["sink"].count, report.nodes["a"].count, "no frame was lost");
 }
 
+/// The change does not hold the region of a slow producer, whose call delivers to the successor.
+#[test]
+fn a_reader_is_replaced_while_its_slow_producer_is_in_a_call() {
+    let reader = |kind: &str, policy: &str| {
+        let input = "{ from = \"slow.image\", align = \"latest\" }";
+        format!("[nodes.show]\ntype = \"{kind}\"\n{policy}\ninputs = {{ image = {input} }}\n")
+    };
+    let slow = node("slow", "pass_blocking", "a.image") + "params = { wait_ms = 100.0 }\n";
+    let head = [HEAD, &source("a", 60.0), &slow, &node("end", "drain", "show.image")].concat();
+    let mut live = live(&(head.clone() + &reader("pass", "")), loader());
+    let count = |live: &Live<Box<Engine>>| live.engine().report().nodes["end"].count;
+    until("frames flow", || count(&live) > 0);
+    for (kind, policy) in [("gate", ""), ("gate", "cpu = 0"), ("pass_blocking", "cpu = 0"), ("pass", "")] {
+        let applied = live.apply_text(&(head.clone() + &reader(kind, policy))).expect("a good change");
+        assert_eq!(applied.replaced, ["show"], "{kind} {policy}");
+        let before = count(&live);
+        until("frames flow on", || count(&live) > before + 1);
+    }
+    live.engine().stop();
+    assert!(live.engine().wait(Some(PATIENCE)));
+    assert_eq!(live.engine().close(PATIENCE), panoscope_engine::Outcome::Done);
+    let report = live.engine().report();
+    assert_eq!(report.nodes["end"].count, report.nodes["slow"].count, "none was lost");
+}
+
+/// Waiting ticks must not take the frame memory from the rest of the graph.
+#[test]
+fn a_pause_ends_before_it_fills_the_frame_memory() {
+    let memory = panoscope_engine::memory::memory();
+    memory.set_limit_bytes(memory.in_use_bytes() + (100 << 20));
+    // A picture takes 2 MB, so 0.5 s of them fit.
+    let camera = source("a", 100.0).replace("width_px = 16, height_px = 8", "width_px = 1500, height_px = 1000");
+    let slow =
+        node("slow", "pass_blocking", "a.image").replace(", queue = 200", "") + "params = { wait_ms = 1500.0 }\n";
+    let reader = |kind: &str| node("p", kind, "slow.image").replace(", queue = 200", "");
+    let other = source("b", 100.0) + &node("other", "drain", "b.image");
+    let end = node("end", "drain", "p.image").replace(", queue = 200", "");
+    let head = [HEAD, &camera, &slow, &end, &other].concat();
+    let mut live = live(&(head.clone() + &reader("pass")), loader());
+    until("frames flow", || live.engine().report().nodes["slow"].count > 0);
+    let error = live.apply_text(&(head.clone() + &reader("gate"))).expect_err("the region does not rest in time");
+    assert!(matches!(&error, LiveError::Apply(panoscope_engine::ApplyError::Memory { .. })), "{error}");
+    assert!(error.to_string().contains("`slow`"), "{error}");
+    let before = live.engine().report().nodes["other"].count;
+    until("the rest goes on", || live.engine().report().nodes["other"].count > before + 20);
+    // The ticks that waited go on.
+    live.set_param("slow", "wait_ms", &0.0.into()).expect("a good change");
+    live.engine().stop();
+    assert!(live.engine().wait(Some(PATIENCE)));
+    live.engine().close(PATIENCE);
+    assert!(live.engine().recent_faults().is_empty(), "{:?}", live.engine().recent_faults());
+}
+
 fn random_edit(live: &mut Live<Box<Engine>>, dice: &mut SplitMix64, serial: usize) -> Result<Duration, LiveError> {
     let graph = live.engine().graph();
     let ids: Vec<String> = graph.nodes.iter().map(|n| n.id.clone()).collect();

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crate::common::{PATIENCE, ledger, options, run, scratch, start};
+use panoscope_engine::fault::Cause;
 use panoscope_engine::{Options, Outcome};
 
 #[test]
@@ -144,4 +145,60 @@ inputs = { image = "source.image" }
     assert_eq!((frame.frame().width, frame.frame().height), (16, 16));
     assert_eq!(frame.bytes()[0], frame.tick().seq as u8, "the ramp begins with the tick number");
     engine.close(PATIENCE);
+}
+
+/// A slow node and a recorder of the same source.
+fn recorder_beside(slow: &str, path: &std::path::Path) -> String {
+    format!(
+        r#"
+[nodes.source]
+type = "frames"
+params = {{ width_px = 16, height_px = 16, rate_hz = 100.0 }}
+[nodes.slow]
+type = "pass_blocking"
+{slow}
+params = {{ wait_ms = 50.0 }}
+[nodes.end]
+type = "drain"
+inputs = {{ image = "slow.image" }}
+[nodes.record]
+type = "ledger"
+inputs = {{ images = ["source.image"] }}
+params = {{ path = "{}" }}
+"#,
+        path.display()
+    )
+}
+
+#[test]
+fn a_recorder_that_lacks_frames_says_so_and_why() {
+    let path = scratch("lacking.jsonl");
+    let slow = "inputs = { image = \"source.image\" }";
+    let engine = start("live", &recorder_beside(slow, &path), options(2, 100)).expect("it starts");
+    assert!(engine.wait(Some(PATIENCE)));
+    engine.close(PATIENCE);
+    let (report, lines) = (engine.report(), ledger(&path).len() as u64);
+    let node = &report.nodes["record"];
+    assert!(node.lacking > 20, "{}", node.lacking);
+    assert_eq!((node.lacking, node.faults), (report.nodes["source"].dropped, 0));
+    assert_eq!(lines + node.lacking, 100, "each frame is recorded or counted as lacking");
+    let faults = engine.recent_faults();
+    let said = faults.iter().rfind(|f| f.node == "record" && f.cause == Cause::Incomplete).expect("it says so");
+    assert!(said.words.contains("frames of `source` so far: `slow` takes "), "{}", said.words);
+    assert!(said.words.contains("let `slow` read with align = \"latest\""), "{}", said.words);
+}
+
+/// What the message recommends.
+#[test]
+fn a_slow_node_with_a_rate_or_a_latest_input_takes_no_frame_from_a_recorder() {
+    let limited = "inputs = { image = \"source.image\" }\nmax_rate_hz = 5.0";
+    let latest = "inputs = { image = { from = \"source.image\", align = \"latest\" } }";
+    for (name, slow) in [("limited", limited), ("latest", latest)] {
+        let path = scratch(&format!("{name}.jsonl"));
+        // Room for a busy machine.
+        let text =
+            recorder_beside(slow, &path).replace("[\"source.image\"]", "[{ from = \"source.image\", queue = 20 }]");
+        let (report, _) = run("live", &text, options(2, 100));
+        assert_eq!((report.nodes["record"].lacking, ledger(&path).len()), (0, 100), "{name}");
+    }
 }

@@ -3,9 +3,11 @@
 mod batch;
 mod campaign;
 mod common;
+mod edit_campaign;
 mod edits;
 mod endings;
 mod exclusive;
 mod faults;
 mod limits;
+mod limits_of_calls;
 mod live;

@@ -6,7 +6,7 @@ use panoscope_graph::PluginProblem;
 use panoscope_isolate::DescribeError;
 
 use crate::elf::ElfError;
-use crate::python::NoPython;
+use crate::python::{NoPython, is_python};
 
 /// Why a plugin was not loaded.
 #[derive(Debug, thiserror::Error)]
@@ -103,6 +103,13 @@ impl LoadError {
             Self::AbiMismatch { .. } => "rebuild the plugin against this version of panoscope".to_owned(),
             Self::BadFile { .. } | Self::BadDescriptor { .. } => "build or copy the plugin again".to_owned(),
             Self::NotLocked { .. } => "restore the file, or lock the graph again with `panoscope lock`".to_owned(),
+            Self::Undescribed { cause, .. } if cause.to_string().contains("NumPy is missing") => {
+                "install NumPy there, or name another interpreter: `python` of [tool.panoscope] in the file's `# /// script` block, or PANOSCOPE_PYTHON"
+                    .to_owned()
+            }
+            Self::Undescribed { file, .. } if is_python(file) => {
+                "correct the file; nothing of it has run in this process".to_owned()
+            }
             Self::Undescribed { .. } => {
                 "repair or replace the plugin; nothing of it has run in this process".to_owned()
             }

@@ -1,7 +1,6 @@
 //! Edits a running graph by editing its text. Every edit is checked as a whole file and applied as one transaction.
 
 use std::collections::BTreeMap;
-use std::ffi::OsStr;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -184,7 +183,7 @@ fn stamps_of(path: &Path, files: &[PathBuf]) -> Vec<Stamp> {
 
 fn stamps(path: &Path, graph_files: &[PathBuf], folders: &[PathBuf]) -> Stamps {
     let entries = folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten();
-    let files = entries.map(|e| e.path()).filter(|f| f.extension() == Some(OsStr::new("so")));
+    let files = entries.map(|e| e.path()).filter(|file| search::may_be_plugin(file));
     (stamps_of(path, graph_files), files.map(|file| (file.clone(), Stamp::of(&file))).collect())
 }
 

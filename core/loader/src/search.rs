@@ -66,6 +66,11 @@ fn is_library(file: &Path) -> bool {
     file.extension() == Some(OsStr::new("so"))
 }
 
+/// Whether a file may be a plugin, by its name.
+pub(crate) fn may_be_plugin(file: &Path) -> bool {
+    is_library(file) || is_python(file)
+}
+
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -108,7 +113,7 @@ impl Loader {
             let Ok(entries) = std::fs::read_dir(folder) else { continue };
             let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
             files.sort();
-            for file in files.into_iter().filter(|file| is_library(file) || is_python(file)) {
+            for file in files.into_iter().filter(|file| may_be_plugin(file)) {
                 // Taken before the file is read: if the file changes meanwhile, its stamp will differ.
                 this.stamps.insert(file.clone(), Stamp::of(&file));
                 match inspect(&file) {

@@ -56,7 +56,7 @@ pub fn text(report: &Report) -> String {
     let seconds = |ms: f64| ms / 1e3;
     all.gauge("panoscope_graph_info", "The graph that runs.", &[("graph", &report.graph)], 1.0);
     all.gauge("panoscope_run_seconds", "Time since the run began.", &[], report.seconds);
-    all.count("panoscope_ticks_total", "Ticks that the busiest source made.", &[], report.frames);
+    all.count("panoscope_ticks_total", "Ticks with a frame that the busiest source made.", &[], report.frames);
     for (node, n) in &report.nodes {
         let label = [("node", node.as_str())];
         all.count("panoscope_node_calls_total", "Calls of the node.", &label, n.count);

@@ -112,6 +112,8 @@ class NodeType:
     outputs: tuple[Port, ...]
     params: tuple[ParamType, ...]
     returns_dict: bool
+    may_be_empty: bool
+    """The one output is ``Optional``: ``None`` leaves it empty at a tick."""
 
 
 def node(
@@ -149,7 +151,9 @@ def _node_type(cls: type, family: str, name: str, blocking: bool, side_effects: 
     if isinstance(returns, str):
         # `from __future__ import annotations` makes a dict a text.
         returns = eval(returns, process.__globals__)
-    outputs = _outputs(cls, returns if isinstance(returns, dict) else hints.get("return"))
+    returned = returns if isinstance(returns, dict) else hints.get("return")
+    may_be_empty = _is_optional(returned)
+    outputs = _outputs(cls, _without_none(returned) if may_be_empty else returned)
     is_source = family == "source"
     if is_source and inputs:
         raise NodeError(f"{cls.__name__}.process: a source has no inputs")
@@ -168,7 +172,16 @@ def _node_type(cls: type, family: str, name: str, blocking: bool, side_effects: 
         outputs,
         _params(cls),
         isinstance(returns, dict),
+        may_be_empty,
     )
+
+
+def _is_optional(annotation: Any) -> bool:
+    return typing.get_origin(annotation) in _UNIONS and type(None) in typing.get_args(annotation)
+
+
+def _without_none(annotation: Any) -> Any:
+    return next(member for member in typing.get_args(annotation) if member is not type(None))
 
 
 def _kind(cls: type, what: str, annotation: Any) -> tuple[Kind, str]:
@@ -183,10 +196,9 @@ def _kind(cls: type, what: str, annotation: Any) -> tuple[Kind, str]:
 
 def _input(cls: type, parameter: inspect.Parameter, annotation: Any) -> Port:
     flags = 0
-    members = typing.get_args(annotation)
-    if typing.get_origin(annotation) in _UNIONS and type(None) in members:
+    if _is_optional(annotation):
         flags |= OPTIONAL
-        annotation = next(member for member in members if member is not type(None))
+        annotation = _without_none(annotation)
     elif parameter.default is None:
         flags |= OPTIONAL
     if typing.get_origin(annotation) is list:

@@ -90,14 +90,22 @@ class Runner:
 
     def _give(self, call: Any, result: Any) -> None:
         outputs = self.type.outputs
-        if not outputs or result is None:
+        if not outputs:
             return
         if not self.type.returns_dict:
-            self._encode(call, 0, result)
+            if result is not None:
+                self._encode(call, 0, result)
+            elif not self.type.may_be_empty:
+                kind = outputs[0].kind.packet
+                raise TypeError(
+                    f"`process` returned None instead of its output `{outputs[0].name}` of type `{kind}`: return it; "
+                    "`-> Optional[...]` declares a node that has no output at some ticks"
+                )
             return
         if not isinstance(result, dict):
             names = ", ".join(f'"{port.name}": ...' for port in outputs)
-            raise TypeError(f"`process` of a node with these outputs returns a dict {{{names}}}, not {type(result).__name__}")
+            name = "None" if result is None else type(result).__name__
+            raise TypeError(f"`process` returned {name} instead of a dict {{{names}}}; outputs that it leaves out are empty at this tick")
         unknown = set(result) - {port.name for port in outputs}
         if unknown:
             raise TypeError(f"`process` returned `{min(unknown)}`, which is no output of the node")

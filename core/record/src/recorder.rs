@@ -80,6 +80,8 @@ pub struct Recorded {
 
 enum Item {
     Event(Event),
+    /// As the engine reports it: files that it names are hashed when it is written.
+    Observed(observe::Event),
     /// Node, port, packet, and whether the packet is written to the file.
     Packet(Arc<str>, u32, FrameRef, bool),
     /// Node, port and fingerprint of a packet that did not fit into the queue.
@@ -247,9 +249,9 @@ impl Observer for Recorder {
     }
 
     fn event(&self, event: observe::Event) {
-        // The conversion hashes plugin files, so it is skipped when nothing is written.
         if self.inner.writes.load(Ordering::Relaxed) {
-            self.push(event.into());
+            lock(&self.inner.queue).items.push_back(Item::Observed(event));
+            self.inner.wake.notify_one();
         }
     }
 
@@ -407,6 +409,11 @@ impl Inner {
             Item::Event(event) => {
                 if let Some(file) = file {
                     file.event(&event)?;
+                }
+            }
+            Item::Observed(event) => {
+                if let Some(file) = file {
+                    file.event(&event.into())?;
                 }
             }
             Item::Digest(node, port, digest) => {

@@ -106,6 +106,7 @@ static SUITES: &[Suite] = &[
 /// The campaigns with their long doses. Beside the number of cases each reads a seed, such as `PANOSCOPE_FAULT_SEED`.
 static CAMPAIGNS: &[Suite] = &[
     campaign("faults", &["panoscope-engine"], "test(/^campaign::/)", &[("PANOSCOPE_FAULT_CASES", "2000")]),
+    campaign("edits", &["panoscope-engine"], "test(/^edit_campaign::/)", &[("PANOSCOPE_EDIT_CASES", "500")]),
     campaign(
         "hostile-models",
         &["panoscope-tools"],

@@ -465,7 +465,10 @@ impl Worker {
 fn problem(error: &LiveError) -> RunProblem {
     let node = match error {
         LiveError::Apply(
-            ApplyError::Open { node, .. } | ApplyError::NoReturn { node, .. } | ApplyError::Busy { node, .. },
+            ApplyError::Open { node, .. }
+            | ApplyError::NoReturn { node, .. }
+            | ApplyError::Busy { node, .. }
+            | ApplyError::Memory { node, .. },
         ) => Some(node.clone()),
         _ => None,
     };

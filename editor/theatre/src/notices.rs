@@ -222,7 +222,7 @@ fn fault_message(node: &str, fault: &Fault) -> Option<String> {
         return Some(text!("notice-stage-disk-full", stage = node));
     }
     Some(match fault.cause {
-        Cause::Slow | Cause::Leak | Cause::Size if fault.done == Action::Note => return None,
+        Cause::Slow | Cause::Leak | Cause::Size | Cause::Incomplete if fault.done == Action::Note => return None,
         Cause::Recording => text!("notice-recording-gaps", reason = &fault.words),
         _ if fault.done == Action::Bypass => text!("notice-stage-bypassed", stage = node),
         Cause::Hang => text!("notice-stage-silent", stage = node),

@@ -140,6 +140,30 @@ class Fails:
         return 1 // by
 
 
+@ps.node(family="filter")
+class Forgets:
+    """Forgets to return its output."""
+
+    def process(self, image: ps.Gray8) -> ps.Gray8:
+        image.mean()
+
+
+@ps.node(family="filter")
+class ForgetsBoth:
+    """Forgets to return its outputs."""
+
+    def process(self, image: ps.Gray8) -> {"image": ps.Gray8, "mean": ps.Scalar}:
+        image.mean()
+
+
+@ps.node(family="filter")
+class EverySecond:
+    """Has an output at every second tick."""
+
+    def process(self, image: ps.Gray8) -> Optional[ps.Gray8]:
+        return image if ps.tick()[1] % 2 == 0 else None
+
+
 @ps.node(family="sink")
 class Shows:
     """Prints, which must not reach the output of the program."""

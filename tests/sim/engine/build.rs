@@ -19,7 +19,7 @@ const POISON: [Change; 2] = [
         file: "memory/mod.rs",
         from: "            pool.put_back(slot as u32);\n",
         to: "            // SAFETY: the last reference is gone, so nobody reads or writes the slot.\n\
-             \x20           unsafe { crate::poison(pool.base.add(slot << pool.bits), 1 << pool.bits) };\n\
+             \x20           unsafe { crate::poison(pool.base.add(slot << pool.bits), pool.room()) };\n\
              \x20           pool.put_back(slot as u32);\n",
     },
     Change {
@@ -27,8 +27,22 @@ const POISON: [Change; 2] = [
         from: "        let id = BufferId { pool: number + 1, reserved: 0, offset };\n",
         to: "        let id = BufferId { pool: number + 1, reserved: 0, offset };\n\
              \x20       // SAFETY: the slot was handed out to this caller alone.\n\
-             \x20       unsafe { crate::poison(pool.base.add(offset as usize), 1 << bits) };\n",
+             \x20       unsafe { crate::poison(pool.base.add(offset as usize), pool.room()) };\n",
     },
+];
+
+/// What the threads of a process learn about its processors is forgotten between two runs: each begins like the first.
+const FORGET: [Change; 2] = [
+    Change {
+        file: "node/runner.rs",
+        from: "static PAUSE: Pause = Pause::new();\n",
+        to: "static PAUSE: Pause = Pause::new();\n\
+             pub(crate) fn forget_pause() {\n\
+             \x20   PAUSE.until_ns.store(0, Ordering::Relaxed);\n\
+             \x20   PAUSE.next_ns.store(PAUSE_NS[0], Ordering::Relaxed);\n\
+             }\n",
+    },
+    Change { file: "node/mod.rs", from: "\nmod runner;\n", to: "\npub(crate) mod runner;\n" },
 ];
 
 fn main() {
@@ -38,7 +52,8 @@ fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed=mutations.rs");
     let _ = std::fs::remove_dir_all(&out);
-    let mut unused: Vec<&Change> = POISON.iter().chain(MUTATIONS.iter().map(|(_, change)| change)).collect();
+    let mut unused: Vec<&Change> =
+        POISON.iter().chain(&FORGET).chain(MUTATIONS.iter().map(|(_, change)| change)).collect();
     lay_out(&engine, &engine, &out, &mut unused);
     let unused: Vec<_> = unused.iter().map(|change| format!("{}: {}", change.file, change.from)).collect();
     assert!(unused.is_empty(), "no such lines in the engine; write these changes anew: {unused:#?}");

@@ -8,7 +8,7 @@ use panoscope_abi::{Frame, Tick};
 use panoscope_graph::ParamValue;
 use panoscope_sim_engine::fault::{Action, Fault};
 use panoscope_sim_engine::log::Level;
-use panoscope_sim_engine::memory::{FrameRef, memory};
+use panoscope_sim_engine::memory::{FrameRef, memory, room_for};
 use panoscope_sim_engine::observe::{Event, Observer, ReportFn};
 use panoscope_sim_engine::{Applied, ApplyError, Engine, Options, Outcome, Report};
 use panoscope_sim_world::disk::Disk;
@@ -413,9 +413,10 @@ fn warm_up() {
     static DONE: std::sync::Once = std::sync::Once::new();
     DONE.call_once(|| {
         for bits in 0..24 {
-            if let Ok((buffer, data)) = memory().allocate(1 << bits) {
+            let len = room_for(1 << bits);
+            if let Ok((buffer, data)) = memory().allocate(len) {
                 // SAFETY: the one reference of a new buffer, which is given up here.
-                drop(unsafe { FrameRef::adopt(Frame { buffer, data, len: 1 << bits, ..Frame::EMPTY }) });
+                drop(unsafe { FrameRef::adopt(Frame { buffer, data, len, ..Frame::EMPTY }) });
             }
         }
         world::run(world::Settings::default(), || drop(run(Case::new(1))));
@@ -429,6 +430,7 @@ pub fn play(case: Case, keep_trace: bool) -> Done {
     let settings = world::Settings { keep_trace, ..case.world.clone() };
     simulated();
     let before = memory().in_use_bytes();
+    panoscope_sim_engine::forget();
     let mine = case.clone();
     let ended = world::run(settings, move || run(mine));
     Done { case, ended, seen: observe::seen(), disk: observe::disk(), kept_bytes: memory().in_use_bytes() - before }

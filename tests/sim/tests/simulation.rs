@@ -14,7 +14,7 @@ use panoscope_sim::observe::Seen;
 /// Seeds that one process runs: threads of a failed run stay until its process ends.
 const SEEDS_AT_ONCE: u64 = 50;
 /// Cases within which a mistake in the engine is found.
-const CASES_FOR_A_MUTATION: u64 = 200;
+const CASES_FOR_A_MUTATION: u64 = 400;
 
 fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).ok().and_then(|v| v.parse().ok()).unwrap_or(default)

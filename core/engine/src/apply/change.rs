@@ -175,12 +175,11 @@ impl Change {
                     let slot = current.slots[before];
                     slots.push(slot);
                     let runtime = &old.runtimes[slot];
-                    let pinned_elsewhere = runtime.owns_thread() && runtime.cpu != graph.nodes[node].cpu;
                     let is_replaced = !std::ptr::eq(runtime.declared, node_type)
                         || current.graph.nodes[before].isolate != graph.nodes[node].isolate
                         || current.graph.nodes[before].deny != graph.nodes[node].deny
                         || current.graph.nodes[before].machine != graph.nodes[node].machine
-                        || pinned_elsewhere
+                        || runtime.cpu != graph.nodes[node].cpu
                         || as_once.contains(&graph.nodes[node].id);
                     if is_replaced {
                         NodeChange::Replaced(Opens::Beside)

@@ -24,6 +24,7 @@ use crate::engine::{Engine, type_name};
 use crate::guard::{CallError, Limit};
 use crate::instance::Instance;
 use crate::log::Level;
+use crate::memory::memory;
 use crate::node::NodeRuntime;
 use crate::params::Snapshot;
 use crate::plan::{Extent, Plan};
@@ -224,7 +225,14 @@ impl Engine {
 
     /// Waits until no node is busy. Fails when the engine stops or the time is over.
     fn wait_for(&self, until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
+        let before_bytes = memory().in_use_bytes();
+        // Sources go on meanwhile, and so do other regions: they need frames, too.
+        let most_bytes = (memory().limit_bytes() - before_bytes) / 4 * 3;
         while let Some(node) = busy() {
+            let waiting_bytes = memory().in_use_bytes() - before_bytes;
+            if waiting_bytes > most_bytes {
+                return Err(ApplyError::Memory { node, waiting_mb: waiting_bytes >> 20 });
+            }
             if self.shared.is_stopping() {
                 return Err(ApplyError::Ended);
             }
@@ -331,7 +339,7 @@ impl Engine {
             old.runtimes[slot].runner.wake();
         }
         let pause = |(region, extent): &(Arc<Region>, Extent)| {
-            lock(&old.runtimes[extent.head].join).pause();
+            extent.members.iter().for_each(|&member| lock(&old.runtimes[member].join).pause());
             region.pause();
         };
         if self.shared.context.batch {
@@ -432,7 +440,7 @@ impl Engine {
         let mut ready = Ready::default();
         // A region that was never paused continues by itself.
         for (region, extent) in change.held.iter().filter(|(region, _)| region.stop_waiting()) {
-            self.resume(old, region, extent.head, &mut ready);
+            self.resume(old, region, extent, &mut ready);
         }
         ready.dispatch_ready(&self.shared, old, 0);
     }
@@ -443,8 +451,9 @@ impl Engine {
         }
     }
 
-    fn resume(&self, plan: &Plan, region: &Region, head: usize, ready: &mut Ready) {
-        lock(&plan.runtimes[head].join).resume();
+    fn resume(&self, plan: &Plan, region: &Region, extent: &Extent, ready: &mut Ready) {
+        let head = extent.head;
+        resume_inputs(plan, extent);
         let mut waited = region.resume();
         while !waited.is_empty() {
             for outputs in waited {
@@ -491,6 +500,12 @@ impl Engine {
 /// The error of a call that did not return.
 fn no_answer(node: &str, error: &CallError) -> ApplyError {
     ApplyError::NoReturn { node: node.to_owned(), reason: error.to_string() }
+}
+
+/// Ends the pause of the inputs of a region's nodes.
+fn resume_inputs(plan: &Plan, extent: &Extent) {
+    let alive = extent.members.iter().filter(|&&member| plan.alive[member]);
+    alive.for_each(|&member| lock(&plan.runtimes[member].join).resume());
 }
 
 /// A node of a paused region that is still busy.

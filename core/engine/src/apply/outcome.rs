@@ -101,6 +101,16 @@ pub enum ApplyError {
         /// As given by the caller.
         node: String,
     },
+    /// Ticks in flight did not finish before the frames that wait filled the frame memory.
+    #[error(
+        "node `{node}` did not come to rest before the frames that wait took {waiting_mb} MB, most of what the frame memory has left; nothing was changed"
+    )]
+    Memory {
+        /// A node that is still busy.
+        node: String,
+        /// Frames that waited.
+        waiting_mb: i64,
+    },
     /// Ticks in flight did not finish in time.
     #[error("node `{node}` did not come to rest within {seconds} s, nothing was changed")]
     Busy {

@@ -8,6 +8,7 @@ use panoscope_graph::{Catalog, Graph};
 
 use super::change::{Change, NodeChange, Opened, Opens, When, connections, inherited};
 use super::outcome::Applied;
+use super::resume_inputs;
 use crate::engine::{Current, Engine, type_name};
 use crate::instance::Instance;
 use crate::node::NodeRuntime;
@@ -153,11 +154,10 @@ impl Switch<'_> {
         let shared = &self.engine.shared;
         let mut ready = Ready::default();
         for (region, extent) in held {
-            let head = extent.head;
             if has_region(plan, region) {
-                self.engine.resume(plan, region, head, &mut ready);
-            } else if plan.alive[head] {
-                lock(&plan.runtimes[head].join).resume();
+                self.engine.resume(plan, region, extent, &mut ready);
+            } else {
+                resume_inputs(plan, extent);
             }
         }
         if !held.is_empty() {
@@ -230,10 +230,9 @@ impl Switch<'_> {
             let mut old_join = lock(&before.join);
             let fresh = std::mem::take(&mut *lock(&runtime.join));
             old_join.rewire(fresh, &from);
-            let mut new_join = std::mem::take(&mut *old_join);
+            let mut new_join = old_join.hand_over();
             finished = new_join.unfinish();
             *lock(&runtime.join) = new_join;
-            old_join.finish();
             drop(old_join);
             runtime.ticks.continue_from(&before.ticks);
             if type_name(before.node_type) == type_name(runtime.node_type) {

@@ -146,6 +146,8 @@ impl Engine {
             waiting_nearest: AtomicI64::new(0),
             own_threads: Mutex::default(),
             hang_ns: if hurried { patience } else { patience.saturating_mul(30) },
+            stop_ns: AtomicU64::new(0),
+            stop_limit_ns: patience,
             frame_ns: AtomicU64::new(33_333_333),
         });
         // Nodes run parallel loops while they open.
@@ -215,7 +217,7 @@ impl Engine {
         self.current.load().graph.clone()
     }
 
-    /// Asks the sources to end. Ticks in flight finish.
+    /// Asks the sources to end. Ticks in flight finish; a call that does not return within [`Options::hang`] is abandoned, whatever its budget.
     pub fn stop(&self) {
         self.shared.stop();
     }

@@ -51,8 +51,8 @@ pub struct Options {
     pub listen: Vec<Listener>,
     /// Nodes whose metrics a listener receives, each when the node reports it; one listener for a node.
     pub numbers: Vec<NumberListener>,
-    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long. The default is 2 s, or
-    /// what the environment variable `PANOSCOPE_HANG_MS` says.
+    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long. From [`Engine::stop`](crate::Engine::stop)
+    /// on, any call that takes longer counts as hung in both. The default is 2 s, or what the environment variable `PANOSCOPE_HANG_MS` says.
     pub hang: Duration,
     /// Time limit for opening a node: at the start, in a change and after a fault.
     pub open_limit: Duration,

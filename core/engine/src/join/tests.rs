@@ -139,3 +139,32 @@ fn batch_arrivals_merge_by_capture_time() {
     join.end(1);
     assert_eq!(join.try_take(None, 0), Take::Finished);
 }
+
+#[test]
+fn a_pause_keeps_what_a_full_queue_would_drop() {
+    for rule in [Rule::Latest { trigger: true }, Rule::Nearest { tolerance_ns: 12 }, Rule::Delay] {
+        let mut join = Join::new(vec![Slot::new(rule, true, 2)], false);
+        join.pause();
+        assert_eq!((0..100).map(|seq| join.push(0, packet(seq))).sum::<u64>(), 0, "{rule:?}");
+        join.rewire(Join::new(vec![Slot::new(rule, true, 2)], false), &[Some(0)]);
+        let mut successor = join.hand_over();
+        assert!(join.is_handed_over() && join.is_finished(), "{rule:?}");
+        successor.resume();
+        assert_eq!(successor.waiting(0), 100, "{rule:?}");
+    }
+    // What drains is not granted again.
+    let mut join = Join::new(vec![Slot::new(Rule::Latest { trigger: true }, true, 1)], false);
+    join.pause();
+    (0..10).for_each(|seq| assert_eq!(join.push(0, packet(seq)), 0));
+    join.resume();
+    for seq in 0..10 {
+        assert_eq!(fired(join.try_take(None, 0)), Some((seq, true)));
+    }
+    assert_eq!((join.push(0, packet(10)), join.push(0, packet(11))), (0, 1), "only the newest again");
+    // A value that fires nothing is replaced by the next one, also in a pause.
+    let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Latest { trigger: true }, true, 1)];
+    let mut join = Join::new(slots, false);
+    join.pause();
+    (0..10).for_each(|seq| assert_eq!(join.push(1, packet(seq)), 0));
+    assert_eq!(join.waiting(1), 1);
+}

@@ -129,7 +129,7 @@ impl Memory {
     fn pools_of(&self, domain: u32) -> impl Iterator<Item = (u32, &Pool)> {
         let first = domain as usize * super::POOLS;
         let pools = self.pools[first..first + super::POOLS].iter().enumerate();
-        pools.filter_map(move |(index, pool)| Some(((first + index) as u32 + 1, pool.get()?.as_ref()?)))
+        pools.filter_map(move |(index, pool)| Some(((first + index) as u32 + 1, pool.get()?)))
     }
 
     /// A buffer like [`Self::allocate`], in the pools of a [`Domain`].

@@ -17,7 +17,7 @@ use panoscope_abi::{BufferId, Frame};
 use self::domain::Shared;
 pub use self::domain::{Domain, DomainError, SharedFrames};
 pub use self::pool::PoolFile;
-use self::pool::{Backing, Pool};
+use self::pool::{Backing, CANARY_BYTES, Pool};
 
 const SMALLEST_BITS: u32 = 8;
 const LARGEST_BITS: u32 = 30;
@@ -32,7 +32,7 @@ const PRIVATE: u32 = 0;
 
 /// The frame memory of the process.
 pub struct Memory {
-    pools: [OnceLock<Option<Pool>>; MOST_POOLS],
+    pools: [OnceLock<Pool>; MOST_POOLS],
     /// The domain of frames that belong to no group.
     current: AtomicU32,
     shared: Shared,
@@ -62,6 +62,17 @@ pub enum MemoryError {
     },
 }
 
+/// Size of the buffers for frames of so many bytes, as a power of two. A buffer that is too large has none.
+fn bits_for(len: usize) -> u32 {
+    let bytes = len.max(1).saturating_add(CANARY_BYTES);
+    (usize::BITS - (bytes - 1).leading_zeros()).max(SMALLEST_BITS)
+}
+
+/// Most bytes of a frame in the buffer that is handed out for a frame of `len` bytes.
+pub fn room_for(len: usize) -> usize {
+    1usize.checked_shl(bits_for(len)).map_or(len, |bytes| bytes - CANARY_BYTES)
+}
+
 /// The frame memory of the process.
 pub fn memory() -> &'static Memory {
     static MEMORY: Memory = Memory {
@@ -81,6 +92,11 @@ impl Memory {
         self.limit_bytes.store(limit, Ordering::Relaxed);
     }
 
+    /// See [`Self::set_limit_bytes`].
+    pub fn limit_bytes(&self) -> i64 {
+        self.limit_bytes.load(Ordering::Relaxed)
+    }
+
     /// Bytes handed out now (as sizes of the buffers, not of the frames).
     pub fn in_use_bytes(&self) -> i64 {
         self.in_use_bytes.load(Ordering::Relaxed)
@@ -92,7 +108,7 @@ impl Memory {
     }
 
     fn pool(&self, number: u32) -> Option<&Pool> {
-        self.pools.get((number as usize).checked_sub(1)?)?.get()?.as_ref()
+        self.pools.get((number as usize).checked_sub(1)?)?.get()
     }
 
     /// A buffer of at least `len` bytes with one reference; its contents are unspecified, but initialised.
@@ -106,8 +122,7 @@ impl Memory {
 
     #[inline]
     fn allocate_at(&self, domain: u32, len: usize) -> Result<(BufferId, *mut u8), MemoryError> {
-        let bits = usize::BITS - len.max(1).saturating_sub(1).leading_zeros();
-        let bits = bits.max(SMALLEST_BITS);
+        let bits = bits_for(len);
         if bits > LARGEST_BITS {
             return Err(MemoryError::TooLarge { wanted_bytes: len });
         }
@@ -120,7 +135,7 @@ impl Memory {
             None
         } else {
             let place = &self.pools[number as usize];
-            let pool = place.get().or_else(|| self.make_pool(place, domain, bits)).and_then(Option::as_ref);
+            let pool = place.get().or_else(|| self.make_pool(place, domain, bits));
             pool.and_then(|pool| Some((pool, pool.take()?)))
         };
         let Some((pool, slot)) = slot else {
@@ -128,6 +143,7 @@ impl Memory {
             return Err(exhausted(before));
         };
         self.allocations.fetch_add(1, Ordering::Relaxed);
+        pool.put_canary(slot);
         pool.references[slot as usize].store(1, Ordering::Relaxed);
         // Only the owner of the slot writes it.
         let uses = &pool.uses[slot as usize];
@@ -139,8 +155,20 @@ impl Memory {
     }
 
     #[cold]
-    fn make_pool<'m>(&self, place: &'m OnceLock<Option<Pool>>, domain: u32, bits: u32) -> Option<&'m Option<Pool>> {
-        self.shared.with_backing(domain, |backing| place.get_or_init(|| Pool::reserve(bits, backing)))
+    fn make_pool<'m>(&self, place: &'m OnceLock<Pool>, domain: u32, bits: u32) -> Option<&'m Pool> {
+        // One thread at a time. A pool that the system refuses is tried again with the next frame.
+        self.shared.with_backing(domain, |backing| match place.get() {
+            Some(pool) => Some(pool),
+            None => {
+                let pool = Pool::reserve(bits, backing)?;
+                Some(place.get_or_init(|| pool))
+            }
+        })?
+    }
+
+    /// Whether nothing was written beyond the end of a buffer that the caller holds.
+    pub(crate) fn is_intact(&self, id: BufferId) -> bool {
+        self.slot(id).is_none_or(|(pool, slot)| pool.is_intact(slot as u32))
     }
 
     /// Address of a buffer, null when there is no such buffer.
@@ -195,7 +223,7 @@ impl Memory {
         let Some((pool, _)) = self.slot(frame.buffer) else { return false };
         // SAFETY: the slot lies inside the reserved mapping.
         let address = unsafe { pool.base.add(frame.buffer.offset as usize) };
-        frame.data == address && frame.len <= 1 << pool.bits && self.retain_held(frame.buffer)
+        frame.data == address && frame.len <= pool.room() && self.retain_held(frame.buffer)
     }
 
     /// Removes a reference; the last one frees the buffer.
@@ -335,5 +363,43 @@ mod tests {
     #[test]
     fn too_much_is_refused() {
         assert!(matches!(memory().allocate(2 << 30), Err(MemoryError::TooLarge { .. })));
+        assert!(matches!(memory().allocate(usize::MAX), Err(MemoryError::TooLarge { .. })));
+    }
+
+    #[test]
+    fn a_write_beyond_a_buffer_is_noticed() {
+        let memory = memory();
+        for len in [1, 240, 241, 256, 1 << 16, 3_000_000] {
+            let (id, data) = memory.allocate(len).expect("memory");
+            let room = room_for(len);
+            assert!(room >= len && room_for(room) == room, "{len}");
+            // SAFETY: a new buffer has as much room.
+            unsafe { data.write_bytes(7, room) };
+            assert!(memory.is_intact(id), "{len}: all of it belongs to the frame");
+            // SAFETY: inside the mapping; a byte that belongs to no frame.
+            unsafe { data.add(room).write(7) };
+            assert!(!memory.is_intact(id), "{len}");
+            memory.release(id);
+            assert_eq!(memory.allocate(len).map(|(again, _)| memory.is_intact(again)), Ok(true), "{len}");
+        }
+    }
+
+    /// The system may refuse the address space of a pool once; that is no reason to refuse it for ever.
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_pool_that_the_system_refused_is_tried_again() {
+        const LEN: usize = 700 << 20;
+        let mut before = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+        // SAFETY: fills the struct.
+        assert_eq!(unsafe { libc::getrlimit(libc::RLIMIT_AS, &raw mut before) }, 0);
+        let little = libc::rlimit { rlim_cur: 1 << 20, ..before };
+        // SAFETY: plain system calls.
+        unsafe { libc::setrlimit(libc::RLIMIT_AS, &raw const little) };
+        let refused = memory().allocate(LEN);
+        // SAFETY: as above.
+        unsafe { libc::setrlimit(libc::RLIMIT_AS, &raw const before) };
+        assert!(matches!(refused, Err(MemoryError::Exhausted { .. })), "{refused:?}");
+        let (id, _) = memory().allocate(LEN).expect("memory");
+        memory().release(id);
     }
 }

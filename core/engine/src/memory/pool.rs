@@ -1,11 +1,17 @@
 //! One pool: slots of one size in one stretch of address space.
 
+// Plain memory, also where tests replace the atomics of `std`.
+use core::sync::atomic::{AtomicU64, Ordering};
 use std::fs::File;
 use std::os::fd::{AsRawFd, FromRawFd};
 use std::sync::atomic::AtomicU32;
 use std::sync::{Arc, Mutex, Weak};
 
 use crate::sync::lock;
+
+/// Bytes at the end of each slot that belong to no frame: a node that writes beyond its output into the next slot changes them.
+pub(super) const CANARY_BYTES: usize = 16;
+const CANARY: [u64; CANARY_BYTES / 8] = [0x5bd1_e995_c6a4_a793, 0x9e37_79b9_7f4a_7c15];
 
 const MAX_SLOTS: usize = 1 << 16;
 const RESERVE_BYTES: usize = 4 << 30;
@@ -78,7 +84,32 @@ impl Pool {
         let slots = Vec::with_capacity(slots.min(1024));
         let free = Free { slots, untouched: 0, open: backing == Backing::Private, file: None, last: Weak::new() };
         let pool = Pool { base: base.cast(), bits, references, uses, free: Mutex::new(free) };
-        (backing == Backing::Private || pool.open(backing)).then_some(pool)
+        if backing != Backing::Private && !pool.open(backing) {
+            // SAFETY: the mapping from above, of which nobody has an address.
+            unsafe { libc::munmap(base, len) };
+            return None;
+        }
+        Some(pool)
+    }
+
+    /// Most bytes of a frame.
+    pub fn room(&self) -> usize {
+        (1 << self.bits) - CANARY_BYTES
+    }
+
+    fn canary(&self, slot: u32) -> &[AtomicU64; CANARY_BYTES / 8] {
+        // SAFETY: aligned memory inside the slot, which is mapped while it is handed out; a node that writes there by mistake is what this is for.
+        unsafe { &*self.base.add(((slot as usize) << self.bits) + self.room()).cast() }
+    }
+
+    /// Whether nothing was written beyond the end of a slot since [`Self::put_canary`].
+    pub fn is_intact(&self, slot: u32) -> bool {
+        self.canary(slot).iter().zip(CANARY).all(|(word, value)| word.load(Ordering::Relaxed) == value)
+    }
+
+    /// Marks the end of a slot that is handed out.
+    pub fn put_canary(&self, slot: u32) {
+        self.canary(slot).iter().zip(CANARY).for_each(|(word, value)| word.store(value, Ordering::Relaxed));
     }
 
     fn len(&self) -> usize {

@@ -12,7 +12,7 @@ use crate::clock;
 use crate::ending::current_node;
 use crate::exec::{Exec, Port};
 use crate::fault::{Action, Cause};
-use crate::host::CallContext;
+use crate::host::{CallContext, output_bit};
 use crate::instance::Instance;
 use crate::isolation::STATUS_DIED;
 use crate::log::Level;
@@ -302,6 +302,7 @@ impl NodeRuntime {
             first_formats: exec.first_formats(),
             runtime: self,
             holds: &exec.instance.holds,
+            written: 0,
             failure: &mut exec.failure,
             has_failure: false,
             refused: None,
@@ -344,6 +345,9 @@ impl NodeRuntime {
             // From here on the output holds the input's reference.
             ports.inputs[lent.input as usize].forget();
         }
+        if call_context.written != 0 {
+            self.find_overruns(call_context.written, &mut refused, made);
+        }
         if self.group.is_some() {
             self.receive(status, &mut refused, made);
         }
@@ -357,6 +361,25 @@ impl NodeRuntime {
             self.reported(exec, context, tick, status);
         }
         (status, refused)
+    }
+
+    /// Withholds outputs beyond whose end the node wrote: the next buffer, of any node, may be damaged.
+    fn find_overruns(&self, written: u64, refused: &mut Option<Refused>, made: &mut CallOutputs) {
+        for (index, frame) in made.outputs.iter_mut().enumerate() {
+            if written & output_bit(index as u32) == 0 || frame.is_empty() || memory().is_intact(frame.buffer) {
+                continue;
+            }
+            let name = self.rules.get(index).map_or("?", |rule| &rule.name);
+            let words = format!(
+                "it wrote beyond the {} bytes of output `{name}`: frames of other nodes may be damaged; repair the plugin, or run the node \
+                 with `isolate`",
+                frame.len
+            );
+            refused.get_or_insert_with(|| Box::new((Cause::BadOutput, words)));
+            // SAFETY: the call has ended, so the output holds its reference.
+            unsafe { clear(std::slice::from_mut(frame)) };
+            made.shown[index] = abi::Frame::EMPTY;
+        }
     }
 
     /// Copies the packets of an isolated node to memory that its process cannot write, so that what a reader checked stays true. Pixels stay

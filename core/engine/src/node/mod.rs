@@ -278,6 +278,11 @@ impl NodeRuntime {
         self.outputs_read.store(bits, Ordering::Relaxed);
     }
 
+    /// Whether an output has a reader.
+    pub fn is_read(&self) -> bool {
+        self.outputs_read.load(Ordering::Relaxed) != 0
+    }
+
     /// Somebody reads an output from the next tick on.
     pub fn read_output(&self, output: usize) {
         self.outputs_read.fetch_or(1u64.checked_shl(output as u32).unwrap_or(0), Ordering::Relaxed);
@@ -368,6 +373,16 @@ impl NodeRuntime {
         all.push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         self.exec.put(exec);
         (all, true)
+    }
+
+    /// Whether the node writes files: it has a parameter that names one.
+    pub fn writes_files(&self) -> bool {
+        if self.declared.params_len == 0 {
+            return false;
+        }
+        // SAFETY: a validated descriptor of a plugin that stays mapped.
+        let params = unsafe { std::slice::from_raw_parts(self.declared.params, self.declared.params_len) };
+        self.side_effects && params.iter().any(|param| param.flags & abi::PARAM_WRITES != 0)
     }
 
     /// Name of an input.

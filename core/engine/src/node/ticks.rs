@@ -32,6 +32,8 @@ pub(crate) struct SourceTicks {
     /// Newest capture time, `i64::MIN` before the first tick.
     last_capture_ns: AtomicI64,
     made: AtomicU64,
+    /// How many of them have no frame although a node reads one.
+    empty: AtomicU64,
     /// Arrival times of the newest ticks, `i64::MIN` for none; empty for a node that is no source.
     arrived_ns: Box<[AtomicI64]>,
 }
@@ -41,12 +43,27 @@ impl SourceTicks {
     pub fn new(is_source: bool) -> Self {
         let len = if is_source { ARRIVALS } else { 0 };
         let arrived_ns = (0..len).map(|_| AtomicI64::new(i64::MIN)).collect();
-        Self { last_capture_ns: AtomicI64::new(i64::MIN), made: AtomicU64::new(0), arrived_ns }
+        Self {
+            last_capture_ns: AtomicI64::new(i64::MIN),
+            made: AtomicU64::new(0),
+            empty: AtomicU64::new(0),
+            arrived_ns,
+        }
     }
 
     /// Ticks made so far: the number of the next one.
     pub fn made(&self) -> u64 {
         self.made.load(Ordering::Acquire)
+    }
+
+    /// Ticks with a frame so far. A source that has lost its camera makes ticks without one.
+    pub fn with_frame(&self) -> u64 {
+        self.made().saturating_sub(self.empty.load(Ordering::Relaxed))
+    }
+
+    /// The tick that is being made has no frame although a node reads one.
+    pub fn count_empty(&self) {
+        self.empty.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Sets how many ticks were made.
@@ -70,6 +87,7 @@ impl SourceTicks {
             to.store(from.load(Ordering::Relaxed), Ordering::Relaxed);
         }
         self.set_made(old.made());
+        self.empty.store(old.empty.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
     /// Records when the light of tick `seq`, which is being made, arrived, in ns of the host's clock.

@@ -57,6 +57,9 @@ pub(crate) struct Shared {
     pub own_threads: Mutex<HashMap<u32, OwnThread>>,
     /// A call without a budget that takes longer counts as hung.
     pub hang_ns: u64,
+    /// When the run was asked to end, 0 before; a call that takes longer than `stop_limit_ns` from then on counts as hung, too.
+    pub stop_ns: AtomicU64,
+    pub stop_limit_ns: u64,
     /// Media time between two ticks of the fastest source.
     pub frame_ns: AtomicU64,
 }
@@ -440,6 +443,10 @@ impl Shared {
         let node = reader.node;
         let runtime = &plan.runtimes[node];
         let mut join = lock(&runtime.join);
+        if join.is_handed_over() {
+            drop(join);
+            return self.arrive_at_successor(reader, frame);
+        }
         let dropped = if self.context.decider.is_none() {
             join.push(reader.slot, frame)
         } else if runtime.source {
@@ -465,6 +472,18 @@ impl Shared {
         let next = self.decide(plan, node, &mut join);
         drop(join);
         self.go_on(plan, node, next, ready);
+    }
+
+    /// Delivers to the successor of a node that a change replaced while its producer, in a region that the change does not hold, was in a call
+    /// under the plan before. The producer's readers are the same in both plans: otherwise the change would hold its region.
+    #[cold]
+    fn arrive_at_successor(&self, reader: &Reader, frame: FrameRef) {
+        // The change holds this lock until its plan is stored.
+        drop(lock(&self.finishing));
+        let plan = self.plan.load_full();
+        let mut ready = Ready::default();
+        self.arrive(&plan, reader, frame, &mut ready);
+        ready.dispatch_ready(self, &plan, 0);
     }
 
     /// Reports a full queue of packets that are matched by time.
@@ -533,6 +552,7 @@ impl Shared {
 
     /// Asks the sources to end.
     pub fn stop(&self) {
+        let _ = self.stop_ns.compare_exchange(0, clock::now_ns().max(1), Ordering::Relaxed, Ordering::Relaxed);
         self.stopping.store(true, Ordering::Release);
         for (_, runtime) in self.plan.load().live().filter(|(_, c)| c.source) {
             runtime.runner.wake();

@@ -53,6 +53,11 @@ pub fn options(threads: usize, frames: u64) -> Options {
     Options { threads, frames: Some(frames), ..Options::default() }
 }
 
+/// A number that the environment sets.
+pub fn number(variable: &str, default: u64) -> u64 {
+    std::env::var(variable).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
+}
+
 /// A folder for files of this test process.
 pub fn scratch_dir() -> PathBuf {
     let folder = std::env::temp_dir().join(format!("panoscope_engine_{}", std::process::id()));

@@ -12,7 +12,7 @@ use std::fs::File;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use panoscope_abi::{Host, NodeType};
@@ -34,7 +34,9 @@ pub type LoadFn = fn(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>
 /// Exit status when the messages of the host make no sense: it is of another build.
 pub(super) const EXIT_PROTOCOL: i32 = 86;
 /// The message with a plugin is sent before the first node of it opens; the main thread may not have read it yet.
-const MAX_WAIT: Duration = Duration::from_secs(5);
+const MAX_WAIT: Duration = Duration::from_secs(10);
+/// Longest wait at once of [`wait_while`].
+const MAX_SLICE: Duration = Duration::from_millis(10);
 /// As much as the main thread has: some libraries need it when they are opened.
 const STACK_BYTES: usize = 8 << 20;
 
@@ -44,6 +46,25 @@ pub(super) fn leave(code: i32) -> ! {
         // SAFETY: ends the process.
         unsafe { libc::syscall(libc::SYS_exit_group, code) };
     }
+}
+
+/// Waits while `missing` is true, for about `limit` in which this process runs. A time in which the machine stalls or sleeps does not count,
+/// because the thread that is waited for does not run either.
+pub(super) fn wait_while<'g, T>(
+    changed: &Condvar,
+    mut guard: MutexGuard<'g, T>,
+    limit: Duration,
+    mut missing: impl FnMut(&mut T) -> bool,
+) -> MutexGuard<'g, T> {
+    for _ in 0..limit.as_millis() / MAX_SLICE.as_millis() {
+        let waited = changed.wait_timeout_while(guard, MAX_SLICE, &mut missing);
+        let (now, over) = waited.unwrap_or_else(PoisonError::into_inner);
+        guard = now;
+        if !over.timed_out() {
+            break;
+        }
+    }
+    guard
 }
 
 /// A plugin that the host sent.
@@ -73,8 +94,7 @@ impl Child {
     fn node_types(&self, plugin: u32) -> Result<Vec<&'static NodeType>, String> {
         let plugins = self.plugins.lock().unwrap_or_else(PoisonError::into_inner);
         let missing = |plugins: &mut HashMap<u32, Plugin>| !plugins.contains_key(&plugin);
-        let waited = self.arrived.wait_timeout_while(plugins, MAX_WAIT, missing);
-        let (mut plugins, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let mut plugins = wait_while(&self.arrived, plugins, MAX_WAIT, missing);
         let Some(Plugin { image, file, loaded }) = plugins.get_mut(&plugin) else {
             return Err("its plugin did not arrive in its process".to_owned());
         };

@@ -9,8 +9,10 @@ use std::time::Duration;
 use panoscope_abi::BufferId;
 use panoscope_engine::memory::MOST_POOLS;
 
+use super::wait_while;
+
 /// The message with a pool's file is sent before the first frame of it; the main thread may not have read it yet.
-const MAX_WAIT: Duration = Duration::from_secs(1);
+const MAX_WAIT: Duration = Duration::from_secs(10);
 
 struct Mapped {
     base: AtomicPtr<u8>,
@@ -58,6 +60,6 @@ pub(super) fn resolve(id: BufferId) -> *mut u8 {
 fn wait(place: &Mapped) -> *mut u8 {
     let changes = CHANGES.lock().unwrap_or_else(PoisonError::into_inner);
     let missing = |_: &mut ()| place.base.load(Ordering::Acquire).is_null();
-    drop(CHANGED.wait_timeout_while(changes, MAX_WAIT, missing));
+    drop(wait_while(&CHANGED, changes, MAX_WAIT, missing));
     place.base.load(Ordering::Acquire)
 }

@@ -190,7 +190,8 @@ impl Describer {
             threads: 1,
             memory_bytes: MEMORY_BYTES,
             deny: Deny { network: true, new_files: true },
-            keeps_stderr: false,
+            // An interpreter says there why it does not start.
+            keeps_stderr: self.image.launch.is_some(),
             machine: None,
         };
         let what = "the process that describes it".to_owned();

@@ -1,7 +1,7 @@
 //! Buffers that the host reserves for the next call of an instance, so that its outputs are made without asking.
 
 use panoscope_abi::{BufferId, Frame};
-use panoscope_engine::memory::{FrameRef, memory};
+use panoscope_engine::memory::{FrameRef, memory, room_for};
 
 use super::process::Process;
 use crate::wire::Writer;
@@ -24,8 +24,7 @@ struct Reserve {
 impl Stock {
     /// The node made an output of this many bytes.
     pub fn note(&mut self, output: u32, len: usize) {
-        // Buffers have sizes of powers of two.
-        let len = len.max(1).next_power_of_two();
+        let len = room_for(len);
         if let Some(reserve) = self.outputs.get_mut(output as usize)
             && (len > reserve.wanted_bytes || len < reserve.wanted_bytes / SMALLEST_SHARE)
         {

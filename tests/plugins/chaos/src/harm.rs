@@ -59,6 +59,8 @@ pub enum Harm {
     ExitAtOnce,
     /// The call writes to the pixels of its input, which belong to others.
     WildWrite,
+    /// The call writes beyond the end of its output, into the frames behind it.
+    Overrun,
     /// The call takes memory until there is none.
     OutOfMemory,
     /// The call writes `file`; if it cannot, it fails.
@@ -174,6 +176,12 @@ impl Plan {
                 }
             }
             Harm::WrongSize => out.alloc_as::<Gray8>(width / 2 + 1, height + 3)?.row_mut(0).fill(0),
+            Harm::Overrun => {
+                let mut plane = out.alloc_as::<Gray8>(width, height)?;
+                let data = plane.row_mut(0).as_mut_ptr();
+                // SAFETY: none: the bytes behind the picture belong to other frames.
+                unsafe { data.write_bytes(0xEE, 4 * width * height) };
+            }
             Harm::TooMuch => out.alloc_as::<GrayF32>(16384, 16384)?.row_mut(0).fill(0.0),
             Harm::Nothing => {}
             _ => return Ok(false),

@@ -11,6 +11,11 @@ pub fn mutations() -> Vec<&'static str> {
     mutations_of_sources::MUTATIONS.iter().map(|(name, _)| *name).collect()
 }
 
+/// Makes the next run begin like the first of the process.
+pub fn forget() {
+    node::runner::forget_pause();
+}
+
 /// Byte of memory that nobody has written since it was handed out or given back.
 pub const POISON: u8 = 0xDB;
 /// No simulated frame is larger.
