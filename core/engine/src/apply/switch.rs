@@ -155,6 +155,11 @@ impl Switch<'_> {
         for (region, extent) in held {
             let head = extent.head;
             if has_region(plan, region) {
+                // What a source of another type made while the region paused has no reader any more.
+                if self.old.runtimes[head].output_names != plan.runtimes[head].output_names {
+                    let waiting = region.take_pending();
+                    waiting.into_iter().for_each(|tick| shared.drop_tick(&plan.runtimes[head], region, tick));
+                }
                 self.engine.resume(plan, region, head, &mut ready);
             } else if plan.alive[head] {
                 lock(&plan.runtimes[head].join).resume();
