@@ -131,6 +131,23 @@ fn pipelines_end_in_any_format() {
 }
 
 #[test]
+fn luma_and_chroma_have_the_values_of_the_standard() {
+    let folder = Folder::new("levels");
+    for format in ["I420", "NV12", "Y42B", "YUY2", "Y444"] {
+        for (color, level) in [("0xffffffff", 255_u8), ("0xff808080", 128), ("0xff000000", 0)] {
+            let caps = format!("video/x-raw,format={format},width=34,height=25,colorimetry=bt709");
+            let text = format!("videotestsrc num-buffers=1 pattern=solid-color foreground-color={color} ! {caps}");
+            let mut node = folder.open(&format!("left = '{text}'"));
+            let out = node.process().unwrap();
+            let plane = out.plane::<Bgr8>("left").unwrap();
+            // The generator rounds chroma, which hardly changes green.
+            let green = plane.row(24)[3 * 33 + 1];
+            assert!(green.abs_diff(level) <= 1, "{format} {color}: {green}");
+        }
+    }
+}
+
+#[test]
 fn deep_gray_keeps_its_depth() {
     let folder = Folder::new("gray16");
     let text = "videotestsrc num-buffers=2 pattern=white ! video/x-raw,format=GRAY16_LE,width=32,height=24";

@@ -32,6 +32,9 @@ use guard::Guards;
 pub use modes::CameraMode;
 pub use queue::{End, Item, Policy, Queue, Signal};
 
+/// Formats of luma and chroma that come as they were decoded; [`crate::yuv_to_bgr`] converts them. Other formats come as BGR or GRAY16_LE.
+pub const YUV_FORMATS: [&str; 9] = ["I420", "YV12", "NV12", "NV21", "Y42B", "Y444", "YUY2", "UYVY", "YVYU"];
+
 /// Longest wait for a pipeline to stop; then it is left to its thread.
 const CLOSE_LIMIT: Duration = Duration::from_secs(2);
 
