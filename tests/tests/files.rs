@@ -133,6 +133,56 @@ fn a_reopened_sink_goes_on_in_the_next_part() {
 }
 
 #[test]
+fn two_runs_never_write_one_file() {
+    let folder = scratch("files-runs");
+    let file = folder.join("v.mkv");
+    let stills = |id: &str, path: &Path| {
+        format!(
+            "[nodes.{id}]\ntype = \"write_images\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ path = \"{}\" }}\n",
+            path.display()
+        )
+    };
+    let pattern = folder.join("stills/{seq}.png");
+    let first = graph(&(video("out", &file, "") + &stills("still", &pattern)));
+    let mut live = start(&first).expect("a good graph");
+    more_frames(&live, "out");
+    for other in [video("clip", &file, ""), stills("picture", &pattern)] {
+        let refused = start(&graph(&other)).err().expect("the other run writes it");
+        assert!(refused.contains("another run (process ") && refused.contains(" writes "), "{refused}");
+    }
+    // A hot swap in the run that has them.
+    live.set_param("out", "fps", &25.0.into()).expect("a good change");
+    more_frames(&live, "out");
+    let count = end(&live, "out");
+    assert_eq!(frames(&file) + frames(&folder.join("v.part2.mkv")), count);
+    let next = start(&graph(&video("clip", &file, ""))).expect("it is free");
+    more_frames(&next, "clip");
+    end(&next, "clip");
+    assert_eq!(names(&folder), ["v.mkv", "v.part2.mkv"]);
+    std::fs::remove_dir_all(folder).expect("it is removed");
+}
+
+#[test]
+fn files_of_earlier_runs_stay_where_that_is_wanted() {
+    let folder = scratch("files-kept");
+    let file = folder.join("v.mkv");
+    let text = graph(&video("out", &file, ""));
+    let mut counts = Vec::new();
+    for _ in 0..2 {
+        let path = Path::new("files.toml");
+        let (graph, catalog, loader) = load(path, &text).expect("a good graph");
+        let options = Options { threads: 2, keep_outputs: true, ..Options::default() };
+        let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
+        let live = Live::new(Box::new(engine), path, text.clone(), Vec::new(), loader);
+        more_frames(&live, "out");
+        counts.push(end(&live, "out"));
+    }
+    assert_eq!([frames(&file), frames(&folder.join("v.part2.mkv"))], counts[..]);
+    assert_eq!(names(&folder), ["v.mkv", "v.part2.mkv"]);
+    std::fs::remove_dir_all(folder).expect("it is removed");
+}
+
+#[test]
 fn one_file_has_one_writer() {
     let folder = scratch("files-writers");
     let file = folder.join("v.mkv");

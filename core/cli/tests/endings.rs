@@ -88,7 +88,7 @@ impl Ended {
 /// The program with its signals as a shell gives them, also where who runs the tests ignores some, as `nohup` does.
 fn command(arguments: &[&str]) -> Command {
     let mut command = Command::new("env");
-    command.args(["--default-signal=HUP,INT,TERM", PROGRAM]);
+    command.args(["--default-signal=HUP,INT,TERM,USR1,USR2,XCPU,XFSZ", PROGRAM]);
     command.env("PANOSCOPE_PLUGIN_PATH", plugin_path()).args(arguments);
     command
 }
@@ -223,12 +223,12 @@ fn a_signal_at_any_moment_leaves_whole_files_and_says_what_the_run_came_to() {
     first.until("the first file", |_| folder.join("ledger.jsonl").exists());
     let opened = begun.elapsed();
     drop(first);
-    let signals = [libc::SIGTERM, libc::SIGINT, libc::SIGHUP];
+    let signals = [libc::SIGTERM, libc::SIGINT, libc::SIGHUP, libc::SIGUSR1];
     let (mut before, mut summaries, mut untouched) = (0, 0, 0);
     const TRIES: u32 = 30;
     for attempt in 0..TRIES {
         let _ = std::fs::remove_file(folder.join("ledger.jsonl"));
-        let signal = signals[attempt as usize % 3];
+        let signal = signals[attempt as usize % 4];
         let child = Running::start(command(&["run", graph, "--headless"]));
         // Evenly from the start of the process to well into the run.
         std::thread::sleep((opened * 2 + Duration::from_millis(100)) * attempt / TRIES);
@@ -272,7 +272,7 @@ fn the_first_signal_works_while_a_node_opens() {
     let folder = folder("opening");
     let graph = graph(&folder, "harm = \"never\", open_ms = 600000.0");
     let graph = graph.to_str().expect("UTF-8");
-    for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+    for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGUSR2, libc::SIGXCPU] {
         let mut child = Running::start(command(&["run", graph, "--headless"]));
         child.until("the open", |c| c.said().contains("told to open"));
         child.send(signal);
@@ -297,6 +297,25 @@ fn the_first_signal_works_while_a_node_opens() {
     assert!(ended.err.contains("`bad` (chaos) is still opening"), "{}", ended.all());
     assert!(ended.err.contains("files: finished are those of `file`"), "{}", ended.all());
     assert!(lines(&folder) > 0, "{}", ended.all());
+}
+
+#[test]
+fn a_limit_of_file_size_is_an_error_of_the_node_that_writes() {
+    let folder = folder("limit");
+    let graph = graph(&folder, "harm = \"never\"");
+    let mut child = Running::start(command(&["run", graph.to_str().expect("UTF-8"), "--headless"]));
+    child.until("the first file", |_| folder.join("ledger.jsonl").exists());
+    // Not from the start: plugins are copied into memory, for which the limit holds as well.
+    let limited = Command::new("prlimit")
+        .args(["--fsize=30000", "--pid", &child.child.id().to_string()])
+        .status()
+        .expect("it runs");
+    assert!(limited.success());
+    child.until("the limit", |c| c.said().contains("File too large"));
+    child.send(libc::SIGTERM);
+    let ended = child.end();
+    assert_eq!(ended.status.code(), Some(1), "{}", ended.all());
+    assert!(ended.err.contains("node `file` lost data"), "{}", ended.all());
 }
 
 #[test]

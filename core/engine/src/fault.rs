@@ -9,6 +9,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
+use crate::files;
 use crate::outbox::Outbox;
 use crate::sync::lock;
 
@@ -190,12 +191,9 @@ impl FaultFile {
     }
 }
 
-/// A sink for [`crate::Options::faults`] that appends one JSON line per fault to a file.
+/// A sink for [`crate::Options::faults`] that appends one JSON line per fault to a file. A symbolic link is replaced by a file.
 pub fn json_lines(path: &Path) -> std::io::Result<Box<FaultFn>> {
-    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder)?;
-    }
-    let file = Mutex::new(FaultFile { file: File::options().create(true).append(true).open(path)?, told: false });
+    let file = Mutex::new(FaultFile { file: files::append(path)?, told: false });
     Ok(Box::new(move |fault| {
         if let Ok(mut line) = serde_json::to_vec(fault) {
             line.push(b'\n');

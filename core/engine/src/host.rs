@@ -404,7 +404,8 @@ unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file:
     };
     let (status, text) = match claims.claim(holds.token, &call_context.runtime.id, Path::new(path), action) {
         Ok(path) => (abi::STATUS_OK, path.to_string_lossy().into_owned()),
-        Err(Claimed { by }) => (abi::STATUS_INVALID, by),
+        Err(Claimed::Node { by }) => (abi::STATUS_INVALID, by),
+        Err(error @ Claimed::Run(_)) => (abi::STATUS_ERROR, error.to_string()),
     };
     let mut answer = lock(&holds.answer);
     *answer = text;

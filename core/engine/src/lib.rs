@@ -13,6 +13,7 @@ pub mod ending;
 mod engine;
 mod exec;
 pub mod fault;
+pub mod files;
 mod guard;
 pub mod heap;
 mod host;

@@ -98,6 +98,9 @@ pub trait Observer: Send + Sync {
     /// Whether sources make all their outputs, also those that no node reads.
     fn wants_all_source_outputs(&self) -> bool;
 
+    /// Whether all other nodes make all their outputs, too.
+    fn wants_all_outputs(&self) -> bool;
+
     /// Something happened.
     fn event(&self, event: Event);
 

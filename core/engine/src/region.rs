@@ -252,6 +252,13 @@ impl Region {
         state.pending.front().map(|p| first_seq(p)).or(state.next_seq)
     }
 
+    /// Removes the ticks that wait.
+    pub fn take_pending(&self) -> Vec<Vec<FrameRef>> {
+        let mut state = self.state();
+        state.protected = 0;
+        state.pending.drain(..).collect()
+    }
+
     /// Admits ticks again. The caller delivers the returned outputs of retained ticks in this order.
     pub fn resume(&self) -> Vec<Vec<FrameRef>> {
         let mut state = self.state();

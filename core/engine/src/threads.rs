@@ -14,6 +14,7 @@ use crate::memory::FrameRef;
 use crate::node::{CallOutcome, NodeRuntime, Ports};
 use crate::observe::Event;
 use crate::own_thread::OwnThread;
+use crate::region::Region;
 use crate::schedule::{Ready, Shared};
 use crate::scratch::Scratch;
 use crate::stats::bump;
@@ -249,15 +250,10 @@ impl Shared {
         self.meter_allocations(seq + 1);
         let (enter, dropped) = region.admit_or_keep(outputs);
         if let Some(old) = dropped {
-            bump(&runtime.stats.dropped);
             if let Some(seq) = old.first().map(|f| f.tick().seq) {
                 self.count_lacking(node, seq);
-                runtime.record_event(&self.context, |node| Event::Dropped { node, seq });
-                if let Some(tracer) = &self.context.tracer {
-                    tracer.dropped(&runtime.id, seq, clock::now_ns());
-                }
             }
-            region.recycle(old);
+            self.drop_tick(runtime, &region, old);
         }
         if let Some(outputs) = enter {
             // The tick is admitted, so the wiring of its region does not change: deliver by this plan.
@@ -301,6 +297,18 @@ impl Shared {
                 words
             });
         }
+    }
+
+    /// Counts and reports a tick of a source that does not enter the graph.
+    pub(crate) fn drop_tick(&self, runtime: &NodeRuntime, region: &Region, outputs: Vec<FrameRef>) {
+        bump(&runtime.stats.dropped);
+        if let Some(seq) = outputs.first().map(|f| f.tick().seq) {
+            runtime.record_event(&self.context, |node| Event::Dropped { node, seq });
+            if let Some(tracer) = &self.context.tracer {
+                tracer.dropped(&runtime.id, seq, clock::now_ns());
+            }
+        }
+        region.recycle(outputs);
     }
 
     #[cold]

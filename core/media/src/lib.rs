@@ -16,3 +16,4 @@ pub use decode::Decoder;
 pub use elements::{init, is_installed, make};
 pub use encode::{Encoder, EncoderSettings, Framing, Packet, RateControl, VideoCodec};
 pub use error::MediaError;
+pub use planes::{Component, FromYuv, Plane, yuv_to_bgr};

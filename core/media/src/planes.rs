@@ -138,21 +138,99 @@ pub struct Plane<'a> {
     pub stride: usize,
 }
 
-/// Planes of luma, Cb and Cr by BT.601 (16 to 235) to BGR rows that are `stride` bytes apart; the planes may be larger than `size`.
-pub fn i420_to_bgr([luma, cb, cr]: [Plane<'_>; 3], size: Size, stride: usize, bgr: &mut [u8]) {
-    let (width, height) = size;
-    for y in 0..height {
-        let luma = &luma.data[y * luma.stride..][..width];
-        let (cb, cr) = (&cb.data[y / 2 * cb.stride..], &cr.data[y / 2 * cr.stride..]);
-        let row = &mut bgr[y * stride..][..width * 3];
-        for (x, (luma, to)) in luma.iter().zip(row.as_chunks_mut::<3>().0).enumerate() {
-            // In 1/65536: 255 / 219 for luma; 255 / 112 (1 - K) and its shares for chroma.
-            let luma = (i32::from(*luma) - 16) * 76309;
-            let (cb, cr) = (i32::from(cb[x / 2]) - 128, i32::from(cr[x / 2]) - 128);
-            let byte = |value: i32| ((value + (1 << 15)) >> 16).clamp(0, 255) as u8;
-            *to = [byte(luma + 132201 * cb), byte(luma - 25675 * cb - 53279 * cr), byte(luma + 104597 * cr)];
+/// From luma and chroma to blue, green and red, in 1/65536.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FromYuv {
+    offset: i32,
+    luma: i32,
+    blue: i32,
+    /// Of Cb and Cr.
+    green: [i32; 2],
+    red: i32,
+}
+
+/// Chroma of gray.
+const CHROMA_ZERO: i32 = 128;
+
+impl FromYuv {
+    /// BT.601, 16 to 235 and 16 to 240.
+    pub const BT601: Self = Self { offset: 16, luma: 76309, blue: 132201, green: [-25675, -53279], red: 104597 };
+
+    /// By the shares of red and blue in luma. Full range is 0 to 255, else luma is 16 to 235 and chroma 16 to 240.
+    pub fn new(red_share: f64, blue_share: f64, is_full_range: bool) -> Self {
+        let (offset, luma, chroma) = if is_full_range { (0, 1.0, 2.0) } else { (16, 255.0 / 219.0, 255.0 / 112.0) };
+        let fixed = |value: f64| (value * 65536.0).round() as i32;
+        let green_share = 1.0 - red_share - blue_share;
+        let (blue, red) = (chroma * (1.0 - blue_share), chroma * (1.0 - red_share));
+        let green = [-blue * blue_share / green_share, -red * red_share / green_share].map(fixed);
+        Self { offset, luma: fixed(luma), blue: fixed(blue), green, red: fixed(red) }
+    }
+}
+
+/// A component of a picture in memory: its values are `step` bytes apart, and each covers 2 to the power of `shift` columns and rows.
+pub struct Component<'a> {
+    /// The first value is that of the upper left corner.
+    pub plane: Plane<'a>,
+    /// Bytes from value to value.
+    pub step: usize,
+    /// Binary logarithm of the columns and rows that a value covers.
+    pub shift: (u32, u32),
+}
+
+impl Component<'_> {
+    /// The values of row `y`, one for each pixel.
+    fn expand(&self, y: usize, out: &mut [u8]) {
+        let row = &self.plane.data[(y >> self.shift.1) * self.plane.stride..];
+        if (self.step, self.shift.0) == (1, 0) {
+            out.copy_from_slice(&row[..out.len()]);
+        } else if self.shift.0 == 1 {
+            let values = row.iter().step_by(self.step);
+            out.chunks_mut(2).zip(values).for_each(|(pair, value)| pair.fill(*value));
+        } else {
+            out.iter_mut().enumerate().for_each(|(x, out)| *out = row[(x >> self.shift.0) * self.step]);
         }
     }
+}
+
+/// Luma, Cb and Cr of 8 bits to BGR rows that are `stride` bytes apart; the components may be larger than `size`. Each value is that of the
+/// standard, rounded; chroma is not interpolated.
+///
+/// # Panics
+/// When rows do not lie inside their memory.
+pub fn yuv_to_bgr(from: FromYuv, components: [Component<'_>; 3], size: Size, stride: usize, bgr: &mut [u8]) {
+    let (width, height) = size;
+    let mut rows = [const { Vec::new() }; 3];
+    rows.iter_mut().for_each(|row| row.resize(width, 0));
+    for y in 0..height {
+        for (component, row) in components.iter().zip(&mut rows) {
+            component.expand(y, row);
+        }
+        let [luma, cb, cr] = &rows;
+        let out = &mut bgr[y * stride..][..width * 3];
+        dispatch!(Simd::detect(), yuv_row(from: FromYuv, luma: &[u8], cb: &[u8], cr: &[u8], out: &mut [u8]));
+    }
+}
+
+#[inline(always)]
+fn yuv_row(from: FromYuv, luma: &[u8], cb: &[u8], cr: &[u8], bgr: &mut [u8]) {
+    let pixels = luma.iter().zip(cb).zip(cr);
+    for (((luma, cb), cr), to) in pixels.zip(bgr.as_chunks_mut::<3>().0) {
+        let luma = (i32::from(*luma) - from.offset) * from.luma + (1 << 15);
+        let (cb, cr) = (i32::from(*cb) - CHROMA_ZERO, i32::from(*cr) - CHROMA_ZERO);
+        let byte = |value: i32| (value >> 16).clamp(0, 255) as u8;
+        *to = [
+            byte(luma + from.blue * cb),
+            byte(luma + from.green[0] * cb + from.green[1] * cr),
+            byte(luma + from.red * cr),
+        ];
+    }
+}
+
+/// Planes of luma, Cb and Cr by BT.601 (16 to 235) to BGR rows that are `stride` bytes apart; the planes may be larger than `size`.
+pub fn i420_to_bgr([luma, cb, cr]: [Plane<'_>; 3], size: Size, stride: usize, bgr: &mut [u8]) {
+    let component = |plane, shift| Component { plane, step: 1, shift };
+    let components = [component(luma, (0, 0)), component(cb, (1, 1)), component(cr, (1, 1))];
+    yuv_to_bgr(FromYuv::BT601, components, size, stride, bgr);
 }
 
 /// BGR rows without padding to rows of BGR and an unused byte.
@@ -211,6 +289,37 @@ mod tests {
                 assert!(difference <= Some(3), "{bgr:?}: {row:?}");
             }
         }
+    }
+
+    #[test]
+    fn every_layout_gives_the_values_of_the_standard() {
+        assert_eq!(FromYuv::new(0.299, 0.114, false), FromYuv::BT601);
+        // BT.709: white, black, gray and a colour, by its definition.
+        let from = FromYuv::new(0.2126, 0.0722, false);
+        for (yuv, bgr) in [
+            ([235, 128, 128], [255; 3]),
+            ([16, 128, 128], [0; 3]),
+            ([126, 128, 128], [128; 3]),
+            ([110, 110, 150], [71, 102, 149]),
+        ] {
+            let [y, u, v] = yuv;
+            let (luma, cb, cr, pairs, packed) = ([y; 15], [u; 6], [v; 6], [u, v].repeat(6), [y, u, y, v].repeat(9));
+            let of = |data, stride, step, shift| Component { plane: Plane { data, stride }, step, shift };
+            let luma = || of(&luma, 5, 1, (0, 0));
+            let planar = [luma(), of(&cb, 3, 1, (1, 1)), of(&cr, 3, 1, (1, 1))];
+            let semi_planar = [luma(), of(&pairs, 6, 2, (1, 1)), of(&pairs[1..], 6, 2, (1, 1))];
+            let interleaved =
+                [of(&packed, 12, 2, (0, 0)), of(&packed[1..], 12, 4, (1, 0)), of(&packed[3..], 12, 4, (1, 0))];
+            for components in [planar, semi_planar, interleaved] {
+                let mut rows = [7; 3 * 16];
+                yuv_to_bgr(from, components, (5, 3), 16, &mut rows);
+                for row in rows.chunks(16) {
+                    assert_eq!(row[..15], bgr.repeat(5), "{yuv:?}");
+                    assert_eq!(row[15], 7, "nothing is written between rows");
+                }
+            }
+        }
+        assert_eq!(FromYuv::new(0.299, 0.114, true).luma, 65536);
     }
 
     #[test]

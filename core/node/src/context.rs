@@ -62,6 +62,8 @@ fn claim(host: &abi::Host, call: *mut std::ffi::c_void, path: &Path, action: u32
     match status {
         abi::STATUS_OK if returned.is_empty() => Ok(path.to_owned()),
         abi::STATUS_OK => Ok(PathBuf::from(returned)),
+        // Another run writes the file: the host has said which.
+        abi::STATUS_ERROR => Err(NodeError::new(returned)),
         _ => Err(NodeError::new(format!("node `{returned}` already writes {text}: give this node another file"))),
     }
 }
@@ -114,7 +116,7 @@ impl<'f> Context<'f> {
 
     /// Begins a file that was claimed with [`Open::claim_file`] and returns the path to create. That is `path` itself the first time in a
     /// run, then, when the node is opened again, `name.part2.ending` and so on, so that written data is never truncated. With
-    /// `may_replace` the file of an earlier run is replaced, otherwise the returned path does not exist yet.
+    /// `may_replace` the file of an earlier run is replaced, unless the host keeps those; otherwise the returned path does not exist yet.
     ///
     /// # Errors
     /// Another node writes this file.
@@ -223,12 +225,21 @@ impl<'a> Open<'a> {
         Path::new(unsafe { self.call().graph_dir.text() }.unwrap_or(""))
     }
 
-    /// Claims a file, or a pattern of files, for this node for as long as it is open. Nothing is created.
+    /// Claims a file for this node for as long as it is open. Nothing is created but its lock, for which the folder must exist.
     ///
     /// # Errors
-    /// Another node of the graph writes this file.
+    /// Another node of the graph, or another run, writes this file.
     pub fn claim_file(&self, path: &Path) -> Result<(), NodeError> {
-        claim(self.pool.host, self.call().call, path, abi::CLAIM_HOLD).map(drop)
+        self.claim_files(path).map(drop)
+    }
+
+    /// Claims a file that each write replaces as a whole, or a pattern with `{seq}` of such files. Returns the path or pattern to write: the
+    /// same in the whole run, and one without files of earlier runs where the host keeps those.
+    ///
+    /// # Errors
+    /// Another node of the graph, or another run, writes this file.
+    pub fn claim_files(&self, path: &Path) -> Result<PathBuf, NodeError> {
+        claim(self.pool.host, self.call().call, path, abi::CLAIM_HOLD)
     }
 
     /// Whether output `index` has a reader.

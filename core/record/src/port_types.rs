@@ -69,9 +69,25 @@ impl PortTypes {
     /// The recording has no such node, or its plugin is missing or another one.
     pub fn packet(&self, port: &str) -> Result<&str, PortTypeError> {
         let (node, output) = port.rsplit_once('.').unwrap_or((port, ""));
-        let mut known = graphs(&self.recording).zip(&self.catalogs);
-        let found = known.find_map(|(graph, catalog)| Some((graph, catalog, graph.node(node)?)));
-        let (graph, catalog, index) = found.ok_or_else(|| PortTypeError::Node { node: node.to_owned() })?;
+        let mut result = Err(PortTypeError::Node { node: node.to_owned() });
+        // Nodes of several types may have had the name, one after the other.
+        for (graph, catalog) in graphs(&self.recording).zip(&self.catalogs) {
+            if let (Err(_), Some(index)) = (&result, graph.node(node)) {
+                result = self.packet_of(port, output, graph, catalog, index);
+            }
+        }
+        result
+    }
+
+    /// As [`Self::packet`], for node `index` of one of the graphs.
+    fn packet_of<'t>(
+        &'t self,
+        port: &str,
+        output: &str,
+        graph: &Graph,
+        catalog: &'t OnceLock<Catalog>,
+        index: usize,
+    ) -> Result<&'t str, PortTypeError> {
         let catalog = catalog.get_or_init(|| self.loader.catalog_of_graph(graph));
         let plugin = &graph.nodes[index].plugin;
         let node_type = format!("{plugin}/{}", graph.nodes[index].type_name);

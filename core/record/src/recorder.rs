@@ -1,7 +1,8 @@
 //! Records the events and packets of an engine without blocking it.
 //!
 //! The engine's threads only append to a queue; one thread hashes and writes. Events are never lost. Queued packets occupy frame memory:
-//! when the queue is full, the packets of a tick are skipped and a gap is recorded in their place.
+//! when the queue is full, the packets of a tick are skipped and a gap is recorded in their place. A disk that takes nothing until
+//! hundreds of thousands of items wait ends the recording, not the run.
 
 use std::collections::{HashMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -12,6 +13,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_abi::{Frame, Tick};
+use panoscope_engine::files::{self, OutputLock, OutputLocked};
 use panoscope_engine::observe::{self, Observer, ReportFn};
 use panoscope_engine::panic_words;
 use panoscope_engine::sync::lock;
@@ -24,6 +26,9 @@ use panoscope_engine::memory::FrameRef;
 /// Packets are compressed while no more bytes of frames than these wait.
 const SHORT_QUEUE_BYTES: usize = 64 << 20;
 
+/// Events and packets that may wait for the disk: some minutes of a stall, below 100 MB.
+const MAX_QUEUED_ITEMS: usize = 1 << 18;
+
 /// How a run is recorded.
 pub struct RecordOptions {
     /// The recording; `None` for fingerprints only.
@@ -34,6 +39,8 @@ pub struct RecordOptions {
     pub all_ports: bool,
     /// Whether sources make all their outputs, also those without a reader, so that other graphs can be replayed on the recording.
     pub all_source_ports: bool,
+    /// Whether nodes make all their outputs, also those without a reader, because the run that is replayed did.
+    pub all_outputs: bool,
     /// Whether packets are compressed while the disk keeps up, and stored once where their bytes are the same.
     pub compresses: bool,
     /// Maximum number of bytes of frames in the queue to the disk.
@@ -47,6 +54,7 @@ impl Default for RecordOptions {
             digests: false,
             all_ports: false,
             all_source_ports: true,
+            all_outputs: false,
             compresses: true,
             max_queued_bytes: 512 << 20,
         }
@@ -55,13 +63,22 @@ impl Default for RecordOptions {
 
 /// Why a recording could not be started.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot write {}: {cause}", .file.display())]
-pub struct RecordError {
-    /// The recording.
-    pub file: PathBuf,
-    /// The operating system's error.
-    pub cause: std::io::Error,
+pub enum RecordError {
+    /// The operating system refused.
+    #[error("cannot write {}: {cause}", .file.display())]
+    Unwritable {
+        /// The recording.
+        file: PathBuf,
+        /// The operating system's error.
+        cause: std::io::Error,
+    },
+    /// Another run writes it.
+    #[error(transparent)]
+    Locked(#[from] OutputLocked),
 }
+
+/// Why a recording ends whose disk takes nothing.
+const STALLED: &str = "the disk has stalled, and more events wait than memory may hold";
 
 /// The result of a recording.
 #[derive(Clone, Debug, Default)]
@@ -82,10 +99,10 @@ enum Item {
     Event(Event),
     /// As the engine reports it: files that it names are hashed when it is written.
     Observed(observe::Event),
-    /// Node, port, packet, and whether the packet is written to the file.
-    Packet(Arc<str>, u32, FrameRef, bool),
-    /// Node, port and fingerprint of a packet that did not fit into the queue.
-    Digest(Arc<str>, u32, PacketDigest),
+    /// `node.port`, packet, and whether the packet is written to the file.
+    Packet(Arc<str>, FrameRef, bool),
+    /// `node.port` and fingerprint of a packet that did not fit into the queue.
+    Digest(Arc<str>, PacketDigest),
 }
 
 #[derive(Default)]
@@ -101,20 +118,25 @@ struct Inner {
     options: RecordOptions,
     /// Number of admitted ticks, by head of region.
     admitted: Mutex<HashMap<String, u64>>,
-    /// Names of the outputs, by node.
+    /// Outputs of the newest instance of each node.
     ports: Mutex<HashMap<String, Ports>>,
     gaps: AtomicU64,
     writes: AtomicBool,
+    /// Most events and packets in the queue.
+    max_queued_items: usize,
+    /// Whether the disk took nothing for so long that the queue was thrown away.
+    has_stalled: AtomicBool,
     report: OnceLock<Box<ReportFn>>,
     /// Messages from before `report` was set.
     unreported: Mutex<Vec<String>>,
 }
 
-/// The names of a node and of its outputs.
+/// The outputs of one instance of a node: another type with other outputs may have the node's name later.
 #[derive(Clone)]
 struct Ports {
-    node: Arc<str>,
     names: Arc<[String]>,
+    /// `node.port` of each.
+    topics: Arc<[Arc<str>]>,
 }
 
 /// Records a run of an engine; pass it as [`panoscope_engine::Options::observer`].
@@ -126,11 +148,10 @@ pub struct Recorder {
 impl Recorder {
     /// Starts a recording with its head.
     pub fn start(options: RecordOptions, head: Head) -> Result<Arc<Self>, RecordError> {
-        let output: Option<Box<dyn Output>> = match &options.file {
-            Some(path) => Some(Box::new(create(path)?)),
-            None => None,
-        };
-        Self::start_on(output, options, head)
+        let created = options.file.as_deref().map(create).transpose()?;
+        let (output, output_lock) =
+            created.map_or((None, None), |(file, lock)| (Some(Box::new(file) as Box<dyn Output>), lock));
+        Self::start_locked(output, output_lock, options, head)
     }
 
     /// As [`Self::start`], writing to any output.
@@ -139,7 +160,16 @@ impl Recorder {
         options: RecordOptions,
         head: Head,
     ) -> Result<Arc<Self>, RecordError> {
-        let error = |cause| RecordError { file: options.file.clone().unwrap_or_default(), cause };
+        Self::start_locked(output, None, options, head)
+    }
+
+    fn start_locked(
+        output: Option<Box<dyn Output>>,
+        output_lock: Option<OutputLock>,
+        options: RecordOptions,
+        head: Head,
+    ) -> Result<Arc<Self>, RecordError> {
+        let error = |cause| RecordError::Unwritable { file: options.file.clone().unwrap_or_default(), cause };
         let file = output.map(RecordFile::create).transpose().map_err(error)?;
         let graph = head.graph.name.clone();
         let inner = Arc::new(Inner {
@@ -149,12 +179,17 @@ impl Recorder {
             ports: Mutex::default(),
             gaps: AtomicU64::new(0),
             writes: AtomicBool::new(file.is_some()),
+            // Only a replay has no limit: it loses nothing.
+            max_queued_items: if options.max_queued_bytes == usize::MAX { usize::MAX } else { MAX_QUEUED_ITEMS },
+            has_stalled: AtomicBool::new(false),
             report: OnceLock::new(),
             unreported: Mutex::default(),
             options,
         });
         let mine = Arc::clone(&inner);
         let work = move || {
+            // Released when everything is written.
+            let _output_lock = output_lock;
             let recorded = catch_unwind(AssertUnwindSafe(|| mine.work(file, graph)));
             recorded.unwrap_or_else(|payload| {
                 // From here on nothing is queued, because nothing would empty the queue.
@@ -169,8 +204,8 @@ impl Recorder {
             })
         };
         let thread = std::thread::Builder::new().name("record".to_owned()).spawn(work);
-        let thread =
-            thread.map_err(|cause| RecordError { file: inner.options.file.clone().unwrap_or_default(), cause })?;
+        let file = || inner.options.file.clone().unwrap_or_default();
+        let thread = thread.map_err(|cause| RecordError::Unwritable { file: file(), cause })?;
         let this = Arc::new(Self { inner, thread: Mutex::new(Some(thread)) });
         this.push(Event::Head(Box::new(head)));
         Ok(this)
@@ -189,8 +224,31 @@ impl Recorder {
     /// Queues an event.
     fn push(&self, event: Event) {
         if self.inner.writes.load(Ordering::Relaxed) {
-            lock(&self.inner.queue).items.push_back(Item::Event(event));
-            self.inner.wake.notify_one();
+            self.append([Item::Event(event)]);
+        }
+    }
+
+    fn append(&self, items: impl IntoIterator<Item = Item>) {
+        let inner = &self.inner;
+        let mut queue = lock(&inner.queue);
+        for item in items {
+            if let Item::Packet(_, frame, _) = &item {
+                queue.bytes += frame.bytes().len();
+            }
+            queue.items.push_back(item);
+        }
+        if queue.items.len() <= inner.max_queued_items {
+            drop(queue);
+            return inner.wake.notify_one();
+        }
+        // Dropped without the lock: frames go back to the engine's memory.
+        let lost = std::mem::take(&mut queue.items);
+        queue.bytes = 0;
+        drop(queue);
+        drop(lost);
+        inner.has_stalled.store(true, Ordering::Relaxed);
+        if inner.writes.swap(false, Ordering::Relaxed) {
+            inner.report(&format!("{STALLED}; the recording ends here, the run goes on"));
         }
     }
 
@@ -200,28 +258,29 @@ impl Recorder {
         if let Some(known) = ports.get(node).filter(|p| Arc::ptr_eq(&p.names, names)) {
             return known.clone();
         }
-        let new = Ports { node: node.into(), names: Arc::clone(names) };
+        let topics = names.iter().map(|name| format!("{node}.{name}").into()).collect();
+        let new = Ports { names: Arc::clone(names), topics };
         ports.insert(node.to_owned(), new.clone());
         new
     }
 
     fn queue(&self, name: &str, ports: &Arc<[String]>, outputs: &[Frame], stored: bool, tick: Option<&Tick>) {
         let inner = &self.inner;
-        let Ports { node, names: _ } = self.ports(name, ports);
+        let Ports { topics, .. } = self.ports(name, ports);
         let full = |queue: &Queue| queue.bytes >= inner.options.max_queued_bytes;
         let gap = stored && full(&lock(&inner.queue));
         let mut packets = 0;
         let mut items = Vec::with_capacity(outputs.len() + 1);
-        for (port, frame) in outputs.iter().enumerate().filter(|(_, f)| !f.is_empty()) {
+        for (topic, frame) in topics.iter().zip(outputs).filter(|(_, f)| !f.is_empty()) {
             // SAFETY: the engine holds a reference to the frame during this call; `ManuallyDrop` never releases it.
             let borrowed = std::mem::ManuallyDrop::new(unsafe { FrameRef::adopt(*frame) });
             packets += 1;
             if gap {
                 if inner.options.digests {
-                    items.push(Item::Digest(Arc::clone(&node), port as u32, digest_of(&borrowed)));
+                    items.push(Item::Digest(Arc::clone(topic), digest_of(&borrowed)));
                 }
             } else {
-                items.push(Item::Packet(Arc::clone(&node), port as u32, FrameRef::clone(&borrowed), stored));
+                items.push(Item::Packet(Arc::clone(topic), FrameRef::clone(&borrowed), stored));
             }
         }
         if let Some(tick) = tick {
@@ -231,21 +290,18 @@ impl Recorder {
                 inner.report(&format!("the disk is too slow: tick {seq} of `{name}` is not in the recording"));
             }
         }
-        let mut queue = lock(&inner.queue);
-        for item in items {
-            if let Item::Packet(_, _, frame, _) = &item {
-                queue.bytes += frame.bytes().len();
-            }
-            queue.items.push_back(item);
-        }
-        drop(queue);
-        inner.wake.notify_one();
+        self.append(items);
     }
 }
 
 impl Observer for Recorder {
     fn wants_all_source_outputs(&self) -> bool {
         self.inner.options.all_source_ports && self.inner.options.file.is_some()
+    }
+
+    fn wants_all_outputs(&self) -> bool {
+        let options = &self.inner.options;
+        options.all_outputs || options.all_ports && options.file.is_some()
     }
 
     fn event(&self, event: observe::Event) {
@@ -311,12 +367,11 @@ impl Drop for Recorder {
     }
 }
 
-fn create(path: &Path) -> Result<std::fs::File, RecordError> {
-    let error = |cause| RecordError { file: path.to_owned(), cause };
-    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).map_err(error)?;
-    }
-    std::fs::File::create(path).map_err(error)
+fn create(path: &Path) -> Result<(std::fs::File, Option<OutputLock>), RecordError> {
+    let error = |cause| RecordError::Unwritable { file: path.to_owned(), cause };
+    files::create_folders(path).map_err(error)?;
+    let lock = OutputLock::take(path, files::LOCK_PATIENCE)?;
+    Ok((files::create(path).map_err(error)?, lock))
 }
 
 impl Inner {
@@ -332,12 +387,6 @@ impl Inner {
         if let Some(report) = self.report.get() {
             report(message);
         }
-    }
-
-    fn name(&self, node: &str, port: u32) -> String {
-        let ports = lock(&self.ports);
-        let name = ports.get(node).and_then(|p| p.names.get(port as usize)).map_or("?", |n| n.as_str());
-        format!("{node}.{name}")
     }
 
     fn next(&self) -> Option<VecDeque<Item>> {
@@ -356,16 +405,18 @@ impl Inner {
     fn work(&self, mut file: Option<RecordFile>, graph: String) -> Recorded {
         let mut recorded = Recorded::default();
         let mut digests = self.options.digests.then(|| Digests { graph, ..Digests::default() });
-        let mut names: HashMap<(Arc<str>, u32), String> = HashMap::new();
         while let Some(items) = self.next() {
             for item in items {
-                let wrote = self.write(item, &mut file, &mut digests, &mut names);
+                let wrote = self.write(item, &mut file, &mut digests);
                 if let Err(cause) = wrote {
                     self.give_up(&mut file, &cause, &mut recorded);
                 }
             }
             if let Some(Err(cause)) = file.as_mut().map(RecordFile::flush) {
                 self.give_up(&mut file, &cause, &mut recorded);
+            }
+            if self.has_stalled.load(Ordering::Relaxed) {
+                self.give_up(&mut file, &std::io::Error::other(STALLED), &mut recorded);
             }
         }
         if let Some(file) = file {
@@ -391,20 +442,16 @@ impl Inner {
     /// Ends the recording after an error of the disk; the run goes on without it.
     fn give_up(&self, file: &mut Option<RecordFile>, cause: &std::io::Error, recorded: &mut Recorded) {
         let Some(file) = file.take() else { return };
-        self.writes.store(false, Ordering::Relaxed);
+        let is_news = self.writes.swap(false, Ordering::Relaxed);
         (recorded.bytes, recorded.ticks) = file.give_up();
         let message = format!("the recording ends here, the run goes on: {cause}");
-        self.report(&message);
+        if is_news {
+            self.report(&message);
+        }
         recorded.failed = Some(message);
     }
 
-    fn write(
-        &self,
-        item: Item,
-        file: &mut Option<RecordFile>,
-        digests: &mut Option<Digests>,
-        names: &mut HashMap<(Arc<str>, u32), String>,
-    ) -> std::io::Result<()> {
+    fn write(&self, item: Item, file: &mut Option<RecordFile>, digests: &mut Option<Digests>) -> std::io::Result<()> {
         match item {
             Item::Event(event) => {
                 if let Some(file) = file {
@@ -416,19 +463,18 @@ impl Inner {
                     file.event(&event.into())?;
                 }
             }
-            Item::Digest(node, port, digest) => {
+            Item::Digest(topic, digest) => {
                 if let Some(digests) = digests {
-                    digests.add(&self.name(&node, port), digest);
+                    digests.add(&topic, digest);
                 }
             }
-            Item::Packet(node, port, frame, stored) => {
+            Item::Packet(topic, frame, stored) => {
                 let digest = digest_of(&frame);
-                let name = names.entry((node, port)).or_insert_with_key(|(node, port)| self.name(node, *port));
                 if let Some(digests) = digests {
-                    digests.add(name, digest);
+                    digests.add(&topic, digest);
                 }
                 let wrote = match file.as_mut().filter(|_| stored) {
-                    Some(file) => file.packet(name, &frame, digest.hash, self.compresses()),
+                    Some(file) => file.packet(&topic, &frame, digest.hash, self.compresses()),
                     None => Ok(()),
                 };
                 let mut queue = lock(&self.queue);

@@ -123,8 +123,8 @@ pub struct Replay {
     script: Arc<Script>,
     loader: Arc<Loader>,
     recorder: Option<Arc<Recorder>>,
-    /// Message about damage in the recording; the part after it is not replayed.
-    damage: Option<String>,
+    /// Message about the early end of the recording, which it has from damage or a run that was cut off.
+    cut: Option<String>,
     /// What differs from the machine and files of the recording.
     pub warnings: Vec<String>,
 }
@@ -169,7 +169,8 @@ impl Replay {
         }
         let script = Arc::new(script);
         let recorder = match options.record {
-            Some(record) => {
+            Some(mut record) => {
+                record.all_outputs = head_of.all_ports && !other;
                 let mut new = head(&graph, &catalog, &loader, &path, &text, &settings);
                 new.all_ports = record.all_ports;
                 Some(Recorder::start(record, new)?)
@@ -183,11 +184,12 @@ impl Replay {
             ..options.engine
         };
         let engine = Engine::start(graph, &catalog, &loader, engine_options)?;
-        let damage = recording.cut.as_ref().filter(|cut| cut.damaged).map(|cut| {
+        let cut = recording.cut.as_ref().map(|cut| {
             let (file, at, reason) = (recording.path().display(), cut.at, &cut.reason);
-            format!("{file} is damaged at byte {at}: {reason}; only the part before it was replayed")
+            let what = if cut.damaged { "is damaged" } else { "is cut off" };
+            format!("{file} {what} at byte {at}: {reason}; only the part before it was replayed")
         });
-        Ok(Self { engine, script, loader, recorder, damage, warnings })
+        Ok(Self { engine, script, loader, recorder, cut, warnings })
     }
 
     /// The engine.
@@ -229,7 +231,7 @@ impl Replay {
     pub fn verdict(&self) -> Result<(), ReplayError> {
         match self.script.failure() {
             Some(reason) => Err(ReplayError::Incomplete { reason: reason.to_owned() }),
-            None => match &self.damage {
+            None => match &self.cut {
                 Some(reason) => Err(ReplayError::Incomplete { reason: reason.clone() }),
                 None => Ok(()),
             },

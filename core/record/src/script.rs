@@ -15,7 +15,7 @@ use panoscope_engine::sync::lock;
 use panoscope_graph::{Graph, ParamValue};
 
 use crate::format::Event;
-use crate::recording::{Recording, SourceTick};
+use crate::recording::{Packet, Recording, SourceTick};
 
 struct NodeTurn {
     source: u32,
@@ -212,6 +212,15 @@ impl Decider for Script {
 
     fn source_frames(&self, node: &str, ports: &[String]) -> Result<Vec<Option<FrameRef>>, String> {
         let Some(tick) = self.sources.get(node).and_then(SourceScript::next) else { return Ok(Vec::new()) };
+        // Ticks that were dropped may belong to a successor of the source that plays them.
+        let is_unknown = |(port, _): &&(String, Packet)| !self.sources_only && tick.admitted && !ports.contains(port);
+        if let Some((port, _)) = tick.packets.iter().find(is_unknown) {
+            return Err(format!(
+                "tick {} of the recording has a packet of `{node}.{port}`, and the source has no such output here: it \
+                 cannot be replayed; record again",
+                tick.seq
+            ));
+        }
         let frame = |name: &String| {
             let packet = tick.packets.iter().find(|(port, _)| port == name);
             packet.map(|(port, packet)| self.recording.frame(&format!("{node}.{port}"), packet)).transpose()

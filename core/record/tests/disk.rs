@@ -46,9 +46,11 @@ fn record(folder: &Path, fault: i32, number: i32, ticks: u64) {
     let catalog = loader.catalog(&parsed.plugins());
     let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
     let head = head(&graph, &catalog, &loader, path, text, &[]);
-    let watched = CString::new(folder.to_str().expect("UTF-8")).expect("no zeros");
+    let file = folder.join("r.mcap");
+    // Not the lock next to it, without which a recording goes on.
+    let watched = CString::new(file.to_str().expect("UTF-8")).expect("no zeros");
     arm(watched.as_ptr(), fault, number);
-    let record = RecordOptions { file: Some(folder.join("r.mcap")), ..RecordOptions::default() };
+    let record = RecordOptions { file: Some(file), ..RecordOptions::default() };
     let recorder = match Recorder::start(record, head) {
         Ok(recorder) => recorder,
         Err(error) => {

@@ -1,5 +1,6 @@
 //! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
 
+mod channels;
 #[path = "../../engine/tests/common/mod.rs"]
 mod common;
 mod disk;

@@ -1,5 +1,7 @@
 //! Files named with consecutive numbers.
 
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
 /// The number in a file name such as `plot_0003.csv`.
@@ -18,12 +20,13 @@ pub struct FolderError {
     pub cause: std::io::Error,
 }
 
-/// Creates a folder for files, with its parents.
+/// Creates a folder for files, with its parents: mode 0700, because they may show patients.
 ///
 /// # Errors
 /// The folder cannot be created.
 pub fn create_folder(folder: &Path) -> Result<(), FolderError> {
-    std::fs::create_dir_all(folder).map_err(|cause| FolderError { folder: folder.to_owned(), cause })
+    let created = DirBuilder::new().recursive(true).mode(0o700).create(folder);
+    created.map_err(|cause| FolderError { folder: folder.to_owned(), cause })
 }
 
 /// The path of the next file of a kind in a folder, such as `plot_0003.csv`. Creates the folder.

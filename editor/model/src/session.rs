@@ -421,6 +421,8 @@ impl Worker {
             frames: self.shared.frames,
             tracer: lock(&self.shared.trace).clone().map(|trace| trace as Arc<dyn Tracer>),
             graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
+            // Windows start graphs without being asked: when they open, and after a crash.
+            keep_outputs: true,
             ..Options::default()
         };
         let engine = Engine::start(graph, &catalog, &loader, options).map_err(|error| match &error {

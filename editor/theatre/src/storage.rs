@@ -5,7 +5,9 @@
 //! the recording ends.
 
 use std::ffi::CString;
+use std::fs::Permissions;
 use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
@@ -106,7 +108,9 @@ fn name_of(file: &Path) -> String {
 }
 
 fn write(file: &Path, bytes: &[u8]) -> Result<(), StillError> {
-    disk::replace(file, bytes, None).map_err(|cause| match cause.kind() {
+    // Only its owner may look at a patient.
+    let mode = Permissions::from_mode(0o600);
+    disk::replace(file, bytes, Some(mode)).map_err(|cause| match cause.kind() {
         std::io::ErrorKind::StorageFull => StillError::DiskFull { name: name_of(file) },
         _ => StillError::Write { name: name_of(file), cause },
     })
@@ -297,6 +301,8 @@ mod tests {
         assert_eq!(names, ["still_0001.png", "still_0002.jsonl", "still_0002.png"], "no partial files");
         let table = std::fs::read_to_string(folder.join("still_0002.jsonl")).unwrap();
         assert_eq!(table, "{\"picture\":\"still_0002.png\",\"table\":[{\"distance_mm\":9.5}]}\n");
+        let mode = |path: &Path| path.metadata().unwrap().permissions().mode() & 0o777;
+        assert_eq!((mode(&folder), mode(&folder.join("still_0001.png"))), (0o700, 0o600));
         let picture = image::open(folder.join("still_0001.png")).unwrap().to_rgb8();
         assert_eq!(picture.into_raw(), [9, 8, 7, 1, 2, 3]);
         let mut storage = Storage::new(&folder, Some("case 7")).unwrap();

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::common::{Folder, drain, encode, number, scene, value};
+use crate::common::{Folder, drain, drain_to_failure, encode, number, scene, value};
 use panoscope_capture::capture::Capture;
 use panoscope_node::Bgr8;
 use panoscope_node::harness::{Harness, Level, Setup};
@@ -41,6 +41,66 @@ fn every_container_gives_its_pictures_in_order_with_their_times() {
 }
 
 #[test]
+fn a_whole_file_is_not_called_cut_off_whatever_its_times_are() {
+    let folder = Folder::new("times");
+    let encoded = |name: &str, encoder: &str, at: &[usize]| {
+        let path = folder.0.join(name);
+        encode(&path, 25.0, SIZE, encoder, at.iter().map(|index| (*index, scene(index % 60 + 1, SIZE))));
+        std::fs::read(path).unwrap()
+    };
+    // Frames that are shown for longer, and a recording that begins after an hour.
+    let uneven = [0, 1, 2, 40, 41, 200, 201, 202, 203];
+    encoded("uneven.mkv", "x264enc ! h264parse ! matroskamux", &uneven);
+    let late: Vec<usize> = (90_000..90_020).collect();
+    encoded("late.mkv", "jpegenc ! matroskamux", &late);
+    // A clock that jumps by nine minutes.
+    let transport = "x264enc key-int-max=8 ! h264parse ! mpegtsmux";
+    let first = encoded("first.ts", transport, &(0..20).collect::<Vec<_>>());
+    let second = encoded("second.ts", transport, &(13_500..13_520).collect::<Vec<_>>());
+    std::fs::write(folder.0.join("jump.ts"), [first, second].concat()).unwrap();
+    for (name, count) in [("uneven.mkv", 9), ("late.mkv", 20), ("jump.ts", 40)] {
+        let mut node = folder.open(&format!(r#"left = "{name}""#));
+        let (all, failure) = drain_to_failure(&mut node);
+        assert_eq!((all.len(), failure), (count, None), "{name}");
+    }
+    // Half of a file that states its length.
+    let bytes = std::fs::read(folder.0.join("late.mkv")).unwrap();
+    std::fs::write(folder.0.join("half.mkv"), &bytes[..bytes.len() / 2]).unwrap();
+    let (all, failure) = drain_to_failure(&mut folder.open(r#"left = "half.mkv""#));
+    let failure = failure.expect("it is cut off");
+    assert!(all.len() < 15 && failure.contains("is cut off"), "{failure}");
+}
+
+#[test]
+fn pixels_that_gstreamer_does_not_know_are_named_and_end_nothing() {
+    let folder = Folder::new("pixels");
+    // Headers of FFV1 key frames: gray of 10 and 12 bits, and RGB of 16 bits.
+    for (name, header) in [
+        ("gray10le", [134, 36, 167, 245, 213, 171, 86, 173, 90, 181, 106, 109]),
+        ("gray12le", [134, 44, 23, 245, 213, 171, 86, 173, 90, 181, 106, 109]),
+        ("gbrp16le", [128, 235, 25, 222, 18, 36, 72, 145, 34, 68, 137, 5]),
+    ] {
+        let file = folder.0.join(name);
+        std::fs::write(&file, [&header[..], &[0; 64]].concat()).unwrap();
+        let caps = "video/x-ffv,ffvversion=1,width=64,height=48,framerate=25/1";
+        // The queue keeps the decoder from reading the file itself, without the caps.
+        let source = format!("filesrc location={} blocksize=4000 ! {caps} ! queue", file.display());
+        let message = folder.refused(&format!("left = '{source}'"));
+        assert!(message.contains(&format!("pixel format `{name}`")) && message.contains("ffmpeg"), "{message}");
+    }
+}
+
+#[test]
+fn a_gif_is_refused_at_once() {
+    let folder = Folder::new("gif");
+    std::fs::write(folder.0.join("a.gif"), b"GIF89a").unwrap();
+    let begun = Instant::now();
+    let message = folder.refused(r#"left = "a.gif""#);
+    assert!(message.contains("GIF files are not read") && message.contains("ffmpeg"), "{message}");
+    assert!(begun.elapsed() < Duration::from_secs(5), "{message}");
+}
+
+#[test]
 fn pipelines_end_in_any_format() {
     let folder = Folder::new("tails");
     let frames = (0..6).map(|index| (index, scene(index + 1, SIZE)));
@@ -67,6 +127,23 @@ fn pipelines_end_in_any_format() {
         let all = drain(&mut folder.open(&format!("left = '{text}'")));
         let shown: Vec<Option<usize>> = all.iter().map(|out| number(out, "left")).collect();
         assert_eq!(shown, (1..7).map(Some).collect::<Vec<_>>(), "{tail}");
+    }
+}
+
+#[test]
+fn luma_and_chroma_have_the_values_of_the_standard() {
+    let folder = Folder::new("levels");
+    for format in ["I420", "NV12", "Y42B", "YUY2", "Y444"] {
+        for (color, level) in [("0xffffffff", 255_u8), ("0xff808080", 128), ("0xff000000", 0)] {
+            let caps = format!("video/x-raw,format={format},width=34,height=25,colorimetry=bt709");
+            let text = format!("videotestsrc num-buffers=1 pattern=solid-color foreground-color={color} ! {caps}");
+            let mut node = folder.open(&format!("left = '{text}'"));
+            let out = node.process().unwrap();
+            let plane = out.plane::<Bgr8>("left").unwrap();
+            // The generator rounds chroma, which hardly changes green.
+            let green = plane.row(24)[3 * 33 + 1];
+            assert!(green.abs_diff(level) <= 1, "{format} {color}: {green}");
+        }
     }
 }
 

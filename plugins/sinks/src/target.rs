@@ -1,8 +1,9 @@
 //! From a path parameter to a finished file: names, folders, part files, and errors with help.
 
 use std::collections::VecDeque;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use panoscope_node::{Context, Finish, Open, Result as NodeResult, Validation};
@@ -78,6 +79,7 @@ fn help(error: &io::Error) -> &'static str {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
             "the disk is full: free some space or choose another folder"
         }
+        ErrorKind::FileTooLarge => "the file has reached the limit of its size (`ulimit -f`, or the file system's)",
         ErrorKind::IsADirectory => "a folder has that name: choose another file name",
         ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "a part of the path is a file, not a folder",
         _ => "check that the folder exists and is writable",
@@ -89,16 +91,32 @@ pub fn ending(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase()
 }
 
-/// Makes the folder of `path` where it is missing.
+/// Creates the folder of `path` where it is missing, with mode 0700: results may show patients.
 ///
 /// # Errors
 /// A system error about `path`.
 pub fn make_folder(path: &Path) -> Result<(), SinkError> {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => {
-            fs::create_dir_all(folder).map_err(|error| SinkError::io(path, error))
+            let created = DirBuilder::new().recursive(true).mode(0o700).create(folder);
+            created.map_err(|error| SinkError::io(path, error))
         }
         _ => Ok(()),
+    }
+}
+
+/// Creates a file with mode 0600 in place of a file or a symbolic link of that name; the target of a link stays as it is. Devices and pipes
+/// are opened.
+///
+/// # Errors
+/// Those of the system.
+pub fn create(path: &Path) -> io::Result<File> {
+    if path.metadata().is_ok_and(|found| !found.is_file()) {
+        return OpenOptions::new().write(true).open(path);
+    }
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => OpenOptions::new().write(true).create_new(true).mode(0o600).open(path),
     }
 }
 
@@ -133,17 +151,28 @@ pub fn check_path(
     Some(ending)
 }
 
+/// Claims the pattern of a node that replaces whole files, such as `out/{seq}.png`, and returns the one to write. Folders before the first place
+/// holder are made.
+///
+/// # Errors
+/// Another node or run writes these files, or the system refuses the folder.
+pub fn claim_files(open: &Open<'_>, pattern: &Path) -> NodeResult<PathBuf> {
+    let is_pattern = |path: &&Path| path.to_string_lossy().contains('{');
+    make_folder(pattern.ancestors().take_while(is_pattern).last().unwrap_or(pattern))?;
+    open.claim_files(pattern)
+}
+
 /// Claims the file of a node that is being opened and makes sure that it can be written: folders are made, what the file holds stays as it is.
 ///
 /// # Errors
-/// Another node writes the file, or the system refuses it.
+/// Another node or run writes the file, or the system refuses it.
 pub fn claim(open: &Open<'_>, path: &Path) -> NodeResult<()> {
     make_folder(path)?;
     open.claim_file(path)?;
     let tried = match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(_) => fs::remove_file(path),
         // A pipe would wait for its reader.
-        Err(error) if error.kind() == ErrorKind::AlreadyExists => match path.metadata() {
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => match path.symlink_metadata() {
             Ok(found) if found.is_file() => OpenOptions::new().write(true).open(path).map(drop),
             _ => Ok(()),
         },
@@ -224,7 +253,7 @@ impl Growing {
     /// # Errors
     /// Those of the system.
     pub fn create(&mut self, path: PathBuf) -> Result<(), SinkError> {
-        let file = File::create(&path).map_err(|error| SinkError::io(&path, error))?;
+        let file = create(&path).map_err(|error| SinkError::io(&path, error))?;
         self.begun = Some(Begun { file, path, len: 0 });
         Ok(())
     }
@@ -283,8 +312,10 @@ impl Wholes {
         path: &Path,
         body: impl FnOnce(&mut BufWriter<File>) -> Result<(), SinkError>,
     ) -> Result<(), SinkError> {
-        write_whole(path, body)?;
-        if self.recent.back().is_none_or(|last| last != path) {
+        // A file of an earlier run must not be lost for one that a power failure leaves empty.
+        let is_other = self.recent.back().is_none_or(|last| last != path);
+        write_whole(path, is_other && path.exists(), body)?;
+        if is_other {
             if self.recent.len() == MOST_RECENT {
                 self.recent.pop_front();
             }
@@ -307,12 +338,14 @@ impl Wholes {
     }
 }
 
-/// Writes a whole file under another name and then renames it, so that no reader sees half of it.
+/// Writes a whole file under another name and then renames it, so that no reader sees half of it. With `sync_first` its content is on the disk
+/// before it replaces the file of that name.
 ///
 /// # Errors
 /// Errors of `body` and of the system; the part file is removed.
 pub fn write_whole(
     path: &Path,
+    sync_first: bool,
     body: impl FnOnce(&mut BufWriter<File>) -> Result<(), SinkError>,
 ) -> Result<(), SinkError> {
     let mut part = path.as_os_str().to_owned();
@@ -320,9 +353,12 @@ pub fn write_whole(
     let part = PathBuf::from(part);
     let io = |error| SinkError::io(path, error);
     let written = (|| {
-        let mut file = BufWriter::with_capacity(1 << 16, File::create(&part).map_err(io)?);
+        let mut file = BufWriter::with_capacity(1 << 16, create(&part).map_err(io)?);
         body(&mut file)?;
         file.flush().map_err(io)?;
+        if sync_first {
+            sync(file.get_ref()).map_err(io)?;
+        }
         drop(file);
         fs::rename(&part, path).map_err(io)
     })();
@@ -422,13 +458,13 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("panoscope_target_{}", std::process::id()));
         fs::create_dir_all(&folder).unwrap();
         let path = folder.join("x.bin");
-        let error = write_whole(&path, |w| {
+        let error = write_whole(&path, false, |w| {
             w.write_all(b"half").unwrap();
             Err(SinkError::Encode { path: path.clone(), reason: "no".into() })
         });
         assert!(error.is_err());
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
-        write_whole(&path, |w| w.write_all(b"whole").map_err(|e| SinkError::io(&path, e))).unwrap();
+        write_whole(&path, true, |w| w.write_all(b"whole").map_err(|e| SinkError::io(&path, e))).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"whole");
         // The path of a file used as a folder.
         let error = make_folder(&path.join("deeper/y.bin")).unwrap_err().to_string();

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use panoscope_node::abi::Calibration;
 use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation, Value};
 
-use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
+use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_files, make_folder};
 use panoscope_formats::ply::{self, GradientLimit};
 
 /// Inputs.
@@ -54,8 +54,7 @@ impl Node for WriteCloud {
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         check_name(&params.path, "{seq}.ply", "ply")?;
-        open.claim_file(&params.path)?;
-        Ok(Self { pattern: Pattern::new(&params.path), files: Wholes::default() })
+        Ok(Self { pattern: Pattern::new(&claim_files(open, &params.path)?), files: Wholes::default() })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {

@@ -8,7 +8,7 @@ use panoscope_node::{
 };
 
 use crate::picture::pixels_of;
-use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
+use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_files, make_folder};
 use panoscope_formats::Pixels;
 use panoscope_formats::still;
 
@@ -103,9 +103,8 @@ impl Node for WriteImages {
     }
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
-        let pattern = Pattern::new(&params.path);
         let ending = check_name(&params.path, "{seq}.png", still::ENDINGS)?;
-        open.claim_file(&params.path)?;
+        let pattern = Pattern::new(&claim_files(open, &params.path)?);
         Ok(Self { pattern, ending, work: Vec::new(), written: Wholes::default(), files: 0, last: None })
     }
 

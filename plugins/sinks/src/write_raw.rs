@@ -8,7 +8,7 @@ use panoscope_node::{
 };
 
 use crate::picture::pixels_of;
-use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
+use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_files, make_folder};
 use panoscope_formats::Pixels;
 use panoscope_formats::array::{self, ArrayFormat};
 
@@ -64,10 +64,9 @@ impl Node for WriteRaw {
     }
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
-        let pattern = Pattern::new(&params.path);
         let ending = check_name(&params.path, "{seq}_{port}.pfm", ArrayFormat::ENDINGS)?;
         let format = ArrayFormat::from_ending(&ending).ok_or_else(|| NodeError::new("the ending has no format"))?;
-        open.claim_file(&params.path)?;
+        let pattern = Pattern::new(&claim_files(open, &params.path)?);
         Ok(Self { pattern, files: Wholes::default(), format, ticks: 0, bare_reported: false })
     }
 

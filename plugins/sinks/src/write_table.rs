@@ -1,7 +1,8 @@
 //! `write_table`: numbers as JSON lines or CSV; detections and instances as COCO JSON too.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
+use std::fs::File;
+use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use panoscope_node::abi::{Homography, Joints, Pose, Roi, Scalar, Tip};
@@ -11,7 +12,7 @@ use panoscope_node::{
 };
 
 use crate::formats::coco::{Coco, run_lengths};
-use crate::target::{Growing, Pattern, SinkError, Wholes, check_name, check_path, claim};
+use crate::target::{Growing, Pattern, SinkError, check_name, check_path, claim, write_whole};
 use panoscope_formats::fields::{self, CsvFields, Fields, JsonFields};
 use panoscope_formats::json;
 
@@ -50,8 +51,8 @@ pub struct In<'f> {
 #[derive(Params)]
 pub struct Settings {
     /// File to write: .jsonl holds one JSON object per tick, .csv one line per tick or table row, .json is one COCO file of all
-    /// detections or instances, written at the end; until then they are JSON lines in a file beside it, ending in .json.journal. A node that is
-    /// opened again in the same run continues in .part2.jsonl and so on.
+    /// detections or instances, written at the end; until then each tick is a line of a file beside it, ending in .json.journal, which a run that
+    /// is cut off leaves. A node that is opened again in the same run continues in .part2.jsonl and so on.
     #[param(default = "out/table.jsonl", reopen, writes)]
     pub path: PathBuf,
     /// Name of each tick's picture in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png.
@@ -63,7 +64,7 @@ enum Form {
     /// Whole lines are handed to the system one by one, so that a crash leaves a file of whole lines.
     Lines(Growing),
     Csv(Csv),
-    /// Written at the end; the journal holds what has come so far, in case that the end does not.
+    /// Written at the end from the journal, which a run without an end leaves behind.
     Coco {
         coco: Coco,
         image_name: Pattern,
@@ -232,26 +233,34 @@ impl Node for WriteTable {
                     ));
                 }
                 if begun.is_none() {
-                    let file = cx.begin_file(&self.path, true)?;
+                    let mut file = cx.begin_file(&self.path, true)?;
+                    while journal_of(&file).exists() {
+                        let next = cx.begin_file(&self.path, true)?;
+                        cx.warn(&format!(
+                            "{} is of a run that was cut off: this one continues in {}",
+                            journal_of(&file).display(),
+                            next.display()
+                        ));
+                        file = next;
+                    }
                     journal.create(journal_of(&file))?;
                     // That of an earlier run must not pass for this one's, should this run be cut off.
                     let _ = std::fs::remove_file(&file);
                     *begun = Some(file);
                 }
-                json_line(&mut self.line, cx, &input);
+                let seq = cx.tick().seq;
+                let name = image_name.file(seq, "image", false);
+                // Instances repeat the boxes of their detections.
+                if let Some(instances) = &input.instances {
+                    coco.push_instances(&mut self.line, seq, &name.to_string_lossy(), instances);
+                } else if let Some(detections) = &input.detections {
+                    coco.push_detections(&mut self.line, seq, &name.to_string_lossy(), detections);
+                }
                 if let Err(error) = journal.append(cx, self.line.as_bytes()) {
                     if !journal.is_begun() {
                         *begun = None;
                     }
                     return Err(error);
-                }
-                let seq = cx.tick().seq;
-                let name = image_name.file(seq, "image", false);
-                // Instances repeat the boxes of their detections.
-                if let Some(instances) = &input.instances {
-                    coco.push_instances(seq, &name.to_string_lossy(), instances);
-                } else if let Some(detections) = &input.detections {
-                    coco.push_detections(seq, &name.to_string_lossy(), detections);
                 }
                 self.lines = coco.ticks();
             }
@@ -266,7 +275,7 @@ impl Node for WriteTable {
             Form::Coco { begun, .. } => {
                 if begun.is_none() {
                     let file = cx.begin_file(&self.path, true)?;
-                    *begun = (file == self.path).then_some(file);
+                    *begun = (file == self.path && !journal_of(&file).exists()).then_some(file);
                 }
                 Ok(self.complete_coco()?)
             }
@@ -284,13 +293,18 @@ fn journal_of(path: &Path) -> PathBuf {
 impl WriteTable {
     /// Writes the COCO file, if its node is one of those, and removes its journal.
     fn complete_coco(&mut self) -> Result<(), SinkError> {
-        let Form::Coco { coco, begun, .. } = &mut self.form else { return Ok(()) };
+        let Form::Coco { coco, begun, journal, .. } = &mut self.form else { return Ok(()) };
         let Some(path) = begun.take() else { return Ok(()) };
-        let mut whole = Wholes::default();
-        whole
-            .write(&path, |file| file.write_all(coco.text().as_bytes()).map_err(|error| SinkError::io(&path, error)))?;
-        whole.finish()?;
-        let _ = std::fs::remove_file(journal_of(&path));
+        let lines = journal_of(&path);
+        let io = |error| SinkError::io(&path, error);
+        write_whole(&path, true, |file| {
+            if !journal.is_begun() {
+                return coco.write(Cursor::new(""), file).map_err(io);
+            }
+            let lines = File::open(&lines).map_err(|error| SinkError::io(&lines, error))?;
+            coco.write(BufReader::new(lines), file).map_err(io)
+        })?;
+        let _ = std::fs::remove_file(lines);
         Ok(())
     }
 }

@@ -321,8 +321,8 @@ fn coco(folder: &Path) -> BTreeSet<u64> {
         }
     }
     for line in files(folder, "journal").iter().flat_map(|path| json_lines(path)) {
-        let tick = line["seq"].as_u64().unwrap();
-        assert_eq!(line["detections"][0]["x_px"].as_u64(), Some(u64::from(level(tick))), "{line}");
+        let tick = line["image"]["id"].as_u64().unwrap();
+        assert_eq!(line["annotations"][0]["bbox"][0].as_u64(), Some(u64::from(level(tick))), "{line}");
         ticks.insert(tick);
     }
     ticks

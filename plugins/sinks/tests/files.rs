@@ -217,6 +217,66 @@ fn coco_files_parse_and_their_masks_fit() {
 }
 
 #[test]
+fn the_journal_of_a_run_that_was_cut_off_is_kept() {
+    let folder = Folder::new("journal");
+    let journal = folder.0.join("d.json.journal");
+    fs::write(&journal, "boxes").unwrap();
+    let mut node = folder.open::<WriteTable>(r#"path = "d.json""#);
+    for _ in 0..2 {
+        node.input_detections("detections", &boxes(), "\"image\":\n],\"annotations\":[", (640, 480)).process().unwrap();
+    }
+    let written = fs::read_to_string(folder.0.join("d.part2.json.journal")).unwrap();
+    assert_eq!(written.lines().count(), 2);
+    assert!(written.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()), "{written}");
+    assert!(node.logs().iter().any(|line| line.message.contains("was cut off")), "{:?}", node.logs());
+    drop(node);
+    let json: serde_json::Value = serde_json::from_slice(&fs::read(folder.0.join("d.part2.json")).unwrap()).unwrap();
+    let len = |key: &str| json[key].as_array().unwrap().len();
+    assert_eq!((len("images"), len("annotations"), len("categories")), (2, 4, 2), "{json}");
+    assert_eq!(json["categories"][0]["name"], "\"image\":");
+    assert_eq!(fs::read_to_string(journal).unwrap(), "boxes");
+    assert_eq!(folder.names(), ["d.json.journal", "d.part2.json"]);
+}
+
+/// Opens a sink on a link, writes once and closes it.
+fn write_through_link(folder: &Folder, name: &str) {
+    use std::os::unix::fs::{MetadataExt, symlink};
+    let (target, link) = (folder.0.join(format!("target of {name}")), folder.0.join("new/folder").join(name));
+    fs::write(&target, "kept").unwrap();
+    let params = format!("path = \"new/folder/{name}\"");
+    let place = || {
+        fs::create_dir_all(link.parent().unwrap()).unwrap();
+        symlink(&target, &link).unwrap();
+    };
+    if name.ends_with("json") || name.ends_with("csv") {
+        let mut node = folder.open::<WriteTable>(&params);
+        place();
+        node.input_detections("detections", &boxes(), "hook\nclipper", (640, 480)).process().unwrap();
+    } else if name.ends_with("png") {
+        let mut node = folder.open::<WriteImages>(&params);
+        place();
+        node.input_image::<Bgr8>("image", 64, 48, &gradient(64, 48, 1)).process().unwrap();
+    } else {
+        let mut node = folder.open::<WriteVideo>(&params);
+        place();
+        node.input_image::<Bgr8>("image", 64, 48, &gradient(64, 48, 1)).process().unwrap();
+    }
+    assert_eq!(fs::read_to_string(&target).unwrap(), "kept", "{name}");
+    let found = link.symlink_metadata().unwrap();
+    assert!(found.is_file() && found.len() > 0, "{name}");
+    assert_eq!(found.mode() & 0o777, 0o600, "{name}");
+    assert_eq!(folder.0.join("new").metadata().unwrap().mode() & 0o777, 0o700);
+}
+
+#[test]
+fn files_are_private_and_never_written_through_a_link() {
+    let folder = Folder::new("links");
+    for name in ["d.json", "d.csv", "p.png", "v.mkv", "v.mp4"] {
+        write_through_link(&folder, name);
+    }
+}
+
+#[test]
 fn json_lines_hold_every_packet() {
     let folder = Folder::new("jsonl");
     let mut node = folder.open::<WriteTable>(r#"path = "t.jsonl""#);

@@ -75,6 +75,10 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Observer for Watch {
+    fn wants_all_outputs(&self) -> bool {
+        false
+    }
+
     fn wants_all_source_outputs(&self) -> bool {
         false
     }

@@ -155,6 +155,12 @@ impl Switch<'_> {
         let mut ready = Ready::default();
         for (region, extent) in held {
             if has_region(plan, region) {
+                // What a source of another type made while the region paused has no reader any more.
+                let head = extent.head;
+                if self.old.runtimes[head].output_names != plan.runtimes[head].output_names {
+                    let waiting = region.take_pending();
+                    waiting.into_iter().for_each(|tick| shared.drop_tick(&plan.runtimes[head], region, tick));
+                }
                 self.engine.resume(plan, region, extent, &mut ready);
             } else {
                 resume_inputs(plan, extent);

@@ -1,4 +1,5 @@
-//! SIGINT (Ctrl-C), SIGTERM and SIGHUP: the first one requests an end with all files finished.
+//! SIGINT (Ctrl-C), SIGTERM, SIGHUP, and others that would end the process (SIGUSR1, SIGUSR2, SIGXCPU): the first one requests an end with
+//! all files finished. SIGXFSZ is ignored: a write beyond the limit of a file's size is an error of that file's node.
 //!
 //! `timeout` and shells send a signal twice, to a process and to its group: signals within one second count as one request. Later
 //! ones end the process at once. [`Duty`] says which code acknowledges the first one; if none does in time, the process ends anyway.
@@ -15,7 +16,7 @@ use super::{crash, current_node, finish_files};
 
 use crate::sync::lock;
 
-const SIGNALS: [c_int; 3] = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP];
+const SIGNALS: [c_int; 6] = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGUSR1, libc::SIGUSR2, libc::SIGXCPU];
 
 /// Signals that come within this time of the first are the same request.
 const ONE_REQUEST_MS: i64 = 1000;
@@ -72,6 +73,9 @@ impl Signal {
             libc::SIGINT => "Ctrl-C (SIGINT)",
             libc::SIGTERM => "SIGTERM",
             libc::SIGHUP => "SIGHUP",
+            libc::SIGUSR1 => "SIGUSR1",
+            libc::SIGUSR2 => "SIGUSR2",
+            libc::SIGXCPU => "SIGXCPU (the limit of processor time)",
             _ => "a signal",
         }
     }
@@ -149,6 +153,8 @@ pub fn install() -> std::io::Result<()> {
         while unsafe { libc::read(ends[0], (&raw mut byte).cast(), 1) } < 1 {}
         answer();
     })?;
+    // SAFETY: a plain system call.
+    unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
     for signal in SIGNALS {
         // SAFETY: plain system calls; the handler touches atomics, a clock and a pipe, all allowed there.
         unsafe {

@@ -17,6 +17,7 @@ use panoscope_graph::{Catalog, Graph, Mode, Param, Validator};
 
 pub use self::options::{Options, Outcome, SetError, StartError};
 use crate::apply::ChangeLock;
+use crate::claims::Claims;
 use crate::clock;
 use crate::ending;
 use crate::fault::{Fault, FaultLog};
@@ -116,7 +117,7 @@ impl Engine {
             thread_allocations: options.thread_allocations,
             open_limit: options.open_limit,
             close_limit: options.close_limit,
-            claims: Arc::default(),
+            claims: Arc::new(Claims::new(options.keep_outputs)),
             groups,
             vet: plugins.vet(),
             stopped: Mutex::default(),
@@ -288,6 +289,7 @@ impl Engine {
             // In graph order, so that readers finish their files last.
             let runtimes = current.graph.order.iter().map(|&node| Arc::clone(&plan.runtimes[current.slots[node]]));
             self.shared.close_all(runtimes.collect(), Instant::now() + patience.max(LEAST_PATIENCE));
+            self.shared.context.claims.unlock();
             self.shared.context.flush();
         }
         self.outcome()

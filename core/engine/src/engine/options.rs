@@ -37,6 +37,8 @@ pub struct Options {
     pub ticks_at_once: Option<u32>,
     /// Folder that nodes resolve relative paths against.
     pub graph_dir: std::path::PathBuf,
+    /// Whether files of earlier runs stay: nodes that would replace one write to the next `NAME.partN` that does not exist.
+    pub keep_outputs: bool,
     /// Receives log lines.
     pub log: Option<Box<LogFn>>,
     /// Receives faults; see [`crate::fault::json_lines`].
@@ -76,6 +78,7 @@ impl Default for Options {
             paced: true,
             ticks_at_once: None,
             graph_dir: std::path::PathBuf::new(),
+            keep_outputs: false,
             log: None,
             faults: None,
             observer: None,

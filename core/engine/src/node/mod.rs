@@ -103,9 +103,10 @@ impl RunContext {
         });
     }
 
-    /// Makes a recorded source produce all its outputs, if the observer wants them.
+    /// Makes a recorded node produce all its outputs, if the observer wants them.
     pub fn make_all_recorded_outputs(&self, runtime: &NodeRuntime) {
-        if runtime.source && self.observer.as_ref().is_some_and(|o| o.wants_all_source_outputs()) {
+        let wants = |o: &Arc<dyn Observer>| o.wants_all_outputs() || runtime.source && o.wants_all_source_outputs();
+        if self.observer.as_ref().is_some_and(wants) {
             runtime.outputs_read.store(u64::MAX, Ordering::Relaxed);
         }
     }

@@ -5,7 +5,7 @@ use gstreamer::prelude::*;
 use gstreamer_app::AppSink;
 
 use super::modes::{self, CameraMode};
-use super::{InputName, Shared};
+use super::{InputName, Shared, YUV_FORMATS};
 use crate::MediaError;
 use crate::elements::make;
 
@@ -74,8 +74,12 @@ fn link(pipeline: &gst::Pipeline, pad: &gst::Pad, sink: &AppSink, shared: &Share
     }
     chain.push(make("videoconvert")?);
     let filter = make("capsfilter")?;
-    let format = if is_deep_gray { "GRAY16_LE" } else { "BGR" };
-    filter.set_property("caps", gst::Caps::builder("video/x-raw").field("format", format).build());
+    let raw = gst::Caps::builder("video/x-raw");
+    let raw = match is_deep_gray {
+        true => raw.field("format", "GRAY16_LE"),
+        false => raw.field("format", gst::List::new(["BGR"].into_iter().chain(YUV_FORMATS))),
+    };
+    filter.set_property("caps", raw.build());
     chain.push(filter);
     for element in &chain {
         pipeline.add(element).map_err(|error| unlinked(error.to_string()))?;

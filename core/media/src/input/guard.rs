@@ -48,16 +48,19 @@ struct Span {
 }
 
 /// The guard of one decoder.
-#[derive(Debug)]
 pub struct Guard {
     span: Mutex<Span>,
     /// Anything was marked since the pipeline began.
     has_marks: Arc<AtomicBool>,
     complaints: AtomicU64,
+    on_failure: FailFn,
 }
 
+/// Takes the reason why a decoder cannot go on.
+type FailFn = Box<dyn Fn(&str) + Send + Sync>;
+
 impl Guard {
-    fn new(has_marks: Arc<AtomicBool>) -> Self {
+    fn new(has_marks: Arc<AtomicBool>, on_failure: FailFn) -> Self {
         let span = Span {
             format: Format::default(),
             has_begun: false,
@@ -67,7 +70,7 @@ impl Guard {
             bad: BTreeSet::new(),
             reason: String::new(),
         };
-        Self { span: Mutex::new(span), has_marks, complaints: AtomicU64::new(0) }
+        Self { span: Mutex::new(span), has_marks, complaints: AtomicU64::new(0), on_failure }
     }
 
     fn span(&self) -> MutexGuard<'_, Span> {
@@ -191,6 +194,10 @@ impl DamageReport for Guard {
             span.damage.get_or_insert(words);
         }
     }
+
+    fn fail(&self, reason: &str) {
+        (self.on_failure)(reason);
+    }
 }
 
 fn jpeg_fault(bytes: &[u8]) -> Option<String> {
@@ -198,7 +205,7 @@ fn jpeg_fault(bytes: &[u8]) -> Option<String> {
 }
 
 /// The guards of a pipeline's decoders.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct Guards {
     list: Mutex<Vec<Arc<Guard>>>,
     has_marks: Arc<AtomicBool>,
@@ -220,8 +227,13 @@ impl Guards {
         list.iter().map(|guard| guard.span().reason.clone()).find(|reason| !reason.is_empty())
     }
 
-    /// Guards `element` if it decodes video or images.
-    pub fn attach(&self, element: &gst::Element) {
+    /// Whether anything was damaged.
+    pub fn has_marks(&self) -> bool {
+        self.has_marks.load(Ordering::Acquire)
+    }
+
+    /// Guards `element` if it decodes video or images. `on_failure` is called when it cannot go on.
+    pub fn attach(&self, element: &gst::Element, on_failure: impl Fn(&str) + Send + Sync + 'static) {
         let Some(factory) = element.factory() else { return };
         let class = factory.metadata("klass").unwrap_or("");
         if !class.contains("Decoder") || !(class.contains("Video") || class.contains("Image")) {
@@ -232,7 +244,7 @@ impl Guards {
             // FFmpeg's complaints come on the thread that decodes: only so are they this decoder's.
             element.set_property("max-threads", 1_i32);
         }
-        let guard = Arc::new(Guard::new(self.has_marks.clone()));
+        let guard = Arc::new(Guard::new(self.has_marks.clone(), Box::new(on_failure)));
         self.list.lock().unwrap_or_else(PoisonError::into_inner).push(guard.clone());
         if let Some(caps) = sink.current_caps() {
             guard.set_format(&caps);

@@ -15,6 +15,7 @@ mod modes;
 mod queue;
 
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -30,6 +31,9 @@ use guard::Guards;
 
 pub use modes::CameraMode;
 pub use queue::{End, Item, Policy, Queue, Signal};
+
+/// Formats of luma and chroma that come as they were decoded; [`crate::yuv_to_bgr`] converts them. Other formats come as BGR or GRAY16_LE.
+pub const YUV_FORMATS: [&str; 9] = ["I420", "YV12", "NV12", "NV21", "Y42B", "Y444", "YUY2", "UYVY", "YVYU"];
 
 /// Longest wait for a pipeline to stop; then it is left to its thread.
 const CLOSE_LIMIT: Duration = Duration::from_secs(2);
@@ -81,6 +85,8 @@ pub struct Format {
 pub(crate) struct Shared {
     format: Mutex<Format>,
     guards: Guards,
+    /// Latest end of a picture, by the container's clock, ns.
+    reached_ns: AtomicU64,
     arrivals: Arrivals,
     failure: Mutex<Option<String>>,
     on_failure: Box<dyn Fn(&str) + Send + Sync>,
@@ -129,7 +135,12 @@ impl Shared {
     /// Prepares an element of the pipeline.
     fn prepare(self: &Arc<Self>, pipeline: &gst::glib::WeakRef<gst::Pipeline>, element: &gst::Element) {
         build::configure(element);
-        self.guards.attach(element);
+        let shared = Arc::downgrade(self);
+        self.guards.attach(element, move |reason| {
+            if let Some(shared) = shared.upgrade() {
+                shared.fail(reason.to_owned());
+            }
+        });
         if element.element_flags().contains(gst::ElementFlags::SOURCE) {
             for pad in element.src_pads() {
                 self.stamp(pipeline, &pad);
@@ -218,6 +229,7 @@ impl<T: Send + 'static> Input<T> {
         let shared = Arc::new(Shared {
             format: Mutex::default(),
             guards: Guards::default(),
+            reached_ns: AtomicU64::new(0),
             arrivals: Arrivals::default(),
             failure: Mutex::default(),
             on_failure,
@@ -275,6 +287,9 @@ impl<T: Send + 'static> Input<T> {
                     }
                 }
                 let pts = buffer.pts();
+                if let Some(end) = pts.map(|pts| pts + buffer.duration().unwrap_or_default()) {
+                    shared.reached_ns.fetch_max(end.nseconds(), Ordering::Relaxed);
+                }
                 let reason = shared.guards.reason_of(pts.map(gst::ClockTime::nseconds));
                 let is_flagged = buffer.flags().contains(gst::BufferFlags::CORRUPTED);
                 let damage = reason.or_else(|| {
@@ -356,6 +371,16 @@ impl<T: Send + 'static> Input<T> {
     /// Length of the stream, where it is known.
     pub fn duration(&self) -> Option<Duration> {
         self.pipeline.query_duration::<gst::ClockTime>().map(|time| Duration::from_nanos(time.nseconds()))
+    }
+
+    /// Latest end of a picture so far, by the container's clock, which need not begin at 0.
+    pub fn reached(&self) -> Duration {
+        Duration::from_nanos(self.shared.reached_ns.load(Ordering::Relaxed))
+    }
+
+    /// Whether a decoder met damaged data.
+    pub fn has_damage(&self) -> bool {
+        self.shared.guards.has_marks()
     }
 
     /// Number of pictures, where the container counts them.

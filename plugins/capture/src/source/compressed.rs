@@ -1,6 +1,8 @@
 //! Decodes PNG, EXR and JPEG in memory.
 
-use image::DynamicImage;
+use std::io::Cursor;
+
+use image::{DynamicImage, ImageError, ImageReader};
 use panoscope_media::input::jpeg;
 
 use super::error::PictureError;
@@ -12,8 +14,16 @@ use super::plain::bgr_of_rgb;
 /// # Errors
 /// A picture that is damaged.
 pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, PictureError> {
-    let picture =
-        image::load_from_memory_with_format(bytes, format).map_err(|cause| PictureError::Damaged { cause })?;
+    let picture = image::load_from_memory_with_format(bytes, format).map_err(|cause| match cause {
+        ImageError::Limits(_) => {
+            let size = ImageReader::with_format(Cursor::new(bytes), format).into_dimensions();
+            size.map_or_else(
+                |cause| PictureError::Damaged { cause },
+                |(width, height)| PictureError::TooLarge { width, height },
+            )
+        }
+        cause => PictureError::Damaged { cause },
+    })?;
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     let samples = match picture {
         DynamicImage::ImageLuma16(_)
@@ -34,4 +44,28 @@ pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, Pictu
 /// A JPEG that is damaged or not whole.
 pub fn decode_jpeg(bytes: &[u8]) -> Result<Picture, PictureError> {
     decode(&jpeg::whole(bytes)?, image::ImageFormat::Jpeg)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A chunk of a PNG.
+    fn chunk(name: &[u8; 4], data: &[u8]) -> Vec<u8> {
+        let body = [&name[..], data].concat();
+        let crc = !body.iter().fold(!0_u32, |crc, byte| {
+            (0..8).fold(crc ^ u32::from(*byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 })
+        });
+        [&(data.len() as u32).to_be_bytes()[..], &body, &crc.to_be_bytes()].concat()
+    }
+
+    #[test]
+    fn an_image_that_is_too_large_is_not_called_damaged() {
+        let size = 30_000_u32.to_be_bytes();
+        let head = chunk(b"IHDR", &[&size[..], &size, &[8, 2, 0, 0, 0]].concat());
+        let bytes =
+            [&b"\x89PNG\r\n\x1a\n"[..], &head, &chunk(b"IDAT", &[0x78, 0x9C, 1]), &chunk(b"IEND", &[])].concat();
+        let error = decode(&bytes, image::ImageFormat::Png).expect_err("2.7 GB").to_string();
+        assert!(error.contains("30000x30000 px") && error.contains("512 MiB"), "{error}");
+    }
 }

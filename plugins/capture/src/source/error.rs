@@ -135,6 +135,14 @@ pub enum PictureError {
         /// The decoder's error.
         cause: image::ImageError,
     },
+    /// An image that needs too much memory.
+    #[error("an image of {width}x{height} px exceeds the limit of 512 MiB of decoded pixels: make it smaller")]
+    TooLarge {
+        /// Columns, px.
+        width: u32,
+        /// Rows, px.
+        height: u32,
+    },
     /// A TIFF that its decoder refuses.
     #[error("the TIFF is damaged or of an unknown kind: {cause}")]
     Tiff {

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use gstreamer as gst;
 use gstreamer_video::prelude::*;
 use gstreamer_video::video_frame::Readable;
-use gstreamer_video::{VideoConverter, VideoFormat, VideoFrame, VideoInfo};
-use panoscope_media::input::{Received, jpeg};
+use gstreamer_video::{VideoColorRange, VideoConverter, VideoFormat, VideoFrame, VideoInfo};
+use panoscope_media::input::{Received, YUV_FORMATS, jpeg};
+use panoscope_media::{Component, FromYuv, Plane, yuv_to_bgr};
 
 use super::compressed::decode_jpeg;
 use super::error::FrameError;
@@ -47,7 +48,10 @@ impl Frames {
         match info.format() {
             VideoFormat::Bgr => Ok(decoded(frame)),
             VideoFormat::Gray16Le => Ok(deep_gray(&frame)),
-            _ => self.converted(&frame),
+            _ => match of_yuv(&frame) {
+                Some(picture) => Ok(picture),
+                None => self.converted(&frame),
+            },
         }
     }
 
@@ -71,6 +75,30 @@ impl Frames {
         let out = VideoFrame::from_buffer_readable(out.into_buffer(), target).map_err(|_| unsupported())?;
         Ok(decoded(out))
     }
+}
+
+/// The picture of luma and chroma of 8 bits, whatever their layout; `None` for other formats. GStreamer's converter makes such pictures 2 to 3
+/// levels too dark.
+fn of_yuv(frame: &VideoFrame<Readable>) -> Option<Picture> {
+    let (info, format) = (frame.info(), frame.format_info());
+    if !YUV_FORMATS.contains(&format.format().to_str().as_str()) {
+        return None;
+    }
+    let colorimetry = info.colorimetry();
+    let (red_share, blue_share) = colorimetry.matrix().kr_kb().unwrap_or((0.299, 0.114));
+    let is_full_range = colorimetry.range() == VideoColorRange::Range0_255;
+    let component = |index: usize| {
+        let number = index as u32;
+        let stride = usize::try_from(frame.comp_stride(number)).ok()?;
+        let step = usize::try_from(frame.comp_pstride(number)).ok()?;
+        let shift = (*format.w_sub().get(index)?, *format.h_sub().get(index)?);
+        Some(Component { plane: Plane { data: frame.comp_data(number).ok()?, stride }, step, shift })
+    };
+    let components = [component(0)?, component(1)?, component(2)?];
+    let (width, height) = (frame.width() as usize, frame.height() as usize);
+    let mut bgr = vec![0; 3 * width * height];
+    yuv_to_bgr(FromYuv::new(red_share, blue_share, is_full_range), components, (width, height), 3 * width, &mut bgr);
+    Some(Picture { width, height, samples: Samples::Eight(bgr.into()) })
 }
 
 fn decoded(frame: VideoFrame<Readable>) -> Picture {

@@ -9,6 +9,7 @@ mod elements;
 mod error;
 mod frames;
 mod images;
+mod kind;
 mod name;
 mod opening;
 mod picture;

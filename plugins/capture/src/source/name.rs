@@ -33,7 +33,7 @@ impl SourceName {
     /// Reads `text`; relative paths stand in `folder`.
     ///
     /// - a number or `/dev/videoN`: a camera
-    /// - a text with `!`: a GStreamer pipeline
+    /// - a text with `!` that is no file's name: a GStreamer pipeline
     /// - `scheme://...`: a stream of the network
     /// - `dir/*.png`, `img_%04d.png`, or a folder: images in the order of their numbers
     /// - image files, one a line: those in that order
@@ -60,7 +60,7 @@ impl SourceName {
             }
             return Ok(Self::Device(number.into()));
         }
-        if text.contains('!') {
+        if text.contains('!') && !folder.join(text).exists() {
             return Ok(Self::Pipeline(text.to_owned()));
         }
         if text.contains("://") {
@@ -141,6 +141,8 @@ mod tests {
         assert!(matches!(SourceName::parse("img_1.png", &folder), Ok(SourceName::Image(_))));
         assert!(matches!(SourceName::parse("notes.txt", &folder), Ok(SourceName::Video(_))));
         assert!(matches!(SourceName::parse("videotestsrc ! appsink", &folder), Ok(SourceName::Pipeline(_))));
+        fs::write(folder.join("wow!.png"), b"").unwrap();
+        assert!(matches!(SourceName::parse("wow!.png", &folder), Ok(SourceName::Image(_))));
         let error = SourceName::parse("/dev/video4711", &folder).unwrap_err().to_string();
         assert!(error.contains("/dev/video4711"), "{error}");
         fs::remove_dir_all(&folder).unwrap();

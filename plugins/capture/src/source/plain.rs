@@ -94,8 +94,17 @@ pub fn pnm(bytes: &[u8]) -> Result<Picture, PictureError> {
     let values = width * height * channels;
     let wide = usize::from(most > 255) + 1;
     let data = bytes.get(at..).and_then(|rest| rest.get(..values * wide)).ok_or(PictureError::Incomplete)?;
-    let samples = if wide == 1 {
+    // White as the header has it. Writers of 16 bits mostly leave 65535 there, whatever the depth of their values.
+    let scaled = |value: usize| ((value.min(most) * 255 + most / 2) / most) as u8;
+    let samples = if most == 255 {
         Samples::Eight(bgr(data, channels).into())
+    } else if wide == 1 {
+        let values: Vec<u8> = data.iter().map(|value| scaled(usize::from(*value))).collect();
+        Samples::Eight(bgr(&values, channels).into())
+    } else if most < 0xFFFF {
+        let pairs = data.as_chunks::<2>().0.iter();
+        let values: Vec<u8> = pairs.map(|pair| scaled(usize::from(u16::from_be_bytes(*pair)))).collect();
+        Samples::Eight(bgr(&values, channels).into())
     } else {
         let values: Vec<u16> = data.as_chunks::<2>().0.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
         Samples::Sixteen(bgr(&values, channels))
@@ -142,8 +151,11 @@ mod tests {
         for length in 0..text.len() {
             assert!(pnm(&text[..length]).is_err(), "{length}");
         }
-        let deep = pnm(b"P5\n1 2\n4095\n\x0F\xFF\x00\x01").expect("a picture");
+        let deep = pnm(b"P5\n1 2\n65535\n\x0F\xFF\x00\x01").expect("a picture");
         assert!(matches!(&deep.samples, Samples::Sixteen(values) if *values == [4095, 4095, 4095, 1, 1, 1]));
+        // A dark one of 12 bits, and one of 0 and 1.
+        assert_eq!(eight(&pnm(b"P5\n1 2\n4095\n\x04\x00\x0F\xFF").expect("a picture")), [64, 64, 64, 255, 255, 255]);
+        assert_eq!(eight(&pnm(b"P5\n2 1\n1\n\x01\x00").expect("a picture")), [255, 255, 255, 0, 0, 0]);
         assert!(pnm(b"P1\n1 1\n1").is_err());
     }
 

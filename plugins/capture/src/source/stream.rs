@@ -13,6 +13,7 @@ use super::demands::{Clock, Demands, Grab, Lock};
 use super::elements;
 use super::error::{CaptureError, FrameError};
 use super::frames::Frames;
+use super::kind::FileKind;
 use super::name::SourceName;
 use super::opening::{Opening, too_late};
 use super::picture::Picture;
@@ -63,8 +64,14 @@ pub struct Stream {
     frames: u64,
     /// Frames of earlier connections.
     frames_before: u64,
-    /// Number of frames by the file's header or the pipeline; 0 when unknown.
+    /// Number of frames by the file's header, the pipeline, or its length and rate; 0 when unknown.
     expected: u64,
+    /// The length that the file states, where it states no number of frames.
+    length: Option<Duration>,
+    /// Longest time between two frames in order, s: so long may the last one be shown.
+    max_step_s: f64,
+    /// Number and position of the frame before, s.
+    before: Option<(u64, f64)>,
     fps: Option<f64>,
     first_pos_s: Option<f64>,
     media_s: Option<f64>,
@@ -112,6 +119,10 @@ fn open(
             InputName::Text(text.clone())
         }
         SourceName::Address(text) => InputName::Address(text.clone()),
+        SourceName::Video(path) if FileKind::of(path) == FileKind::Gif => {
+            let help = "convert it, for example by `ffmpeg -i IN.gif OUT.mkv`, or one image to PNG";
+            return Err(closed(format!("GIF files are not read: {help}")));
+        }
         SourceName::Video(path) | SourceName::Image(path) => InputName::File(path.clone()),
         SourceName::Images(files) => InputName::File(files.first().cloned().unwrap_or_default()),
     };
@@ -157,6 +168,9 @@ impl Stream {
             frames: 0,
             frames_before: 0,
             expected: 0,
+            length: None,
+            max_step_s: 0.0,
+            before: None,
             fps: None,
             first_pos_s: None,
             media_s: None,
@@ -182,10 +196,12 @@ impl Stream {
         if stream.is_finite {
             let by_length = length.zip(format.fps).map(|(length, fps)| (length.as_secs_f64() * fps).round() as u64);
             let announced = if let SourceName::Video(path) = name { super::avi::frames(path) } else { None };
-            stream.expected = match buffers {
-                0 => announced.or_else(|| input.pictures()).or(by_length).unwrap_or(0),
-                buffers => buffers,
-            };
+            let counted = if buffers > 0 { Some(buffers) } else { announced };
+            let is_stated = !matches!(name, SourceName::Video(path) if FileKind::of(path) == FileKind::Clocked);
+            stream.length = length.filter(|_| is_stated && counted.is_none());
+            // Demuxers mostly compute their number of frames from the length, too.
+            let estimated = input.pictures().or(by_length).filter(|_| is_stated);
+            stream.expected = counted.or(estimated).unwrap_or(0);
         }
         stream.state = State::Open(input);
         Ok(stream)
@@ -466,6 +482,10 @@ impl Stream {
         let index = self.frames.saturating_sub(1) as f64;
         let by_rate = self.fps.map(|fps| index / fps);
         let pos_s = pts_ns.map(|pts| pts as f64 * 1e-9);
+        if let Some((_, before_s)) = self.before.filter(|(number, _)| number + 1 == self.frames) {
+            self.max_step_s = self.max_step_s.max(pos_s.unwrap_or(before_s) - before_s);
+        }
+        self.before = pos_s.map(|pos_s| (self.frames, pos_s));
         // After a seek the first time is that of a later frame.
         let first = *self.first_pos_s.get_or_insert(pos_s.unwrap_or(0.0) - by_rate.unwrap_or(0.0));
         let by_file = pos_s.map(|pos| pos - first).filter(|pos| self.media_s.is_none_or(|last| *pos > last));
@@ -478,13 +498,30 @@ impl Stream {
 
     /// A message about missing frames at the end of a file or pipeline that announced more.
     fn missing(&self) -> Option<String> {
-        let (read, announced) = (self.frames, self.expected);
-        (announced > read + HEADER_ERROR_FRAMES + read / 100).then(|| {
-            format!(
-                "{} ended after {read} of {announced} frames: it is cut off or damaged, or a frame in it cannot be decoded",
-                self.name.in_words()
-            )
-        })
+        let (read, announced, name) = (self.frames, self.expected, self.name.in_words());
+        let State::Open(input) = &self.state else { return None };
+        let counts = |announced: u64| {
+            (announced > read + HEADER_ERROR_FRAMES + read / 100).then(|| {
+                format!(
+                    "{name} ended after {read} of {announced} frames: it is cut off or damaged, or a frame in it cannot be decoded"
+                )
+            })
+        };
+        let Some(length) = self.length else { return counts(announced) };
+        // Frames may lie at any distance, so only the time of the last one says whether the file is whole.
+        let (length_s, reached_s) = (length.as_secs_f64(), input.reached().as_secs_f64());
+        let frame_s = self.fps.map_or(0.0, |fps| 1.0 / fps);
+        // The container's clock may have begun hours before the first frame, and its length count from there or from the first frame.
+        let begin_s = self.before.map_or(0.0, |(_, last_s)| (reached_s - last_s - frame_s).max(0.0));
+        let (end_s, span_s) =
+            if begin_s < length_s { (reached_s, length_s - begin_s) } else { (reached_s - begin_s, length_s) };
+        let slack_s = HEADER_ERROR_FRAMES as f64 * frame_s + span_s / 100.0 + self.max_step_s;
+        if end_s + slack_s < length_s {
+            return Some(format!(
+                "{name} ended at {end_s:.1} of {length_s:.1} s, after {read} frames: it is cut off or damaged, or a frame in it cannot be decoded"
+            ));
+        }
+        if input.has_damage() { counts(announced) } else { None }
     }
 
     /// Moves the picture that was grabbed to `out`.

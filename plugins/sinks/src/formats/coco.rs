@@ -1,19 +1,26 @@
 //! Detections and instances as the COCO data set writes them (cocodataset.org, "Data format", object detection).
 
 use std::fmt::Write;
+use std::io::{self, BufRead, Seek};
 
 use panoscope_formats::json;
 use panoscope_node::{Detections, Instances};
 
-/// Collects the annotations of a run. Image ids are tick numbers, category ids are class index + 1, as in COCO.
+/// Makes one line of a journal for each tick, and the file from the journal, so that memory does not grow with the run. Image ids are tick
+/// numbers, category ids are class index + 1, as in COCO.
+///
+/// A line is a JSON object: `categories` that are new, the `image`, its `annotations`.
 #[derive(Debug, Default)]
 pub struct Coco {
-    images: String,
-    annotations: String,
     categories: Vec<String>,
     ticks: u64,
     count: u64,
 }
+
+/// What stands before the parts of a line. Inside of a JSON string the quotes would be escaped.
+const IMAGE: &str = "\"image\":";
+const ANNOTATIONS: &str = ",\"annotations\":[";
+const LINE_END: &str = "]}\n";
 
 /// Run lengths of an uncompressed COCO mask: column by column, beginning with the zeros. `mask` holds rows padded to
 /// whole bytes, most significant bit first.
@@ -41,34 +48,37 @@ impl Coco {
         self.ticks
     }
 
-    /// Takes the boxes of tick `seq`, whose picture is called `file_name`.
-    pub fn push_detections(&mut self, seq: u64, file_name: &str, detections: &Detections<'_>) {
-        self.push(seq, file_name, detections, None);
+    /// Appends the line of tick `seq` to `out`: boxes of the picture called `file_name`.
+    pub fn push_detections(&mut self, out: &mut String, seq: u64, file_name: &str, detections: &Detections<'_>) {
+        self.push(out, seq, file_name, detections, None);
     }
 
-    /// Takes boxes and masks of tick `seq`, whose picture is called `file_name`.
-    pub fn push_instances(&mut self, seq: u64, file_name: &str, instances: &Instances<'_>) {
-        self.push(seq, file_name, &instances.detections(), Some(instances));
+    /// Appends the line of tick `seq` to `out`: boxes and masks of the picture called `file_name`.
+    pub fn push_instances(&mut self, out: &mut String, seq: u64, file_name: &str, instances: &Instances<'_>) {
+        self.push(out, seq, file_name, &instances.detections(), Some(instances));
     }
 
-    fn push(&mut self, seq: u64, file_name: &str, detections: &Detections<'_>, masks: Option<&Instances<'_>>) {
+    fn push(
+        &mut self,
+        out: &mut String,
+        seq: u64,
+        file_name: &str,
+        detections: &Detections<'_>,
+        masks: Option<&Instances<'_>>,
+    ) {
         let (width, height) = detections.image_size();
-        for (index, label) in detections.labels().enumerate() {
-            if index >= self.categories.len() {
-                self.categories.push(label.to_owned());
-            }
+        out.push_str("{\"categories\":[");
+        for (index, label) in detections.labels().enumerate().skip(self.categories.len()) {
+            self.categories.push(label.to_owned());
+            category(out, index, label);
         }
-        let out = &mut self.images;
-        if !out.is_empty() {
-            out.push_str(",\n");
-        }
-        let _ = write!(out, "{{\"id\":{seq},\"width\":{width},\"height\":{height},\"file_name\":");
+        let _ = write!(out, "],{IMAGE}{{\"id\":{seq},\"width\":{width},\"height\":{height},\"file_name\":");
         json::string(out, file_name);
         out.push('}');
-        let out = &mut self.annotations;
+        out.push_str(ANNOTATIONS);
         for (index, item) in detections.items().iter().enumerate() {
-            if !out.is_empty() {
-                out.push_str(",\n");
+            if index > 0 {
+                out.push(',');
             }
             self.count += 1;
             let category = u64::from(item.class_index) + 1;
@@ -96,28 +106,58 @@ impl Coco {
             }
             out.push('}');
         }
+        out.push_str(LINE_END);
         self.ticks += 1;
     }
 
-    /// The whole file.
-    pub fn text(&self) -> String {
-        let mut out = String::with_capacity(self.images.len() + self.annotations.len() + 256);
-        out.push_str("{\"images\":[\n");
-        out.push_str(&self.images);
-        out.push_str("\n],\"annotations\":[\n");
-        out.push_str(&self.annotations);
-        out.push_str("\n],\"categories\":[\n");
+    /// Writes the whole file from the lines of its journal.
+    ///
+    /// # Errors
+    /// Those of `journal` and `out`.
+    pub fn write(&self, mut journal: impl BufRead + Seek, mut out: impl io::Write) -> io::Result<()> {
+        out.write_all(b"{\"images\":[\n")?;
+        copy(&mut journal, &mut out, |line| Some(line.split_once(IMAGE)?.1.split_once(ANNOTATIONS)?.0))?;
+        out.write_all(b"\n],\"annotations\":[\n")?;
+        copy(&mut journal, &mut out, |line| line.split_once(ANNOTATIONS)?.1.strip_suffix(LINE_END))?;
+        out.write_all(b"\n],\"categories\":[\n")?;
+        let mut categories = String::new();
         for (index, name) in self.categories.iter().enumerate() {
-            if index > 0 {
-                out.push_str(",\n");
-            }
-            let _ = write!(out, "{{\"id\":{},\"name\":", index + 1);
-            json::string(&mut out, name);
-            out.push('}');
+            category(&mut categories, index, name);
         }
-        out.push_str("\n]}\n");
-        out
+        out.write_all(categories.as_bytes())?;
+        out.write_all(b"\n]}\n")
     }
+}
+
+/// Writes one part of every line, separated by commas.
+fn copy(
+    journal: &mut (impl BufRead + Seek),
+    out: &mut impl io::Write,
+    part: impl Fn(&str) -> Option<&str>,
+) -> io::Result<()> {
+    journal.rewind()?;
+    let (mut line, mut is_first) = (String::new(), true);
+    while journal.read_line(&mut line)? > 0 {
+        // A full disk may leave half of a line at the end.
+        let part = if line.ends_with(LINE_END) { part(&line) } else { None };
+        if let Some(part) = part.filter(|part| !part.is_empty()) {
+            out.write_all(if is_first { b"" } else { b",\n" })?;
+            out.write_all(part.as_bytes())?;
+            is_first = false;
+        }
+        line.clear();
+    }
+    Ok(())
+}
+
+/// Appends category number `index`, after a comma if `out` already holds one.
+fn category(out: &mut String, index: usize, name: &str) {
+    if out.ends_with('}') {
+        out.push(',');
+    }
+    let _ = write!(out, "{{\"id\":{},\"name\":", index + 1);
+    json::string(out, name);
+    out.push('}');
 }
 
 fn float(out: &mut String, value: f32) {

@@ -11,7 +11,7 @@ use panoscope_node::{NodeError, Result as NodeResult};
 use super::codec::{Codec, FileKind};
 use super::timeline::{Pacing, Timeline};
 use crate::formats::mkv::{Muxer, Track};
-use crate::target::{SinkError, sync};
+use crate::target::{SinkError, create, sync};
 
 /// Frame rate where pictures have their own times or there is only one.
 const FALLBACK_FPS: f64 = 30.0;
@@ -327,7 +327,7 @@ impl Output {
                     size_px: encoder.size_px(),
                     is_webm,
                 };
-                let file = File::create(path).map_err(io)?;
+                let file = create(path).map_err(io)?;
                 let muxer = Muxer::new(file, &track).map_err(|error| {
                     // Without a head it is no video.
                     if path.symlink_metadata().is_ok_and(|found| found.is_file()) {
@@ -339,7 +339,7 @@ impl Output {
             }
             FileKind::Indexed(container) => {
                 // Reports with the system's error where it cannot be created.
-                File::create(path).map_err(io)?;
+                create(path).map_err(io)?;
                 ContainerFile::create(path, container, &caps).map(Self::Indexed).map_err(|error| failed(path, error))
             }
         }
