@@ -69,8 +69,8 @@ fn explains(fault: &Fault, since: Option<Duration>) -> bool {
 }
 
 /// The cameras whose source a fault names.
-fn named<'s, 'a>(cameras: &[&'s SilentCamera<'a>], words: &str) -> Vec<&'s SilentCamera<'a>> {
-    let found: Vec<_> = cameras.iter().copied().filter(|camera| names(words, camera.source)).collect();
+fn named<'s, 'a>(cameras: &[&'s SilentCamera<'a>], message: &str) -> Vec<&'s SilentCamera<'a>> {
+    let found: Vec<_> = cameras.iter().copied().filter(|camera| names(message, camera.source)).collect();
     // `udp://scope:500` is a part of `udp://scope:5001`.
     let is_part = |one: &SilentCamera<'_>| {
         found.iter().any(|other| other.source.len() > one.source.len() && other.source.contains(one.source))
@@ -79,13 +79,13 @@ fn named<'s, 'a>(cameras: &[&'s SilentCamera<'a>], words: &str) -> Vec<&'s Silen
 }
 
 /// Whether an error message names a source. A number stands for a camera of this machine.
-fn names(words: &str, source: &str) -> bool {
+fn names(message: &str, source: &str) -> bool {
     let device = match source.parse::<u32>() {
         Ok(number) => format!("/dev/video{number}"),
         Err(_) => source.to_owned(),
     };
     let ends_there = |rest: &str| !rest.starts_with(|c: char| c.is_ascii_digit());
-    !source.is_empty() && words.match_indices(&device).any(|(at, _)| ends_there(&words[at + device.len()..]))
+    !source.is_empty() && message.match_indices(&device).any(|(at, _)| ends_there(&message[at + device.len()..]))
 }
 
 #[cfg(test)]
@@ -94,14 +94,14 @@ mod tests {
 
     use super::*;
 
-    fn fault(words: &str, ago: Duration) -> Fault {
+    fn fault(message: &str, ago: Duration) -> Fault {
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).expect("after 1970");
         Fault {
             unix_ms: (now - ago).as_millis() as u64,
             run_ms: 0.0,
             node: "scope".to_owned(),
             cause: Cause::Error,
-            words: words.to_owned(),
+            words: message.to_owned(),
             done: Action::Note,
             seq: None,
             late_ms: None,

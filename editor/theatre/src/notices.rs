@@ -58,6 +58,8 @@ pub struct Facts {
     pub problem: Option<String>,
     /// Why only the sources run.
     pub raw_only: Option<String>,
+    /// Whether the camera's own image is there.
+    pub has_raw: bool,
     /// The process that runs the graph has ended, and the views are not shown again yet.
     pub outage: Option<OutageFacts>,
     /// The machine that runs the graph, if it is another one.
@@ -140,6 +142,11 @@ impl Facts {
         match (&self.why_dark, fault) {
             (Some(why), _) => NoPicture::Because { why: why.clone(), remedy: text!("no-image-again") },
             (None, Some(why)) => NoPicture::Because { why: why.clone(), remedy: text!("no-image-retried") },
+            // Why the whole graph did not start, until the camera alone shows an image.
+            (None, None) if self.raw_only.is_some() => NoPicture::Because {
+                why: self.raw_only.clone().unwrap_or_default(),
+                remedy: text!("no-image-camera-tried"),
+            },
             (None, None) if stopped => NoPicture::Plain(text!("no-image-plain").to_owned()),
             // A camera may take long to open: something must be seen to go on.
             (None, None) => NoPicture::Plain(match self.starting.map(|time| time.as_secs()) {
@@ -163,6 +170,8 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
         notify(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
     } else if let Some(outage) = &facts.outage {
         notify(alarms::RESTARTING, outage.message());
+    } else if let Some(why) = facts.raw_only.as_ref().filter(|_| !facts.has_raw) {
+        notify(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
     } else if let Some(why) = &facts.raw_only {
         notify(alarms::CAMERA_ONLY, text!("alarm-camera-only", reason = why));
     } else if let Phase::Failed(why) = &facts.phase {
@@ -210,7 +219,7 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
             false => notify(alarms::OLD_IMAGE, text!("alarm-image-old", seconds = seconds)),
         }
     }
-    // One notice for a full disk, whoever cannot write there.
+    // One notice for a full disk, however many nodes cannot write.
     let is_disk_full = !facts.full_stages.is_empty() || facts.free_bytes.is_some_and(|free| free < FULL_BYTES);
     match facts.free_bytes {
         _ if !facts.full_stages.is_empty() => {
@@ -388,6 +397,11 @@ mod tests {
         );
         assert_eq!(retried.no_picture("wide", false), NoPicture::Plain("starting".to_owned()));
         assert_eq!(Facts::default().no_picture("wide", true), NoPicture::Plain("no image".to_owned()));
+        let alone = Facts { raw_only: Some(why.clone()), ..Facts::default() };
+        assert_eq!(message(&alone), [format!("No image: {why}")], "there is no camera image yet");
+        assert!(matches!(alone.no_picture("scope", false), NoPicture::Because { why: shown, .. } if shown == why));
+        let alone = Facts { has_raw: true, ..alone };
+        assert_eq!(message(&alone), [format!("Camera image only: {why}")]);
         let slow = Facts { starting: Some(Duration::from_secs(7)), ..Facts::default() };
         assert_eq!(slow.no_picture("scope", false), NoPicture::Plain("starting for 7 s".to_owned()));
     }

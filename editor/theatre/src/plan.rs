@@ -234,6 +234,13 @@ impl Plan {
                 .map(|(n, port)| Pane { camera: Some(String::new()), ..pane(n, port, "Camera".to_owned()) })
         });
         let mut views: Vec<Pane> = graph.preset.views.iter().map(|v| pane(v.node, v.port, title(&v.label))).collect();
+        // Views of one node that share its name: by their outputs, too.
+        let labels: Vec<String> = views.iter().map(|view| view.label.clone()).collect();
+        for view in &mut views {
+            if labels.iter().filter(|label| **label == view.label).count() > 1 {
+                view.label = format!("{} {}", view.label, view.output.port.replace(['_', '-'], " "));
+            }
+        }
         if views.is_empty() {
             let all = || graph.edges.iter().map(|e| (e.from_node, e.from_port, e.to_node));
             let made = all().filter(|&(from, port, to)| {
@@ -501,6 +508,9 @@ inputs = { pose = "scope.pose" }
         let plan =
             plan(&format!("{TEXT}[preset]\nviews = [\"turn.image\", {{ from = \"scope.right\", label = \"Raw\" }}]\n"));
         assert_eq!(names(&plan.views), [("turn.image".to_owned(), "Turn"), ("scope.right".to_owned(), "Raw")]);
+        let eyes = self::plan(&format!("{TEXT}[preset]\nviews = [\"scope.left\", \"scope.right\"]\n")).views;
+        let labels: Vec<String> = eyes.into_iter().map(|view| view.label).collect();
+        assert_eq!(labels, ["Scope left", "Scope right"]);
     }
 
     #[test]

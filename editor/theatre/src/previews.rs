@@ -156,6 +156,9 @@ impl Theatre {
             starting: self.starting_since.map(|since| since.elapsed()),
             problem,
             raw_only: self.raw_only.clone(),
+            has_raw: self
+                .raw()
+                .is_some_and(|raw| self.live.texture(&raw.output).is_some() && !self.is_stale(&raw.output)),
             emergency: self.emergency,
             lost,
             stopped,

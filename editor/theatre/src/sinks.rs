@@ -1,4 +1,4 @@
-//! Files that nodes of the graph write while it is shown: the window says that they are written, and how large they are.
+//! Files that nodes of the graph write while it is shown: the window shows that they are written, and their size.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -228,8 +228,17 @@ impl Theatre {
         match texture {
             // Numbers that a stage has drawn into an image go with it.
             Some(_) if !live && pane.packet == "image" && self.is_withdrawn(pane) => {
-                no_picture(ui, inner, &NoPicture::Plain(text!("view-no-new-image").to_owned()));
+                painter.rect_filled(inner, 0.0, theme::sunk());
                 stale_frame(&painter, inner);
+                // At the edge, because the image comes back.
+                let at = inner.center_top() + vec2(0.0, 6.0);
+                painter.text(
+                    at,
+                    Align2::CENTER_TOP,
+                    text!("view-withdrawn"),
+                    FontId::proportional(16.0),
+                    theme::muted(),
+                );
             }
             Some((texture, _)) => {
                 if is_zoomed {

@@ -191,7 +191,7 @@ fn walk(language: Language) {
         let sizes = SIZES.into_iter().filter(|[width, _]| way != "rows" || *width < 2000.0);
         for size in sizes {
             check_at(&mut window, size, way, &[]);
-            assert_pair_says_all(&window, &format!("{way} at {size:?}"));
+            assert_pair_is_complete(&window, &format!("{way} at {size:?}"));
         }
         resize(&mut window, [1440.0, 960.0]);
     }
@@ -199,7 +199,7 @@ fn walk(language: Language) {
 }
 
 /// Asserts that each eye sees the state, the mark of a graph that was not locked, and the stop of the arm with its texts inside.
-fn assert_pair_says_all(window: &Window, what: &str) {
+fn assert_pair_is_complete(window: &Window, what: &str) {
     let stops: Vec<Rect> =
         window.harness.query_all_by_label(text!("stop-arm.release")).map(|stop| stop.rect()).collect();
     let eyes =

@@ -1,4 +1,4 @@
-//! What the window records, it says.
+//! The window shows what is recorded.
 
 use std::time::{Duration, Instant};
 
@@ -8,7 +8,7 @@ use egui_kittest::kittest::Queryable;
 use panoscope_theatre::Theatre;
 
 #[test]
-fn files_that_the_graph_writes_are_said_with_their_size() {
+fn files_that_the_graph_writes_are_shown_with_their_size() {
     if !has_plugin("flow") || !has_plugin("sinks") {
         return;
     }

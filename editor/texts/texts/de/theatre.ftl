@@ -120,6 +120,7 @@ no-image-plain = kein Bild
 no-image-starting = startet
 no-image-starting-for = startet seit { $seconds } s
 no-image-again = Dies beheben, dann zum Neustart die Eingabetaste drücken. Bei einer Kamera: Kabel und Strom prüfen und andere Programme schließen, die sie verwenden.
+no-image-camera-tried = Die Kamera wird allein geöffnet. Kabel und Strom prüfen und andere Programme schließen, die sie verwenden.
 no-image-retried = Neue Versuche laufen von selbst. Bei einer Kamera: Kabel und Strom prüfen und andere Programme schließen, die sie verwenden.
 
 ## Die Leiste oben
@@ -184,6 +185,7 @@ view-live = Live: { $camera }
 view-whole = Ganzes Bild
 view-turn = { $view } drehen
 view-no-new-image = kein neues Bild
+view-withdrawn = zu alt zum Anzeigen
 view-old = { $seconds } s alt
 view-not-zoomed = beim Messen wird das Bild nicht vergrößert
 view-never-frozen = das Kamerabild selbst wird nie eingefroren

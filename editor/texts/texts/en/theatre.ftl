@@ -120,6 +120,7 @@ no-image-plain = no image
 no-image-starting = starting
 no-image-starting-for = starting for { $seconds } s
 no-image-again = Correct this, then press Enter to start again. For a camera: check its cable and power, and close other programs that use it.
+no-image-camera-tried = The camera is being opened alone. Check its cable and power, and close other programs that use it.
 no-image-retried = It is retried automatically. For a camera: check its cable and power, and close other programs that use it.
 
 ## The bar above
@@ -184,6 +185,7 @@ view-live = Live: { $camera }
 view-whole = Whole picture
 view-turn = Turn { $view }
 view-no-new-image = no new image
+view-withdrawn = too old to show
 view-old = { $seconds } s old
 view-not-zoomed = the picture is not zoomed while distances are measured
 view-never-frozen = the camera's own image is never frozen
