@@ -16,7 +16,7 @@ use panoscope_attach::Attachment;
 use panoscope_engine::sync::lock;
 use panoscope_engine::trace::Tracer;
 use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
-use panoscope_graph::{GraphText, check};
+use panoscope_graph::{Diagnostics, GraphText, Severity, check};
 use panoscope_loader::live::LiveError;
 use panoscope_loader::sealed::readable;
 use panoscope_loader::verify::Seal;
@@ -51,6 +51,31 @@ pub struct RunProblem {
     pub node: Option<String>,
     /// Message for the user.
     pub message: String,
+    /// Where the text is no valid graph: its first mistake on one line, such as the file that is missing. `message` is the whole
+    /// listing.
+    pub mistake: Option<String>,
+}
+
+impl RunProblem {
+    /// The problem on one line.
+    pub fn line(&self) -> &str {
+        self.mistake.as_deref().unwrap_or_else(|| self.message.lines().next().unwrap_or_default())
+    }
+}
+
+/// The first mistake of a graph on one line; names the file that is missing.
+pub fn first_mistake(diagnostics: &Diagnostics) -> Option<String> {
+    let first = diagnostics.iter().find(|d| d.severity == Severity::Error)?;
+    // The message of a missing file names the parameter only; its help names the file.
+    let missing = first.help.strip_prefix("looked for ").filter(|_| first.code == "missing-file");
+    let missing = missing.and_then(|help| help.split(';').next()).map(Path::new);
+    let line = match missing.and_then(|path| Some((path.file_name()?, path.parent()?))) {
+        Some((name, folder)) => {
+            format!("the file {} does not exist in {}", name.to_string_lossy(), folder.display())
+        }
+        None => first.message.clone(),
+    };
+    Some(readable(&line))
 }
 
 /// The state of the session, for the window.
@@ -411,8 +436,10 @@ impl Worker {
             *lock(&self.shared.loader) = Arc::clone(&loader);
         }
         let catalog = loader.catalog_of(&parsed);
-        let plain = |message: String| RunProblem { node: None, message: readable(&message) };
-        let (mut graph, _) = check(&parsed, &catalog).into_result().map_err(|d| plain(d.render(false)))?;
+        let plain = |message: String| RunProblem { node: None, message: readable(&message), mistake: None };
+        let (mut graph, _) = check(&parsed, &catalog)
+            .into_result()
+            .map_err(|d| RunProblem { mistake: first_mistake(&d), ..plain(d.render(false)) })?;
         let seal = lock(&self.shared.seal).clone();
         if let Some(seal) = &seal {
             seal.apply(&mut graph, &catalog).map_err(|error| plain(error.to_string()))?;
@@ -426,9 +453,7 @@ impl Worker {
             ..Options::default()
         };
         let engine = Engine::start(graph, &catalog, &loader, options).map_err(|error| match &error {
-            StartError::Open { node, .. } => {
-                RunProblem { node: Some(node.clone()), message: readable(&error.to_string()) }
-            }
+            StartError::Open { node, .. } => RunProblem { node: Some(node.clone()), ..plain(error.to_string()) },
             _ => plain(error.to_string()),
         })?;
         let engine = Arc::new(engine);
@@ -474,5 +499,9 @@ fn problem(error: &LiveError) -> RunProblem {
         ) => Some(node.clone()),
         _ => None,
     };
-    RunProblem { node, message: readable(&error.to_string()) }
+    let mistake = match error {
+        LiveError::Check(diagnostics) => first_mistake(diagnostics),
+        _ => None,
+    };
+    RunProblem { node, message: readable(&error.to_string()), mistake }
 }

@@ -50,34 +50,42 @@ macro_rules! alarms {
                 Alarm { urgency: Urgency::$urgency, name: $text, cause, action }
             };
         )*
-        /// All kinds, the most urgent first.
+        /// All kinds, the most harmful first: the order in which notices are shown.
         pub const ALL: &[Alarm] = &[$($name),*];
     };
 }
 
 alarms! {
-    EMERGENCY = Alarm, "alarm-emergency";
     NO_IMAGE = Alarm, "alarm-no-image";
     RESTARTING = Alarm, "alarm-restarting";
-    CAMERA_ONLY = Alarm, "alarm-camera-only";
-    STOPPED = Alarm, "alarm-stopped";
     MACHINE_LOST = Alarm, "alarm-machine-lost";
     CAMERA_LOST = Alarm, "alarm-camera-lost";
+    EMERGENCY = Alarm, "alarm-emergency";
+    SWAPPED = Alarm, "alarm-swapped";
+    STALE_IMAGE = Alarm, "alarm-image-stale";
+    DRIFTED = Alarm, "alarm-drifted";
+    CAMERA_ONLY = Alarm, "alarm-camera-only";
+    STOPPED = Alarm, "alarm-stopped";
     VIEW_STOPPED = Alarm, "alarm-view-stopped";
     STAGE = Alarm, "alarm-stage";
     DISK_FULL = Alarm, "alarm-disk-full";
-    SWAPPED = Alarm, "alarm-swapped";
     ENDED = Warning, "alarm-ended";
-    NOT_CHANGED = Warning, "alarm-not-changed";
     OLD_IMAGE = Warning, "alarm-image-old";
+    NOT_CHANGED = Warning, "alarm-not-changed";
     DISK_LOW = Warning, "alarm-disk-low";
     AUDIT = Warning, "alarm-audit";
     PEDAL = Warning, "alarm-pedal";
-    DRIFTED = Warning, "alarm-drifted";
     ATTACHED = Note, "alarm-attached";
     UNLIKE = Note, "alarm-unlike";
     UNLOCKED = Note, "alarm-unlocked";
     PUBLIC = Note, "alarm-public";
+}
+
+impl Alarm {
+    /// Its place in the order of notices, from 0: the most harmful first.
+    pub fn rank(&self) -> usize {
+        ALL.iter().position(|alarm| alarm.name == self.name).unwrap_or(ALL.len())
+    }
 }
 
 #[cfg(test)]

@@ -16,6 +16,9 @@ use panoscope_graph::edit::GraphEdit;
 use super::stage::focus_frame;
 use super::{Action, HOLD, Theatre, actions, key_name, plan};
 
+/// Height of a stop button, points, from which its two texts are one above the other.
+const TWO_LINES: f32 = 54.0;
+
 pub(super) const STOP_RED: Color32 = Color32::from_rgb(0xD6, 0x2F, 0x1F);
 
 impl Theatre {
@@ -104,21 +107,27 @@ impl Theatre {
         } else {
             (text!("stop-arm"), text!("stop-arm.key", key = key_name(Action::Stop)))
         };
-        let sign_at = pos2(rect.left() + 38.0, rect.center().y);
-        octagon(painter, sign_at, 20.0);
-        let left = rect.left() + 70.0;
-        let y = rect.center().y;
-        let pale = Color32::from_white_alpha(210);
-        for (at, words, size, color) in [(y - 9.0, message, 22.0, Color32::WHITE), (y + 15.0, &below, 14.0, pale)] {
-            let size = theme::legible(ui.ctx(), size);
-            let galley = fitting(painter, words, size, rect.right() - 8.0 - left, color);
-            painter.galley(pos2(left, at - galley.size().y / 2.0), galley, color);
+        let sign_size = (rect.height() * 0.36).min(20.0);
+        octagon(painter, pos2(rect.left() + 18.0 + sign_size, rect.center().y), sign_size);
+        let left = rect.left() + 30.0 + 2.0 * sign_size;
+        let width = rect.right() - 8.0 - left;
+        let (y, pale) = (rect.center().y, Color32::from_white_alpha(210));
+        let put = |at: Pos2, words: &str, size: f32, width: f32, color: Color32| {
+            let galley = fitting(painter, words, theme::legible(ui.ctx(), size), width, color);
+            painter.galley(pos2(at.x, at.y - galley.size().y / 2.0), galley, color);
+        };
+        if rect.height() >= TWO_LINES {
+            put(pos2(left, y - 9.0), message, 22.0, width, Color32::WHITE);
+            put(pos2(left, y + 15.0), &below, 14.0, width, pale);
+        } else {
+            put(pos2(left, y), message, 22.0, width * 0.48, Color32::WHITE);
+            put(pos2(left + width * 0.52, y), &below, 14.0, width * 0.48, pale);
         }
     }
 }
 
-/// Words on one line, smaller where they do not fit in `width`.
-fn fitting(painter: &Painter, words: &str, size: f32, width: f32, color: Color32) -> Arc<Galley> {
+/// A text on one line, smaller where it does not fit in `width`.
+pub(super) fn fitting(painter: &Painter, words: &str, size: f32, width: f32, color: Color32) -> Arc<Galley> {
     let lay = |size: f32| painter.layout_no_wrap(words.to_owned(), FontId::proportional(size), color);
     let galley = lay(size);
     if galley.size().x <= width {

@@ -94,9 +94,10 @@ pub fn middle(picture: Rect) -> Rect {
     Rect::from_center_size(picture.center(), picture.size() * MIDDLE)
 }
 
-/// The rectangle of a small image with the proportions of `size` and its title, in a corner of `room`, in which `pictures` are drawn.
+/// The rectangle of a small image with the proportions of `size` and its title, in a corner of `room`, in which `pictures` with their titles are
+/// drawn.
 ///
-/// It is in free space if there is any; else over the corner of an image, so small that it does not cover any image's [`middle`].
+/// It is in free space if there is any; else over the corner of an image, so small that it covers no image's [`middle`] and no title.
 pub fn inset(room: Rect, size: Vec2, pictures: &[Rect]) -> Rect {
     let high = |width: f32| TITLE + width * size.y.max(1.0) / size.x.max(1.0);
     let corners = |bounds: Rect, width: f32| {
@@ -119,7 +120,8 @@ pub fn inset(room: Rect, size: Vec2, pictures: &[Rect]) -> Rect {
     let area = |r: &Rect| r.width() * r.height();
     let largest = pictures.iter().copied().max_by(|a, b| area(a).total_cmp(&area(b))).unwrap_or(room);
     let most = (largest.width() * (1.0 - MIDDLE) / 2.0).min(room.width() * INSET_SHARES[0]);
-    let allowed = |rect: &Rect| pictures.iter().all(|p| apart(*rect, middle(*p)));
+    let title = |picture: &Rect| picture.with_max_y(picture.top() + TITLE);
+    let allowed = |rect: &Rect| pictures.iter().all(|p| apart(*rect, middle(*p)) && apart(*rect, title(p)));
     // In whole points, so that rounding does not decide between equal corners.
     let covered = |rect: &Rect| {
         let shared = pictures.iter().map(|p| rect.intersect(*p)).filter(Rect::is_positive);
@@ -199,6 +201,8 @@ mod tests {
             let pictures: Vec<Rect> = Layout::All.rects(count, room).into_iter().map(|(_, r)| r).collect();
             let rect = inset(room, camera, &pictures);
             assert!(pictures.iter().all(|p| !rect.shrink(0.5).intersects(middle(*p))), "{count}: {rect:?}");
+            let mut titles = pictures.iter().map(|p| p.with_max_y(p.top() + TITLE));
+            assert!(titles.all(|title| !rect.shrink(0.5).intersects(title.shrink(0.5))), "{count}: {rect:?}");
         }
     }
 

@@ -99,6 +99,7 @@ impl Theatre {
         local.set_base(&running.text);
         let mut this = Self::show(ctx, &path, options, opened, Box::new(local))?;
         this.machine = machine;
+        this.watch_sinks();
         Ok(this)
     }
 

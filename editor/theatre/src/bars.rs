@@ -1,10 +1,12 @@
 //! The top bar with state and notices, and the bottom bar with buttons and settings.
 
+use std::sync::Arc;
 use std::time::Instant;
 
+use eframe::egui::text::{LayoutJob, TextWrapping};
 use eframe::egui::{
-    Align2, Color32, CornerRadius, FontId, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType,
-    pos2, vec2,
+    Align2, Color32, CornerRadius, FontId, Galley, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui,
+    WidgetInfo, WidgetType, pos2, vec2,
 };
 
 use super::alarms::Urgency;
@@ -21,6 +23,18 @@ const SETTING: f32 = 216.0;
 const SETTING_GAP: f32 = 24.0;
 /// Size of the caption of a button.
 const BUTTON_TEXT: f32 = 20.0;
+/// Size of the letters of states in the bar above.
+const CHIP: f32 = 26.0;
+/// Height of the upper row, which has the most urgent notice and the states.
+const ROW: f32 = 60.0;
+/// Size of the letters of the most urgent notice: on a screen of 1080 rows its capitals are 40 px high, which 3 m away are 17 minutes of arc on a
+/// monitor of 32 inches.
+const HEADLINE: f32 = 52.0;
+/// Size of its letters where a longer one is made to fit.
+const MIN_HEADLINE: f32 = 26.0;
+/// Size of the letters of what stands below it.
+const DETAIL: f32 = 20.0;
+const MIN_DETAIL: f32 = 14.0;
 /// Width of the button for the next page of settings.
 const MORE: f32 = 84.0;
 
@@ -29,53 +43,96 @@ fn format_clock(since: Instant) -> String {
     format!("{}:{:02}", seconds / 60, seconds % 60)
 }
 
+/// A short text on a coloured ground.
+pub(super) struct Chip {
+    message: String,
+    fill: Color32,
+    color: Color32,
+    /// What it says to a screen reader, where that is more.
+    name: Option<String>,
+}
+
+impl Chip {
+    fn new(message: impl Into<String>, fill: Color32, color: Color32) -> Self {
+        Self { message: message.into(), fill, color, name: None }
+    }
+
+    /// Draws it in letters of a size; `right` is the middle of its right edge. Returns its rectangle.
+    pub(super) fn show(&self, ui: &mut Ui, right: Pos2, letters: f32) -> Rect {
+        let font = FontId::proportional(theme::legible(ui.ctx(), letters));
+        let text = ui.painter().layout_no_wrap(self.message.clone(), font, self.color);
+        let edge = vec2(letters * 0.75, letters * 0.3);
+        let size = text.size() + 2.0 * edge;
+        let rect = Rect::from_min_size(pos2(right.x - size.x, right.y - size.y / 2.0), size);
+        ui.painter().rect_filled(rect, CornerRadius::same(8), self.fill);
+        ui.painter().galley(rect.min + edge, text, self.color);
+        if let Some(name) = &self.name {
+            let response = ui.interact(rect, ui.id().with(("chip", name)), Sense::hover());
+            response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, name));
+        }
+        rect
+    }
+}
+
 impl Theatre {
-    pub(super) fn top_bar(&mut self, ui: &mut Ui, bar: Rect, status: &Status, facts: &Facts) {
-        let inner = bar.shrink2(vec2(EDGE, 10.0));
-        let painter = ui.painter().clone();
-        let mut right = inner.right();
-        let middle = inner.center().y;
-        let mut chip = |message: &str, fill: Color32, color: Color32| {
-            let text = painter.layout_no_wrap(message.to_owned(), FontId::proportional(18.0), color);
-            let size = text.size() + vec2(28.0, 14.0);
-            let rect = Rect::from_min_size(pos2(right - size.x, middle - size.y / 2.0), size);
-            painter.rect_filled(rect, CornerRadius::same(8), fill);
-            painter.galley(rect.min + vec2(14.0, 7.0), text, color);
-            right = rect.left() - 10.0;
-        };
-        let (message, fill, color) = match (&status.phase, self.frozen) {
-            _ if facts.is_dark() => (text!("state-restarting").to_owned(), theme::fault(), theme::BLACK),
-            _ if facts.unreached().is_some() => (text!("state-unreached").to_owned(), theme::fault(), theme::BLACK),
-            _ if facts.why_dark.is_some() => (text!("state-no-picture").to_owned(), theme::fault(), theme::BLACK),
-            (Phase::Starting | Phase::Idle, _) => (text!("state-starting").to_owned(), theme::raised(), theme::muted()),
-            (Phase::Ended | Phase::Failed(_), _) => (text!("state-stopped").to_owned(), theme::fault(), theme::BLACK),
+    /// The state of the run and what is recorded, from the right.
+    pub(super) fn chips(&self, status: &Status, facts: &Facts) -> Vec<Chip> {
+        let state = match (&status.phase, self.frozen) {
+            _ if facts.is_dark() => Chip::new(text!("state-restarting"), theme::fault(), theme::BLACK),
+            _ if facts.unreached().is_some() => Chip::new(text!("state-unreached"), theme::fault(), theme::BLACK),
+            _ if facts.why_dark.is_some() => Chip::new(text!("state-no-picture"), theme::fault(), theme::BLACK),
+            (Phase::Starting | Phase::Idle, _) => Chip::new(text!("state-starting"), theme::raised(), theme::muted()),
+            (Phase::Ended | Phase::Failed(_), _) => Chip::new(text!("state-stopped"), theme::fault(), theme::BLACK),
             (_, Some(since)) => {
-                (format!("{}  {}", text!("state-frozen"), format_clock(since)), theme::accent(), theme::BLACK)
+                let message = format!("{}  {}", text!("state-frozen"), format_clock(since));
+                Chip::new(message, theme::accent(), theme::BLACK)
             }
             // Delayed images must not be called live.
             _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > OLD_MS) => {
-                (text!("state-delayed").to_owned(), theme::warn(), theme::BLACK)
+                Chip::new(text!("state-delayed"), theme::warn(), theme::BLACK)
             }
-            _ => (text!("state-live").to_owned(), theme::raised(), theme::live()),
+            _ => Chip::new(text!("state-live"), theme::raised(), theme::live()),
         };
-        chip(&message, fill, color);
+        let mut chips = vec![state];
         if let Some(clip) = &self.clip {
-            chip(&format!("{}  {}", text!("state-recording"), format_clock(clip.since)), STOP_RED, Color32::WHITE);
+            let message = format!("{}  {}", text!("state-recording"), format_clock(clip.since));
+            chips.push(Chip::new(message, STOP_RED, Color32::WHITE));
+        }
+        if let Some(written) = facts.written_bytes {
+            // Sizes of files on another machine are not known here.
+            let size = if self.machine.is_none() { bytes(written) } else { String::new() };
+            let message = format!("{}  {size}", text!("state-recording"));
+            let nodes: Vec<&str> = self.plan.written.iter().map(|written| written.node.as_str()).collect();
+            let name = text!("state-recording.name", nodes = nodes.join(", "), size = size);
+            chips.push(Chip { name: Some(name), ..Chip::new(message.trim_end(), STOP_RED, Color32::WHITE) });
+        }
+        chips
+    }
+
+    pub(super) fn top_bar(&mut self, ui: &mut Ui, bar: Rect, status: &Status, facts: &Facts) {
+        let inner = bar.shrink2(vec2(EDGE, 10.0));
+        let mut right = inner.right();
+        // Beside the most urgent notice: what is below it needs the whole width.
+        let middle = inner.top() + ROW / 2.0;
+        for chip in self.chips(status, facts) {
+            right = chip.show(ui, pos2(right, middle), CHIP).left() - 10.0;
+        }
+        if self.clip.is_some() {
             let free = facts.free_bytes.map(|free| text!("disk-free", size = bytes(free))).unwrap_or_default();
             let font = FontId::proportional(theme::legible(ui.ctx(), 14.0));
-            let rect = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::muted());
+            let rect = ui.painter().text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::muted());
             right = rect.left() - 16.0;
         }
         if let Some(mark) = self.verified.mark() {
             right = unverified(ui, pos2(right, middle), mark).left() - 10.0;
         }
-        let room = Rect::from_min_max(inner.min, pos2(right - 10.0, inner.bottom()));
-        self.show_message(ui, room);
+        let row = Rect::from_min_max(inner.min, pos2(right - 10.0, inner.top() + ROW));
+        self.show_message(ui, row, inner.with_min_y(row.bottom()));
     }
 
-    /// Draws the most urgent notice with the others below it; without notices, the remark or the graph's name.
-    fn show_message(&self, ui: &mut Ui, room: Rect) {
-        let painter = ui.painter_at(room.expand(2.0));
+    /// Draws the most urgent notice in `room` with the others in `below`; without notices, the remark or the graph's name.
+    fn show_message(&self, ui: &mut Ui, room: Rect, below: Rect) {
+        let painter = ui.painter_at(room.union(below).expand(2.0));
         if let Some(since) = self.leaving.filter(|since| since.elapsed() > HOLD / 8) {
             let share = (since.elapsed().as_secs_f32() / HOLD.as_secs_f32()).min(1.0);
             let text = FontId::proportional(22.0);
@@ -106,7 +163,8 @@ impl Theatre {
                 Some((message, wrong, _)) => (message.clone(), if *wrong { theme::warn() } else { theme::text() }),
                 None => (self.plan.name.clone(), theme::muted()),
             };
-            painter.text(room.left_center(), Align2::LEFT_CENTER, message, FontId::proportional(20.0), color);
+            let galley = line(&painter, &message, [26.0, MIN_DETAIL], room.width(), color);
+            painter.galley(pos2(room.left(), room.center().y - galley.size().y / 2.0), galley, color);
             return;
         };
         let color = match first.urgency {
@@ -115,32 +173,31 @@ impl Theatre {
             Urgency::Note => theme::muted(),
         };
         // A sign and the font size show the urgency without relying on colour.
-        let at = pos2(room.left() + 14.0, room.center().y);
-        if first.urgency >= Urgency::Warning {
-            sign(&painter, at, 14.0, color);
+        let is_note = first.urgency == Urgency::Note;
+        let middle = room.center().y;
+        if !is_note {
+            sign(&painter, pos2(room.left() + 24.0, middle), 24.0, color);
         }
-        let rest: Vec<&str> = self.notices.iter().skip(1).map(|n| n.message.as_str()).collect();
-        let rest = remark.iter().map(|(message, ..)| message.as_str()).chain(rest).collect::<Vec<_>>().join("   ·   ");
-        // What to do, where nothing else is to be said.
-        let rest = if rest.is_empty() { text!("notice-action", action = first.action) } else { rest };
-        let left = room.left() + if first.urgency >= Urgency::Warning { 44.0 } else { 0.0 };
-        let (y, size) = if rest.is_empty() { (room.center().y, 24.0) } else { (room.center().y - 10.0, 22.0) };
-        let size = if first.urgency == Urgency::Note { 18.0 } else { size };
-        let fitted = |message: &str, size: f32, color: Color32| {
-            let mut job = eframe::egui::text::LayoutJob::simple_singleline(
-                message.lines().next().unwrap_or_default().to_owned(),
-                FontId::proportional(size),
-                color,
-            );
-            job.wrap = eframe::egui::text::TextWrapping::truncate_at_width((room.right() - left).max(40.0));
-            painter.layout_job(job)
+        let (headline, detail) = first.parts();
+        let others = self.notices.iter().skip(1).map(|n| n.message.as_str());
+        let said = remark.iter().map(|(message, ..)| message.as_str()).chain(others);
+        let rest: Vec<&str> = std::iter::once(detail).filter(|detail| !detail.is_empty()).chain(said).collect();
+        let left = room.left() + if is_note { 0.0 } else { 66.0 };
+        let sizes = if is_note { [DETAIL + 2.0, DETAIL] } else { [HEADLINE, MIN_HEADLINE] };
+        let galley = line(&painter, headline, sizes, (room.right() - left).max(40.0), color);
+        painter.galley(pos2(left, middle - galley.size().y / 2.0), galley, color);
+        let color = theme::text().gamma_multiply(0.8);
+        let rest_of = |rest: &[&str]| {
+            line(&painter, &rest.join("   ·   "), [DETAIL, MIN_DETAIL], (below.right() - left).max(40.0), color)
         };
-        let galley = fitted(&first.message, size, color);
-        painter.galley(pos2(left, y - galley.size().y / 2.0), galley, color);
-        if !rest.is_empty() {
-            let galley = fitted(&rest, 15.0, theme::text().gamma_multiply(0.8));
-            painter.galley(pos2(left, room.center().y + 8.0), galley, theme::text());
+        let mut galley = rest_of(&rest);
+        // What to do, where there is room for it.
+        let action = text!("notice-action", action = first.action);
+        let with_action = rest_of(&[&rest[..], &[&action]].concat());
+        if !with_action.elided {
+            galley = with_action;
         }
+        painter.galley(pos2(left, below.center().y - galley.size().y / 2.0), galley, color);
     }
 
     pub(super) fn bottom_bar(&mut self, ui: &mut Ui, bar: Rect) {
@@ -222,12 +279,31 @@ impl Theatre {
     }
 }
 
+/// A text on one line, in letters as large as fit in `width` and of a size from `max` to `min`; cut where even the smallest do not.
+pub(super) fn line(painter: &Painter, message: &str, [max, min]: [f32; 2], width: f32, color: Color32) -> Arc<Galley> {
+    let message = message.lines().next().unwrap_or_default();
+    let lay = |size: f32| {
+        let font = FontId::proportional(theme::legible(painter.ctx(), size));
+        let mut job = LayoutJob::simple_singleline(message.to_owned(), font, color);
+        job.wrap = TextWrapping::truncate_at_width(if size > min { f32::INFINITY } else { width });
+        painter.layout_job(job)
+    };
+    let galley = lay(max);
+    let wide = galley.size().x;
+    if wide <= width {
+        return galley;
+    }
+    // Widths are not quite proportional to sizes, because letters stand on whole pixels.
+    let size = max * width / wide * 0.98;
+    if size <= min { lay(min) } else { lay(size) }
+}
+
 /// Draws the mark of an unverified graph, which is visible as long as it runs. `right` is the middle of its right edge; returns its rectangle.
 fn unverified(ui: &mut Ui, right: Pos2, [heading, line, name]: [&str; 3]) -> Rect {
     let painter = ui.painter();
     let font = |size: f32| FontId::proportional(theme::legible(ui.ctx(), size));
-    let heading_text = painter.layout_no_wrap(heading.to_owned(), font(15.0), theme::warn());
-    let line_text = painter.layout_no_wrap(line.to_owned(), font(13.0), theme::text());
+    let heading_text = painter.layout_no_wrap(heading.to_owned(), font(22.0), theme::warn());
+    let line_text = painter.layout_no_wrap(line.to_owned(), font(14.0), theme::text());
     let text = vec2(heading_text.size().x.max(line_text.size().x), heading_text.size().y + line_text.size().y);
     let size = text + vec2(28.0, 8.0);
     let rect = Rect::from_min_size(pos2(right.x - size.x, right.y - size.y / 2.0), size);
@@ -279,7 +355,7 @@ fn button_named(ui: &mut Ui, rect: Rect, name: &str, caption: &str, key: &str, o
 }
 
 /// Draws a warning sign.
-pub(super) fn sign(painter: &eframe::egui::Painter, at: eframe::egui::Pos2, size: f32, color: Color32) {
+pub(super) fn sign(painter: &Painter, at: Pos2, size: f32, color: Color32) {
     let corners = vec![at + vec2(0.0, -size), at + vec2(size, size * 0.8), at + vec2(-size, size * 0.8)];
     painter.add(Shape::convex_polygon(corners, color, Stroke::NONE));
     let bar = Stroke::new(size * 0.22, theme::BLACK);

@@ -67,7 +67,7 @@ pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
     let mut add = |name: &str, state, words: String| all.push(Check { name: name.to_owned(), state, words });
     for (camera, age) in known.plan.cameras.iter().zip(&known.camera_ages_ms) {
         let title = camera.title();
-        let lost = facts.lost.iter().any(|(known, _)| *known == title);
+        let lost = facts.lost.iter().any(|lost| lost.titles.contains(&title));
         let (state, words) = match age {
             Some(_) if lost => (State::Missing, text!("check-image-lost").to_owned()),
             Some(age) if *age > OLD_MS => (State::Attention, text!("check-image-old", seconds = decimal(age / 1e3, 1))),
@@ -231,6 +231,7 @@ mod tests {
     use panoscope_engine::NodeWindow;
 
     use super::*;
+    use crate::lost::LostCameras;
     use crate::plan::{Listens, Pane, RigSource, Stop};
     use panoscope_imaging::stereo::length::Noise;
 
@@ -305,7 +306,8 @@ mod tests {
             states(&good, ages, false, 0.0, &Verified::Never),
             [Ready, Ready, Missing, Missing, Ready, Attention]
         );
-        let lost = Facts { lost: vec![("Left camera".to_owned(), None)], swapped: true, ..Facts::default() };
+        let lost = LostCameras { titles: vec!["Left camera".to_owned()], since: None };
+        let lost = Facts { lost: vec![lost], swapped: true, ..Facts::default() };
         assert_eq!(states(&lost, ages, true, 30.0, &locked), [Missing, Ready, Missing, Ready, Attention, Ready]);
     }
 }

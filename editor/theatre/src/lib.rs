@@ -15,6 +15,7 @@ mod bars;
 mod checklist;
 mod guard;
 mod link;
+mod lost;
 mod measure;
 mod notices;
 mod open;
@@ -30,6 +31,7 @@ mod refusal;
 mod runner;
 mod script;
 mod settings;
+mod sinks;
 mod stage;
 mod storage;
 mod three_d;
@@ -42,14 +44,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
-use panoscope_audit::Event;
 use panoscope_editor_texts::{language, set_language, text};
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{GraphOptions, ParamValue};
 
 use panoscope_editor_model::content::Rig;
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::session::{Phase, Session};
+use panoscope_editor_model::session::Session;
 use panoscope_editor_model::surface::Viewpoint;
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
@@ -80,6 +81,7 @@ use pedal::Pedal;
 use previews::LastPacket;
 use runner::{Local, Runner};
 use settings::toml_of;
+use sinks::SinkFiles;
 use storage::{Clip, Storage};
 use three_d::Pair;
 use zoom::Zoom;
@@ -88,7 +90,7 @@ use zoom::Zoom;
 const HOLD: Duration = Duration::from_secs(2);
 /// How long a remark is shown.
 const REMARK: Duration = Duration::from_secs(5);
-const TOP: f32 = 68.0;
+const TOP: f32 = 108.0;
 const BOTTOM: f32 = 104.0;
 const EDGE: f32 = 20.0;
 /// Height of the window in points that the sizes are designed for.
@@ -107,6 +109,8 @@ pub struct Theatre {
     text: String,
     /// The reason why only the sources run; `None` while the whole graph runs.
     raw_only: Option<String>,
+    /// Which camera's image is the raw view: an index into those of the plan.
+    raw_camera: usize,
     shown: OutputCache,
     /// Previews of the raw view, which continues while the other views are frozen.
     live: OutputCache,
@@ -114,6 +118,8 @@ pub struct Theatre {
     /// Since when each output is requested without a break.
     requested: HashMap<Output, Instant>,
     running_since: Option<Instant>,
+    /// Since when nodes are opened, until they run.
+    starting_since: Option<Instant>,
     layout: Layout,
     frozen: Option<Instant>,
     measure: Measure,
@@ -122,6 +128,7 @@ pub struct Theatre {
     viewpoints: HashMap<Output, Viewpoint>,
     storage: Storage,
     clip: Option<Clip>,
+    sink_files: SinkFiles,
     emergency: bool,
     /// Settings that were changed in this window, by node and parameter.
     chosen: HashMap<(String, String), ParamValue>,
@@ -213,11 +220,13 @@ impl Theatre {
             machine: None,
             text: String::new(),
             raw_only: None,
+            raw_camera: 0,
             shown: OutputCache::default(),
             live: OutputCache::default(),
             last_packets: HashMap::new(),
             requested: HashMap::new(),
             running_since: None,
+            starting_since: None,
             layout: Layout::All,
             frozen: None,
             measure: Measure::default(),
@@ -225,6 +234,7 @@ impl Theatre {
             viewpoints: HashMap::new(),
             storage: Storage::new(&options.folder, options.label.as_deref())?,
             clip: None,
+            sink_files: SinkFiles::default(),
             emergency: false,
             chosen: HashMap::new(),
             page: 0,
@@ -249,6 +259,7 @@ impl Theatre {
             shot: options.shot,
             costs: Costs::default(),
         };
+        this.watch_sinks();
         this.run(opened.text);
         Ok(this)
     }
@@ -275,7 +286,7 @@ impl Theatre {
 
     /// Age of the camera's own image, ms; `None` before the first one.
     pub fn camera_age_ms(&self) -> Option<f64> {
-        self.age_ms(&self.plan.raw.as_ref()?.output)
+        self.age_ms(&self.raw()?.output)
     }
 
     /// Values of a node's parameters in the running graph.
@@ -358,6 +369,8 @@ impl Theatre {
         (self.plan, self.verified) = (opened.plan, opened.verified);
         (self.layout, self.frozen, self.measure, self.rig) = (Layout::All, None, Measure::default(), None);
         (self.zoom, self.three_d, self.pair) = (Zoom::default(), ThreeD::Off, Pair::default());
+        self.raw_camera = 0;
+        self.watch_sinks();
         self.last_packets.clear();
         self.run(text);
         Ok(())
@@ -380,6 +393,7 @@ impl Theatre {
         let status = self.runner.status();
         let facts = self.facts(&status, &counters);
         self.notices = notices::notices(&facts);
+        self.measure.set_doubt(facts.measuring_doubt());
         self.update_recordings(&status, &counters);
         self.see_refused_stops();
         self.audit.update(&counters);
@@ -406,7 +420,7 @@ impl Theatre {
         let whole = ui.available_rect_before_wrap();
         ui.allocate_rect(whole, egui::Sense::hover());
         if self.shows_pair() {
-            self.show_pair(ui, whole, &facts);
+            self.show_pair(ui, whole, &status, &facts);
             return self.end_frame(&ctx);
         }
         let top = Rect::from_min_size(whole.min, vec2(whole.width(), TOP));
@@ -460,9 +474,9 @@ impl Theatre {
         }
     }
 
-    /// Whether the raw view replaces a view, because it has stopped.
+    /// Whether the raw view replaces a view, because it has stopped or is too old.
     fn replaced(&self, pane: &Pane, facts: &Facts) -> bool {
-        self.shows_raw() || facts.stopped.contains(&pane.label)
+        self.shows_raw() || facts.stopped.contains(&pane.label) || self.is_withdrawn(pane)
     }
 
     /// Performs an action.
@@ -529,21 +543,6 @@ impl Theatre {
         }
     }
 
-    /// Starts the whole graph again, after it has stopped.
-    fn again(&mut self) {
-        let ended = matches!(self.runner.status().phase, Phase::Ended | Phase::Failed(_));
-        let has_fallen_back = self.raw_only.take().is_some();
-        self.keep();
-        if self.runner.outage().is_some() {
-            self.audit.log(Event::Restarted);
-            self.runner.resume();
-        } else if has_fallen_back || ended {
-            self.last_packets.clear();
-            self.audit.log(Event::Restarted);
-            self.runner.restart(&self.text);
-        }
-    }
-
     /// Sets the text of the whole graph and runs it.
     fn run(&mut self, text: String) {
         self.set_text(text);
@@ -556,14 +555,6 @@ impl Theatre {
     fn set_text(&mut self, text: String) {
         self.text = text;
         self.keep();
-    }
-
-    /// Gives the runner what to start after a crash.
-    fn keep(&self) {
-        let cameras = self.plan.raw_only(&self.text).unwrap_or_else(|_| self.text.clone());
-        // What did not run before the crash is not started after it, unless the user asks for it.
-        let whole = if self.raw_only.is_some() { &cameras } else { &self.text };
-        self.runner.keep(whole, &cameras);
     }
 
     /// Handles Esc: a short press ends measuring, holding it for two seconds closes the window.

@@ -68,6 +68,8 @@ pub struct Measure {
     on: Option<Active>,
     /// The quantities that determine the error.
     rig: Option<(Rig, Noise)>,
+    /// Why no length can be relied on now.
+    doubt: Option<&'static str>,
 }
 
 struct Active {
@@ -90,6 +92,11 @@ impl Measure {
         self.rig = Some((rig, noise));
     }
 
+    /// Sets why no length can be relied on: while there is a reason, none is shown or saved.
+    pub fn set_doubt(&mut self, doubt: Option<&'static str>) {
+        self.doubt = doubt;
+    }
+
     /// Whether measuring was started.
     pub fn is_on(&self) -> bool {
         self.is_waiting || self.on.is_some()
@@ -106,7 +113,7 @@ impl Measure {
         let mut frozen = OutputCache::default();
         frozen.update(ctx, HashMap::from([(output.clone(), packet)]));
         let on = Active { crosshair: Crosshair::default(), cloud, output: output.clone(), frozen, points: Vec::new() };
-        *self = Self { is_waiting: false, on: Some(on), rig: self.rig };
+        *self = Self { is_waiting: false, on: Some(on), ..std::mem::take(self) };
     }
 
     /// The image to measure in, and its output.
@@ -155,7 +162,7 @@ impl Measure {
 
     /// A length computed from points by `measure`, with its error bound. `None` where the error is not known: no length is shown without it.
     fn length(&self, points: &[SurfacePoint], measure: fn(&[[f64; 3]]) -> f64) -> Option<Length> {
-        let (rig, noise) = self.rig?;
+        let (rig, noise) = self.rig.filter(|_| self.doubt.is_none())?;
         let errors = Errors::of(rig.focal_px, rig.baseline_mm, rig.rms_px, &noise);
         let (mm, error_mm) = length::with_error(points, Some(&errors), measure);
         error_mm.is_finite().then_some(Length { mm, error_mm })
@@ -178,6 +185,9 @@ impl Measure {
 
     /// What the user should do next.
     pub fn hint(&self) -> &'static str {
+        if let Some(doubt) = self.doubt.filter(|_| !self.is_waiting) {
+            return doubt;
+        }
         match self.points() {
             _ if self.is_waiting => text!("measure-waiting"),
             [.., Tapped { position: None, .. }] => text!("measure-no-depth"),
@@ -294,6 +304,21 @@ mod tests {
         measure.tap(0.1, 0.1);
         assert_eq!(measure.points().len(), 1);
         assert!(measure.row().is_some_and(|row| row["depth_mm"].as_f64().is_some_and(|mm| (mm - 50.0).abs() < 1e-6)));
+    }
+
+    #[test]
+    fn a_calibration_in_doubt_gives_no_length() {
+        let mut measure = on();
+        measure.set_rig(RIG, Noise::USUAL);
+        measure.tap(5.5 / 30.0, 5.5 / 20.0);
+        measure.tap(15.5 / 30.0, 5.5 / 20.0);
+        assert!(measure.distance().is_some());
+        measure.set_doubt(Some("No distance: in doubt"));
+        assert_eq!((measure.distance(), measure.depth(), measure.row()), (None, None, None));
+        assert_eq!(measure.hint(), "No distance: in doubt");
+        assert_eq!(measure.pixels().map(|still| still.height), Some(20), "a still has no length below it");
+        measure.set_doubt(None);
+        assert!(measure.distance().is_some());
     }
 
     #[test]

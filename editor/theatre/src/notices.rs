@@ -12,6 +12,7 @@ use panoscope_editor_model::session::Phase;
 
 use super::alarms::{self, Alarm, Urgency};
 use super::attached::MachineFacts;
+use super::lost::LostCameras;
 use super::outage::OutageFacts;
 use super::runner::OutageStage;
 
@@ -39,15 +40,26 @@ pub struct Notice {
     pub action: &'static str,
 }
 
+impl Notice {
+    /// What it is about, which is drawn large, and the rest of the sentence.
+    pub fn parts(&self) -> (&str, &str) {
+        self.message.split_once(": ").unwrap_or((&self.message, ""))
+    }
+}
+
 /// The facts that notices are made from.
 #[derive(Clone, Debug, Default)]
 pub struct Facts {
     /// Phase of the run.
     pub phase: Phase,
+    /// How long nodes have been opening; `None` once they run.
+    pub starting: Option<Duration>,
     /// Why the graph did not start or a change failed.
     pub problem: Option<String>,
     /// Why only the sources run.
     pub raw_only: Option<String>,
+    /// Whether the camera's own image is there.
+    pub has_raw: bool,
     /// The process that runs the graph has ended, and the views are not shown again yet.
     pub outage: Option<OutageFacts>,
     /// The machine that runs the graph, if it is another one.
@@ -58,22 +70,26 @@ pub struct Facts {
     pub source_faults: HashMap<String, String>,
     /// Whether the arm was stopped.
     pub emergency: bool,
-    /// Cameras without a new image, with the time since the last one; `None` when there never was one.
-    pub lost: Vec<(String, Option<Duration>)>,
+    /// Cameras without a new image.
+    pub lost: Vec<LostCameras>,
     /// Views that have stopped although their camera works. Their labels, which are as the graph names them.
     pub stopped: Vec<String>,
     /// Age of the main image, ms.
     pub age_ms: Option<f64>,
     /// Messages about failed nodes.
     pub stages: Vec<String>,
+    /// Nodes that cannot write, because the disk is full.
+    pub full_stages: Vec<String>,
     /// Free space for recordings, in bytes.
     pub free_bytes: Option<u64>,
     /// Why the audit log cannot be written.
     pub audit_problem: Option<String>,
     /// Why the pedal's settings are not used.
     pub pedal_problem: Option<String>,
-    /// Whether a clip is being recorded.
+    /// Whether a clip or a file of the graph is being written.
     pub recording: bool,
+    /// Size of the files that the graph writes; `None` while it writes none, or elsewhere.
+    pub written_bytes: Option<u64>,
     /// Whether the calibration does not fit the views any more.
     pub drifted: bool,
     /// Whether the pictures are unlike those that a detector learned from.
@@ -90,7 +106,7 @@ pub struct Facts {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum NoPicture {
     /// A short text, when there is no error or it is shown elsewhere.
-    Plain(&'static str),
+    Plain(String),
     /// An error and how to fix it.
     Because {
         /// The full error message.
@@ -111,15 +127,32 @@ impl Facts {
         self.machine.as_ref()?.lost.as_deref()
     }
 
+    /// Why no length that is measured now can be relied on.
+    pub fn measuring_doubt(&self) -> Option<&'static str> {
+        match () {
+            () if self.swapped => Some(text!("measure-swapped")),
+            () if self.drifted => Some(text!("measure-drifted")),
+            () => None,
+        }
+    }
+
     /// What to show in place of the image of `node`, which has not arrived yet.
     pub fn no_picture(&self, node: &str, stopped: bool) -> NoPicture {
         let fault = self.source_faults.get(node).filter(|message| !message.is_empty());
         match (&self.why_dark, fault) {
             (Some(why), _) => NoPicture::Because { why: why.clone(), remedy: text!("no-image-again") },
             (None, Some(why)) => NoPicture::Because { why: why.clone(), remedy: text!("no-image-retried") },
-            (None, None) => {
-                NoPicture::Plain(if stopped { text!("no-image-plain") } else { text!("no-image-starting") })
-            }
+            // Why the whole graph did not start, until the camera alone shows an image.
+            (None, None) if self.raw_only.is_some() => NoPicture::Because {
+                why: self.raw_only.clone().unwrap_or_default(),
+                remedy: text!("no-image-camera-tried"),
+            },
+            (None, None) if stopped => NoPicture::Plain(text!("no-image-plain").to_owned()),
+            // A camera may take long to open: something must be seen to go on.
+            (None, None) => NoPicture::Plain(match self.starting.map(|time| time.as_secs()) {
+                Some(seconds) if seconds >= 2 => text!("no-image-starting-for", seconds = seconds),
+                _ => text!("no-image-starting").to_owned(),
+            }),
         }
     }
 }
@@ -128,7 +161,7 @@ impl Facts {
 pub fn notices(facts: &Facts) -> Vec<Notice> {
     let mut all = Vec::new();
     let mut notify = |kind: Alarm, message: String| {
-        all.push(Notice { urgency: kind.urgency, message, action: kind.action() });
+        all.push((kind.rank(), Notice { urgency: kind.urgency, message, action: kind.action() }));
     };
     if facts.emergency {
         notify(alarms::EMERGENCY, text!("alarm-emergency").to_owned());
@@ -137,6 +170,8 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
         notify(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
     } else if let Some(outage) = &facts.outage {
         notify(alarms::RESTARTING, outage.message());
+    } else if let Some(why) = facts.raw_only.as_ref().filter(|_| !facts.has_raw) {
+        notify(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
     } else if let Some(why) = &facts.raw_only {
         notify(alarms::CAMERA_ONLY, text!("alarm-camera-only", reason = why));
     } else if let Phase::Failed(why) = &facts.phase {
@@ -155,14 +190,16 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     }
     // Without the machine nothing is known of its cameras and views.
     let is_reached = facts.unreached().is_none();
-    for (camera, since) in facts.lost.iter().filter(|_| is_reached) {
-        notify(
-            alarms::CAMERA_LOST,
-            match since {
-                Some(since) => text!("alarm-camera-lost", camera = camera, seconds = since.as_secs().max(1)),
-                None => text!("notice-camera-silent", camera = camera),
-            },
-        );
+    for LostCameras { titles, since } in facts.lost.iter().filter(|_| is_reached) {
+        let seconds = since.map(|since| since.as_secs().max(1));
+        let message = match (&titles[..], seconds) {
+            ([camera], Some(seconds)) => text!("alarm-camera-lost", camera = camera, seconds = seconds),
+            (_, Some(seconds)) => {
+                text!("notice-cameras-silent-for", cameras = titles.join(", "), seconds = seconds)
+            }
+            (_, None) => text!("notice-camera-silent", camera = titles.join(", ")),
+        };
+        notify(alarms::CAMERA_LOST, message);
     }
     for view in facts.stopped.iter().filter(|_| is_reached) {
         notify(alarms::VIEW_STOPPED, text!("alarm-view-stopped", view = view));
@@ -174,16 +211,28 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
         notify(alarms::NOT_CHANGED, text!("alarm-not-changed", reason = problem));
     }
     if let Some(age) = facts.age_ms.filter(|age| *age > OLD_MS && facts.stopped.is_empty()) {
-        notify(alarms::OLD_IMAGE, text!("alarm-image-old", seconds = decimal(age / 1e3, 1)));
+        let seconds = decimal(age / 1e3, 1);
+        match age > STOPPED_MS {
+            // A lost camera has its own notice, with the time.
+            true if !facts.lost.is_empty() => {}
+            true => notify(alarms::STALE_IMAGE, text!("alarm-image-stale", seconds = seconds)),
+            false => notify(alarms::OLD_IMAGE, text!("alarm-image-old", seconds = seconds)),
+        }
     }
+    // One notice for a full disk, however many nodes cannot write.
+    let is_disk_full = !facts.full_stages.is_empty() || facts.free_bytes.is_some_and(|free| free < FULL_BYTES);
     match facts.free_bytes {
-        Some(free) if free < FULL_BYTES => notify(alarms::DISK_FULL, text!("alarm-disk-full").to_owned()),
+        _ if !facts.full_stages.is_empty() => {
+            let stages: Vec<String> = facts.full_stages.iter().map(|stage| format!("`{stage}`")).collect();
+            notify(alarms::DISK_FULL, text!("notice-disk-full-for", stages = stages.join(", ")));
+        }
+        _ if is_disk_full => notify(alarms::DISK_FULL, text!("alarm-disk-full").to_owned()),
         Some(free) if free < LOW_BYTES && facts.recording => {
             notify(alarms::DISK_LOW, text!("alarm-disk-low", size = bytes(free)));
         }
         _ => {}
     }
-    if let Some(problem) = &facts.audit_problem {
+    if let Some(problem) = facts.audit_problem.as_ref().filter(|problem| !(is_disk_full && is_full(problem))) {
         notify(alarms::AUDIT, text!("alarm-audit", reason = problem));
     }
     if let Some(problem) = &facts.pedal_problem {
@@ -204,8 +253,8 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     if !facts.public.is_empty() {
         notify(alarms::PUBLIC, text!("alarm-public", nodes = facts.public.join(", ")));
     }
-    all.sort_by_key(|n| std::cmp::Reverse(n.urgency));
-    all
+    all.sort_by_key(|(rank, _)| *rank);
+    all.into_iter().map(|(_, notice)| notice).collect()
 }
 
 /// Tracks which nodes have new faults, from one reading of the counters to the next.
@@ -218,9 +267,6 @@ pub struct Stages {
 
 /// The message about a fault for the surgeon; `None` when it does not affect the images.
 fn fault_message(node: &str, fault: &Fault) -> Option<String> {
-    if is_full(&fault.words) {
-        return Some(text!("notice-stage-disk-full", stage = node));
-    }
     Some(match fault.cause {
         Cause::Slow | Cause::Leak | Cause::Size | Cause::Incomplete if fault.done == Action::Note => return None,
         Cause::Recording => text!("notice-recording-gaps", reason = &fault.words),
@@ -233,8 +279,8 @@ fn fault_message(node: &str, fault: &Fault) -> Option<String> {
 }
 
 impl Stages {
-    /// Takes new counters; returns the messages about failed nodes.
-    pub fn update(&mut self, counters: &Counters, now: Instant) -> Vec<String> {
+    /// Takes new counters; returns the messages about failed nodes, and the nodes that failed because the disk is full.
+    pub fn update(&mut self, counters: &Counters, now: Instant) -> (Vec<String>, Vec<String>) {
         for (id, node) in &counters.nodes {
             let count = node.faults + node.restarts;
             let before = self.counts.insert(id.clone(), count).unwrap_or(0);
@@ -248,11 +294,13 @@ impl Stages {
         nodes.retain(|id| counters.nodes.contains_key(id));
         nodes.sort();
         nodes.dedup();
+        let (full, nodes): (Vec<String>, Vec<String>) =
+            nodes.into_iter().partition(|id| counters.faults.get(id).is_some_and(|fault| is_full(&fault.words)));
         let message = |id: &String| match counters.faults.get(id) {
             Some(fault) => fault_message(id, fault),
             None => Some(text!("alarm-stage", stage = id)),
         };
-        nodes.iter().filter_map(message).collect()
+        (nodes.iter().filter_map(message).collect(), full)
     }
 }
 
@@ -280,7 +328,7 @@ mod tests {
     fn every_problem_has_a_notice_and_alarms_come_first() {
         let facts = Facts {
             age_ms: Some(430.0),
-            lost: vec![("Left camera".to_owned(), Some(Duration::from_secs(3)))],
+            lost: vec![LostCameras { titles: vec!["Left camera".to_owned()], since: Some(Duration::from_secs(3)) }],
             free_bytes: Some(1),
             drifted: true,
             emergency: true,
@@ -305,6 +353,31 @@ mod tests {
     }
 
     #[test]
+    fn a_wrong_measurement_comes_before_an_age_and_a_lost_camera_before_both() {
+        let mut facts = Facts { age_ms: Some(430.0), drifted: true, ..Facts::default() };
+        assert!(message(&facts)[0].starts_with("The calibration does not fit any more"), "{:?}", message(&facts));
+        facts.age_ms = Some(3000.0);
+        assert_eq!(message(&facts)[0], "Image is 3.0 s old: not the present one");
+        facts.swapped = true;
+        assert_eq!(message(&facts)[0], "The left and right cameras are swapped");
+        let both = LostCameras { titles: vec!["Left camera".to_owned(), "Right camera".to_owned()], since: None };
+        facts.lost = vec![LostCameras { since: Some(Duration::from_secs(3)), ..both.clone() }];
+        assert_eq!(message(&facts)[0], "No new image: none from Left camera, Right camera for 3 s");
+        assert!(message(&facts).iter().all(|m| !m.starts_with("Image is")), "{:?}", message(&facts));
+    }
+
+    #[test]
+    fn a_full_disk_is_one_notice() {
+        let facts = Facts {
+            free_bytes: Some(0),
+            full_stages: vec!["film".to_owned(), "table".to_owned(), "images".to_owned()],
+            audit_problem: Some("log: No space left on device (os error 28)".to_owned()),
+            ..Facts::default()
+        };
+        assert_eq!(message(&facts), ["The disk is full: `film`, `table`, `images` cannot write"]);
+    }
+
+    #[test]
     fn a_missing_image_shows_why_and_what_to_do() {
         let why = "node `scope` (capture) did not open: camera 2 does not open: it may be in use by another program"
             .to_owned();
@@ -322,8 +395,15 @@ mod tests {
         assert!(
             matches!(retried.no_picture("scope", false), NoPicture::Because { remedy, .. } if remedy.contains("automatically"))
         );
-        assert_eq!(retried.no_picture("wide", false), NoPicture::Plain("starting"));
-        assert_eq!(Facts::default().no_picture("wide", true), NoPicture::Plain("no image"));
+        assert_eq!(retried.no_picture("wide", false), NoPicture::Plain("starting".to_owned()));
+        assert_eq!(Facts::default().no_picture("wide", true), NoPicture::Plain("no image".to_owned()));
+        let alone = Facts { raw_only: Some(why.clone()), ..Facts::default() };
+        assert_eq!(message(&alone), [format!("No image: {why}")], "there is no camera image yet");
+        assert!(matches!(alone.no_picture("scope", false), NoPicture::Because { why: shown, .. } if shown == why));
+        let alone = Facts { has_raw: true, ..alone };
+        assert_eq!(message(&alone), [format!("Camera image only: {why}")]);
+        let slow = Facts { starting: Some(Duration::from_secs(7)), ..Facts::default() };
+        assert_eq!(slow.no_picture("scope", false), NoPicture::Plain("starting for 7 s".to_owned()));
     }
 
     #[test]
@@ -344,16 +424,17 @@ mod tests {
         };
         counters.faults.insert("match".to_owned(), fault(Action::Restart, Cause::Hang, ""));
         let start = Instant::now();
-        assert_eq!(stages.update(&counters, start), ["Stage `match` does not respond"]);
-        assert!(stages.update(&counters, start + Duration::from_secs(5)).is_empty());
+        assert_eq!(stages.update(&counters, start).0, ["Stage `match` does not respond"]);
+        assert!(stages.update(&counters, start + Duration::from_secs(5)).0.is_empty());
         counters.faults.insert("match".to_owned(), fault(Action::Bypass, Cause::Panic, ""));
         assert_eq!(
-            stages.update(&counters, start + Duration::from_secs(9)),
+            stages.update(&counters, start + Duration::from_secs(9)).0,
             ["Stage `match` is bypassed after a fault"]
         );
         let full = fault(Action::Restart, Cause::Error, "x.mkv: No space left on device (os error 28)");
         counters.faults.insert("match".to_owned(), full);
         counters.nodes.insert("match".to_owned(), NodeWindow { faults: 2, ..NodeWindow::default() });
-        assert!(stages.update(&counters, start + Duration::from_secs(10))[0].starts_with("The disk is full"));
+        let (messages, full) = stages.update(&counters, start + Duration::from_secs(10));
+        assert_eq!((messages.len(), full), (0, vec!["match".to_owned()]));
     }
 }

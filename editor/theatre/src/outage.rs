@@ -3,11 +3,13 @@
 use std::time::{Duration, Instant};
 
 use panoscope_audit::{ClipState, Event};
+use panoscope_editor_model::session::Phase;
 use panoscope_editor_texts::{Phrase, text};
+use panoscope_graph::edit::GraphEdit;
 
 use super::previews::FIRST;
 use super::runner::OutageStage;
-use super::{Measure, OutputCache, Theatre};
+use super::{Measure, OutputCache, Theatre, plan};
 
 /// How far this window has followed an outage.
 #[derive(Default)]
@@ -60,6 +62,8 @@ impl Theatre {
                 let name = clip.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 self.notify(text!("clip-process-ended", file = name, event = &outage.why), true);
             }
+            self.hold_arm();
+            self.keep();
             // No view of before may be taken for a present one.
             (self.shown, self.frozen, self.measure) = (OutputCache::default(), None, Measure::default());
             self.running_since = None;
@@ -78,6 +82,51 @@ impl Theatre {
         }
     }
 
+    /// Starts the whole graph again, after it has stopped.
+    pub(super) fn again(&mut self) {
+        let ended = matches!(self.runner.status().phase, Phase::Ended | Phase::Failed(_));
+        let has_fallen_back = self.raw_only.take().is_some();
+        let is_out = self.runner.outage().is_some();
+        if is_out || has_fallen_back || ended {
+            self.hold_arm();
+            self.audit.log(Event::Restarted);
+        }
+        self.keep();
+        if is_out {
+            self.runner.resume();
+        } else if has_fallen_back || ended {
+            self.last_packets.clear();
+            self.runner.restart(&self.text);
+        }
+    }
+
+    /// Gives the runner what to start after a crash: the graph with its arm stopped, also where this window does not run then.
+    pub(super) fn keep(&self) {
+        let cameras = self.plan.raw_only(&self.text).unwrap_or_else(|_| self.text.clone());
+        // What did not run before the crash is not started after it, unless the user asks for it.
+        let whole = if self.raw_only.is_some() { cameras.clone() } else { self.with_stops(&self.text) };
+        self.runner.keep(&whole, &cameras);
+    }
+
+    /// Stops the arm in what runs from the next start on: after a restart it follows only once it is released.
+    fn hold_arm(&mut self) {
+        if !self.plan.stops.is_empty() && !self.emergency {
+            self.emergency = true;
+            self.text = self.with_stops(&self.text);
+            self.audit.log(Event::EmergencyStop { stopped: true });
+        }
+    }
+
+    /// A text of the graph with its arm stopped.
+    fn with_stops(&self, text: &str) -> String {
+        let edited = GraphEdit::parse(text).and_then(|mut edit| {
+            let mut stops = self.plan.stops.iter();
+            stops.try_for_each(|stop| edit.set_param(&stop.node, plan::EMERGENCY_STOP, &true.into()))?;
+            Ok(edit.text())
+        });
+        edited.unwrap_or_else(|_| text.to_owned())
+    }
+
     /// Whether the camera's own image is shown in place of all views.
     pub(super) fn shows_raw(&self) -> bool {
         self.raw_only.is_some() || self.runner.outage().is_some()
@@ -86,7 +135,7 @@ impl Theatre {
     /// The outage, for notices.
     pub(super) fn outage_facts(&self) -> Option<OutageFacts> {
         let outage = self.runner.outage()?;
-        let raw = self.plan.raw.as_ref();
+        let raw = self.raw();
         let last = raw.and_then(|raw| self.last_packets.get(&raw.output));
         Some(OutageFacts { why: outage.why, stage: outage.stage, without_image: last.map(|last| last.at.elapsed()) })
     }

@@ -1,5 +1,7 @@
 //! What the theatre shows of a graph: its views, the raw view for failures, the pinned settings, the nodes that stop an arm.
 
+use std::path::PathBuf;
+
 use panoscope_editor_texts::{Phrase, phrase, text};
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView, listening};
@@ -63,6 +65,15 @@ pub struct Stop {
     pub reset: Option<usize>,
 }
 
+/// A file that a node writes.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Written {
+    /// The node.
+    pub node: String,
+    /// Its file, absolute; may have place holders.
+    pub path: PathBuf,
+}
+
 /// A node that listens for other programs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Listens {
@@ -109,6 +120,8 @@ pub struct Plan {
     pub raw: Option<Pane>,
     /// The images of all cameras that the graph reads, to detect lost cameras.
     pub cameras: Vec<Pane>,
+    /// What the parameters of their sources name as each of the cameras, such as an address; empty where they name none.
+    pub camera_sources: Vec<String>,
     /// The images of the left and the right eye: of a rectified pair if there is one, else of the cameras.
     pub pair: Option<[Output; 2]>,
     /// The point cloud to measure in.
@@ -121,6 +134,8 @@ pub struct Plan {
     pub stops: Vec<Stop>,
     /// Nodes that listen for other programs.
     pub listening: Vec<Listens>,
+    /// Files that nodes write, with place holders such as `{seq}`.
+    pub written: Vec<Written>,
     /// Names of sources.
     sources: Vec<String>,
 }
@@ -130,6 +145,35 @@ fn title(name: &str) -> String {
     let spaced = name.replace(['_', '-'], " ");
     let mut letters = spaced.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// The files that a node writes.
+fn written(node: &panoscope_graph::Node, catalog: &Catalog) -> Vec<Written> {
+    let params = node.node_type(catalog).params.iter().zip(&node.params);
+    let paths = params.filter(|(declared, _)| declared.writes).filter_map(|(_, value)| match value {
+        panoscope_graph::ParamValue::Path(path) if !path.as_os_str().is_empty() => Some(path),
+        _ => None,
+    });
+    paths.map(|path| Written { node: node.id.clone(), path: path.clone() }).collect()
+}
+
+/// What the parameters of a source name as the camera of an output: its own part of `views`, or the parameter of the output's name. One source that
+/// is split serves both eyes.
+fn source_of(node: &panoscope_graph::Node, port: &str, catalog: &Catalog) -> Option<String> {
+    let text = |name: &str| match node.params.get(node.node_type(catalog).param(name)?)? {
+        panoscope_graph::ParamValue::Text(text) => Some(text.trim()).filter(|text| !text.is_empty()),
+        _ => None,
+    };
+    let (view, eye) = match port {
+        "left" | "view0" => (0, "left"),
+        "right" | "view1" => (1, "right"),
+        "view2" => (2, ""),
+        "view3" => (3, ""),
+        _ => return None,
+    };
+    let listed =
+        text("views").and_then(|views| views.split([';', '\n']).map(str::trim).filter(|t| !t.is_empty()).nth(view));
+    listed.or_else(|| text(eye)).or_else(|| text("left").filter(|_| view == 1)).map(str::to_owned)
 }
 
 /// The uncertainty of the stereo geometry from the parameters of a measuring node; the usual values without one.
@@ -167,6 +211,11 @@ impl Plan {
             .filter(|&(n, port)| packet(n, port) == "image" && read(n, port))
             .map(|(n, port)| pane(n, port, node_type(n).outputs[port].name.clone()))
             .collect();
+        let camera_sources = cameras.iter().map(|camera| {
+            let node = graph.nodes.iter().find(|node| node.id == camera.output.node);
+            node.and_then(|node| source_of(node, &camera.output.port, catalog)).unwrap_or_default()
+        });
+        let camera_sources = camera_sources.collect();
         let mut cameras = cameras;
         // Named after the port; if several sources have the same one, with the source.
         let labels: Vec<String> = cameras.iter().map(|c| c.label.clone()).collect();
@@ -185,6 +234,13 @@ impl Plan {
                 .map(|(n, port)| Pane { camera: Some(String::new()), ..pane(n, port, "Camera".to_owned()) })
         });
         let mut views: Vec<Pane> = graph.preset.views.iter().map(|v| pane(v.node, v.port, title(&v.label))).collect();
+        // Views of one node that share its name: by their outputs, too.
+        let labels: Vec<String> = views.iter().map(|view| view.label.clone()).collect();
+        for view in &mut views {
+            if labels.iter().filter(|label| **label == view.label).count() > 1 {
+                view.label = format!("{} {}", view.label, view.output.port.replace(['_', '-'], " "));
+            }
+        }
         if views.is_empty() {
             let all = || graph.edges.iter().map(|e| (e.from_node, e.from_port, e.to_node));
             let made = all().filter(|&(from, port, to)| {
@@ -238,6 +294,7 @@ impl Plan {
             views,
             raw,
             cameras,
+            camera_sources,
             pair,
             cloud,
             rig,
@@ -250,6 +307,7 @@ impl Plan {
                     Listens { what, is_public: one.is_public }
                 })
                 .collect(),
+            written: graph.nodes.iter().flat_map(|node| written(node, catalog)).collect(),
             sources: sources.into_iter().map(id).collect(),
         }
     }
@@ -395,10 +453,64 @@ inputs = { pose = "scope.pose" }
     }
 
     #[test]
+    fn each_camera_has_the_source_that_the_parameters_name() {
+        let text = |name: &str| Param {
+            name: name.to_owned(),
+            doc: String::new(),
+            unit: String::new(),
+            kind: ParamKind::Text { default: String::new() },
+            reopen: true,
+            pick: Pick::File,
+            writes: false,
+            shipped: false,
+        };
+        let mut catalog = catalog();
+        catalog.node_types[0].params = vec![text("left"), text("right"), text("views")];
+        let sources = |params: &str| {
+            let text = TEXT.replace("type = \"cam\"", &format!("type = \"cam\"\nparams = {{ {params} }}"));
+            let (graph, _) = check(&GraphText::parse("g.toml".as_ref(), &text), &catalog).into_result().unwrap();
+            Plan::of(&graph, &catalog).camera_sources
+        };
+        assert_eq!(sources("left = \"udp://a\", right = \"udp://b\""), ["udp://a", "udp://b"]);
+        assert_eq!(sources("views = \"0; 2\""), ["0", "2"]);
+        assert_eq!(sources("left = \"0\""), ["0", "0"], "one source for both eyes");
+        assert_eq!(plan(TEXT).camera_sources, ["", ""]);
+    }
+
+    #[test]
+    fn files_that_nodes_write_are_known() {
+        let mut catalog = catalog();
+        let writer = catalog.node_types.iter_mut().find(|node| node.name == "write").unwrap();
+        let kind = ParamKind::Path { default: "out/film.mkv".to_owned(), must_exist: false };
+        writer.params = vec![Param {
+            name: "path".to_owned(),
+            doc: String::new(),
+            unit: String::new(),
+            kind,
+            reopen: true,
+            pick: Pick::None,
+            writes: true,
+            shipped: false,
+        }];
+        let text = TEXT.replace(
+            "inputs = { image = \"turn.image\" }",
+            "inputs = { image = \"turn.image\" }\nparams = { path = \"x_{seq}.png\" }",
+        );
+        let (graph, _) = check(&GraphText::parse("/case/g.toml".as_ref(), &text), &catalog).into_result().unwrap();
+        let written = Plan::of(&graph, &catalog).written;
+        let found: Vec<(&str, &str)> =
+            written.iter().map(|one| (one.node.as_str(), one.path.to_str().unwrap())).collect();
+        assert_eq!(found, [("file", "/case/out/film.mkv"), ("file_2", "/case/x_{seq}.png")]);
+    }
+
+    #[test]
     fn named_views_are_taken_as_they_are() {
         let plan =
             plan(&format!("{TEXT}[preset]\nviews = [\"turn.image\", {{ from = \"scope.right\", label = \"Raw\" }}]\n"));
         assert_eq!(names(&plan.views), [("turn.image".to_owned(), "Turn"), ("scope.right".to_owned(), "Raw")]);
+        let eyes = self::plan(&format!("{TEXT}[preset]\nviews = [\"scope.left\", \"scope.right\"]\n")).views;
+        let labels: Vec<String> = eyes.into_iter().map(|view| view.label).collect();
+        assert_eq!(labels, ["Scope left", "Scope right"]);
     }
 
     #[test]

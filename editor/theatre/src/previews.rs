@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 use eframe::egui::Context;
 use panoscope_engine::clock;
 
+use super::lost::{self, SilentCamera};
 use super::measure::Measure;
-use super::notices::{Facts, STOPPED, metric_is_on};
+use super::notices::{Facts, OLD_MS, STOPPED, STOPPED_MS, metric_is_on};
 use super::{Pane, Theatre, ThreeD, Verified};
 use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::content::Content;
@@ -49,15 +50,16 @@ impl Theatre {
         if let Some(cloud) = self.plan.cloud.clone().filter(|_| self.measure.is_waiting())
             && let Some(packet) = previews.remove(&cloud)
             && packet.cloud.is_some()
+            && !self.is_stale(&cloud)
         {
             self.measure.take(ctx, &cloud, packet);
             self.frozen = Some(now);
         }
-        if let Some(raw) = self.plan.raw.as_ref().map(|raw| &raw.output)
-            && let Some(packet) = previews.get(raw)
-        {
-            self.live.update(ctx, HashMap::from([(raw.clone(), packet.clone())]));
-        }
+        self.choose_raw();
+        // Of all cameras, so that any of them can stand in at once. Only the raw view's is larger than it takes to watch it.
+        let cameras = self.plan.cameras.iter().chain(&self.plan.raw).map(|camera| &camera.output);
+        let live = cameras.filter_map(|camera| Some((camera.clone(), previews.get(camera)?.clone())));
+        self.live.update(ctx, live.collect());
         if self.frozen.is_none() {
             if let Some(pair) = self.plan.pair.as_ref().filter(|_| self.three_d != ThreeD::Off) {
                 self.pair.take(pair, &previews);
@@ -73,13 +75,18 @@ impl Theatre {
             Phase::Running => {}
             _ => self.running_since = None,
         }
+        match status.phase {
+            Phase::Starting if self.starting_since.is_none() => self.starting_since = Some(Instant::now()),
+            Phase::Starting => {}
+            _ => self.starting_since = None,
+        }
         // The cameras of another machine are not started from here.
         if self.shows_raw() || status.busy || self.machine.is_some() {
             return;
         }
         let why = match (&status.phase, &status.problem) {
             (Phase::Failed(why), _) => why.clone(),
-            (Phase::Idle | Phase::Ended, Some(problem)) => problem.message.clone(),
+            (Phase::Idle | Phase::Ended, Some(problem)) => problem.line().to_owned(),
             _ => return,
         };
         self.take_clip(ClipState::Failed);
@@ -105,28 +112,40 @@ impl Theatre {
             self.last_packets.get(output).map(|last_packets| last_packets.at.elapsed().min(requested(output)))
         };
         let has_stopped = |output: &Output| silent(output).map_or(requested(output) > FIRST, |age| age > STOPPED);
-        let lost = self.plan.cameras.iter().filter(|c| running && has_stopped(&c.output));
-        let lost: Vec<_> = lost.map(|c| (c.title(), silent(&c.output))).collect();
-        let raw_goes_on = self.plan.raw.as_ref().is_some_and(|raw| !has_stopped(&raw.output));
+        let silent_cameras = self.plan.cameras.iter().zip(&self.plan.camera_sources);
+        let silent_cameras =
+            silent_cameras.filter(|(c, _)| running && has_stopped(&c.output)).map(|(camera, source)| SilentCamera {
+                output: &camera.output,
+                title: camera.title(),
+                source: source.as_str(),
+                since: silent(&camera.output),
+            });
+        let lost = lost::cameras(&silent_cameras.collect::<Vec<_>>(), &self.plan.cameras, |node| {
+            // Clocks of two machines differ: of another one's faults it is not known when they were.
+            counters.faults.get(node).filter(|_| self.machine.is_none())
+        });
+        let raw_goes_on = self.raw().is_some_and(|raw| !has_stopped(&raw.output));
         let is_live = running && self.frozen.is_none();
         let looking = is_live && !self.shows_raw();
         let stopped = self.displayed().into_iter().filter(|_| looking && raw_goes_on && !self.measure.is_waiting());
         let stopped = stopped.filter(|p| has_stopped(&p.output) && !self.plan.is_source(&p.output.node));
         let stopped: Vec<String> = stopped.map(|p| p.label.clone()).collect();
         let main = self.plan.views.get(self.layout.main());
-        let main = if self.shows_raw() { self.plan.raw.as_ref() } else { main };
+        let main = if self.shows_raw() { self.raw() } else { main };
         let main = main.map(|v| v.output.clone());
         let left_eye = self.plan.pair.as_ref().map(|[left, _]| left.clone()).filter(|_| self.shows_pair());
         let main = left_eye.or(main);
-        let age_ms = main.filter(|_| is_live).and_then(|main| self.age_ms(&main));
+        let age_ms = main.filter(|_| is_live).and_then(|main| self.shown_age_ms(&main));
         let calibrated = |metric| metric_is_on(counters, metric);
-        let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.message.clone());
+        let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.line().to_owned());
         let nothing_runs = match &status.phase {
             Phase::Failed(why) => Some(why.clone()),
             Phase::Idle | Phase::Ended => problem.clone(),
             Phase::Starting | Phase::Running => None,
         };
         let source_faults = counters.faults.iter().filter(|(node, _)| self.plan.is_source(node));
+        let writes = !self.shows_raw() && !self.plan.written.is_empty();
+        let (stages, full_stages) = self.stages.update(counters, Instant::now());
         Facts {
             // Set only when the sources alone do not run either.
             why_dark: nothing_runs.filter(|_| !status.busy && self.shows_raw()),
@@ -134,17 +153,23 @@ impl Theatre {
             machine: self.machine_facts(),
             source_faults: source_faults.map(|(node, fault)| (node.clone(), fault.words.clone())).collect(),
             phase: status.phase.clone(),
+            starting: self.starting_since.map(|since| since.elapsed()),
             problem,
             raw_only: self.raw_only.clone(),
+            has_raw: self
+                .raw()
+                .is_some_and(|raw| self.live.texture(&raw.output).is_some() && !self.is_stale(&raw.output)),
             emergency: self.emergency,
             lost,
             stopped,
             age_ms,
-            stages: self.stages.update(counters, Instant::now()),
+            stages,
+            full_stages,
             free_bytes: self.storage.free_bytes(),
             audit_problem: self.audit.problem(),
             pedal_problem: self.pedal.problem.clone(),
-            recording: self.clip.is_some(),
+            recording: self.clip.is_some() || writes && self.machine.is_none(),
+            written_bytes: (writes && running).then(|| self.sink_files.bytes()),
             drifted: calibrated("drifted"),
             unlike: calibrated("unlike"),
             swapped: calibrated("views_swapped"),
@@ -165,6 +190,53 @@ impl Theatre {
         Some(clock::now_ns().saturating_add_signed(arrived_ns.saturating_neg()) as f64 / 1e6)
     }
 
+    /// Age of the image that an output shows, ms: the time since its light arrived, or since it came, where nobody knows when its light arrived and
+    /// it is not new. `None` before the first image; and, where an output was hidden, until its first new image or for [`STOPPED`].
+    pub(super) fn shown_age_ms(&self, output: &Output) -> Option<f64> {
+        let last = self.last_packets.get(output)?;
+        if self.requested.get(output).is_some_and(|asked| last.at < *asked && asked.elapsed() < STOPPED) {
+            return None;
+        }
+        let silent_ms = last.at.elapsed().as_secs_f64() * 1e3;
+        match self.age_ms(output) {
+            Some(age_ms) => Some(age_ms.max(silent_ms)),
+            None => (silent_ms > OLD_MS).then_some(silent_ms),
+        }
+    }
+
+    /// Whether the image that an output shows is too old to be taken for the present one.
+    pub(super) fn is_stale(&self, output: &Output) -> bool {
+        self.shown_age_ms(output).is_some_and(|age_ms| age_ms > STOPPED_MS)
+    }
+
+    /// Whether a view is taken from the screen because it is too old and may show numbers that a stage has drawn: another image stands in for it.
+    pub(super) fn is_withdrawn(&self, pane: &Pane) -> bool {
+        self.frozen.is_none() && !self.plan.is_source(&pane.output.node) && self.is_stale(&pane.output)
+    }
+
+    /// The image of a camera that stands in for views: the first camera's, or that of another one while only that one delivers.
+    pub(super) fn raw(&self) -> Option<&Pane> {
+        self.plan.cameras.get(self.raw_camera).or(self.plan.raw.as_ref())
+    }
+
+    /// Chooses the camera for [`Self::raw`].
+    fn choose_raw(&mut self) {
+        let age_of = |camera: &Pane| {
+            let has_image = self.last_packets.contains_key(&camera.output);
+            has_image.then(|| self.shown_age_ms(&camera.output).unwrap_or_default())
+        };
+        // Cameras that fall silent together do not take turns.
+        let delivers = |camera: &Pane| age_of(camera).is_some_and(|age_ms| age_ms < STOPPED_MS / 2.0);
+        let is_lost = |camera: &Pane| age_of(camera).is_none_or(|age_ms| age_ms > STOPPED_MS);
+        let cameras = &self.plan.cameras;
+        // While none delivers, the last one stays.
+        if let Some(first) = cameras.iter().position(delivers)
+            && (first == 0 || cameras.get(self.raw_camera).is_none_or(is_lost))
+        {
+            self.raw_camera = first;
+        }
+    }
+
     /// Requests previews of the visible outputs from the observer.
     pub(super) fn request_previews(&mut self) {
         let mut requests: HashMap<Output, PreviewRequest> = HashMap::new();
@@ -176,7 +248,7 @@ impl Theatre {
         for camera in &self.plan.cameras {
             requests.insert(camera.output.clone(), of(camera, WATCHED_WIDTH));
         }
-        if let Some(raw) = &self.plan.raw {
+        if let Some(raw) = self.raw() {
             requests.insert(raw.output.clone(), of(raw, MAX_WIDTH));
         }
         if let Some(rig) =

@@ -16,7 +16,8 @@ impl Theatre {
             self.measure.pixels()
         } else {
             let main = self.plan.views.get(self.layout.main());
-            let raw = self.plan.raw.as_ref().filter(|_| self.shows_raw());
+            // What is shown: the camera's own image in place of a view that is too old.
+            let raw = self.raw().filter(|_| self.shows_raw() || main.is_some_and(|main| self.is_withdrawn(main)));
             match raw {
                 Some(raw) => self.live.pixels(&raw.output).cloned(),
                 None => main.and_then(|m| self.shown.pixels(&m.output).cloned()),
@@ -31,9 +32,18 @@ impl Theatre {
         }
     }
 
+    /// Measures the files that the graph writes on this machine.
+    pub(super) fn watch_sinks(&mut self) {
+        let paths = self.plan.written.iter().filter(|_| self.machine.is_none()).map(|written| written.path.clone());
+        let paths = paths.collect();
+        if let Err(error) = self.sink_files.watch(paths) {
+            self.notify(error.to_string(), true);
+        }
+    }
+
     /// The view to record: the main view if it is an image, else the first image.
     fn clip_view(&self) -> Option<Pane> {
-        let raw = self.plan.raw.as_ref().filter(|_| self.shows_raw());
+        let raw = self.raw().filter(|_| self.shows_raw());
         let main = self.plan.views.get(self.layout.main());
         let others = self.plan.views.iter().chain(&self.plan.raw);
         raw.into_iter().chain(main).chain(others).find(|p| p.packet == "image").cloned()

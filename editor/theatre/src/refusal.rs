@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use panoscope_editor_model::session::first_mistake;
 use panoscope_editor_texts::{Phrase, phrase};
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +18,8 @@ pub struct Refusal {
     pub(super) remedies: Vec<(Phrase, Option<String>)>,
     /// The error in one text.
     pub(super) message: String,
+    /// The error on one line: the first of its causes.
+    pub(super) line: String,
     /// The error as shown on a terminal.
     pub(super) terminal_text: String,
     /// For the audit log: names no files that a user chose.
@@ -97,7 +100,13 @@ impl Refusal {
             OpenError::Graph(diagnostics) => diagnostics.render(false).trim_end().to_owned(),
             other => format!("error: {other}"),
         };
+        let line = match error {
+            OpenError::Locked(differences) => differences.first().map(ToString::to_string),
+            OpenError::Graph(diagnostics) => first_mistake(diagnostics),
+            other => other.to_string().lines().next().map(str::to_owned),
+        };
         Self {
+            line: line.unwrap_or_else(|| error.to_string()),
             heading,
             causes,
             remedies,

@@ -2,15 +2,16 @@
 
 use eframe::egui::text::LayoutJob;
 use eframe::egui::{
-    Align2, Color32, EventFilter, FontId, Id, Rect, Sense, Stroke, StrokeKind, TextureId, Ui, Vec2, WidgetInfo,
-    WidgetType, pos2, vec2,
+    Align2, Color32, EventFilter, FontId, Id, Painter, Rect, Sense, Stroke, StrokeKind, TextureId, Ui, Vec2,
+    WidgetInfo, WidgetType, pos2, vec2,
 };
 
+use super::arm::fitting;
 use super::arrange::{GAP, TITLE, fit, inset, level};
-use super::notices::{Facts, NoPicture, OLD_MS, STOPPED};
+use super::notices::{Facts, NoPicture, OLD_MS, STOPPED_MS};
 use super::{Layout, Pane, Theatre};
 use panoscope_editor_model::surface::Viewpoint;
-use panoscope_editor_texts::{decimal, text};
+use panoscope_editor_texts::{decimal, number, text};
 use panoscope_editor_widgets::surface;
 use panoscope_editor_widgets::theme;
 
@@ -39,7 +40,7 @@ impl Theatre {
             return self.live_beside(ui, side, facts);
         }
         if self.shows_raw() {
-            match self.plan.raw.clone() {
+            match self.raw().cloned() {
                 Some(raw) => {
                     self.picture(ui, room, &raw, None, true, facts);
                 }
@@ -66,7 +67,8 @@ impl Theatre {
         });
         for (n, rect) in rects {
             let pane = &views[n];
-            let raw = self.plan.raw.clone().filter(|_| self.replaced(pane, facts) && n == self.layout.main());
+            let raw = self.raw().filter(|_| self.replaced(pane, facts) && n == self.layout.main());
+            let raw = raw.filter(|raw| self.live.texture(&raw.output).is_some()).cloned();
             let clicked = match raw {
                 Some(raw) => {
                     let title = text!("view-in-place", camera = raw.title(), view = pane.title());
@@ -93,13 +95,13 @@ impl Theatre {
 
     /// Size of the raw view's image; 4:3 before the first one.
     fn live_size(&self) -> Vec2 {
-        let texture = self.plan.raw.as_ref().and_then(|raw| self.live.texture(&raw.output));
+        let texture = self.raw().and_then(|raw| self.live.texture(&raw.output));
         texture.map_or(vec2(4.0, 3.0), |(_, size)| size)
     }
 
     /// Draws the live image beside a frozen one.
     fn live_beside(&mut self, ui: &mut Ui, side: Rect, facts: &Facts) {
-        if let Some(raw) = self.plan.raw.clone() {
+        if let Some(raw) = self.raw().cloned() {
             // A background and border distinguish it from an image that it may cover.
             ui.painter().rect_filled(side.expand(4.0), 6.0, theme::BLACK);
             ui.painter().rect_stroke(side.expand(4.0), 6.0, Stroke::new(1.5, theme::live()), StrokeKind::Inside);
@@ -110,7 +112,7 @@ impl Theatre {
     /// Whether a view is the one that zooming applies to: the main one, not a live image in a corner, and no surface, which has a viewpoint.
     fn is_zoomed(&self, pane: &Pane, live: bool) -> bool {
         let is_inset = live && self.frozen.is_some();
-        let main = if self.shows_raw() { self.plan.raw.as_ref() } else { self.plan.views.get(self.layout.main()) };
+        let main = if self.shows_raw() { self.raw() } else { self.plan.views.get(self.layout.main()) };
         !is_inset && pane.packet != "cloud" && main.is_some_and(|main| main.output == pane.output)
     }
 
@@ -119,7 +121,7 @@ impl Theatre {
         if self.measure.is_on() {
             return self.notify(text!("view-not-zoomed"), false);
         }
-        let main = if self.shows_raw() { self.plan.raw.as_ref() } else { self.plan.views.get(self.layout.main()) };
+        let main = if self.shows_raw() { self.raw() } else { self.plan.views.get(self.layout.main()) };
         match main.filter(|main| main.packet == "cloud") {
             Some(surface) => {
                 let viewpoint = self.viewpoints.entry(surface.output.clone()).or_default();
@@ -162,7 +164,7 @@ impl Theatre {
             let side = inset(room, size, &[with_title(fit(below_title, size))]);
             let inner = fit(Rect::from_min_max(side.min + vec2(0.0, TITLE), side.max), size);
             ui.painter().rect_filled(inner.expand(4.0), 6.0, theme::BLACK);
-            image(ui, texture, inner, Color32::WHITE);
+            image(ui, texture, inner, tint(self.frozen.is_none() && self.is_stale(&main.output)));
             ui.painter().rect_stroke(
                 self.zoom.frame_in(inner),
                 0.0,
@@ -204,37 +206,41 @@ impl Theatre {
         if response.has_focus() {
             focus_frame(ui, rect);
         }
-        let stopped = !live && facts.stopped.contains(&pane.label) || facts.unreached().is_some();
+        let age = self.shown_age_ms(&pane.output).filter(|_| live || self.frozen.is_none());
+        let is_stale = age.is_some_and(|age| age > STOPPED_MS);
+        let stopped = is_stale || !live && facts.stopped.contains(&pane.label) || facts.unreached().is_some();
         let painter = ui.painter_at(rect);
-        painter.text(
-            pos2(rect.left(), rect.top() + TITLE / 2.0),
-            Align2::LEFT_CENTER,
-            &title,
-            FontId::proportional(16.0),
-            theme::text().gamma_multiply(0.85),
-        );
-        let age = self.age_ms(&pane.output).filter(|_| live || self.frozen.is_none());
-        let (message, color) = match age {
-            _ if stopped => (text!("view-no-new-image").to_owned(), theme::fault()),
-            Some(age) if age > 9_999.0 => (text!("view-no-new-image").to_owned(), theme::fault()),
-            Some(age) if age > OLD_MS => (text!("view-old", seconds = decimal(age / 1e3, 1)), theme::warn()),
+        let (message, size, color) = match age {
+            Some(age) if stopped => (text!("view-old", seconds = seconds(age)), 20.0, theme::fault()),
+            None if stopped => (text!("view-no-new-image").to_owned(), 20.0, theme::fault()),
+            Some(age) if age > OLD_MS => (text!("view-old", seconds = seconds(age)), 14.0, theme::warn()),
             // In steps of 10 ms, so that the number does not flicker.
-            Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), theme::muted()),
-            None => (String::new(), theme::muted()),
+            Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), 14.0, theme::muted()),
+            None => (String::new(), 14.0, theme::muted()),
         };
-        painter.text(
-            pos2(rect.right(), rect.top() + TITLE / 2.0),
-            Align2::RIGHT_CENTER,
-            message,
-            FontId::proportional(theme::legible(ui.ctx(), 14.0)),
-            color,
-        );
+        let middle = rect.top() + TITLE / 2.0;
+        let font = FontId::proportional(theme::legible(ui.ctx(), size));
+        let age = painter.text(pos2(rect.right(), middle), Align2::RIGHT_CENTER, message, font, color);
+        // The age stays whole: the title is made smaller where both do not fit.
+        let width = age.left() - 8.0 - rect.left();
+        let title = fitting(&painter, &title, 16.0, width, theme::text().gamma_multiply(0.85));
+        painter.galley(pos2(rect.left(), middle - title.size().y / 2.0), title, theme::text());
         match texture {
+            // Numbers that a stage has drawn into an image go with it.
+            Some(_) if !live && pane.packet == "image" && self.is_withdrawn(pane) => {
+                painter.rect_filled(inner, 0.0, theme::sunk());
+                stale_frame(&painter, inner);
+                // At the edge, because the image comes back.
+                let at = inner.center_top() + vec2(0.0, 6.0);
+                painter.text(
+                    at,
+                    Align2::CENTER_TOP,
+                    text!("view-withdrawn"),
+                    FontId::proportional(16.0),
+                    theme::muted(),
+                );
+            }
             Some((texture, _)) => {
-                // An image that is not live is darkened so that it is not mistaken for one that is.
-                let is_old = live && age.is_some_and(|age| age > STOPPED.as_secs_f64() * 1e3);
-                let stopped = stopped || is_old;
-                let tint = if stopped { Color32::from_gray(90) } else { Color32::WHITE };
                 if is_zoomed {
                     self.zoom.steer(ui, &response, inner);
                     if response.has_focus() || ui.memory(|m| m.focused().is_none()) {
@@ -242,9 +248,9 @@ impl Theatre {
                     }
                 }
                 let part = if is_zoomed { self.zoom.visible() } else { WHOLE };
-                ui.painter().image(texture, inner, part, tint);
+                ui.painter().image(texture, inner, part, tint(stopped));
                 if stopped {
-                    painter.rect_stroke(inner, 0.0, Stroke::new(3.0, theme::fault()), StrokeKind::Inside);
+                    stale_frame(&painter, inner);
                 }
             }
             None => {
@@ -323,6 +329,21 @@ impl Theatre {
     }
 }
 
+/// An age, s, with one digit after the point while it is small.
+fn seconds(age_ms: f64) -> String {
+    number(age_ms / 1e3, u8::from(age_ms < 9950.0))
+}
+
+/// The colour that an image is multiplied with: one that is not live is darkened, so that it is not mistaken for one that is.
+pub(super) fn tint(stopped: bool) -> Color32 {
+    if stopped { Color32::from_gray(90) } else { Color32::WHITE }
+}
+
+/// Draws the frame of an image that is not live.
+pub(super) fn stale_frame(painter: &Painter, image: Rect) {
+    painter.rect_stroke(image, 0.0, Stroke::new(4.0, theme::fault()), StrokeKind::Inside);
+}
+
 /// An image's rectangle with its title.
 fn with_title(picture: Rect) -> Rect {
     Rect::from_min_max(picture.min - vec2(0.0, TITLE), picture.max)
@@ -335,7 +356,7 @@ fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
         NoPicture::Because { why, remedy } => (why.as_str(), *remedy),
         NoPicture::Plain(message) => {
             let font = FontId::proportional(20.0);
-            ui.painter().text(room.center(), Align2::CENTER_CENTER, *message, font, theme::muted());
+            ui.painter().text(room.center(), Align2::CENTER_CENTER, message, font, theme::muted());
             return;
         }
     };

@@ -1,8 +1,9 @@
 //! The stereo pair for 3-D displays: side by side, top and bottom, or in alternate rows. Both images are always of one instant.
 //!
-//! The words and the stop of an arm are drawn for both eyes at the same place, above and below the images.
+//! The notices, states and marks, and the stop of an arm, are drawn for both eyes at the same place, above and below the images.
 
 use std::collections::HashMap;
+use std::time::Instant;
 
 use eframe::egui::{
     Align2, Color32, ColorImage, Context, FontId, Rect, Sense, TextureHandle, TextureOptions, Ui, Vec2, WidgetInfo,
@@ -11,18 +12,23 @@ use eframe::egui::{
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
+use panoscope_editor_model::session::Status;
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::{image_of, theme};
 
 use super::Theatre;
 use super::alarms::Urgency;
 use super::arrange::fit;
-use super::notices::{Facts, OLD_MS};
+use super::bars;
+use super::notices::{Facts, STOPPED};
+use super::stage::{stale_frame, tint};
 
-/// Height of the line of words above each image, points.
-const WORDS: f32 = 44.0;
-/// Height of the stop of an arm below each image, points.
-const STOP: f32 = 72.0;
+/// Height of the line of text above each image as it is seen, points.
+const LINE: f32 = 76.0;
+/// Size of the letters of the most urgent notice as it is seen.
+const LETTERS: f32 = 52.0;
+/// Height of the stop of an arm below each image as it is seen, points.
+const STOP: f32 = 84.0;
 
 /// How a pair is shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -88,6 +94,8 @@ pub(super) struct Pair {
     waiting: [Option<Waiting>; 2],
     /// The images of both eyes, and the number of their tick.
     shown: Option<([Pixels; 2], u64)>,
+    /// When both images of the shown pair were there.
+    paired: Option<Instant>,
     /// Incremented with every new pair.
     count: u64,
     textures: Option<([TextureHandle; 2], u64)>,
@@ -109,6 +117,7 @@ impl Pair {
             && let [Some((_, seq, left)), Some((.., right))] = std::mem::take(&mut self.waiting)
         {
             self.shown = Some(([left, right], seq));
+            self.paired = Some(Instant::now());
             self.count += 1;
         }
     }
@@ -192,14 +201,14 @@ impl Theatre {
     }
 
     /// Draws the pair on the whole screen.
-    pub(super) fn show_pair(&mut self, ui: &mut Ui, whole: Rect, facts: &Facts) {
+    pub(super) fn show_pair(&mut self, ui: &mut Ui, whole: Rect, status: &Status, facts: &Facts) {
         let three_d = self.three_d;
         ui.painter().rect_filled(whole, 0.0, theme::BLACK);
         let stretch = three_d.stretch();
         let has_arm = !self.plan.stops.is_empty();
         let place = |half: Rect| {
             let below = if has_arm { STOP / stretch.y } else { 0.0 };
-            Rect::from_min_max(half.min + vec2(0.0, WORDS), half.max - vec2(0.0, below))
+            Rect::from_min_max(half.min + vec2(0.0, LINE / stretch.y), half.max - vec2(0.0, below))
         };
         let size = self.pair.size().unwrap_or(vec2(4.0, 3.0));
         // As it will be seen, then pressed together.
@@ -210,8 +219,12 @@ impl Theatre {
         let halves = three_d.halves(whole);
         let images = halves.map(|half| pressed(place(half)));
         let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-        let is_old = !facts.stopped.is_empty() || facts.age_ms.is_none_or(|age| age > super::notices::STOPPED_MS);
-        let tint = if is_old && self.frozen.is_none() { Color32::from_gray(90) } else { Color32::WHITE };
+        let eyes_are_stale = self.plan.pair.iter().flatten().any(|eye| self.is_stale(eye));
+        // Images of two instants are no pair: then an older one is shown although both eyes deliver.
+        let pair_is_stale = self.pair.paired.is_some_and(|paired| paired.elapsed() > STOPPED);
+        let is_stale = eyes_are_stale || pair_is_stale || facts.unreached().is_some();
+        let is_stale = is_stale && self.frozen.is_none();
+        let tint = tint(is_stale);
         if three_d == ThreeD::Rows {
             // On whole rows of the screen.
             let points = ui.ctx().pixels_per_point();
@@ -231,6 +244,10 @@ impl Theatre {
                 ui.painter().image(id, image, uv, tint);
             }
         }
+        if is_stale {
+            let painter = ui.painter();
+            images.iter().for_each(|image| stale_frame(painter, *image));
+        }
         let eyes = match three_d {
             ThreeD::Rows => vec![text!("eye-both")],
             _ => vec![text!("eye-left"), text!("eye-right")],
@@ -240,10 +257,10 @@ impl Theatre {
                 let response = ui.interact(image, ui.id().with("eye"), Sense::hover());
                 let name = text!("eye-name", eye = *eye, way = three_d.words());
                 response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, name.clone()));
-                self.words_of_pair(ui, half.with_max_y(half.top() + WORDS), facts);
+                self.line_of_pair(ui, half.with_max_y(half.top() + LINE / stretch.y), status, facts);
                 if has_arm {
-                    let height = STOP / stretch.y - 12.0;
-                    let size = vec2(230.0f32.min(half.width() - 24.0), height.max(24.0));
+                    // A low one is wide: its texts are beside each other.
+                    let size = vec2(230.0 * stretch.y, STOP / stretch.y - 12.0).min(vec2(half.width() - 24.0, STOP));
                     let at = half.right_bottom() - size - vec2(12.0, 6.0);
                     self.stop_button(ui, Rect::from_min_size(at, size));
                 }
@@ -251,21 +268,35 @@ impl Theatre {
         }
     }
 
-    /// Draws the most urgent notice, or the age of the pair.
-    fn words_of_pair(&self, ui: &Ui, line: Rect, facts: &Facts) {
+    /// Draws the most urgent notice or the age of the pair, and the marks and states that the bar above the views has.
+    fn line_of_pair(&self, ui: &mut Ui, room: Rect, status: &Status, facts: &Facts) {
+        let stretch = self.three_d.stretch();
+        let inner = room.shrink2(vec2(16.0, 0.0));
+        let (mut right, middle) = (inner.right(), inner.center().y);
+        for chip in self.chips(status, facts) {
+            right = chip.show(ui, pos2(right, middle), LETTERS / 2.0 / stretch.y).left() - 8.0;
+        }
+        if let Some([mark, _, name]) = self.verified.mark() {
+            let font = FontId::proportional(theme::legible(ui.ctx(), LETTERS / 2.5 / stretch.y));
+            let rect = ui.painter().text(pos2(right, middle), Align2::RIGHT_CENTER, mark, font, theme::warn());
+            let response = ui.interact(rect, ui.id().with("verified"), Sense::hover());
+            response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, name));
+            right = rect.left() - 16.0;
+        }
         let age = facts
             .age_ms
             .map_or_else(|| text!("eye-no-image").to_owned(), |age| format!("{:.0} ms", (age / 10.0).ceil() * 10.0));
-        let (words, color) = match self.notices.first() {
-            Some(notice) if notice.urgency == Urgency::Alarm => (notice.message.clone(), theme::fault()),
-            Some(notice) if notice.urgency == Urgency::Warning => (notice.message.clone(), theme::warn()),
-            _ if self.frozen.is_some() => (text!("state-frozen").to_owned(), theme::accent()),
-            _ if self.clip.is_some() => (format!("{}   {age}", text!("state-recording")), theme::fault()),
-            _ => (age, if facts.age_ms.is_some_and(|age| age > OLD_MS) { theme::warn() } else { theme::muted() }),
+        let notice = self.notices.first().filter(|notice| notice.urgency != Urgency::Note);
+        let (message, letters, color) = match notice {
+            Some(notice) if notice.urgency == Urgency::Alarm => (notice.parts().0, LETTERS, theme::fault()),
+            Some(notice) => (notice.parts().0, LETTERS, theme::warn()),
+            None if self.frozen.is_some() => ("", LETTERS, theme::muted()),
+            None => (age.as_str(), LETTERS / 2.0, theme::muted()),
         };
-        let painter = ui.painter_at(line);
-        let at = line.left_center() + vec2(16.0, 0.0);
-        painter.text(at, Align2::LEFT_CENTER, words, FontId::proportional(18.0), color);
+        let letters = letters / stretch.y;
+        let width = (right - inner.left()).max(40.0);
+        let galley = bars::line(ui.painter(), message, [letters, letters / 3.0], width, color);
+        ui.painter().galley(pos2(inner.left(), middle - galley.size().y / 2.0), galley, color);
     }
 }
 

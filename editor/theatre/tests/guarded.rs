@@ -262,6 +262,52 @@ fn the_emergency_stop_reaches_the_process_and_outlasts_it() {
 }
 
 #[test]
+fn an_arm_waits_for_a_release_after_a_crash() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::guarded("guard_arm_crash", &GRAPH.replace("type = \"drain\"", "type = \"device\""));
+    let stopped = |t: &Theatre| t.param_values("sink").map(|values| values.contains(&ParamValue::Bool(true)));
+    window.until_spare();
+    window.until("the arm runs", |t| stopped(t) == Some(false));
+    signal(window.worker(), "KILL");
+    until_camera(&mut window, Instant::now());
+    window.until("all views are back", |t| t.outage().is_none() && t.has_picture());
+    window.until("the arm's state is known", |t| stopped(t).is_some());
+    assert_eq!(stopped(window.theatre()), Some(true), "it does not follow by itself");
+    assert!(window.theatre().is_stopped());
+    window.until_notice("Emergency stop");
+    window.harness.key_down(Key::E);
+    window.until("it is released", |t| !t.is_stopped() && stopped(t) == Some(false));
+    window.harness.key_up(Key::E);
+}
+
+#[test]
+fn a_model_that_is_gone_after_a_crash_is_named_and_the_camera_stays() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("guard_model");
+    let model = folder.write("anatomy.onnx", "fine");
+    let text = GRAPH.replace("type = \"drain\"", "type = \"model_reader\"\nparams = { model = \"anatomy.onnx\" }");
+    let text = text.replace("[preset]", "[nodes.end]\ntype = \"drain\"\ninputs = { image = \"sink.image\" }\n[preset]");
+    let options = options(&folder);
+    let mut window = Window::guarded_with(folder, &text, options);
+    window.until_spare();
+    std::fs::remove_file(model).expect("it is there");
+    signal(window.worker(), "KILL");
+    let named = "could not start again: the file anatomy.onnx does not exist in ";
+    window.until_notice(named);
+    let notice = window.notices().into_iter().find(|notice| notice.contains(named)).expect("the notice");
+    assert!(notice.starts_with("Camera image only") && !notice.contains("keeps running"), "{notice}");
+    window.until("the camera is shown", |t| t.camera_age_ms().is_some_and(|age| age < 500.0));
+    // It is there again.
+    window.folder.write("anatomy.onnx", "fine");
+    window.click("Start again");
+    until_whole(&mut window);
+}
+
+#[test]
 fn a_window_that_closes_leaves_no_process() {
     if !has_plugin("flow") {
         return;

@@ -104,19 +104,23 @@ fn resize(window: &mut Window, [width, height]: [f32; 2]) {
 
 /// Images on the screen, by the beginnings of their names.
 fn pictures(window: &Window) -> Vec<Rect> {
-    let names = [text!("view-name", title = ""), text!("measure-name").to_owned(), text!("eye-left").to_owned()];
-    let found = names.iter().flat_map(|name| window.harness.query_all_by_label_contains(name.trim()));
+    let eyes = [text!("eye-left"), text!("eye-both")].map(str::to_owned);
+    let names = [text!("view-name", title = ""), text!("measure-name").to_owned()].into_iter().chain(eyes);
+    let found: Vec<_> = names.collect();
+    let found = found.iter().flat_map(|name| window.harness.query_all_by_label_contains(name.trim()));
     found.map(|node| node.rect()).filter(|rect| rect.width() > 100.0 && rect.height() > 100.0).collect()
 }
 
+fn check_at(window: &mut Window, size: [f32; 2], what: &str, long: &[&str]) {
+    resize(window, size);
+    let shown = pictures(window);
+    assert!(!shown.is_empty(), "{what}: no image");
+    let output = window.harness.output();
+    assert_legible(&window.harness.ctx, &output.shapes, &shown, &format!("{what} at {size:?}"), long);
+}
+
 fn check(window: &mut Window, what: &str, long: &[&str]) {
-    for size in SIZES {
-        resize(window, size);
-        let shown = pictures(window);
-        assert!(!shown.is_empty(), "{what}: no image");
-        let output = window.harness.output();
-        assert_legible(&window.harness.ctx, &output.shapes, &shown, &format!("{what} at {size:?}"), long);
-    }
+    SIZES.into_iter().for_each(|size| check_at(window, size, what, long));
     resize(window, [1440.0, 960.0]);
 }
 
@@ -126,7 +130,7 @@ fn until_all_pictures(window: &mut Window) {
     let until = Instant::now() + PATIENCE;
     let waits = |window: &Window| {
         let all = texts(&window.harness.output().shapes);
-        all.iter().any(|(_, shape)| shape.galley.text() == text!("no-image-starting"))
+        all.iter().any(|(_, shape)| shape.galley.text().starts_with(text!("no-image-starting")))
     };
     while waits(window) {
         assert!(Instant::now() < until, "a view has no image");
@@ -179,14 +183,74 @@ fn walk(language: Language) {
     window.until_notice(text!("alarm-emergency"));
     // The notice below the first one is that of this clip or of the disk.
     check(&mut window, "arm stopped", &[]);
-    for way in ["side by side", "top and bottom"] {
+    for way in ["side by side", "top and bottom", "rows"] {
         window.key(Key::D);
         window.until("a pair", |t| t.pair_tick().is_some());
         window.harness.step();
-        check(&mut window, way, &[]);
+        // Rows are one picture of the whole screen: textures of a test have no more than 2048 rows.
+        let sizes = SIZES.into_iter().filter(|[width, _]| way != "rows" || *width < 2000.0);
+        for size in sizes {
+            check_at(&mut window, size, way, &[]);
+            assert_pair_is_complete(&window, &format!("{way} at {size:?}"));
+        }
+        resize(&mut window, [1440.0, 960.0]);
     }
     window.key(Key::D);
-    window.key(Key::D);
+}
+
+/// Asserts that each eye sees the state, the mark of a graph that was not locked, and the stop of the arm with its texts inside.
+fn assert_pair_is_complete(window: &Window, what: &str) {
+    let stops: Vec<Rect> =
+        window.harness.query_all_by_label(text!("stop-arm.release")).map(|stop| stop.rect()).collect();
+    let eyes =
+        window.harness.query_all_by_label_contains(text!("three-d-off").split(' ').next().expect("a word")).count();
+    assert!(eyes > 0 && stops.len() == eyes, "{what}: {} stops for {eyes} eyes", stops.len());
+    let all = texts(&window.harness.output().shapes);
+    let of = |message: &str| -> Vec<Rect> {
+        let found = all.iter().filter(|(_, shape)| shape.galley.text() == message);
+        found.map(|(_, shape)| shape.visual_bounding_rect()).collect()
+    };
+    for message in [text!("arm-stopped"), text!("arm-stopped.hold")] {
+        let found = of(message);
+        assert_eq!(found.len(), eyes, "{what}: `{message}`");
+        assert!(
+            found.iter().all(|text| stops.iter().any(|stop| stop.contains_rect(*text))),
+            "{what}: `{message}` at {found:?} in {stops:?}"
+        );
+    }
+    let states = [text!("state-live"), text!("state-delayed")];
+    assert_eq!(states.iter().map(|state| of(state).len()).sum::<usize>(), eyes, "{what}: live or delayed");
+    assert_eq!(of(text!("mark-never")).len(), eyes, "{what}: the mark");
+}
+
+/// Size of the letters whose capitals are 40 px high: those of this font have 0.69 of it.
+const HEADLINE_PX: f32 = 57.0;
+
+#[test]
+fn the_most_harmful_notice_is_large_on_one_line() {
+    if !has_plugin("flow") {
+        return;
+    }
+    for language in Language::ALL {
+        set_language(language);
+        let text = GRAPH.replace("type = \"drain\"", "type = \"device\"");
+        let mut window = Window::open(&format!("headline_{}", language.code()), &text);
+        window.until("a picture", Theatre::has_picture);
+        window.key(Key::E);
+        window.until_notice(text!("alarm-emergency"));
+        for (size, least_px) in [([1920.0, 1080.0], HEADLINE_PX), ([1280.0, 720.0], HEADLINE_PX / 1.5)] {
+            resize(&mut window, size);
+            let points = window.harness.ctx.pixels_per_point();
+            let all = texts(&window.harness.output().shapes);
+            let size_px = |(_, shape): &(Rect, TextShape)| shape.galley.job.sections[0].format.font_id.size * points;
+            let largest = all.iter().max_by(|a, b| size_px(a).total_cmp(&size_px(b))).expect("texts");
+            let (headline, _) = text!("alarm-emergency").split_once(": ").expect("two parts");
+            assert_eq!(largest.1.galley.text(), headline);
+            // The scale of the window has steps of 5 %.
+            assert!(size_px(largest) >= least_px * 0.97, "{} px at {size:?}", size_px(largest));
+            assert_eq!(largest.1.galley.rows.len(), 1);
+        }
+    }
 }
 
 #[test]
@@ -248,11 +312,11 @@ fn calm(name: &str) -> Window {
     let options = Options { frames: Some(graph::TICKS), ..options(&folder) };
     let mut window = Window::open_with(folder, &path, options);
     resize(&mut window, [1280.0, 720.0]);
-    let since = Instant::now();
     window.until("it has ended", |t| {
         t.notices().iter().any(|n| n.message == "Die Quelle ist zu Ende") && t.has_picture()
     });
-    window.until("all is at rest", |_| since.elapsed() > Duration::from_secs(2));
+    let ended = Instant::now();
+    window.until("all is at rest, and old", |_| ended.elapsed() > Duration::from_millis(1500));
     window
 }
 

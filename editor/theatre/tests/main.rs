@@ -13,6 +13,8 @@ mod looks;
 #[path = "common/looks.rs"]
 mod looks_graph;
 mod procedure;
+mod records;
 mod screen;
+mod stale;
 mod theatre;
 mod trust;

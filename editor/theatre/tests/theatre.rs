@@ -284,6 +284,8 @@ fn a_camera_that_does_not_open_shows_the_full_error_in_its_view() {
     let options = options(&folder);
     let mut window = Window::open_with(folder, &path, options);
     window.until_notice("No image: ");
+    // Then the camera is tried alone, which fails too.
+    window.until_shown("press Enter to start again");
     let notice = window.notices().into_iter().find(|w| w.starts_with("No image: ")).expect("it is shown");
     let whole = notice.trim_start_matches("No image: ").to_owned();
     assert!(whole.contains("left.mp4"), "{whole}");

@@ -87,7 +87,7 @@ impl Worker {
             if requests.restart || requests.stop || requests.reload {
                 let name = &self.machine.target().name;
                 let message = format!("the run is started, stopped and reloaded on `{name}`, not from here");
-                self.shared.update(|status| status.problem = Some(RunProblem { node: None, message }));
+                self.shared.update(|status| status.problem = Some(RunProblem { node: None, message, mistake: None }));
             } else if let Some(text) = requests.text {
                 self.change(requests.base, &text);
             }
@@ -125,7 +125,9 @@ impl Worker {
                 (status.problem, status.last) = (None, words);
                 status.running = text.into();
             }
-            Err(refused) => status.problem = Some(RunProblem { node: refused.node, message: refused.words }),
+            Err(refused) => {
+                status.problem = Some(RunProblem { node: refused.node, message: refused.words, mistake: None })
+            }
         });
     }
 

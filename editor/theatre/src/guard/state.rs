@@ -168,7 +168,7 @@ impl State {
             Message::Prepared(Ok(None)) if self.is_preparing => self.show_cameras(),
             Message::Prepared(Err(refusal)) if self.is_preparing => {
                 if let Some(active) = &self.active {
-                    active.kill(phrase!("worker-not-restarted", reason = &refusal.message));
+                    active.kill(phrase!("worker-not-restarted", reason = &refusal.line));
                 }
             }
             Message::Prepared(answer) => {

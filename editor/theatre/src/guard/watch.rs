@@ -68,7 +68,7 @@ impl Shared {
             match (incoming, spare) {
                 (Incoming::Message(Message::Prepared(Ok(_))), Some(spare)) => spare.is_ready = true,
                 (Incoming::Message(Message::Prepared(Err(refusal))), Some(spare)) => {
-                    spare.process.kill(phrase!("worker-refused", reason = &refusal.message))
+                    spare.process.kill(phrase!("worker-refused", reason = &refusal.line))
                 }
                 // Its end is seen by the next look.
                 (Incoming::End, _) => {}

@@ -108,9 +108,9 @@ impl RunState {
         Status { phase: self.phase, problem: self.problem, busy: self.busy, ..Status::default() }
     }
 
-    /// Why the newest text does not run.
+    /// Why the newest text does not run, on one line.
     pub fn problem(&self) -> Option<&str> {
-        self.problem.as_ref().map(|problem| problem.message.as_str())
+        self.problem.as_ref().map(RunProblem::line)
     }
 
     pub fn is_running(&self) -> bool {

@@ -1,0 +1,164 @@
+//! Which camera is lost. A source of several cameras may withhold the images of all of them while one is lost: only its fault names that one.
+
+use std::time::{Duration, SystemTime};
+
+use panoscope_editor_model::observe::Output;
+use panoscope_engine::fault::Fault;
+
+use super::Pane;
+
+/// How much earlier than the silence that it explains a fault may be, ms: images wait on their way to the window.
+const BEFORE_MS: u64 = 500;
+
+/// A camera without a new image.
+pub struct SilentCamera<'a> {
+    /// Its output.
+    pub output: &'a Output,
+    /// Its title.
+    pub title: String,
+    /// What the parameters of its source name as this camera, such as an address; empty where that is not known.
+    pub source: &'a str,
+    /// Time since its last image; `None` when there never was one.
+    pub since: Option<Duration>,
+}
+
+/// Cameras of a notice.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LostCameras {
+    /// Their titles: one, or all of those of which one or more are lost.
+    pub titles: Vec<String>,
+    /// Time since the last image; `None` when there never was one.
+    pub since: Option<Duration>,
+}
+
+/// The cameras that are lost. `all` are the cameras of the graph, `fault_of` is the newest fault of a node.
+///
+/// Where all cameras of a source are silent and its fault names some of them, only those are lost. Without such a fault they are listed together:
+/// a name that may be wrong is worse than none.
+pub fn cameras<'f>(
+    silent: &[SilentCamera<'_>],
+    all: &[Pane],
+    fault_of: impl Fn(&str) -> Option<&'f Fault>,
+) -> Vec<LostCameras> {
+    let mut lost = Vec::new();
+    let mut nodes: Vec<&str> = silent.iter().map(|camera| camera.output.node.as_str()).collect();
+    nodes.dedup();
+    for node in nodes {
+        let of_node: Vec<&SilentCamera<'_>> = silent.iter().filter(|camera| camera.output.node == node).collect();
+        let count = all.iter().filter(|camera| camera.output.node == node).count();
+        if of_node.len() == 1 || of_node.len() < count {
+            lost.extend(of_node.iter().map(|c| LostCameras { titles: vec![c.title.clone()], since: c.since }));
+            continue;
+        }
+        let since = of_node.iter().filter_map(|camera| camera.since).max();
+        let named = fault_of(node).filter(|fault| explains(fault, since)).map(|fault| named(&of_node, &fault.words));
+        match named.filter(|named| !named.is_empty()) {
+            Some(named) => {
+                lost.extend(named.iter().map(|c| LostCameras { titles: vec![c.title.clone()], since: c.since }));
+            }
+            None => lost.push(LostCameras { titles: of_node.iter().map(|c| c.title.clone()).collect(), since }),
+        }
+    }
+    lost
+}
+
+/// Whether a fault came with a silence, and not before it.
+fn explains(fault: &Fault, since: Option<Duration>) -> bool {
+    let now_ms = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_millis() as u64;
+    since.is_none_or(|since| fault.unix_ms + since.as_millis() as u64 + BEFORE_MS >= now_ms)
+}
+
+/// The cameras whose source a fault names.
+fn named<'s, 'a>(cameras: &[&'s SilentCamera<'a>], message: &str) -> Vec<&'s SilentCamera<'a>> {
+    let found: Vec<_> = cameras.iter().copied().filter(|camera| names(message, camera.source)).collect();
+    // `udp://scope:500` is a part of `udp://scope:5001`.
+    let is_part = |one: &SilentCamera<'_>| {
+        found.iter().any(|other| other.source.len() > one.source.len() && other.source.contains(one.source))
+    };
+    found.iter().copied().filter(|camera| !is_part(camera)).collect()
+}
+
+/// Whether an error message names a source. A number stands for a camera of this machine.
+fn names(message: &str, source: &str) -> bool {
+    let device = match source.parse::<u32>() {
+        Ok(number) => format!("/dev/video{number}"),
+        Err(_) => source.to_owned(),
+    };
+    let ends_there = |rest: &str| !rest.starts_with(|c: char| c.is_ascii_digit());
+    !source.is_empty() && message.match_indices(&device).any(|(at, _)| ends_there(&message[at + device.len()..]))
+}
+
+#[cfg(test)]
+mod tests {
+    use panoscope_engine::fault::{Action, Cause};
+
+    use super::*;
+
+    fn fault(message: &str, ago: Duration) -> Fault {
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).expect("after 1970");
+        Fault {
+            unix_ms: (now - ago).as_millis() as u64,
+            run_ms: 0.0,
+            node: "scope".to_owned(),
+            cause: Cause::Error,
+            words: message.to_owned(),
+            done: Action::Note,
+            seq: None,
+            late_ms: None,
+            count: 1,
+        }
+    }
+
+    /// The titles of what is lost where both cameras of `scope` have been silent for three seconds.
+    fn both_silent(sources: [&str; 2], fault: Option<&Fault>) -> Vec<Vec<String>> {
+        let pane = |port: &str| Pane {
+            output: Output::new("scope", port),
+            packet: "image".to_owned(),
+            label: format!("{port} camera"),
+            camera: None,
+        };
+        let all = ["left", "right"].map(pane);
+        let silent: Vec<SilentCamera<'_>> = all
+            .iter()
+            .zip(sources)
+            .map(|(pane, source)| SilentCamera {
+                output: &pane.output,
+                title: pane.title(),
+                source,
+                since: Some(Duration::from_secs(3)),
+            })
+            .collect();
+        cameras(&silent, &all, |_| fault).into_iter().map(|lost| lost.titles).collect()
+    }
+
+    #[test]
+    fn the_camera_of_the_fault_is_named_and_no_other() {
+        let udp = ["udpsrc port=500 ! decodebin", "udpsrc port=5001 ! decodebin"];
+        for (number, source) in udp.iter().enumerate() {
+            let words = format!("pipeline `{source}` is gone after 90 frames: no data for 2 s");
+            let expected = [["left camera"], ["right camera"]][number];
+            assert_eq!(both_silent(udp, Some(&fault(&words, Duration::from_secs(1)))), [expected]);
+        }
+        let words = "camera /dev/video12 is gone after 3 frames: the stream has ended. Outputs stay empty";
+        assert_eq!(both_silent(["1", "12"], Some(&fault(words, Duration::ZERO))), [["right camera"]]);
+        assert_eq!(
+            both_silent(["/dev/video1", "/dev/video12"], Some(&fault(words, Duration::ZERO))),
+            [["right camera"]]
+        );
+        let nested = ["rtsp://scope/a", "rtsp://scope/ab"];
+        let words = "rtsp://scope/ab is gone after 3 frames: the stream has ended";
+        assert_eq!(both_silent(nested, Some(&fault(words, Duration::ZERO))), [["right camera"]]);
+    }
+
+    #[test]
+    fn without_a_fault_that_names_one_they_are_listed_together() {
+        let both = [["left camera", "right camera"]];
+        assert_eq!(both_silent(["0", "1"], None), both);
+        let other = "no pictures of all views belong together";
+        assert_eq!(both_silent(["0", "1"], Some(&fault(other, Duration::ZERO))), both);
+        // An earlier loss says nothing about this one.
+        let old = "camera /dev/video0 is gone after 3 frames: the stream has ended";
+        assert_eq!(both_silent(["0", "1"], Some(&fault(old, Duration::from_secs(60)))), both);
+        assert_eq!(both_silent(["", ""], Some(&fault(old, Duration::ZERO))), both);
+    }
+}
