@@ -191,3 +191,50 @@ fn a_plugin_that_is_swapped_after_it_was_found_is_not_mapped() {
     let problem = Loader::search(&[folder]).pinned(&lock_of("other", &file)).load("flow").err().expect("refused");
     assert!(problem.message.contains("the lock of the graph does not have it"), "{}", problem.message);
 }
+
+/// File descriptors of this process.
+fn descriptors() -> usize {
+    std::fs::read_dir("/proc/self/fd").expect("Linux has it").count()
+}
+
+#[test]
+fn a_file_that_did_not_change_is_mapped_once() {
+    let folder = folder_with("once", "libflow.so", &flow_bytes());
+    let load = || {
+        let loaded = Loader::search(std::slice::from_ref(&folder)).load("flow").expect("it loads");
+        std::ptr::from_ref(loaded.entries[0])
+    };
+    let (first, before) = (load(), descriptors());
+    (0..20).for_each(|_| assert_eq!(load(), first));
+    assert_eq!(descriptors(), before);
+    // A rebuilt file is another library; the earlier bytes are still mapped.
+    let mut other = flow_bytes();
+    other.push(0);
+    std::fs::write(folder.join("libflow.so"), &other).expect("written");
+    let rebuilt = load();
+    assert_ne!(rebuilt, first);
+    std::fs::write(folder.join("libflow.so"), flow_bytes()).expect("written");
+    assert_eq!(load(), first);
+    assert_eq!(descriptors(), before + 1);
+}
+
+#[test]
+fn an_error_names_file_descriptors_when_there_are_none() {
+    let folder = folder_with("limit", "libflow.so", &flow_bytes());
+    let loader = Loader::search(&[folder]);
+    // All but one, which reads the plugin's file: none is left for the copy.
+    let mut files: Vec<std::fs::File> = Vec::new();
+    let limit = libc::rlimit { rlim_cur: descriptors() as u64 + 8, rlim_max: descriptors() as u64 + 8 };
+    // SAFETY: the limit is a local value; this test is the only one of its process.
+    assert_eq!(unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit) }, 0);
+    while let Ok(file) = std::fs::File::open("/dev/null") {
+        files.push(file);
+    }
+    for free in [0, 1] {
+        files.truncate(files.len() - free);
+        let problem = loader.rescan_in(loader.folders()).problems().first().cloned();
+        let problem = problem.or_else(|| loader.load("flow").err()).expect("refused");
+        let text = format!("{} {}", problem.message, problem.help);
+        assert!(text.contains("file descriptors"), "{free}: {text}");
+    }
+}
