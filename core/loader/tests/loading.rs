@@ -238,3 +238,56 @@ fn an_error_names_file_descriptors_when_there_are_none() {
         assert!(text.contains("file descriptors"), "{free}: {text}");
     }
 }
+
+#[test]
+fn files_that_are_passed_over_are_named() {
+    let good = folder_with("good", "libflow.so", &flow_bytes());
+    let whole = flow_bytes();
+    let strangers: [(&str, &[u8], &str); 2] = [
+        ("broken", &whole[..whole.len() / 2], "it is truncated"),
+        ("foreign", &without_note(), "it has no Panoscope note"),
+    ];
+    let text = GraphText::parse(
+        "g.toml".as_ref(),
+        "plugins = [\"flow\"]\n[nodes.a]\ntype = \"frames\"\n[nodes.b]\ntype = \"drain\"\ninputs = { image = \"a.image\" }\n",
+    );
+    for (name, bytes, reason) in strangers {
+        let first = folder_with(name, "libflow.so", bytes);
+        let warnings = |folders: &[PathBuf]| {
+            let (_, warnings) = check(&text, &Loader::search(folders).catalog(&text.plugins()))
+                .into_result()
+                .unwrap_or_else(|d| panic!("{}", d.render(false)));
+            warnings.render(false)
+        };
+        let text = warnings(&[first.clone(), good.clone()]);
+        let (file, used) = (first.join("libflow.so"), good.join("libflow.so"));
+        for part in [reason.to_owned(), file.display().to_string(), format!("{} is used instead", used.display())] {
+            assert!(text.contains(&part), "{part}: {text}");
+        }
+        assert_eq!(warnings(&[good.clone(), first.clone()]), "", "a later file is not asked for");
+    }
+    // Without another one it is an error.
+    let alone = Loader::search(&[folder_with("alone", "libflow.so", &without_note())]);
+    let error = check(&text, &alone.catalog(&text.plugins())).into_result().unwrap_err().render(false);
+    assert!(error.contains("plugin `flow` cannot be used") && error.contains("no Panoscope note"), "{error}");
+}
+
+/// A library that is no plugin: the owner of its note has another name.
+fn without_note() -> Vec<u8> {
+    let mut bytes = flow_bytes();
+    let body = note_body(&bytes);
+    bytes[body - abi::NOTE_OWNER.len()] ^= 1;
+    bytes
+}
+
+#[test]
+fn a_folder_of_the_search_path_that_is_not_there_is_named() {
+    let absent = scratch("absent_plugins");
+    // SAFETY: this test is the only one of its process, and no other thread runs.
+    unsafe { std::env::set_var(panoscope_loader::PLUGIN_PATH_VARIABLE, &absent) };
+    let good = folder_with("with_absent", "libflow.so", &flow_bytes());
+    let catalog = Loader::search(&panoscope_loader::search_path(&[good])).catalog(&["flow"]);
+    let [problem] = &catalog.passed_over[..] else { panic!("{:?}", catalog.passed_over) };
+    assert!(problem.message.contains(&absent.display().to_string()), "{problem:?}");
+    assert!(problem.message.contains("PANOSCOPE_PLUGIN_PATH"), "{problem:?}");
+}
