@@ -3,6 +3,8 @@
 use std::fmt::Arguments;
 use std::io::{IsTerminal, Write};
 
+use panoscope_base::secret::redact;
+
 /// Writes a line to standard output.
 macro_rules! out {
     ($($argument:tt)*) => { $crate::terminal::line(format_args!($($argument)*)) };
@@ -15,14 +17,14 @@ macro_rules! log {
 
 pub(crate) use {log, out};
 
-/// Writes a line to standard output.
+/// Writes a line to standard output, without the secrets of addresses in it.
 pub fn line(text: Arguments<'_>) {
-    let _ = writeln!(std::io::stdout().lock(), "{text}");
+    let _ = writeln!(std::io::stdout().lock(), "{}", redact(&text.to_string()));
 }
 
-/// Writes a line to standard error.
+/// Writes a line to standard error, without the secrets of addresses in it.
 pub fn error_line(text: Arguments<'_>) {
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
+    let _ = writeln!(std::io::stderr().lock(), "{}", redact(&text.to_string()));
 }
 
 /// Writes text as it is to standard output.
