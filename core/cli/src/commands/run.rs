@@ -25,7 +25,7 @@ use crate::given::Given;
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::log_lines::{self, LogFormat};
 use crate::progress::Progress;
-use crate::terminal::{log, out, raw, stderr_color};
+use crate::terminal::{self, log, out, raw, stderr_color};
 use crate::trust::{IsolatedPlugins, Keys};
 use crate::{End, allocations, interrupt, summary};
 
@@ -80,7 +80,7 @@ pub struct Arguments {
     /// Shows debug lines of nodes too.
     #[arg(long, short)]
     verbose: bool,
-    /// How lines of nodes are written; `json` writes one object per line to standard error: time, level, node, message.
+    /// How lines on standard error are written; `json` writes one object per line: time, level, node (empty for the command itself), message.
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
     /// Serves a page with pictures, ages and states, and metrics for Prometheus at /metrics, for reading only: a port of this machine such as 9464,
@@ -198,6 +198,9 @@ pub fn run_with(
     mut look: impl FnMut(&mut Running),
 ) -> Result<RunEnd> {
     let on_duty = signals::opening();
+    if arguments.log_format == LogFormat::Json {
+        terminal::write_json_lines();
+    }
     let given = arguments.given.options(&arguments.set);
     let (mut ready, seal) = match open(arguments, &given)? {
         Ok(opened) => opened,
