@@ -1,6 +1,7 @@
 """Graphs and recordings from Python. Started by tests/tests/python_host.rs, each class by itself; `PANOSCOPE_BIN` is the command that results are
 compared with."""
 
+import gc
 import json
 import os
 import re
@@ -273,6 +274,32 @@ class RunTest(HostCase):
             ticks = [packet.tick for packet in running]
         self.assertEqual(ticks[-1], 99)
         self.assertEqual(running.dropped + len(ticks), 100)
+
+    def test_many_runs_in_one_process_take_no_more_descriptors_and_memory(self):
+        text = (
+            'mode = "batch"\nplugins = ["phantom", "flow"]\n[nodes.scope]\ntype = "phantom"\nparams = { width = 64, height = 48 }\n'
+            '[nodes.same]\ntype = "pass"\ninputs = { image = "scope.left" }\n'
+        )
+        isolated = text + '[isolate]\nflow = "group"\n'
+
+        def once(number):
+            graph = self.graph(isolated if number % 10 == 0 else text)
+            graph.check()
+            self.assertEqual(len(graph.run(frames=2, watch=["same.image"])["same.image"]), 2)
+            gc.collect()
+            page = os.sysconf("SC_PAGE_SIZE")
+            memory_mb = int(Path("/proc/self/statm").read_text().split()[1]) * page / 1e6
+            return len(os.listdir("/proc/self/fd")), memory_mb
+
+        # Heaps and pools of threads reach their size in the first runs.
+        runs = int(os.environ.get("PANOSCOPE_LEAK_RUNS", 30))
+        levels = [once(number) for number in range(10 + runs)][10:]
+        tenth = max(1, runs // 10)
+        first, last = (max(part) for part in zip(*levels[:tenth])), (max(part) for part in zip(*levels[-tenth:]))
+        (descriptors, memory_mb), (descriptors_end, memory_end_mb) = first, last
+        print(f"{runs} runs: {descriptors} to {descriptors_end} descriptors, {memory_mb:.1f} to {memory_end_mb:.1f} MB", file=sys.stderr)
+        self.assertLessEqual(descriptors_end, descriptors + 1)
+        self.assertLess(memory_end_mb - memory_mb, 8 + 0.02 * runs)
 
     def test_other_threads_of_python_run_while_frames_do(self):
         counted, end = [0], threading.Event()

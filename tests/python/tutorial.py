@@ -29,6 +29,8 @@ class Tutorial(unittest.TestCase):
         # Both matchers were at work in one run; that of the notebook knows the scene.
         for name in ("stereo_bm", "mean_difference"):
             self.assertRegex(text, rf"'{name}': '\d")
+        values = re.findall(r"'(?:stereo_bm|mean_difference)': '([\d.]+) %", text)
+        self.assertEqual((len(values), len(set(values))), (2, 2), "each matcher has its own value")
         self.assertEqual(len(re.findall(r"^stereo_s?g?bm +\d+ px +bad-2 +[\d.]+ %", text, re.M)), 6, text)
         self.assertIn("report.html", text)
 

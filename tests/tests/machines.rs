@@ -99,6 +99,26 @@ fn a_graph_makes_the_same_bytes_wherever_its_nodes_run() {
 }
 
 #[test]
+fn refused_connections_are_logged_and_keep_no_host_out() {
+    use std::io::Write;
+    let folder = scratch("machines-refused");
+    let Some((rack, port)) = plain_machine(&folder) else { return };
+    for _ in 0..20 {
+        let mut stranger = std::net::TcpStream::connect(("127.0.0.1", port)).expect("it listens");
+        let _ = stranger.write_all(b"GET / HTTP/1.1\r\nHost: rack\r\n\r\n");
+    }
+    let text = FILTERS.to_owned() + &machine(&format!("tcp/127.0.0.1:{port}"), PATIENT);
+    let run = run_disturbed(&folder, &text, options(2), |_| ());
+    assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
+    let end = Instant::now() + PATIENCE;
+    while !rack.log().iter().any(|line| line.contains("refused: ")) {
+        assert!(Instant::now() < end, "{:?}", rack.log());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
 fn a_slow_and_lossy_network_changes_no_byte() {
     let folder = scratch("machines-slow");
     let Some((_rack, port)) = plain_machine(&folder) else { return };

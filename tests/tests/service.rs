@@ -42,6 +42,7 @@ fn the_unit_runs_a_graph_that_ships_with_options_of_run() {
         line.unwrap_or_else(|| panic!("no {key}"))
     };
     assert_eq!(value("ExecStart="), "/bin/true run ${GRAPH} --headless --log-format json $OPTIONS");
+    assert_eq!(value("StartLimitIntervalSec="), "0", "it waits for a camera however long");
     let example = text.lines().next().expect("a first line");
     let graph = example.split('`').nth(1).and_then(|command| command.split('@').nth(1)).expect("an example");
     assert!(root().join(format!("graphs/{graph}.toml")).is_file(), "{graph}");

@@ -13,6 +13,7 @@
 pub mod message;
 mod packet;
 mod program;
+mod queue;
 pub mod rules;
 mod running;
 mod target;
@@ -21,6 +22,7 @@ mod window;
 
 pub use packet::{Packet, PacketError};
 pub use program::{KEYS_VARIABLE, LISTENERS};
+pub use queue::{Full, Queue};
 pub use running::{AttachError, Attachable, Options};
 pub use target::{Target, TargetError};
 pub use window::{Attachment, Clock, Contact, Edit, State};

@@ -10,6 +10,7 @@ use panoscope_graph::{Catalog, Graph, ParamValue};
 use serde::{Deserialize, Serialize};
 
 use crate::packet::{self, Packet, PacketError};
+use crate::tunnel::{Frame, Kind};
 
 /// Most outputs of which a window gets pictures.
 pub const MAX_OUTPUTS: usize = 256;
@@ -147,6 +148,13 @@ pub fn write_command(command: &Command) -> Vec<u8> {
 /// A message as bytes.
 pub fn write_message(message: &Message) -> Vec<u8> {
     json(message)
+}
+
+/// The state that a frame carries and that a later frame replaces; `None` for what has to arrive as it is.
+pub(crate) fn state_of(frame: &Frame) -> Option<&'static str> {
+    let text = frame.bytes.strip_prefix(&[JSON, b'{', b'"'])?;
+    let states = ["Opened", "Counters", "Faults", "Values"].into_iter();
+    states.filter(|_| frame.kind == Kind::Data).find(|state| text.starts_with(state.as_bytes()))
 }
 
 /// A packet as bytes.

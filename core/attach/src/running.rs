@@ -8,7 +8,6 @@ use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::Child;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -23,6 +22,7 @@ use panoscope_loader::sealed::readable;
 
 use crate::message::{self, Command, Message, Opened, Refused, Wanted};
 use crate::packet::Outgoing;
+use crate::queue::Queue;
 use crate::tunnel::{self, Frame, Kind};
 use crate::{program, rules};
 
@@ -115,8 +115,11 @@ struct State {
 struct Shared {
     options: Options,
     state: Mutex<State>,
-    out: Mutex<Sender<Frame>>,
+    /// What goes to the program that listens.
+    out: Mutex<Arc<Queue>>,
     ends: AtomicBool,
+    /// The program that listens reads nothing any more.
+    is_stuck: AtomicBool,
     /// The socket of the program that listens, to end it.
     socket: Mutex<Option<UnixStream>>,
 }
@@ -169,12 +172,12 @@ impl Attachable {
     /// The address cannot be listened on, or keys are missing.
     pub fn start(options: Options) -> Result<Self, AttachError> {
         let (child, socket, name) = start(&options)?;
-        let (out, _) = channel();
         let shared = Arc::new(Shared {
             options,
             state: Mutex::default(),
-            out: Mutex::new(out),
+            out: Mutex::default(),
             ends: AtomicBool::new(false),
+            is_stuck: AtomicBool::new(false),
             socket: Mutex::default(),
         });
         let mine = Arc::clone(&shared);
@@ -358,9 +361,8 @@ impl Attachable {
 impl Drop for Attachable {
     fn drop(&mut self) {
         self.shared.ends.store(true, Ordering::Release);
-        // The last messages are written first: the writer ends with its channel.
-        let (nobody, _) = channel();
-        *lock(&self.shared.out) = nobody;
+        // The last messages are written first: the writer ends with its queue.
+        lock(&self.shared.out).close();
         std::thread::sleep(STEP);
         if let Some(socket) = &*lock(&self.shared.socket) {
             let _ = socket.shutdown(Shutdown::Both);
@@ -397,8 +399,14 @@ fn change<E: Deref<Target = Engine>>(live: &mut Live<E>, base: &str, text: &str)
 
 impl Shared {
     fn put(&self, frame: Frame) {
-        // A program that is being started again has no windows.
-        let _ = lock(&self.out).send(frame);
+        let full = lock(&self.out).push(frame);
+        // A program that reads nothing any more is ended and started again, and windows come back.
+        if full.is_err()
+            && let Some(socket) = &*lock(&self.socket)
+        {
+            self.is_stuck.store(true, Ordering::Release);
+            let _ = socket.shutdown(Shutdown::Both);
+        }
     }
 
     fn send(&self, session: u32, message: &Message) {
@@ -411,6 +419,9 @@ impl Shared {
         while !self.ends.load(Ordering::Acquire) {
             if let Some((mut child, socket)) = running.take() {
                 self.serve(socket);
+                if self.is_stuck.swap(false, Ordering::AcqRel) {
+                    let _ = child.kill();
+                }
                 let words = program::last_words(&mut child);
                 let _ = child.wait();
                 if self.ends.load(Ordering::Acquire) {
@@ -432,16 +443,18 @@ impl Shared {
     fn serve(self: &Arc<Self>, socket: UnixStream) {
         let (Ok(to), Ok(from)) = (socket.try_clone(), socket.try_clone()) else { return };
         *lock(&self.socket) = Some(socket);
-        let (out, frames) = channel();
-        *lock(&self.out) = out;
+        let out = Arc::new(Queue::default());
+        *lock(&self.out) = Arc::clone(&out);
+        let frames = Arc::clone(&out);
         let writer = std::thread::Builder::new().name("attachable out".to_owned()).spawn(move || write(to, &frames));
-        if writer.is_err() {
-            return;
+        if writer.is_ok() {
+            let mut from = BufReader::new(from);
+            while let Ok(Some(frame)) = tunnel::receive(&mut from) {
+                self.take(frame);
+            }
         }
-        let mut from = BufReader::new(from);
-        while let Ok(Some(frame)) = tunnel::receive(&mut from) {
-            self.take(frame);
-        }
+        // A program that is being started again has no windows: what is sent meanwhile is dropped.
+        out.close();
     }
 
     fn take(&self, frame: Frame) {
@@ -506,10 +519,11 @@ impl Shared {
     }
 }
 
-/// Writes frames until their sender or the socket is gone.
-fn write(mut to: UnixStream, frames: &Receiver<Frame>) {
-    while let Ok(frame) = frames.recv() {
+/// Writes frames until their queue is closed or the socket is gone.
+fn write(mut to: UnixStream, frames: &Queue) {
+    while let Some(frame) = frames.pop() {
         if tunnel::send(&mut to, &frame).is_err() {
+            frames.close();
             return;
         }
     }

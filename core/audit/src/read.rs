@@ -171,10 +171,11 @@ pub fn read(path: &Path) -> std::io::Result<Report> {
     for file in &files {
         checker.file(file)?;
     }
-    if is_folder && !files.is_empty() {
+    if is_folder {
         let last = checker.end.clone().unwrap_or_default();
+        let has_head = path.join(crate::log::HEAD).exists();
         match Head::read(path) {
-            None if last.number > 0 => checker.problem(
+            None if last.number > 0 || has_head => checker.problem(
                 &path.join(crate::log::HEAD),
                 0,
                 "it is missing or damaged, so a cut-off end cannot be noticed",

@@ -304,3 +304,20 @@ fn no_event_has_a_field_for_words_of_the_user() {
         }
     }
 }
+
+#[test]
+fn a_log_whose_files_were_all_deleted_is_damaged() {
+    let folder = Folder::new("deleted");
+    let log = written(&folder);
+    log.append(NEXT_DAY, Event::Closed).expect("written");
+    for day in [DAY, NEXT_DAY] {
+        fs::remove_file(folder.file(day)).expect("removed");
+    }
+    let count = events().len() + 1;
+    assert_eq!(messages(&folder.report()), [format!("lines 1 to {count} are missing at the end")]);
+    // A head that cannot be read is no empty log either.
+    fs::write(folder.0.join("head.json"), "{}").expect("written");
+    assert_eq!(messages(&folder.report()), ["it is missing or damaged, so a cut-off end cannot be noticed"]);
+    fs::remove_file(folder.0.join("head.json")).expect("removed");
+    assert_eq!(folder.report(), Report::default());
+}

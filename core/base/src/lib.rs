@@ -7,6 +7,7 @@
 //! - [`Simd`]: which instruction set a kernel may use.
 //! - [`onnx`]: which files hold the weights of a model, where ONNX Runtime is.
 //! - [`program`]: where the installation is that the running process belongs to.
+//! - [`secret`]: hides user and password of addresses; reads them from the environment.
 //! - [`gray`], [`random`], [`Report`]: gray conversion, reproducible random numbers, where algorithms report to.
 //!
 //! The crate sees only the contract. Unsafe code is confined to the two modules that opt in below.
@@ -22,6 +23,7 @@ pub mod program;
 pub mod random;
 pub mod rect;
 pub mod report;
+pub mod secret;
 pub mod simd;
 #[expect(unsafe_code, reason = "threads that outlive one loop borrow the loop's body")]
 pub mod threads;

@@ -60,6 +60,18 @@ fn json(level: Level, node: &str, message: &str, repeated: u64) -> String {
     serde_json::to_string(&JsonLine { unix_ms, level: word(level), node, message, repeated }).unwrap_or_default()
 }
 
+/// A line of the command itself as JSON: `error: ` or `warning: ` at its beginning is its level, all others are information.
+pub fn json_of_message(text: &str) -> String {
+    let levels = [("error", Level::Error), ("warning", Level::Warn), ("note", Level::Info)];
+    let split = levels.iter().find_map(|(word, level)| Some((*level, text.strip_prefix(word)?)));
+    match split {
+        Some((level, rest)) if rest.starts_with(": ") => json(level, "", &rest[2..], 0),
+        // A diagnostic begins with its code.
+        Some((level, rest)) if rest.starts_with('[') => json(level, "", text, 0),
+        _ => json(Level::Info, "", text, 0),
+    }
+}
+
 /// Formats a line for people.
 fn render(color: bool, level: Level, node: &str, words: &str, left_out: u64) -> String {
     let word = word(level);
@@ -137,6 +149,20 @@ mod tests {
             (Some("two\nlines and \"quotes\""), Some(2))
         );
         assert!(value["unix_ms"].as_u64().unwrap() > 1_700_000_000_000);
+    }
+
+    #[test]
+    fn lines_of_the_command_have_levels() {
+        for (text, level, message) in [
+            ("error: it \"failed\"", "error", "it \"failed\""),
+            ("warning: a\nb", "warning", "a\nb"),
+            ("error[unknown-param]: x", "error", "error[unknown-param]: x"),
+            ("errors are rare", "info", "errors are rare"),
+            ("serves http://127.0.0.1:1", "info", "serves http://127.0.0.1:1"),
+        ] {
+            let value: serde_json::Value = serde_json::from_str(&json_of_message(text)).unwrap();
+            assert_eq!((value["level"].as_str(), value["message"].as_str()), (Some(level), Some(message)));
+        }
     }
 
     #[test]

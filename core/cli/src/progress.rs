@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use panoscope_engine::Report;
 
-use crate::terminal::log;
+use crate::terminal::{finished_error_line, log};
 
 const PLAIN_EVERY: Duration = Duration::from_secs(2);
 /// A source without frames for a shorter time is slow, not lost.
@@ -77,8 +77,8 @@ impl Progress {
     pub fn line_writer(&self) -> impl Fn(&str) + Send + Sync + 'static + use<> {
         let bar = self.bar.clone();
         move |line| match &bar {
-            Some(bar) => bar.suspend(|| log!("{line}")),
-            None => log!("{line}"),
+            Some(bar) => bar.suspend(|| finished_error_line(line)),
+            None => finished_error_line(line),
         }
     }
 

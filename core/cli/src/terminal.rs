@@ -2,6 +2,11 @@
 
 use std::fmt::Arguments;
 use std::io::{IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use panoscope_base::secret::redact;
+
+use crate::log_lines;
 
 /// Writes a line to standard output.
 #[macro_export]
@@ -17,13 +22,32 @@ macro_rules! log {
 
 pub use {log, out};
 
-/// Writes a line to standard output.
+/// Writes a line to standard output, without the secrets of addresses in it.
 pub fn line(text: Arguments<'_>) {
-    let _ = writeln!(std::io::stdout().lock(), "{text}");
+    let _ = writeln!(std::io::stdout().lock(), "{}", redact(&text.to_string()));
 }
 
-/// Writes a line to standard error.
+/// Whether lines on standard error are JSON objects.
+static JSON_LINES: AtomicBool = AtomicBool::new(false);
+
+/// From here on each line on standard error is a JSON object, also those of signals and crashes, and there is no colour.
+pub fn write_json_lines() {
+    JSON_LINES.store(true, Ordering::Relaxed);
+    panoscope_engine::ending::write_json_lines();
+}
+
+/// Writes a line to standard error, without the secrets of addresses in it.
 pub fn error_line(text: Arguments<'_>) {
+    let text = text.to_string();
+    let text = redact(&text);
+    match JSON_LINES.load(Ordering::Relaxed) {
+        true => finished_error_line(&log_lines::json_of_message(&text)),
+        false => finished_error_line(&text),
+    }
+}
+
+/// Writes a line of a log to standard error as it is.
+pub fn finished_error_line(text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
@@ -43,7 +67,7 @@ pub fn stdout_color() -> bool {
 
 /// Whether standard error takes colour.
 pub fn stderr_color() -> bool {
-    std::io::stderr().is_terminal() && color_wanted()
+    std::io::stderr().is_terminal() && color_wanted() && !JSON_LINES.load(Ordering::Relaxed)
 }
 
 /// Leaves the process at once: destructors of C++ libraries that plugins loaded are not to be trusted.

@@ -411,3 +411,30 @@ fn a_recording_survives_a_crash_and_a_replay_names_one_too() {
     let frames: u64 = mended.last_line().split(' ').find_map(|w| w.parse().ok()).expect("a count");
     assert!(frames >= 10, "{}", mended.all());
 }
+
+#[test]
+fn each_line_of_a_json_log_is_an_object() {
+    let folder = folder("json");
+    let words = ["run", "--headless", "--log-format", "json", "--web", "0", "--foxglove", "0"];
+    let path = graph_in("live", &folder, "");
+    let mut running = Running::start(command(&[&words[..], &[path.to_str().expect("a path")]].concat()));
+    running.until("the first lines", |running| {
+        running.said().contains("for Foxglove") && folder.join("ledger.jsonl").exists()
+    });
+    running.send(libc::SIGINT);
+    let ended = running.end();
+    let messages: Vec<String> = ended
+        .err
+        .lines()
+        .map(|line| {
+            let value: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+            value["message"].as_str().unwrap_or_else(|| panic!("{line}")).to_owned()
+        })
+        .collect();
+    for part in ["serves http://", "serves ws://"] {
+        assert!(messages.iter().any(|message| message.contains(part)), "{part}: {messages:?}");
+    }
+    // Mistakes of the graph too.
+    let ended = run(&["run", "--headless", "--log-format", "json", "no_such_graph.toml"]);
+    assert!(ended.err.lines().all(|line| line.starts_with("{\"unix_ms\":")), "{}", ended.err);
+}

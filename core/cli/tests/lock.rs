@@ -266,7 +266,7 @@ fn a_signature_is_believed_only_from_a_trusted_key() {
     let (code, said) = bench.run("lock --new-key ward");
     assert!(code == 2 && said.contains("never replaced"), "{said}");
     assert_eq!(bench.run("lock --new-key stranger").0, 0);
-    let run = "run g.toml --lock --frames 3 --headless --set reader.fails_every=0";
+    let run = "run g.toml --lock --frames 3 --headless";
     let refused = |words: &str, part: &str| {
         let (code, said) = bench.run(words);
         assert!(code != 0 && said.contains(part), "{words}: {code}: {said}");
@@ -335,4 +335,25 @@ fn the_audit_log_is_shown_and_a_damaged_one_named() {
         assert!(code == 1 && said.contains("DAMAGED") && said.contains("jsonl:2"), "{words}: {said}");
     }
     assert_eq!(bench.run("audit nowhere").0, 2);
+}
+
+#[test]
+fn a_locked_graph_is_set_to_nothing_that_its_preset_does_not_offer() {
+    let bench = Bench::new("settings");
+    let graph = "mode = \"batch\"\nplugins = [\"flow\"]\n[nodes.source]\ntype = \"frames\"\nparams = { width_px = 16, height_px = 16 }\n\
+        [nodes.end]\ntype = \"drain\"\ninputs = { image = \"source.image\" }\n\
+        [preset]\npinned = [{ param = \"source.rate_hz\", range = [10, 60] }]\n";
+    bench.write("g.toml", graph);
+    let (code, said) = bench.run("lock g.toml");
+    assert_eq!(code, 0, "{said}");
+    let run = |set: &str| bench.run(&format!("run g.toml --lock --headless --frames 2 {set}"));
+    for set in ["--set source.width_px=32", "--set source.rate_hz=90"] {
+        let (code, said) = run(set);
+        let setting = set.trim_start_matches("--set ");
+        assert!(code == 2 && said.contains(setting) && said.contains("does not offer"), "{set}: {code} {said}");
+    }
+    for set in ["", "--set source.rate_hz=20"] {
+        let (code, said) = run(set);
+        assert_eq!(code, 0, "{set}: {said}");
+    }
 }

@@ -12,6 +12,7 @@ mod lock;
 mod models;
 mod mosaic;
 mod no_plugins;
+mod secrets;
 mod skill;
 mod stitch_sweeps;
 mod studies;

@@ -354,8 +354,8 @@ unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     if let Some(call_context) = unsafe { call_context(call) } {
         call_context.failure.clear();
-        // SAFETY: the plugin lends the text for the length of this call (the contract).
-        call_context.failure.push_str(&unsafe { words(message) });
+        // SAFETY: the plugin lends the text for the length of this call (the contract). Its errors may quote an address.
+        call_context.failure.push_str(&panoscope_base::secret::redact(&unsafe { words(message) }));
         call_context.has_failure = true;
     }
 }

@@ -4,6 +4,8 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use panoscope_base::secret::redact;
+
 use crate::outbox::{self, Outbox};
 
 /// Severity of a line.
@@ -71,9 +73,9 @@ impl Log {
         Self { out, recent }
     }
 
-    /// Adds a line.
+    /// Adds a line, without the secrets of addresses in it.
     pub fn write(&self, level: Level, node: &str, message: &str) {
-        let line = (level, node.to_owned(), message.to_owned());
+        let line = (level, node.to_owned(), redact(message).into_owned());
         let mut lines = self.recent.lines();
         // Under the lock, so that both have the same order.
         if let Some(out) = &self.out {

@@ -17,6 +17,10 @@ pub struct Catalog {
     /// Plugins that were found (or named) but cannot be used. Reported at the `plugins` entry that names them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub problems: Vec<PluginProblem>,
+    /// Files and folders of the search path that another file of a plugin replaces, and folders that are not there; the plugin's name is empty
+    /// for a folder. Reported as warnings.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub passed_over: Vec<PluginProblem>,
     /// Node types of plugins that were found and not loaded, by name only, to find the plugin that a graph forgot to list.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub offers: Vec<Offer>,

@@ -269,6 +269,13 @@ impl Flattener<'_> {
         }
         let text = match self.texts.get(&key) {
             Some(text) => text.clone(),
+            // Errors quote the file: what is no graph must not show in them.
+            None if path.canonicalize().is_ok_and(|file| file.is_file() && !has_extension_of_graph(&file)) => {
+                let message = format!("`{}` is not a part: names of graph files end in .toml", file.value);
+                self.error("part-unreadable", &file.span, message)
+                    .help("rename the file, or correct the path; of a link the name of its target counts");
+                return None;
+            }
             None => match read_file(&path) {
                 Ok(bytes) => match String::from_utf8(bytes) {
                     Ok(text) => text,
@@ -535,4 +542,8 @@ impl Flattener<'_> {
         self.unknown("unknown-part-output", &reference.node.clone(), "output", &name, &entries, &file);
         false
     }
+}
+
+fn has_extension_of_graph(file: &Path) -> bool {
+    file.extension().is_some_and(|extension| extension == "toml")
 }

@@ -579,3 +579,19 @@ fn other_connections_to_a_replaced_source_are_errors_that_name_the_overlay() {
     let said = check(&text, &common::catalog()).into_result().expect_err("an error").render(false);
     assert!(said.contains("has no output `wide`") && said.contains("capture.toml:2:8"), "{said}");
 }
+
+#[test]
+fn nothing_of_files_that_are_no_graphs_is_shown() {
+    let graph = "[nodes.a]\ngraph = \"site.env\"\n[nodes.b]\ngraph = \"link.toml\"\n[nodes.c]\ngraph = \"/proc/self/environ\"\n";
+    let folder =
+        Folder::new("not_shown", &[("graph.toml", graph), ("site.env", "PASSWORD = \"geheim\"\nTOKEN = geheim\n")]);
+    std::os::unix::fs::symlink(folder.at("site.env"), folder.at("link.toml")).expect("a link");
+    let text = GraphText::load_with(&folder.at("graph.toml"), &GraphOptions::default()).expect("it is there");
+    let errors = check(&text, &common::catalog()).into_result().expect_err("mistakes").render(false);
+    for part in ["site.env", "link.toml", "/proc/self/environ"] {
+        assert!(errors.contains(&format!("`{part}` is not a part: names of graph files end in .toml")), "{errors}");
+    }
+    for secret in ["geheim", "PASSWORD", "TOKEN", "PATH="] {
+        assert!(!errors.contains(secret), "{errors}");
+    }
+}

@@ -4,14 +4,18 @@
 //! the public address, reads the head of each request, and connects what may pass to the server, which listens on a loopback address that is
 //! drawn at random (127.A.B.C, a free port), so that a page cannot guess it.
 
+use std::collections::VecDeque;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use panoscope_monitor::is_own_host;
+use socket2::{SockRef, TcpKeepalive};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, copy_bidirectional};
 use tokio::net::TcpStream;
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, oneshot};
+
+use crate::server::lock;
 
 /// Longest head of a request.
 const MAX_HEAD_BYTES: usize = 16 << 10;
@@ -19,8 +23,12 @@ const MAX_HEAD_BYTES: usize = 16 << 10;
 const MAX_FIELDS: usize = 64;
 /// How long a client may take for the head.
 const MAX_HEAD_TIME: Duration = Duration::from_secs(5);
+/// How long a client may be silent before its machine is asked whether it is there, and between further questions.
+const KEEPALIVE: Duration = Duration::from_secs(15);
 /// Clients at a time.
-const MAX_CLIENTS: usize = 16;
+pub const MAX_CLIENTS: usize = 16;
+/// Connections without a whole head at a time; one more ends the oldest of them.
+const MAX_WAITING: usize = 64;
 /// The page of Foxglove that may connect from a browser.
 const FOXGLOVE_ORIGIN: &str = "https://app.foxglove.dev";
 
@@ -30,6 +38,12 @@ pub enum Refusal {
     /// Not the head of an HTTP request.
     #[error("this is no request for a WebSocket")]
     Malformed,
+    /// The head did not come in time.
+    #[error("no whole request came within {} s", MAX_HEAD_TIME.as_secs())]
+    Silent,
+    /// So many clients are there already.
+    #[error("{MAX_CLIENTS} clients are connected, and more are not served; close one of them")]
+    Full,
     /// `Host` is a name, which could belong to another page.
     #[error("ask with an IP address or `localhost` as the host: a name could belong to another page")]
     Host,
@@ -45,6 +59,8 @@ impl Refusal {
     fn status(&self) -> &'static str {
         match self {
             Self::Malformed => "400 Bad Request",
+            Self::Silent => "408 Request Timeout",
+            Self::Full => "503 Service Unavailable",
             Self::Host | Self::Origin { .. } => "403 Forbidden",
         }
     }
@@ -105,18 +121,48 @@ pub fn hidden_loopback() -> Ipv4Addr {
     Ipv4Addr::new(127, a.max(1), b, c.clamp(1, 254))
 }
 
-/// Accepts clients until the runtime ends.
-pub async fn accept(listener: TcpListener, server: SocketAddr) {
+/// Connections that did not become clients since the last look at them.
+#[derive(Debug, Default)]
+pub struct Refused(Mutex<Option<(u64, IpAddr, Refusal)>>);
+
+impl Refused {
+    fn add(&self, from: IpAddr, why: Refusal) {
+        let mut refused = lock(&self.0);
+        let count = refused.as_ref().map_or(0, |(count, ..)| *count);
+        *refused = Some((count + 1, from, why));
+    }
+
+    /// A line about them, if there are any.
+    pub fn take(&self) -> Option<String> {
+        let (count, from, why) = lock(&self.0).take()?;
+        Some(match count {
+            1 => format!("a connection from {from} was refused: {why}"),
+            count => format!("{count} connections were refused, the last one from {from}: {why}"),
+        })
+    }
+}
+
+/// Accepts clients until the runtime ends. A connection counts as a client once its request has come, so that silent ones keep nobody out.
+pub async fn accept(listener: TcpListener, server: SocketAddr, refused: Arc<Refused>) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
     let clients = Arc::new(Semaphore::new(MAX_CLIENTS));
+    // Dropping one ends the wait for a head.
+    let mut waiting: VecDeque<oneshot::Sender<()>> = VecDeque::new();
     loop {
-        let Ok(permit) = Arc::clone(&clients).acquire_owned().await else { return };
         match listener.accept().await {
-            Ok((client, _)) => {
+            Ok((client, from)) => {
+                let (patience, ended) = oneshot::channel();
+                waiting.retain(|waiting| !waiting.is_closed());
+                waiting.push_back(patience);
+                if waiting.len() > MAX_WAITING {
+                    waiting.pop_front();
+                }
+                let (clients, refused) = (Arc::clone(&clients), Arc::clone(&refused));
                 tokio::spawn(async move {
                     // A client that leaves is no error of the server.
-                    let _ = serve(client, server).await;
-                    drop(permit);
+                    if let Ok(Some(why)) = serve(client, server, &clients, ended).await {
+                        refused.add(from.ip(), why);
+                    }
                 });
             }
             // Out of file descriptors, for example.
@@ -125,29 +171,47 @@ pub async fn accept(listener: TcpListener, server: SocketAddr) {
     }
 }
 
-async fn serve(mut client: TcpStream, server: SocketAddr) -> std::io::Result<()> {
+/// Serves a client to its end; or says why it was refused.
+async fn serve(
+    mut client: TcpStream,
+    server: SocketAddr,
+    clients: &Semaphore,
+    ended: oneshot::Receiver<()>,
+) -> std::io::Result<Option<Refusal>> {
     client.set_nodelay(true)?;
-    let read = tokio::time::timeout(MAX_HEAD_TIME, read_head(&mut client)).await;
-    let refusal = match read {
-        Ok(Ok((bytes, end))) => match check_head(&bytes[..end]) {
-            Ok(()) => {
-                let mut server = TcpStream::connect(server).await?;
-                server.set_nodelay(true)?;
-                server.write_all(&bytes).await?;
-                copy_bidirectional(&mut client, &mut server).await?;
-                return Ok(());
-            }
-            Err(refusal) => refusal,
-        },
-        _ => Refusal::Malformed,
+    let read = tokio::select! {
+        read = read_head(&mut client) => Some(read),
+        () = tokio::time::sleep(MAX_HEAD_TIME) => None,
+        _ = ended => None,
+    };
+    let checked = match read {
+        Some(Ok((bytes, end))) => check_head(&bytes[..end]).map(|()| bytes),
+        Some(Err(_)) => Err(Refusal::Malformed),
+        None => Err(Refusal::Silent),
+    };
+    let checked = checked.and_then(|bytes| Ok((bytes, clients.try_acquire().map_err(|_| Refusal::Full)?)));
+    let refusal = match checked {
+        Ok((bytes, _permit)) => {
+            // A client whose machine is gone leaves too.
+            let keepalive = TcpKeepalive::new().with_time(KEEPALIVE).with_interval(KEEPALIVE);
+            SockRef::from(&client).set_tcp_keepalive(&keepalive)?;
+            let mut server = TcpStream::connect(server).await?;
+            server.set_nodelay(true)?;
+            server.write_all(&bytes).await?;
+            copy_bidirectional(&mut client, &mut server).await?;
+            return Ok(None);
+        }
+        Err(refusal) => refusal,
     };
     let (status, words) = (refusal.status(), format!("{refusal}\n"));
     let length = words.len();
     let answer = format!(
         "HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n{words}"
     );
-    client.write_all(answer.as_bytes()).await?;
-    client.shutdown().await
+    // Who does not read it is gone.
+    let _ = client.write_all(answer.as_bytes()).await;
+    let _ = client.shutdown().await;
+    Ok(Some(refusal))
 }
 
 /// The bytes so far, and where the head ends in them.
@@ -186,6 +250,70 @@ mod tests {
         ] {
             assert_eq!(check(fields), Ok(()), "{fields}");
         }
+    }
+
+    /// A gate on a free port in front of a server that keeps its clients.
+    fn gate() -> (tokio::runtime::Runtime, SocketAddr, Arc<Refused>) {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let listen = || TcpListener::bind("127.0.0.1:0").unwrap();
+        let (door, server) = (listen(), listen());
+        door.set_nonblocking(true).unwrap();
+        let (address, behind) = (door.local_addr().unwrap(), server.local_addr().unwrap());
+        std::thread::spawn(move || {
+            for mut client in server.incoming().map_while(Result::ok) {
+                std::thread::spawn(move || {
+                    use std::io::{Read, Write};
+                    let _ = client.write_all(b"HTTP/1.1 101 Switching Protocols\r\n\r\n");
+                    // Until the client leaves.
+                    let _ = client.read_to_end(&mut Vec::new());
+                });
+            }
+        });
+        let refused = Arc::new(Refused::default());
+        runtime.spawn(accept(door, behind, Arc::clone(&refused)));
+        (runtime, address, refused)
+    }
+
+    /// The first line of the answer to a request, and the connection.
+    fn ask(address: SocketAddr) -> (String, std::net::TcpStream) {
+        use std::io::{BufRead, BufReader, Write};
+        let mut client = std::net::TcpStream::connect(address).unwrap();
+        client.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        write!(client, "GET / HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+        let mut line = String::new();
+        BufReader::new(&client).read_line(&mut line).unwrap();
+        (line, client)
+    }
+
+    #[test]
+    fn silent_connections_keep_no_client_out_and_one_client_too_many_gets_a_reason() {
+        use std::io::Read;
+        let (_runtime, address, refused) = gate();
+        let silent: Vec<_> = (0..MAX_WAITING + 40).map(|_| std::net::TcpStream::connect(address).unwrap()).collect();
+        let mut clients = Vec::new();
+        for number in 0..MAX_CLIENTS {
+            let (line, client) = ask(address);
+            assert!(line.starts_with("HTTP/1.1 101"), "{number}: {line}");
+            clients.push(client);
+        }
+        let (line, _) = ask(address);
+        assert!(line.starts_with("HTTP/1.1 503"), "{line}");
+        // A client that leaves makes room.
+        drop(clients.pop());
+        let end = std::time::Instant::now() + Duration::from_secs(20);
+        while !ask(address).0.starts_with("HTTP/1.1 101") {
+            assert!(std::time::Instant::now() < end, "nobody can connect");
+        }
+        // The oldest silent ones were ended for others, and the rest is after its time.
+        for mut client in silent {
+            client.set_read_timeout(Some(MAX_HEAD_TIME * 4)).unwrap();
+            let mut answer = String::new();
+            client.read_to_string(&mut answer).unwrap();
+            assert!(answer.starts_with("HTTP/1.1 408"), "{answer}");
+        }
+        let line = refused.take().expect("a line");
+        assert!(line.contains("connections were refused") && line.contains("127.0.0.1"), "{line}");
+        assert_eq!(refused.take(), None, "said once");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Deref;
 
 use foxglove::websocket::{AnyClient, Parameter, ParameterValue, SetParametersResponder};
+use panoscope_base::secret::redact;
 use panoscope_engine::Engine;
 use panoscope_graph::{Catalog, Graph, ParamKind, ParamValue};
 use panoscope_loader::Live;
@@ -37,8 +38,8 @@ fn shown(name: String, value: ParamValue) -> Parameter {
         ParamValue::Int(value) => Parameter::integer(name, value),
         ParamValue::Float(value) => Parameter::float64(name, value),
         ParamValue::Choice { name: word, .. } => Parameter::string(name, word),
-        ParamValue::Text(text) => Parameter::string(name, text),
-        ParamValue::Path(path) => Parameter::string(name, path.to_string_lossy()),
+        ParamValue::Text(text) => Parameter::string(name, redact(&text)),
+        ParamValue::Path(path) => Parameter::string(name, redact(&path.to_string_lossy())),
         ParamValue::Floats(values) => Parameter::float64_array(name, values),
     }
 }
@@ -166,6 +167,13 @@ mod tests {
             let error = value_of(&kind, &ParameterValue::String("/etc/passwd".to_owned())).unwrap_err();
             assert!(error.contains("are not set from here"), "{error}");
         }
+    }
+
+    #[test]
+    fn passwords_are_not_shown() {
+        let text = ParamValue::Text("rtsp://u:geheim@10.0.0.2/left".to_owned());
+        let shown = shown("scope.left".to_owned(), text);
+        assert_eq!(shown.value, Some(ParameterValue::String("rtsp://***@10.0.0.2/left".to_owned())));
     }
 
     #[test]

@@ -51,6 +51,7 @@ pub struct Shared {
     parameters: Mutex<BTreeMap<String, Parameter>>,
     requests: Mutex<Vec<Request>>,
     may_set: bool,
+    refused: Arc<gate::Refused>,
 }
 
 /// Answers requests for parameters from what the run left.
@@ -161,13 +162,14 @@ impl FoxgloveServer {
     }
 
     /// Takes over what there is to show and does what clients ask for. Call it several times a second, on the thread that takes previews. Returns
-    /// lines about parameters that clients set, and about what was refused.
+    /// lines about parameters that clients set, about connections and about what was refused.
     pub fn update<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Vec<String> {
         let mut lines = Vec::new();
         let now = Instant::now();
         if self.looked.is_none_or(|looked| now.duration_since(looked) >= LOOK_EVERY) {
             self.looked = Some(now);
             lines.extend(self.look(live));
+            lines.extend(self.shared.refused.take().map(|line| format!("foxglove: {line}")));
         }
         self.set(live, &mut lines);
         self.subscribe(live.engine());
@@ -191,7 +193,7 @@ impl FoxgloveServer {
         }
         self.publish_parameters(engine);
         if let (Some((listener, server)), Some(runtime)) = (self.door.take(), &self.runtime) {
-            runtime.spawn(gate::accept(listener, server));
+            runtime.spawn(gate::accept(listener, server, Arc::clone(&self.shared.refused)));
         }
         failure
     }

@@ -37,6 +37,14 @@ pub enum LoadError {
         /// Major number of this host.
         expected: u32,
     },
+    /// No sealed copy of it could be made or read.
+    #[error("{file} cannot be loaded: a copy in memory could not be made: {cause}", file = file.display())]
+    Copy {
+        /// The plugin's file.
+        file: PathBuf,
+        /// The operating system's error.
+        cause: std::io::Error,
+    },
     /// The dynamic linker cannot load it.
     #[error("{file} cannot be loaded: {cause}", file = file.display())]
     Link {
@@ -89,6 +97,7 @@ impl LoadError {
             Self::Unreadable { file, .. }
             | Self::BadFile { file, .. }
             | Self::AbiMismatch { file, .. }
+            | Self::Copy { file, .. }
             | Self::Link { file, .. }
             | Self::NotLocked { file }
             | Self::Undescribed { file, .. }
@@ -123,6 +132,10 @@ impl LoadError {
                 Some(packages) => format!("install the library: on Debian and Ubuntu `apt install {packages}`"),
                 None => "install the library named above, or rebuild the plugin".to_owned(),
             },
+            Self::Copy { cause, .. } | Self::Unreadable { cause, .. } if is_out_of_descriptors(cause) => {
+                "all file descriptors of the process are in use; raise their number, as `ulimit -n` does".to_owned()
+            }
+            Self::Copy { .. } => "free memory; the copy has the size of the file".to_owned(),
             Self::Unreadable { .. } => "check the path and its permissions".to_owned(),
         }
     }
@@ -136,6 +149,11 @@ impl LoadError {
             help: self.help(),
         }
     }
+}
+
+/// Whether this process, or the system, has no file descriptor left.
+fn is_out_of_descriptors(error: &std::io::Error) -> bool {
+    matches!(error.raw_os_error(), Some(libc::EMFILE | libc::ENFILE))
 }
 
 /// Debian's packages with the library that the dynamic linker misses, as far as they are known.

@@ -4,6 +4,7 @@
 //! [`Live`] changes a running graph by editing its text, and swaps rebuilt plugins. [`lock`] records the fingerprints of all files that a run
 //! depends on, [`keys`] signs them, and [`verify`] opens a graph only as it was locked.
 
+mod copies;
 pub mod depends;
 pub mod elf;
 mod error;

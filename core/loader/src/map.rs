@@ -1,7 +1,5 @@
 //! Maps a plugin's file into the process and reads its descriptor.
 
-use std::fs::File;
-use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,10 +10,10 @@ use panoscope_graph::from_abi::problems_of;
 use panoscope_graph::{NodeSetup, NodeType, ParamProblem, Severity, Validator};
 use panoscope_isolate::{Describer, Description};
 
+use crate::copies::{Way, copy_of};
 use crate::elf::{self, Note};
 use crate::error::LoadError;
 use crate::python::{self, Python};
-use crate::sealed::SealedWriter;
 
 /// A plugin's file and its note.
 #[derive(Clone, Debug)]
@@ -59,39 +57,22 @@ pub fn load(plugin: &PluginFile) -> Result<Loaded, LoadError> {
 }
 
 /// As [`load`], but only if the copy has this SHA-256. The copy is sealed and then mapped: the bytes that were compared are those that run.
+/// Files that did not change are mapped once in a process.
 pub fn load_verified(plugin: &PluginFile, sha256: Option<&str>) -> Result<Loaded, LoadError> {
-    let copy = verified_copy(plugin, sha256)?;
-    let mapped = map(plugin, &copy.path);
-    if let Ok(loaded) = &mapped {
-        panoscope_isolate::remember(&loaded.entries, &copy.path, &plugin.file);
-    }
-    copy.keep_unless_unlinked(mapped)
+    let copy = copy_of(plugin, sha256)?;
+    copy.loaded(Way::Mapped, || {
+        let mapped = map(plugin, &copy.path)?;
+        panoscope_isolate::remember(&mapped.entries, &copy.path, &plugin.file);
+        Ok(mapped)
+    })
 }
 
 /// As [`load_verified`], for a plugin whose nodes all run in processes of their own: none of its code runs in this process. A process that is
 /// locked in maps the copy and describes it, within `limit`.
 pub fn describe_verified(plugin: &PluginFile, sha256: Option<&str>, limit: Duration) -> Result<Loaded, LoadError> {
-    let copy = verified_copy(plugin, sha256)?;
-    let described = describe(plugin, &copy.path, limit);
-    copy.keep_unless_unlinked(described)
-}
-
-/// A sealed copy of a plugin's file, with this SHA-256 where one is given.
-fn verified_copy(plugin: &PluginFile, sha256: Option<&str>) -> Result<PrivateCopy, LoadError> {
-    let file = &plugin.file;
-    let link = |cause: String| LoadError::Link { file: file.clone(), cause };
-    let mut whole = File::open(file).map_err(|cause| LoadError::Unreadable { file: file.clone(), cause })?;
-    let copy = private_copy(file, &mut whole, sha256.is_some())
-        .map_err(|e| link(format!("a private copy could not be made: {e}")))?;
-    // Before anything of it is mapped: its constructors run as soon as it is.
-    if sha256 != copy.sha256.as_deref() {
-        return Err(LoadError::NotLocked { file: file.clone() });
-    }
-    // The copy is checked again, because the file may have changed since it was found.
-    if plugin.python.is_none() {
-        elf::read_note(&copy.parts).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
-    }
-    Ok(copy)
+    let copy = copy_of(plugin, sha256)?;
+    let kept = plugin.python.as_ref().and_then(|python| python.kept_description(&plugin.file, &copy.path));
+    copy.loaded(Way::Described(kept.clone()), || describe(plugin, &copy.path, limit, kept.as_deref()))
 }
 
 /// Loads a plugin from an image of its file, in a process of isolated nodes. The process that sent the image verified it.
@@ -101,12 +82,11 @@ pub(crate) fn load_image(image: &Path, file: &Path) -> Result<Loaded, LoadError>
 }
 
 /// Asks a process of its own what a plugin offers.
-fn describe(plugin: &PluginFile, image: &Path, limit: Duration) -> Result<Loaded, LoadError> {
+fn describe(plugin: &PluginFile, image: &Path, limit: Duration, kept: Option<&Path>) -> Result<Loaded, LoadError> {
     let PluginFile { file, note, python } = plugin;
     let launch = python.as_ref().map(Python::launch).transpose();
     let launch = launch.map_err(|cause| LoadError::NoPython { file: file.clone(), cause })?;
-    let kept = python.as_ref().and_then(|python| python.kept_description(file, image));
-    let described = panoscope_isolate::describe(image, file, &note.name, launch, limit, kept.as_deref());
+    let described = panoscope_isolate::describe(image, file, &note.name, launch, limit, kept);
     let Description { plugin: descriptor, describer } =
         described.map_err(|cause| LoadError::Undescribed { file: file.clone(), cause })?;
     // SAFETY: what another process wrote was read into memory that is never freed; its lengths are those of that memory.
@@ -208,37 +188,6 @@ fn map(plugin: &PluginFile, image: &Path) -> Result<Loaded, LoadError> {
         }
     }
     Ok(Loaded { plugin: plugin.clone(), node_types, entries })
-}
-
-struct PrivateCopy {
-    path: PathBuf,
-    /// The copy's bytes, for reading.
-    parts: elf::OnDisk,
-    /// Its SHA-256 where that was wanted.
-    sha256: Option<String>,
-}
-
-impl PrivateCopy {
-    /// Keeps the copy open unless the dynamic linker refused it: debuggers and profilers read symbols through it, processes of isolated nodes
-    /// map it, and the dynamic linker would take another file of its number for this one.
-    fn keep_unless_unlinked<T>(self, loaded: Result<T, LoadError>) -> Result<T, LoadError> {
-        if !matches!(loaded, Err(LoadError::Link { .. } | LoadError::Undescribed { .. })) {
-            std::mem::forget(self);
-        }
-        loaded
-    }
-}
-
-/// Copies a file to an anonymous file in memory that nobody can change.
-fn private_copy(file: &Path, whole: &mut File, hashed: bool) -> std::io::Result<PrivateCopy> {
-    let mut writer = SealedWriter::new(file)?;
-    let sha256 = match hashed {
-        true => Some(writer.append_from(whole)?.sha256),
-        false => writer.append_unhashed(whole).map(|()| None)?,
-    };
-    let copy = writer.seal()?;
-    let path = PathBuf::from(format!("/proc/self/fd/{}", copy.as_raw_fd()));
-    Ok(PrivateCopy { path, parts: elf::OnDisk::over(copy)?, sha256 })
 }
 
 /// The dynamic linker's message, with the file's path instead of the copy's.

@@ -49,6 +49,10 @@ pub struct Loader {
     stamps: BTreeMap<PathBuf, Stamp>,
     found: BTreeMap<String, PluginFile>,
     problems: Vec<PluginProblem>,
+    /// See [`Catalog::passed_over`].
+    passed_over: Vec<PluginProblem>,
+    /// Libraries with the name of a plugin's file that are no plugins.
+    strangers: Vec<PluginProblem>,
     /// SHA-256 of the plugins that may be loaded, by name; `None` where every plugin may.
     pins: Option<Arc<BTreeMap<String, String>>>,
     /// Folders whose plugins are found but not loaded.
@@ -98,6 +102,17 @@ pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
     unique
 }
 
+/// What is said of a folder that cannot be read, where the user named it.
+fn unread_folder(folder: &Path, error: &std::io::Error) -> Option<PluginProblem> {
+    let list = std::env::var_os(PLUGIN_PATH_VARIABLE)?;
+    std::env::split_paths(&list).any(|named| named == folder).then(|| PluginProblem {
+        plugin: String::new(),
+        file: folder.display().to_string(),
+        message: format!("{PLUGIN_PATH_VARIABLE} names the folder {}, which cannot be read: {error}", folder.display()),
+        help: format!("correct {PLUGIN_PATH_VARIABLE}"),
+    })
+}
+
 /// Those of the folders that the user's own search path does not have.
 fn foreign(own: &[PathBuf]) -> Vec<PathBuf> {
     let real = |folder: &PathBuf| folder.canonicalize().unwrap_or_else(|_| folder.clone());
@@ -110,7 +125,13 @@ impl Loader {
     pub fn search(folders: &[PathBuf]) -> Self {
         let mut this = Self { folders: folders.to_vec(), ..Self::default() };
         for folder in folders {
-            let Ok(entries) = std::fs::read_dir(folder) else { continue };
+            let entries = match std::fs::read_dir(folder) {
+                Ok(entries) => entries,
+                Err(error) => {
+                    this.passed_over.extend(unread_folder(folder, &error));
+                    continue;
+                }
+            };
             let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
             files.sort();
             for file in files.into_iter().filter(|file| may_be_plugin(file)) {
@@ -120,14 +141,25 @@ impl Loader {
                     Ok(found) => {
                         this.found.entry(found.note.name.clone()).or_insert(found);
                     }
-                    // The folder may contain other libraries; only files with a damaged note are reported.
-                    Err(LoadError::BadFile { cause: ElfError::NoNote, .. } | LoadError::NoNodes { .. }) => {}
+                    Err(LoadError::NoNodes { .. }) => {}
+                    Err(error) if this.found.contains_key(&stem(&file)) => drop(error),
+                    // The folder may contain other libraries; they matter only where a graph asks for a plugin of their name.
+                    Err(error @ LoadError::BadFile { cause: ElfError::NoNote, .. }) => {
+                        this.strangers.push(error.problem(&stem(&file)));
+                    }
                     Err(error) => this.problems.push(error.problem(&stem(&file))),
                 }
             }
         }
-        let found = &this.found;
-        this.problems.retain(|p| !found.contains_key(&p.plugin));
+        for problems in [&mut this.problems, &mut this.strangers] {
+            let (mut replaced, other): (Vec<_>, Vec<_>) =
+                std::mem::take(problems).into_iter().partition(|problem| this.found.contains_key(&problem.plugin));
+            *problems = other;
+            for problem in &mut replaced {
+                problem.message += &format!("; {} is used instead", this.found[&problem.plugin].file.display());
+            }
+            this.passed_over.extend(replaced);
+        }
         this
     }
 
@@ -309,7 +341,9 @@ impl Loader {
 
     /// The catalogue for a graph: the plugins that it lists are loaded, all others are entered by name only.
     pub fn catalog<S: AsRef<str>>(&self, plugins: &[S]) -> Catalog {
-        let mut catalog = Catalog { problems: self.problems.clone(), ..Catalog::default() };
+        let (mut problems, passed_over) = (self.problems.clone(), self.passed_over.clone());
+        problems.extend(self.strangers.iter().filter(|s| plugins.iter().any(|p| p.as_ref() == s.plugin)).cloned());
+        let mut catalog = Catalog { problems, passed_over, ..Catalog::default() };
         for (plugin, found) in &self.found {
             if !plugins.iter().any(|p| p.as_ref() == plugin) {
                 catalog.plugins.push(plugin.clone());

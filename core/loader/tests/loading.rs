@@ -191,3 +191,103 @@ fn a_plugin_that_is_swapped_after_it_was_found_is_not_mapped() {
     let problem = Loader::search(&[folder]).pinned(&lock_of("other", &file)).load("flow").err().expect("refused");
     assert!(problem.message.contains("the lock of the graph does not have it"), "{}", problem.message);
 }
+
+/// File descriptors of this process.
+fn descriptors() -> usize {
+    std::fs::read_dir("/proc/self/fd").expect("Linux has it").count()
+}
+
+#[test]
+fn a_file_that_did_not_change_is_mapped_once() {
+    let folder = folder_with("once", "libflow.so", &flow_bytes());
+    let load = || {
+        let loaded = Loader::search(std::slice::from_ref(&folder)).load("flow").expect("it loads");
+        std::ptr::from_ref(loaded.entries[0])
+    };
+    let (first, before) = (load(), descriptors());
+    (0..20).for_each(|_| assert_eq!(load(), first));
+    assert_eq!(descriptors(), before);
+    // A rebuilt file is another library; the earlier bytes are still mapped.
+    let mut other = flow_bytes();
+    other.push(0);
+    std::fs::write(folder.join("libflow.so"), &other).expect("written");
+    let rebuilt = load();
+    assert_ne!(rebuilt, first);
+    std::fs::write(folder.join("libflow.so"), flow_bytes()).expect("written");
+    assert_eq!(load(), first);
+    assert_eq!(descriptors(), before + 1);
+}
+
+#[test]
+fn an_error_names_file_descriptors_when_there_are_none() {
+    let folder = folder_with("limit", "libflow.so", &flow_bytes());
+    let loader = Loader::search(&[folder]);
+    // All but one, which reads the plugin's file: none is left for the copy.
+    let mut files: Vec<std::fs::File> = Vec::new();
+    let limit = libc::rlimit { rlim_cur: descriptors() as u64 + 8, rlim_max: descriptors() as u64 + 8 };
+    // SAFETY: the limit is a local value; this test is the only one of its process.
+    assert_eq!(unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit) }, 0);
+    while let Ok(file) = std::fs::File::open("/dev/null") {
+        files.push(file);
+    }
+    for free in [0, 1] {
+        files.truncate(files.len() - free);
+        let problem = loader.rescan_in(loader.folders()).problems().first().cloned();
+        let problem = problem.or_else(|| loader.load("flow").err()).expect("refused");
+        let text = format!("{} {}", problem.message, problem.help);
+        assert!(text.contains("file descriptors"), "{free}: {text}");
+    }
+}
+
+#[test]
+fn files_that_are_passed_over_are_named() {
+    let good = folder_with("good", "libflow.so", &flow_bytes());
+    let whole = flow_bytes();
+    let strangers: [(&str, &[u8], &str); 2] = [
+        ("broken", &whole[..whole.len() / 2], "it is truncated"),
+        ("foreign", &without_note(), "it has no Panoscope note"),
+    ];
+    let text = GraphText::parse(
+        "g.toml".as_ref(),
+        "plugins = [\"flow\"]\n[nodes.a]\ntype = \"frames\"\n[nodes.b]\ntype = \"drain\"\ninputs = { image = \"a.image\" }\n",
+    );
+    for (name, bytes, reason) in strangers {
+        let first = folder_with(name, "libflow.so", bytes);
+        let warnings = |folders: &[PathBuf]| {
+            let (_, warnings) = check(&text, &Loader::search(folders).catalog(&text.plugins()))
+                .into_result()
+                .unwrap_or_else(|d| panic!("{}", d.render(false)));
+            warnings.render(false)
+        };
+        let text = warnings(&[first.clone(), good.clone()]);
+        let (file, used) = (first.join("libflow.so"), good.join("libflow.so"));
+        for part in [reason.to_owned(), file.display().to_string(), format!("{} is used instead", used.display())] {
+            assert!(text.contains(&part), "{part}: {text}");
+        }
+        assert_eq!(warnings(&[good.clone(), first.clone()]), "", "a later file is not asked for");
+    }
+    // Without another one it is an error.
+    let alone = Loader::search(&[folder_with("alone", "libflow.so", &without_note())]);
+    let error = check(&text, &alone.catalog(&text.plugins())).into_result().unwrap_err().render(false);
+    assert!(error.contains("plugin `flow` cannot be used") && error.contains("no Panoscope note"), "{error}");
+}
+
+/// A library that is no plugin: the owner of its note has another name.
+fn without_note() -> Vec<u8> {
+    let mut bytes = flow_bytes();
+    let body = note_body(&bytes);
+    bytes[body - abi::NOTE_OWNER.len()] ^= 1;
+    bytes
+}
+
+#[test]
+fn a_folder_of_the_search_path_that_is_not_there_is_named() {
+    let absent = scratch("absent_plugins");
+    // SAFETY: this test is the only one of its process, and no other thread runs.
+    unsafe { std::env::set_var(panoscope_loader::PLUGIN_PATH_VARIABLE, &absent) };
+    let good = folder_with("with_absent", "libflow.so", &flow_bytes());
+    let catalog = Loader::search(&panoscope_loader::search_path(&[good])).catalog(&["flow"]);
+    let [problem] = &catalog.passed_over[..] else { panic!("{:?}", catalog.passed_over) };
+    assert!(problem.message.contains(&absent.display().to_string()), "{problem:?}");
+    assert!(problem.message.contains("PANOSCOPE_PLUGIN_PATH"), "{problem:?}");
+}

@@ -1,5 +1,6 @@
 //! Writes the file of a recording.
 
+use std::borrow::Cow;
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -14,6 +15,7 @@ use crate::check;
 use crate::coding::{Coding, Packer};
 use crate::digest::padded_hash;
 use crate::format::{EVENTS, Event, PACKET_ENCODING, PacketHead};
+use panoscope_base::secret::redact;
 use panoscope_engine::memory::FrameRef;
 
 /// The destination of a recording.
@@ -134,6 +136,12 @@ impl RecordFile {
     pub fn event(&mut self, event: &Event) -> io::Result<()> {
         self.buffer.clear();
         serde_json::to_writer(&mut self.buffer, event)?;
+        if std::str::from_utf8(&self.buffer).is_ok_and(|text| matches!(redact(text), Cow::Owned(_))) {
+            let mut whole = serde_json::from_slice(&self.buffer)?;
+            without_secrets(&mut whole);
+            self.buffer.clear();
+            serde_json::to_writer(&mut self.buffer, &whole)?;
+        }
         self.event_count += 1;
         let now = unix_ns();
         let header =
@@ -227,4 +235,17 @@ impl RecordFile {
 fn unix_ns() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+}
+/// Hides the secrets of addresses in all texts of an event: those of the graph, of its settings and of messages. A replay opens no source.
+fn without_secrets(value: &mut serde_json::Value) {
+    match value {
+        serde_json::Value::String(text) => {
+            if let Cow::Owned(hidden) = redact(text) {
+                *text = hidden;
+            }
+        }
+        serde_json::Value::Array(values) => values.iter_mut().for_each(without_secrets),
+        serde_json::Value::Object(fields) => fields.values_mut().for_each(without_secrets),
+        _ => {}
+    }
 }

@@ -5,10 +5,10 @@ use std::io::{self, BufReader};
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use panoscope_attach::Queue;
 use panoscope_attach::tunnel::{self, Frame, Kind};
 use panoscope_engine::sync::lock;
 use panoscope_isolate::system_ns;
@@ -23,6 +23,8 @@ use crate::network::{self, Address, UNNAMED};
 const MAX_WINDOWS: usize = 16;
 /// A window that was silent for so many times its own limit is gone.
 const PATIENCE: u32 = 2;
+/// A window that takes no message for so long reads nothing any more.
+const MAX_STUCK: Duration = Duration::from_secs(10);
 /// Between two looks for windows that are gone.
 const LOOK: Duration = Duration::from_millis(100);
 /// Name of a machine without certificates for its windows.
@@ -60,7 +62,9 @@ pub(crate) fn split(sample: &Sample) -> Option<(u8, Vec<u8>)> {
 struct Window {
     host: String,
     id: String,
-    out: Sender<(u8, Vec<u8>)>,
+    out: Queue,
+    /// Since when the message waits that is being sent, ns; 0 between two messages.
+    sending_ns: AtomicI64,
     heard_ns: AtomicI64,
     patience: Duration,
 }
@@ -131,13 +135,18 @@ pub fn run(
     while let Ok(Some(frame)) = tunnel::receive(&mut from) {
         let window = lock(&shared.windows).get(&frame.session).cloned();
         let Some(window) = window else { continue };
-        match frame.kind {
-            Kind::Data => _ = window.out.send((DATA, frame.bytes)),
-            Kind::Close => {
-                let _ = window.out.send((BYE, frame.bytes));
-                lock(&shared.windows).remove(&frame.session);
+        let (kind, session) = (frame.kind, frame.session);
+        match kind {
+            Kind::Data | Kind::Close => {
+                if let Err(full) = window.out.push(frame) {
+                    shared.end(session, &full.to_string());
+                }
             }
             Kind::Ready | Kind::Open | Kind::Clock => {}
+        }
+        if kind == Kind::Close {
+            window.out.close();
+            lock(&shared.windows).remove(&session);
         }
     }
     // What was sent last may still be on its way.
@@ -203,23 +212,26 @@ impl Shared {
         if windows.len() >= MAX_WINDOWS {
             return refuse(format!("{MAX_WINDOWS} windows are attached already"));
         }
-        let (out, messages) = channel();
         let patience = Duration::from_millis(u32::from_le_bytes(*timeout_ms).clamp(100, 60_000).into()) * PATIENCE;
         let heard_ns = AtomicI64::new(system_ns());
-        let window = Window { host: host.to_owned(), id: id.to_owned(), out, heard_ns, patience };
-        let _ = window.out.send((HELLO, self.name.clone().into_bytes()));
-        windows.insert(session, Arc::new(window));
+        let (out, sending_ns) = (Queue::default(), AtomicI64::new(0));
+        let window = Arc::new(Window { host: host.to_owned(), id: id.to_owned(), out, sending_ns, heard_ns, patience });
+        // An empty queue has room.
+        let _ = window.out.push(Frame::words(Kind::Ready, session, &self.name));
+        windows.insert(session, Arc::clone(&window));
         drop(windows);
         // Before the first message of the window.
         self.tell(&Frame::words(Kind::Open, session, host));
         // One thread for each: a slow window makes no other one wait.
-        if std::thread::Builder::new().spawn(move || write(&up, &messages)).is_err() {
+        if std::thread::Builder::new().spawn(move || write(&up, &window)).is_err() {
             self.end(session, "a thread could not be started");
         }
     }
 
     fn end(&self, session: u32, why: &str) {
-        if lock(&self.windows).remove(&session).is_some() {
+        let window = lock(&self.windows).remove(&session);
+        if let Some(window) = window {
+            window.out.close();
             self.tell(&Frame::words(Kind::Close, session, why));
         }
     }
@@ -229,26 +241,38 @@ impl Shared {
         loop {
             std::thread::sleep(LOOK);
             let now_ns = system_ns();
-            let is_gone = |window: &Window| {
-                let silent_ns = now_ns.saturating_sub(window.heard_ns.load(Ordering::Relaxed)).max(0);
-                Duration::from_nanos(silent_ns.unsigned_abs()) > window.patience
+            let since = |ns: i64| Duration::from_nanos(now_ns.saturating_sub(ns).max(0).unsigned_abs());
+            let why_gone = |window: &Window| {
+                let sending_ns = window.sending_ns.load(Ordering::Relaxed);
+                if since(window.heard_ns.load(Ordering::Relaxed)) > window.patience {
+                    Some(format!("nothing was heard of it for {} s", window.patience.as_secs_f64()))
+                } else if sending_ns != 0 && since(sending_ns) > MAX_STUCK {
+                    Some(format!("it has read nothing for {} s", MAX_STUCK.as_secs()))
+                } else {
+                    None
+                }
             };
             let windows = lock(&self.windows);
-            let gone: Vec<(u32, Duration)> =
-                windows.iter().filter(|(_, w)| is_gone(w)).map(|(session, w)| (*session, w.patience)).collect();
+            let gone: Vec<(u32, String)> =
+                windows.iter().filter_map(|(session, window)| Some((*session, why_gone(window)?))).collect();
             drop(windows);
-            for (session, patience) in gone {
-                self.end(session, &format!("nothing was heard of it for {} s", patience.as_secs_f64()));
-            }
+            gone.iter().for_each(|(session, why)| self.end(*session, why));
         }
     }
 }
 
 /// Sends messages to a window until it is let go.
-fn write(up: &zenoh::pubsub::Publisher<'static>, messages: &Receiver<(u8, Vec<u8>)>) {
-    while let Ok((kind, content)) = messages.recv() {
-        if up.put(message(kind, content)).wait().is_err() {
+fn write(up: &zenoh::pubsub::Publisher<'static>, window: &Window) {
+    while let Some(frame) = window.out.pop() {
+        let kind = match frame.kind {
+            Kind::Ready => HELLO,
+            Kind::Close => BYE,
+            _ => DATA,
+        };
+        window.sending_ns.store(system_ns(), Ordering::Relaxed);
+        if up.put(message(kind, frame.bytes)).wait().is_err() {
             return;
         }
+        window.sending_ns.store(0, Ordering::Relaxed);
     }
 }

@@ -22,6 +22,7 @@ pub mod link;
 mod mirror;
 pub mod network;
 pub mod raw;
+pub mod refused;
 pub mod serve;
 mod served;
 

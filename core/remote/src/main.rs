@@ -19,7 +19,7 @@ use panoscope_engine::heap;
 use panoscope_isolate::LINK_COMMAND;
 use panoscope_remote::keys::{Identity, KEYS_VARIABLE, Member, make};
 use panoscope_remote::serve::{Options, Server};
-use panoscope_remote::{attach, attachable, link, network, raw};
+use panoscope_remote::{attach, attachable, link, network, raw, refused};
 
 /// The arguments or the keys are wrong.
 const WRONG: u8 = 2;
@@ -110,6 +110,7 @@ fn serve(
         graph_dir: std::path::absolute(graph_dir).map_err(|error| format!("{graph_dir}: {error}"))?,
         plugins: Vec::new(),
     };
+    refused::log(|line| eprintln!("{line}"));
     let server = Server::start(options, Box::new(|words: &str| eprintln!("{words}"))).map_err(|e| e.to_string())?;
     println!("`{name}` listens at {address}");
     while !ENDS.load(Ordering::Relaxed) {

@@ -123,6 +123,8 @@ static CAMPAIGNS: &[Suite] = &[
     ),
     // Processes of nodes that die.
     campaign("deaths", &["panoscope-tests"], "test(/^deaths::/)", &[("PANOSCOPE_DEATH_CASES", "500")]),
+    // Many runs in one process of Python.
+    campaign("leaks", &["panoscope-tests"], "test(/^python_host::runs_and/)", &[("PANOSCOPE_LEAK_RUNS", "500")]),
     // Faults of the network between two machines.
     campaign("network", &["panoscope-tests"], "test(/^machines::/)", &[("PANOSCOPE_NETWORK_FAULTS", "1000")]),
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.

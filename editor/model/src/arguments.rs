@@ -1,6 +1,8 @@
 //! Arguments and overlays of a graph as a form asks for them, and the values that were given last.
 
 use std::collections::BTreeMap;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Arg, ArgKind, GraphOptions, GraphText, check};
@@ -232,7 +234,8 @@ pub fn remember(folder: &Path, graph: &Path, given: &GraphOptions) -> std::io::R
     entry.insert("with".to_owned(), with.into());
     entry.insert("args".to_owned(), args.into());
     all.insert(key(graph), entry.into());
-    disk::replace(&folder.join(FILE), all.to_string().as_bytes(), None)
+    // An address may hold a password.
+    disk::replace(&folder.join(FILE), all.to_string().as_bytes(), Some(Permissions::from_mode(0o600)))
 }
 
 #[cfg(test)]
@@ -272,6 +275,8 @@ mod tests {
         remember(&folder, &folder.join("other.toml"), &GraphOptions::default()).expect("written");
         assert_eq!(recall(&folder, &folder.join("g.toml")), Some(given.clone()));
         assert_eq!(recall(&folder, &folder.join("third.toml")), None);
+        let mode = std::fs::metadata(folder.join(FILE)).expect("written").permissions().mode();
+        assert_eq!(mode & 0o777, 0o600, "an address may hold a password");
         let mut again = Form::new(&folder.join("g.toml"), GRAPH, &GraphOptions::default(), &Loader::default());
         again.values.insert("rate".to_owned(), "12".to_owned());
         again.recall(given);

@@ -37,10 +37,10 @@ pub fn save(path: &Path, text: &str) -> Result<(), SaveError> {
     let fail = |cause| SaveError { path: path.to_owned(), cause };
     // For a symbolic link, its target is replaced and not the link.
     let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    if let Ok(old) = fs::read(path) {
-        replace(&backup_of(path), &old, None).map_err(fail)?;
-    }
     let mode = fs::metadata(path).ok().map(|m| m.permissions());
+    if let Ok(old) = fs::read(path) {
+        replace(&backup_of(path), &old, mode.clone()).map_err(fail)?;
+    }
     replace(path, text.as_bytes(), mode).map_err(fail)
 }
 
@@ -204,6 +204,20 @@ mod tests {
         assert_eq!(fs::read_to_string(&path).unwrap(), "new");
         assert_eq!(fs::read_to_string(backup_of(&path)).unwrap(), "old");
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 2);
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_backup_can_be_read_by_no_more_users_than_its_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = folder("mode");
+        let path = folder.join("g.toml");
+        fs::write(&path, "old").unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+        save(&path, "new").unwrap();
+        for file in [&path, &backup_of(&path)] {
+            assert_eq!(fs::metadata(file).unwrap().permissions().mode() & 0o777, 0o600);
+        }
         fs::remove_dir_all(folder).unwrap();
     }
 

@@ -1,4 +1,4 @@
-//! `evaluate_arm`: errors of an arm that follows an exactly known tip, one row per tick since the start.
+//! `evaluate_arm`: errors of an arm that follows an exactly known tip, one row per tick.
 
 use nalgebra::Vector3;
 use panoscope_arm_core::control::{CameraGeometry, errors, goal_mm};
@@ -21,7 +21,7 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// One row per tick since the start; errors are NaN while the tip is not known. `in_view` says whether it lies in the left picture, `seen`
+    /// The row of this tick; errors are NaN while the tip is not known. `in_view` says whether it lies in the left picture, `seen`
     /// whether nothing hides it there. `gap_ms` is the time since the tracker saw the tip, `track_off_mm` how far off the tracker's place is; both
     /// NaN while it has none.
     table: Slot<'f, TableData>,
@@ -59,10 +59,7 @@ pub const COLUMNS: [&str; 13] = [
 const OF_THE_ARM: std::ops::Range<usize> = 6..10;
 
 /// See the module.
-#[derive(Default)]
-pub struct EvaluateArm {
-    rows: Vec<f64>,
-}
+pub struct EvaluateArm;
 
 impl Node for EvaluateArm {
     const INFO: NodeInfo =
@@ -72,7 +69,7 @@ impl Node for EvaluateArm {
     type Params = JudgeParams;
 
     fn open(_: &Open<'_>, _: &JudgeParams) -> Result<Self> {
-        Ok(Self::default())
+        Ok(Self)
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &JudgeParams) -> Result<()> {
@@ -116,7 +113,6 @@ impl Node for EvaluateArm {
                 row[12] = (tracked - Vector3::from(tip.xyz_mm)).norm();
             }
         }
-        self.rows.extend(row);
-        out.table.set_table(&COLUMNS, &self.rows)
+        out.table.set_table(&COLUMNS, &row)
     }
 }

@@ -50,8 +50,8 @@ pub enum OnDamage {
 #[derive(Params)]
 pub struct Settings {
     /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address
-    /// (rtsp://..., or rtspt://... for TCP), or GStreamer pipeline (any text with !). Pictures of folders and patterns are paired by the numbers in
-    /// their names, videos by time, live views by their arrival.
+    /// (rtsp://..., or rtspt://... for TCP; a password as ${PANOSCOPE_SECRET_NAME}, an environment variable), or GStreamer pipeline (any text
+    /// with !). Pictures of folders and patterns are paired by the numbers in their names, videos by time, live views by their arrival.
     #[param(default = "", reopen, file)]
     pub left: String,
     /// Right view, as `left`.

@@ -194,10 +194,10 @@ impl Receive {
     }
 
     fn report(&self, cx: &Context<'_>) {
-        for remark in self.link.remarks() {
+        for mut remark in self.link.remarks() {
             // A fault beside the end of a batch would say that data is missing.
-            let is_fault = remark.is_fault && !(remark.is_end && cx.is_batch());
-            if is_fault { cx.fault(&remark.words) } else { cx.info(&remark.words) }
+            remark.is_fault &= !(remark.is_end && cx.is_batch());
+            remark.log(cx);
         }
         if let Some(bound) = self.link.bound() {
             cx.metric("port", f64::from(bound.port()));

@@ -309,7 +309,7 @@ impl Send {
 
     fn report(&self, cx: &Context<'_>) {
         for remark in self.link.remarks() {
-            if remark.is_fault { cx.fault(&remark.words) } else { cx.info(&remark.words) }
+            remark.log(cx);
         }
         if let Some(bound) = self.link.bound() {
             cx.metric("port", f64::from(bound.port()));

@@ -37,10 +37,6 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     for problem in &report.problems {
         log!("error: {problem}");
     }
-    let Some((number, hash)) = &report.last else {
-        out!("{}: no lines", path.display());
-        return Ok(if report.problems.is_empty() { End::Done } else { End::Failed });
-    };
     if !report.problems.is_empty() {
         out!(
             "{}: DAMAGED: {} lines are whole, {} problems",
@@ -50,6 +46,10 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         );
         return Ok(End::Failed);
     }
+    let Some((number, hash)) = &report.last else {
+        out!("{}: no lines", path.display());
+        return Ok(End::Done);
+    };
     out!("{}: {} lines, unbroken; line {number} has the hash {hash}", path.display(), report.entries.len());
     Ok(End::Done)
 }

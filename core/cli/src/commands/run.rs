@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
-use panoscope_graph::{Catalog, Diagnostics, GraphOptions, GraphText, OnFault, installed};
+use panoscope_graph::{Catalog, Diagnostics, Graph, GraphOptions, GraphText, OnFault, ParamValue, installed};
 use panoscope_loader::Live;
 use panoscope_loader::graph_file::Ready;
 use panoscope_loader::live::FileWatch;
@@ -25,7 +25,7 @@ use crate::given::Given;
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::log_lines::{self, LogFormat};
 use crate::progress::Progress;
-use crate::terminal::{log, out, raw, stderr_color};
+use crate::terminal::{self, log, out, raw, stderr_color};
 use crate::trust::{IsolatedPlugins, Keys};
 use crate::{End, allocations, beside, interrupt, summary};
 
@@ -60,7 +60,7 @@ pub struct Arguments {
     #[arg(long)]
     watch: bool,
     /// Runs only what the lock beside the graph file has: files are compared before anything of them is used, and nodes read copies that nobody
-    /// can change.
+    /// can change. --set takes only what the graph's `[preset]` offers.
     #[arg(long, conflicts_with = "watch")]
     lock: bool,
     #[command(flatten)]
@@ -79,7 +79,7 @@ pub struct Arguments {
     /// Shows debug lines of nodes too.
     #[arg(long, short)]
     verbose: bool,
-    /// How lines of nodes are written; `json` writes one object per line to standard error: time, level, node, message.
+    /// How lines on standard error are written; `json` writes one object per line: time, level, node (empty for the command itself), message.
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
     /// Serves a page with pictures, ages and states, and metrics for Prometheus at /metrics, for reading only: a port of this machine such as 9464,
@@ -168,12 +168,33 @@ fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, St
     };
     Ok(match verify::open(&text, &lock, &ALWAYS_LOCKED) {
         Ok(verify::Verified { graph, catalog, loader, warnings, seal }) => {
-            Ok((Ready { text, graph, catalog, loader, warnings }, Some(seal)))
+            match text.settings().iter().find(|setting| !is_offered(&graph, &catalog, setting)) {
+                Some(setting) => Err(format!(
+                    "error: --set {setting}: the graph runs under its lock, and its [preset] does not offer that value\n  help: leave --lock \
+                     out, or change the graph and lock it again with `panoscope lock`"
+                )),
+                None => Ok((Ready { text, graph, catalog, loader, warnings }, Some(seal))),
+            }
         }
         Err(VerifyError::Check(diagnostics)) => Err(rendered(diagnostics)),
         Err(error) => {
             Err(format!("error: {error}\n  help: restore the files, or lock the graph again with `panoscope lock`"))
         }
+    })
+}
+
+/// Whether the preset of a checked graph pins the parameter of `node.param=value` with a range that has its value.
+fn is_offered(graph: &Graph, catalog: &Catalog, setting: &str) -> bool {
+    let target = setting.split_once('=').map_or(setting, |(target, _)| target).trim();
+    graph.preset.pinned.iter().any(|pin| {
+        let node = &graph.nodes[pin.node];
+        let number = match node.params[pin.param] {
+            ParamValue::Int(value) => Some(value as f64),
+            ParamValue::Float(value) => Some(value),
+            _ => None,
+        };
+        let is_inside = number.zip(pin.range).is_none_or(|(number, (low, high))| (low..=high).contains(&number));
+        format!("{}.{}", node.id, node.node_type(catalog).params[pin.param].name) == target && is_inside
     })
 }
 
@@ -199,6 +220,9 @@ pub fn run_with(
         return beside::lab().map(RunEnd::Not);
     }
     let on_duty = signals::opening();
+    if arguments.log_format == LogFormat::Json {
+        terminal::write_json_lines();
+    }
     let given = arguments.given.options(&arguments.set);
     let (mut ready, seal) = match open(arguments, &given)? {
         Ok(opened) => opened,

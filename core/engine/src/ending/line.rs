@@ -1,5 +1,15 @@
 //! Text for signal handlers, built without the heap.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Whether lines are JSON objects.
+static JSON_LINES: AtomicBool = AtomicBool::new(false);
+
+/// From here on each line is a JSON object with `unix_ms`, `level`, `node` and `message`.
+pub fn write_json_lines() {
+    JSON_LINES.store(true, Ordering::Relaxed);
+}
+
 /// A line of limited length; longer text is truncated.
 pub(super) struct Line {
     bytes: [u8; Self::MOST],
@@ -47,6 +57,9 @@ impl Line {
 
     /// Writes the line to standard error and empties it.
     pub fn print(&mut self) {
+        if JSON_LINES.load(Ordering::Relaxed) {
+            self.put_into_json();
+        }
         self.text("\n");
         let mut rest = &self.bytes[..self.len];
         while !rest.is_empty() {
@@ -59,11 +72,54 @@ impl Line {
         }
         self.len = 0;
     }
+
+    /// Makes the line the message of a JSON object, as `--log-format json` of the command writes them. Allocates nothing: characters that JSON
+    /// escapes are replaced.
+    fn put_into_json(&mut self) {
+        let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+        // SAFETY: a plain system call that a signal handler may make; it fills a local value.
+        unsafe { libc::clock_gettime(libc::CLOCK_REALTIME, &raw mut now) };
+        let unix_ms = now.tv_sec.unsigned_abs() * 1000 + now.tv_nsec.unsigned_abs() / 1_000_000;
+        let (mut message, tail) = (std::mem::replace(self, Self::new()), "\"}");
+        self.text("{\"unix_ms\":").number(unix_ms).text(",\"level\":\"warning\",\"node\":\"\",\"message\":\"");
+        // Room for the end and the line feed; a character may have been cut off.
+        let room = (Self::MOST - self.len - tail.len() - 1).min(message.len);
+        for byte in &mut message.bytes[..room] {
+            *byte = match *byte {
+                b'"' => b'\'',
+                b'\\' => b'/',
+                byte if byte < b' ' => b' ',
+                byte => byte,
+            };
+        }
+        let words = match std::str::from_utf8(&message.bytes[..room]) {
+            Ok(words) => words,
+            Err(error) => std::str::from_utf8(&message.bytes[..error.valid_up_to()]).unwrap_or(""),
+        };
+        self.text(words).text(tail);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::Line;
+
+    #[test]
+    fn a_line_of_any_length_is_one_json_object() {
+        for count in 0..100 {
+            let mut words = Line::new();
+            (0..count).for_each(|_| _ = words.text("\"ü\\\n"));
+            words.put_into_json();
+            let text = std::str::from_utf8(&words.bytes[..words.len]).unwrap();
+            let value: serde_json::Value = serde_json::from_str(text).unwrap_or_else(|error| panic!("{error}: {text}"));
+            assert_eq!(value["level"], "warning");
+            assert!(
+                count == 0 || value["message"].as_str().is_some_and(|message| message.starts_with("'ü/ ")),
+                "{text}"
+            );
+            assert!(words.len < Line::MOST, "room for the line feed");
+        }
+    }
 
     #[test]
     fn words_and_numbers_are_put_together_and_cut_off_at_the_end() {

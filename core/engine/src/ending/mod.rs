@@ -15,6 +15,7 @@ mod rescue;
 pub mod signals;
 
 pub use exit::{ExitCall, called, leave};
+pub use line::write_json_lines;
 
 /// Reports crashes of plugins from now on. Call once, first thing in `main`.
 pub fn install() {

@@ -32,6 +32,11 @@ impl<'a> Checker<'a> {
                 continue;
             }
             seen.insert(name, &plugin.span);
+            let is_first = seen.len() == 1;
+            let passed_over = self.catalog.passed_over.iter();
+            for problem in passed_over.filter(|p| p.plugin == name || (p.plugin.is_empty() && is_first)) {
+                self.warning("plugin-passed-over", &plugin.span, problem.message.clone()).help(problem.help.clone());
+            }
             if let Some(problem) = self.catalog.problem(name) {
                 let mut message = format!("plugin `{name}` cannot be used: {}", problem.message);
                 if !problem.file.is_empty() {

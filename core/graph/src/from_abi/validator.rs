@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use panoscope_abi as abi;
+use panoscope_base::secret::redact;
 
 use super::ParamSnapshot;
 use crate::diagnostic::Severity;
@@ -37,7 +38,8 @@ unsafe extern "C" fn invalid(call: *mut c_void, severity: u32, param: u32, messa
         }
         // SAFETY: the plugin's texts are readable for the length of this function.
         let (message, help) = unsafe { (message.bytes(), help.bytes()) };
-        let words = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        // They may quote an address.
+        let words = |bytes: &[u8]| redact(&String::from_utf8_lossy(bytes)).into_owned();
         sink.problems.push(ParamProblem {
             severity: if severity == abi::PROBLEM_WARNING { Severity::Warning } else { Severity::Error },
             param: usize::try_from(param).ok().filter(|p| *p < sink.params),

@@ -334,6 +334,7 @@ pub fn catalog() -> Catalog {
         }],
         plugins: plugins.iter().map(|p| (*p).to_owned()).collect(),
         node_types,
+        passed_over: Vec::new(),
         problems: vec![
             PluginProblem {
                 plugin: "old_filters".to_owned(),

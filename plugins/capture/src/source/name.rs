@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use panoscope_base::secret::redact;
 use panoscope_calibration::pictures::{self, is_image, is_pattern};
 
 use super::error::CaptureError;
@@ -34,7 +35,7 @@ impl SourceName {
     ///
     /// - a number or `/dev/videoN`: a camera
     /// - a text with `!` that is no file's name: a GStreamer pipeline
-    /// - `scheme://...`: a stream of the network
+    /// - `scheme://...`: a stream of the network; its user and password may be names of environment variables, see [`panoscope_base::secret`]
     /// - `dir/*.png`, `img_%04d.png`, or a folder: images in the order of their numbers
     /// - image files, one a line: those in that order
     /// - an image file: that image again and again
@@ -99,8 +100,8 @@ impl SourceName {
     pub fn in_words(&self) -> String {
         match self {
             Self::Device(number) => format!("camera /dev/video{number}"),
-            Self::Pipeline(text) => format!("pipeline `{text}`"),
-            Self::Address(text) => text.clone(),
+            Self::Pipeline(text) => format!("pipeline `{}`", redact(text)),
+            Self::Address(text) => redact(text).into_owned(),
             Self::Video(path) => format!("video {}", path.display()),
             Self::Image(path) => path.display().to_string(),
             Self::Images(files) => files.first().map_or_else(String::new, |f| f.display().to_string()),

@@ -1,10 +1,12 @@
 //! Devices, video files, network streams and pipelines, through GStreamer.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use panoscope_base::secret::{redact, resolve};
 use panoscope_media::MediaError;
 use panoscope_media::input::{CameraMode, End, Input, InputName, InputOptions, Signal};
 
@@ -107,7 +109,8 @@ fn open(
     signal: Arc<Signal>,
     damaged: Arc<AtomicU64>,
 ) -> Result<Input<Content>, CaptureError> {
-    let closed = |reason: String| CaptureError::Closed { name: name.in_words(), reason };
+    let closed = |reason: String| CaptureError::Closed { name: name.in_words(), reason: redact(&reason).into_owned() };
+    let resolved = |text| resolve(text).map(Cow::into_owned).map_err(|error| closed(error.to_string()));
     let input_name = match name {
         SourceName::Device(number) => InputName::Camera(PathBuf::from(format!("/dev/video{number}"))),
         SourceName::Pipeline(text) => {
@@ -116,9 +119,9 @@ fn open(
                     "GStreamer has no element `{missing}`: is it spelt right, and is the package installed that brings it? gst-inspect-1.0 lists what there is"
                 )));
             }
-            InputName::Text(text.clone())
+            InputName::Text(resolved(text)?)
         }
-        SourceName::Address(text) => InputName::Address(text.clone()),
+        SourceName::Address(text) => InputName::Address(resolved(text)?),
         SourceName::Video(path) if FileKind::of(path) == FileKind::Gif => {
             let help = "convert it, for example by `ffmpeg -i IN.gif OUT.mkv`, or one image to PNG";
             return Err(closed(format!("GIF files are not read: {help}")));
@@ -352,7 +355,7 @@ impl Stream {
 
     fn end_words(&self, end: Option<End>) -> String {
         match end {
-            Some(End::Failed(reason)) => reason,
+            Some(End::Failed(reason)) => redact(&reason).into_owned(),
             Some(End::EndOfStream) => "the stream has ended".to_owned(),
             None => format!("no data for {} s", self.demands.silence_limit.as_secs_f64()),
         }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::{LinkError, Shared, peer};
+use super::{LinkError, Remark, Shared, peer};
 
 /// Longest wait for an answer to a connection.
 const CONNECT_LIMIT: Duration = Duration::from_secs(2);
@@ -31,7 +31,8 @@ fn run(shared: &Arc<Shared>) {
                 let words = error.to_string();
                 if words != said {
                     let at = shared.endpoint.words();
-                    shared.remark(true, format!("cannot connect to {at}: {words}; trying again every 0.5 s"));
+                    let message = format!("cannot connect to {at}: {words}; trying again every 0.5 s");
+                    shared.add_remark(Remark { is_fault: true, is_end: false, is_apart: true, words: message });
                     said = words;
                 }
             }

@@ -13,6 +13,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use panoscope_node::Context;
+
 use crate::connection::Role;
 
 pub use inbox::{Filter, Inbox, Received};
@@ -78,8 +80,21 @@ pub struct Remark {
     pub is_fault: bool,
     /// Whether a program has closed its connection, which is how a batch ends.
     pub is_end: bool,
+    /// Whether a client has no connection for now: it connects again by itself.
+    pub is_apart: bool,
     /// The words.
     pub words: String,
+}
+
+impl Remark {
+    /// Logs it. In live mode a peer that restarts is no fault: what it sends in between does not exist.
+    pub fn log(&self, cx: &Context<'_>) {
+        match self {
+            Self { is_apart: true, .. } if !cx.is_batch() => cx.warn(&self.words),
+            Self { is_fault: true, .. } => cx.fault(&self.words),
+            _ => cx.info(&self.words),
+        }
+    }
 }
 
 /// Counts since the link was made.
@@ -159,7 +174,7 @@ impl Shared {
     }
 
     fn remark(&self, is_fault: bool, words: String) {
-        self.add_remark(Remark { is_fault, is_end: false, words });
+        self.add_remark(Remark { is_fault, is_end: false, is_apart: false, words });
     }
 
     fn add_remark(&self, remark: Remark) {

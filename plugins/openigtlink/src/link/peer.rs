@@ -258,6 +258,6 @@ pub fn serve(shared: &Arc<Shared>, stream: TcpStream, is_client: bool) {
     };
     // A client of ours that leaves is its own choice; a server that leaves is missed.
     let words = if is_client { format!("{words}; connecting again") } else { words };
-    shared.add_remark(Remark { is_fault: is_client, is_end, words });
+    shared.add_remark(Remark { is_fault: is_client, is_end, is_apart: is_client, words });
     lock(&shared.inboxes).iter().filter_map(Weak::upgrade).for_each(|inbox: Arc<Inbox>| inbox.wake());
 }

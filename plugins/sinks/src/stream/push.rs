@@ -8,6 +8,7 @@ use std::time::Duration;
 use gstreamer::prelude::*;
 use gstreamer::{ClockTime, MessageType, MessageView, Pipeline, State};
 use gstreamer_app::AppSrc;
+use panoscope_base::secret::{SecretError, redact, resolve};
 use panoscope_media::{MediaError, make};
 
 use super::fanout::{Fanout, Payload, SOURCE};
@@ -41,22 +42,23 @@ impl Target {
     /// # Errors
     /// What is wrong with it.
     pub fn parse(text: &str) -> Result<Self, String> {
+        let shown = redact(text);
         if text.chars().any(|c| c.is_whitespace() || "\"'!\\".contains(c)) {
-            return Err(format!("`{text}` is no address: it has a space or a quote"));
+            return Err(format!("`{shown}` is no address: it has a space or a quote"));
         }
         match text.split_once("://") {
             Some(("rtsp", rest)) if !rest.is_empty() && !rest.starts_with('/') => Ok(Self::Rtsp(text.to_owned())),
             Some(("udp", rest)) => {
-                let (host, port) = rest.rsplit_once(':').ok_or_else(|| format!("`{text}` has no port"))?;
+                let (host, port) = rest.rsplit_once(':').ok_or_else(|| format!("`{shown}` has no port"))?;
                 let port = port.parse::<u16>().ok().filter(|&port| port > 0);
-                let port = port.ok_or_else(|| format!("`{text}` has no port from 1 to 65535"))?;
+                let port = port.ok_or_else(|| format!("`{shown}` has no port from 1 to 65535"))?;
                 let host = host.trim_start_matches('[').trim_end_matches(']');
                 if host.is_empty() {
-                    return Err(format!("`{text}` has no host"));
+                    return Err(format!("`{shown}` has no host"));
                 }
                 Ok(Self::Udp { host: host.to_owned(), port })
             }
-            _ => Err(format!("`{text}` is no address that a stream can be sent to")),
+            _ => Err(format!("`{shown}` is no address that a stream can be sent to")),
         }
     }
 
@@ -76,21 +78,23 @@ impl Target {
         }
     }
 
-    fn configure(&self, sink: &gstreamer::Element) {
+    /// Sets where the sink sends; the secrets of an address are read here.
+    fn configure(&self, sink: &gstreamer::Element) -> Result<(), SecretError> {
         match self {
-            Self::Rtsp(url) => sink.set_property("location", url),
+            Self::Rtsp(url) => sink.set_property("location", &*resolve(url)?),
             Self::Udp { host, port } => {
                 sink.set_property("host", host);
                 sink.set_property("port", i32::from(*port));
             }
         }
+        Ok(())
     }
 }
 
 impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Rtsp(url) => f.write_str(url),
+            Self::Rtsp(url) => f.write_str(&redact(url)),
             Self::Udp { host, port } => write!(f, "udp://{host}:{port}"),
         }
     }
@@ -154,7 +158,10 @@ fn keep_sending(
             rest = FIRST_REST;
         }
         let rest_s = rest.as_secs_f64();
-        set(Some(format!("cannot send the stream to {target}: {reason}; trying again in {rest_s} s")));
+        set(Some(format!(
+            "cannot send the stream to {target}: {}; trying again in {rest_s} s",
+            redact(&reason.to_string())
+        )));
         if stopped.recv_timeout(rest) != Err(RecvTimeoutError::Timeout) {
             return;
         }
@@ -178,7 +185,7 @@ fn send(
     let (Some(source), Some(sink), Some(bus)) = (source, sink, pipeline.bus()) else {
         return Err(failed("the pipeline is not complete".to_owned()));
     };
-    target.configure(&sink);
+    target.configure(&sink).map_err(|error| failed(error.to_string()))?;
     let ends = [MessageType::Error, MessageType::Eos];
     let reason = |message: &gstreamer::Message| match message.view() {
         MessageView::Error(error) => Some(MediaError::from(error)),
@@ -228,5 +235,8 @@ mod tests {
             let message = Target::parse(text).unwrap_err();
             assert!(message.contains(problem) && message.contains(text), "{text}: {message}");
         }
+        let hidden = "rtsp://***@host/a";
+        assert_eq!(Target::parse("rtsp://u:geheim@host/a").unwrap().to_string(), hidden);
+        assert!(Target::parse("http://u:geheim@host/a").unwrap_err().contains("`http://***@host/a`"));
     }
 }

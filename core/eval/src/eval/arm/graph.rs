@@ -1,15 +1,20 @@
 //! The closed loop as a graph: phantom, tip, tracker, controller, arm, and back.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 use panoscope_arm_core::rehearsal::Row;
+use panoscope_engine::Listener;
+use panoscope_engine::memory::FrameRef;
+use panoscope_engine::sync::lock;
 use panoscope_graph::GraphOptions;
 
 use super::preset;
 use crate::error::{Context, EvalError, Result};
 use crate::inputs::Folder;
 use crate::packets::Table;
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::Session;
 
 /// Movements of the phantom's leading tool, and sources of its tip.
@@ -144,17 +149,19 @@ pub fn run_preset(session: &dyn Session, name: &str, seed: u64, seconds: u32, fi
 }
 
 fn judged(session: &dyn Session, text: &str, path: &Path, name: &str, seconds: u32, size: (u32, u32)) -> Result<Run> {
-    let plan = Plan {
-        text,
-        path,
-        frames: Some(u64::from(seconds) * 30),
-        threads: 0,
-        ports: &[("judge", "table")],
-        pace: Pace::Free,
-    };
-    let seen = run::run(session, &plan)?;
-    let packet = seen.packets[0].as_ref().context("the judge saw nothing")?;
-    let table = Table::read(packet.bytes()).context("the judge's table could not be read")?;
+    let plan = Plan { text, path, frames: Some(u64::from(seconds) * 30), threads: 0, ports: &[], pace: Pace::Free };
+    let rows: Arc<Mutex<BTreeMap<u64, Option<Table>>>> = Arc::default();
+    let heard = Arc::clone(&rows);
+    let hear = move |frame: &FrameRef| _ = lock(&heard).insert(frame.tick().seq, Table::read(frame.bytes()));
+    let listener = Listener { node: "judge".to_owned(), output: "table".to_owned(), hear: Arc::new(hear) };
+    run::run_watched(session, &plan, Watchers { listen: vec![listener], ..Watchers::default() })?;
+    let mut table = Table::default();
+    for ticks in std::mem::take(&mut *lock(&rows)).into_values() {
+        let ticks = ticks.context("the judge's table could not be read")?;
+        table.rows.extend(ticks.rows);
+        table.names = ticks.names;
+    }
+    (!table.rows.is_empty()).then_some(()).context("the judge saw nothing")?;
     let column = |name: &str| {
         table.column(name).ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })
     };
