@@ -1,6 +1,6 @@
 //! Programs beside this one, which this one becomes for some commands: it needs neither a window system nor the crates that only they use.
 
-use std::ffi::{OsStr, OsString};
+use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::Command;
@@ -39,11 +39,18 @@ pub fn file(program: &str) -> std::io::Result<PathBuf> {
 
 /// Becomes the program [`LAB`] with this one's command line. Returns only if that fails.
 pub(crate) fn lab() -> Result<End> {
-    start(LAB, std::env::args_os().skip(1))
+    start(LAB, |command| {
+        let mut words = std::env::args_os();
+        // Its help and errors name the program that was called.
+        if let Some(name) = words.next() {
+            command.arg0(name);
+        }
+        command.args(words);
+    })
 }
 
-/// Becomes another program. Returns only if that fails.
-pub(crate) fn start(program: &str, words: impl Iterator<Item = impl AsRef<OsStr>>) -> Result<End> {
+/// Becomes another program with the arguments that `arrange` gives it. Returns only if that fails.
+pub(crate) fn start(program: &str, arrange: impl FnOnce(&mut Command)) -> Result<End> {
     let file = file(program).context("this program's own place is not known")?;
     if !file.is_file() {
         log!(
@@ -53,8 +60,6 @@ pub(crate) fn start(program: &str, words: impl Iterator<Item = impl AsRef<OsStr>
         return Ok(End::Failed);
     }
     let mut command = Command::new(&file);
-    if let Some(name) = std::env::args_os().next() {
-        command.arg0(name);
-    }
-    Err(command.args(words).exec()).with_context(|| format!("{} does not start", file.display()))
+    arrange(&mut command);
+    Err(command.exec()).with_context(|| format!("{} does not start", file.display()))
 }

@@ -1,6 +1,5 @@
 //! `panoscope edit` and `panoscope theatre`: start the editor, a program of its own beside this one, so that the command needs no window system.
 
-use std::ffi::OsStr;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -34,8 +33,10 @@ pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
             return Ok(End::Wrong);
         }
     }
-    let attach = arguments.attach.iter().flat_map(|name| [OsStr::new("--attach"), OsStr::new(name)]);
-    let graph = arguments.graph.iter().map(|graph| graph.as_os_str());
-    let words = attach.chain(graph).chain(arguments.rest.iter().map(OsStr::new));
-    beside::start(if theatre { beside::THEATRE } else { beside::EDITOR }, words)
+    beside::start(if theatre { beside::THEATRE } else { beside::EDITOR }, |command| {
+        if let Some(name) = &arguments.attach {
+            command.args(["--attach", name]);
+        }
+        command.args(&arguments.graph).args(&arguments.rest);
+    })
 }
