@@ -58,7 +58,6 @@ class OpencvInDepth(unittest.TestCase):
             ('type = "stereo_sgbm"', f'type = "{node_type}"'),
             ("params = { speckle_area_px = 200 }", f"params = {{ {params} }}"),
             (', disparity_right = "match.disparity_right"', ""),
-            (', mask_left = "rectify.mask_left", mask_right = "rectify.mask_right" }\n# Islands', " }\n# Islands"),
         ):
             self.assertIn(old, part)
             part = part.replace(old, new)

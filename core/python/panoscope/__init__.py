@@ -21,7 +21,13 @@ A file with node classes is a plugin: a graph lists it under ``plugins`` by the 
 Nodes run in a process of their own. Inputs are read-only views of the host's frames; an array from :func:`empty` is written without a copy.
 """
 
+import sys
 from typing import TYPE_CHECKING, Any
+
+try:
+    import numpy  # noqa: F401
+except ImportError:
+    raise ImportError(f"NumPy is missing in {sys.prefix}; install it there: `{sys.executable} -m pip install numpy`") from None
 
 from .call import age_ms, clock_ns, empty, empty_like, log, metric, tick
 from .errors import Diagnostic, EditError, GraphError, PanoscopeError, RecordingError, RunError

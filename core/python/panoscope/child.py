@@ -3,10 +3,6 @@
 import sys
 
 if __name__ == "__main__":
-    try:
-        import numpy  # noqa: F401
-    except ImportError:
-        sys.exit(f"panoscope: NumPy is missing in {sys.prefix}; install it there: `{sys.executable} -m pip install numpy`")
     # What a node prints must not mix with the output of the program that runs the graph.
     sys.stdout = sys.stderr
     from panoscope import _native

@@ -306,8 +306,7 @@ impl Observer for Recorder {
 
     fn event(&self, event: observe::Event) {
         if self.inner.writes.load(Ordering::Relaxed) {
-            lock(&self.inner.queue).items.push_back(Item::Observed(event));
-            self.inner.wake.notify_one();
+            self.append([Item::Observed(event)]);
         }
     }
 

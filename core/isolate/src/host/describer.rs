@@ -60,7 +60,7 @@ pub struct Description {
 pub struct Describer {
     pub(super) image: Arc<PluginImage>,
     plugin: String,
-    running: Mutex<Option<Running>>,
+    running: Arc<Mutex<Option<Running>>>,
 }
 
 struct Running {
@@ -85,7 +85,7 @@ pub fn describe(
     kept: Option<&Path>,
 ) -> Result<Description, DescribeError> {
     let image = Arc::new(PluginImage::new(image, file, launch));
-    let describer = Arc::new(Describer { image, plugin: name.to_owned(), running: Mutex::default() });
+    let describer = Arc::new(Describer { image, plugin: name.to_owned(), running: Arc::default() });
     let node_types = describer.node_types(limit, kept)?;
     let pointers: Vec<*const NodeType> =
         node_types.into_iter().map(|node_type| std::ptr::from_ref(Box::leak(Box::new(node_type)))).collect();
@@ -199,7 +199,17 @@ impl Describer {
             .map_err(|cause| DescribeError::Start { program: launch.program, cause })?;
         let lane = process.give_plugin(&self.image).and_then(|()| process.lane("", "its code".to_owned()));
         match lane {
-            Ok(lane) => Ok(Running { process, lane }),
+            Ok(lane) => {
+                // It leaves when it is not needed for a while; nothing of it stays then. Whoever asks it meanwhile starts another one.
+                let running = Arc::downgrade(&self.running);
+                process.at_end(move || {
+                    let Some(running) = running.upgrade() else { return };
+                    let ended =
+                        running.try_lock().ok().and_then(|mut running| running.take_if(|r| r.process.is_dead()));
+                    drop(ended);
+                });
+                Ok(Running { process, lane })
+            }
             Err(_) if process.is_ending() => Err(DescribeError::Died(process.death())),
             Err(cause) => Err(DescribeError::Unreachable(format!("the process that describes it: {cause}"))),
         }

@@ -124,6 +124,8 @@ struct Life {
 #[derive(Default)]
 struct LifeState {
     lanes: Vec<Arc<NodeLane>>,
+    /// See [`Process::at_end`].
+    at_end: Option<Box<dyn FnOnce() + Send>>,
     /// Why the host ended it.
     reason: Option<String>,
     /// How it ended.
@@ -143,8 +145,12 @@ impl Life {
         state.words = Some(words(&self.what, &state, status, said));
         self.is_dead.store(true, Ordering::SeqCst);
         state.lanes.iter().for_each(|lane| lane.lane.close());
+        let at_end = state.at_end.take();
         drop(state);
         self.ended.notify_all();
+        if let Some(at_end) = at_end {
+            at_end();
+        }
     }
 
     fn kill(&self, reason: &str) {
@@ -431,6 +437,17 @@ impl Process {
         (!self.is_ending()).then_some(self.life.id)
     }
 
+    /// Calls `f` once when the process has ended, from another thread; at once if it has. `f` may drop this process.
+    pub fn at_end(&self, f: impl FnOnce() + Send + 'static) {
+        let mut state = lock(&self.life.state);
+        if state.words.is_none() {
+            state.at_end = Some(Box::new(f));
+            return;
+        }
+        drop(state);
+        f();
+    }
+
     /// Ends the process; its calls return.
     pub fn kill(&self, reason: &str) {
         self.life.kill(reason);
@@ -548,7 +565,9 @@ impl Drop for Process {
         if !self.life.wait(MAX_LEAVE) {
             self.life.kill("it did not leave");
         }
-        if let Some(watcher) = lock(&self.watcher).take() {
+        // The watcher itself drops the process where that is done at its end.
+        let is_other = |watcher: &JoinHandle<()>| watcher.thread().id() != std::thread::current().id();
+        if let Some(watcher) = lock(&self.watcher).take().filter(is_other) {
             let _ = watcher.join();
         }
     }

@@ -174,7 +174,9 @@ impl Window {
     /// Names of the files in the folder for stills and clips.
     pub fn kept(&self) -> Vec<String> {
         let files = std::fs::read_dir(self.folder.0.join("kept")).into_iter().flatten().flatten();
-        let mut names: Vec<String> = files.map(|f| f.file_name().to_string_lossy().into_owned()).collect();
+        let names = files.map(|f| f.file_name().to_string_lossy().into_owned());
+        // A run locks its files against other runs until it ends.
+        let mut names: Vec<String> = names.filter(|name| !name.ends_with(".lock")).collect();
         names.sort();
         names
     }

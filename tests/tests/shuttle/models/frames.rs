@@ -7,11 +7,13 @@ use shuttle::thread;
 
 use super::memory::Memory;
 
-const BYTES: usize = 1 << 26;
+const BUFFER_BYTES: usize = 1 << 26;
+/// The largest frame that fits into such a buffer, with room for what marks its end.
+const BYTES: usize = BUFFER_BYTES - 64;
 
 pub fn no_buffer_has_two_owners() {
     // Room for two: the third has to be refused.
-    let memory = Arc::new(Memory::fresh(2 * BYTES as i64));
+    let memory = Arc::new(Memory::fresh(2 * BUFFER_BYTES as i64));
     let _ = memory.allocate(BYTES).map(|(id, _)| memory.release(id));
     let owned = Arc::new(Mutex::new(BTreeSet::new()));
     let threads: Vec<_> = (0..3)
@@ -41,7 +43,7 @@ pub fn no_buffer_has_two_owners() {
 }
 
 pub fn the_last_of_several_releases_frees() {
-    let memory = Arc::new(Memory::fresh(BYTES as i64));
+    let memory = Arc::new(Memory::fresh(BUFFER_BYTES as i64));
     let Ok((id, _)) = memory.allocate(BYTES) else { panic!("there is room") };
     memory.retain(id);
     let threads: Vec<_> = (0..2)
@@ -56,7 +58,7 @@ pub fn the_last_of_several_releases_frees() {
 }
 
 pub fn a_buffer_that_is_gone_cannot_be_kept() {
-    let memory = Arc::new(Memory::fresh(4 * BYTES as i64));
+    let memory = Arc::new(Memory::fresh(4 * BUFFER_BYTES as i64));
     let Ok((id, _)) = memory.allocate(BYTES) else { panic!("there is room") };
     // A plugin knows the name of a buffer that is given back meanwhile, and maybe handed out anew.
     let theirs = Arc::clone(&memory);
