@@ -77,6 +77,10 @@ impl Machine {
 
 impl Drop for Machine {
     fn drop(&mut self) {
+        if std::thread::panicking() {
+            let ended = self.child.try_wait();
+            eprintln!("the machine ({ended:?}) wrote: {:#?}", self.log());
+        }
         self.kill();
     }
 }
@@ -98,11 +102,14 @@ pub struct Namespace {
 }
 
 impl Namespace {
-    /// Makes one; `number` from 1 to 200 tells it from others. `None` where this user may not.
+    /// Makes one; `number` from 0 to 3 tells it from others of this process. `None` where this user may not.
     pub fn new(number: u8) -> Option<Self> {
+        remove_namespaces_of_ended_processes();
         let process = std::process::id();
         let (name, device) = (format!("panoscope-{process}-{number}"), format!("ps{}v{number}", process % 100_000));
-        let (here, there) = (format!("10.231.{number}.1/24"), format!("10.231.{number}.2"));
+        // A network for each process: tests of several checkouts may run at once.
+        let network = format!("10.{}.{}", 128 + (process >> 6 & 0x7f), (process & 0x3f) << 2 | u32::from(number & 3));
+        let (here, there) = (format!("{network}.1/24"), format!("{network}.2"));
         ip(&["netns", "add", &name]).then_some(())?;
         // From here on it is removed in any case.
         let this = Self { name: name.clone(), device: device.clone(), address: there.clone() };
@@ -130,6 +137,18 @@ impl Drop for Namespace {
     fn drop(&mut self) {
         ip(&["netns", "del", &self.name]);
         ip(&["link", "del", &self.device]);
+    }
+}
+
+/// A test that is killed leaves its namespaces behind. Their addresses would answer in place of those of a later test.
+fn remove_namespaces_of_ended_processes() {
+    for entry in std::fs::read_dir("/run/netns").into_iter().flatten().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let process = name.strip_prefix("panoscope-").and_then(|rest| rest.split_once('-')?.0.parse::<u32>().ok());
+        if process.is_some_and(|process| !Path::new(&format!("/proc/{process}")).exists()) {
+            // Its device goes with it.
+            ip(&["netns", "del", &name]);
+        }
     }
 }
 
