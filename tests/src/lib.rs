@@ -22,12 +22,18 @@ pub fn root() -> PathBuf {
 }
 
 /// The documents for users and contributors, relative to the root.
-pub const DOCUMENTS: [&str; 10] = [
+pub const DOCUMENTS: [&str; 16] = [
     "README.md",
+    "core/CONTRIBUTING.md",
     "core/README.md",
+    "core/SECURITY.md",
+    "core/abi/README.md",
     "core/cli/README.md",
+    "core/imaging/README.md",
+    "core/isolate/README.md",
     "core/python/README.md",
     "core/record/README.md",
+    "core/remote/README.md",
     "editor/README.md",
     "graphs/README.md",
     "plugins/README.md",

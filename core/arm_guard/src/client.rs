@@ -17,9 +17,9 @@ use rustix::net::{
 };
 use thiserror::Error;
 
-use crate::arm_port::Target;
 use crate::clock;
 use crate::message::{LONGEST, Report, Request, Status};
+use crate::target::Target;
 
 /// Name of the guard's program.
 pub const PROGRAM: &str = "panoscope-arm";

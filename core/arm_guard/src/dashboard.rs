@@ -2,12 +2,18 @@
 //! robot, and nothing here does.
 
 use std::io::{BufRead, BufReader, Read, Write};
+use std::time::Duration;
 
 use panoscope_arm_core::line::Serial;
 
 use crate::port::PortError;
 use crate::tcp;
-use crate::ur::{ANSWER_WITHIN, UPDATE};
+
+/// Time limit of each answer to the set-up.
+pub(crate) const ANSWER_WITHIN: Duration = Duration::from_millis(800);
+/// Advice for a controller whose software is too old.
+pub(crate) const UPDATE: &str =
+    "update its software to PolyScope 5.6 or later (e-Series), 3.12 or later (CB3); PolyScope X is not supported";
 
 /// Asks the dashboard server for the serial number of the arm, which RTDE does not give.
 ///

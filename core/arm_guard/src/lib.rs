@@ -8,6 +8,7 @@
 //! - [`client`]: the side of the program.
 //! - [`server`]: the loop of the process.
 //! - [`arm_port`]: what the loop needs of a connection to an arm.
+//! - [`target`]: which arm, and how to open it.
 //! - [`link`], [`port`]: a serial line.
 //! - [`ur`], [`rtde`], [`tcp`]: a Universal Robots arm over RTDE.
 //! - [`latch`]: stops that survive restarts, on disk.
@@ -25,5 +26,6 @@ pub mod port;
 pub mod realtime;
 pub mod rtde;
 pub mod server;
+pub mod target;
 pub mod tcp;
 pub mod ur;

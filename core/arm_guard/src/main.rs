@@ -5,10 +5,10 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use panoscope_arm_core::Chain;
-use panoscope_arm_guard::arm_port::Target;
 use panoscope_arm_guard::check::Check;
 use panoscope_arm_guard::link::Connection;
 use panoscope_arm_guard::server::{self, Options};
+use panoscope_arm_guard::target::Target;
 use panoscope_arm_guard::ur::{self, UrConnection};
 use panoscope_arm_guard::{client, latch};
 

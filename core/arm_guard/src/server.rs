@@ -15,12 +15,13 @@ use rustix::io::Errno;
 use rustix::net::{RecvFlags, SendFlags, recv, send};
 use thiserror::Error;
 
-use crate::arm_port::{ArmPort, Identity, Target};
+use crate::arm_port::{ArmPort, Identity};
 use crate::clock;
 use crate::latch::{LatchError, LatchStore, Record};
 use crate::message::{LONGEST, Report, Request, Status};
 use crate::port::PortError;
 use crate::realtime;
+use crate::target::Target;
 
 /// Damaged lines in a row that count as noise; more stop the arm.
 const NOISE_LINES: u32 = 2;

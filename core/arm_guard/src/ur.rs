@@ -11,7 +11,7 @@ use panoscope_arm_core::{Cause, JOINTS, JointVector};
 
 use crate::arm_port::{Answer, ArmPort, Identity};
 use crate::clock;
-use crate::dashboard;
+use crate::dashboard::{self, ANSWER_WITHIN, UPDATE};
 use crate::port::PortError;
 use crate::rtde::{self, Command, INPUTS, Kind, LONGEST, OUTPUTS, Package, Reader, Received, State};
 use crate::tcp::TcpPort;
@@ -27,8 +27,6 @@ pub const DASHBOARD_PORT: u16 = 29999;
 
 /// Time between two packages. Two control cycles of an e-Series arm, half of one of a CB3 arm.
 const PERIOD: Duration = Duration::from_millis(4);
-/// Time limit of each answer to the set-up.
-pub(crate) const ANSWER_WITHIN: Duration = Duration::from_millis(800);
 /// Time limit of the first echoed heartbeat.
 const FIRST_ECHO: Duration = Duration::from_millis(600);
 /// How long the robot's program is asked to clear its stop.
@@ -53,8 +51,6 @@ const ROBOT_RUNNING: i32 = 7;
 const PROGRAM_PLAYING: u32 = 2;
 /// States of the robot's program that follow or can follow.
 const PROGRAM_READY: [i32; 2] = [2, 3];
-pub(crate) const UPDATE: &str =
-    "update its software to PolyScope 5.6 or later (e-Series), 3.12 or later (CB3); PolyScope X is not supported";
 const MAKE_READY: &str = "make the robot ready at its pendant and start panoscope_arm.script there";
 const COPY_PROGRAM: &str = "copy the panoscope_arm.script of this version to the robot and start it";
 

@@ -14,6 +14,7 @@ mod auditor;
 mod chain;
 mod day;
 mod event;
+mod files;
 mod log;
 mod read;
 

@@ -6,15 +6,11 @@ use std::os::fd::AsRawFd;
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
-
 use crate::chain::{End, Line, sha256};
 use crate::day::date;
 use crate::event::Event;
-use crate::read;
+use crate::files::{self, HEAD, Head};
 
-/// File with the end of the chain.
-pub(crate) const HEAD: &str = "head.json";
 /// File that is locked while a process appends.
 const LOCK: &str = "lock";
 
@@ -44,32 +40,6 @@ fn in_file(file: &Path) -> impl Fn(std::io::Error) -> AuditError {
     move |cause| match cause.kind() {
         std::io::ErrorKind::StorageFull => AuditError::DiskFull { file: file.to_owned() },
         _ => AuditError::File { file: file.to_owned(), cause },
-    }
-}
-
-/// The end of the chain as the head file has it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Head {
-    /// Number of the last line.
-    pub number: u64,
-    /// Its hash.
-    pub hash: String,
-    /// Name of its file.
-    pub file: String,
-    /// Length of that file up to the end of the line, bytes.
-    pub bytes: u64,
-}
-
-impl Head {
-    fn end(&self) -> End {
-        End { number: self.number, hash: self.hash.clone() }
-    }
-
-    /// The head of the log in `folder`; `None` where there is none, or it is damaged.
-    pub fn read(folder: &Path) -> Option<Self> {
-        let head: Self = serde_json::from_slice(&fs::read(folder.join(HEAD)).ok()?).ok()?;
-        // A name that leads elsewhere would make the log go on in a file of somebody else.
-        read::is_log(&head.file).then_some(head)
     }
 }
 
@@ -140,7 +110,7 @@ impl Log {
             Some(head) => head,
             None => {
                 // Without a head the newest file tells where the chain ends.
-                let Some(file) = read::files(&self.folder).map_err(in_file(&self.folder))?.pop() else {
+                let Some(file) = files::files(&self.folder).map_err(in_file(&self.folder))?.pop() else {
                     let end = End::default();
                     return Ok(Tail { end, file: String::new(), bytes: 0, said_first: None });
                 };

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use crate::chain::{End, Line, sha256};
 use crate::day::date_and_time;
 use crate::event::Event;
-use crate::log::Head;
+use crate::files::{HEAD, Head, files};
 
 /// A line of the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,27 +62,6 @@ pub struct Report {
     pub problems: Vec<Problem>,
     /// Number and hash of the last line. Whoever keeps them elsewhere can later prove that the log up to here is unchanged.
     pub last: Option<(u64, String)>,
-}
-
-/// Whether this is the name of a file of a log, without a folder.
-pub(crate) fn is_log(name: &str) -> bool {
-    name.starts_with("audit-") && name.ends_with(".jsonl") && !name.contains('/')
-}
-
-/// The files of a log in their order.
-pub(crate) fn files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
-    let entries = match fs::read_dir(folder) {
-        Ok(entries) => entries,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(error),
-    };
-    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
-    files.retain(|file| {
-        let name = file.file_name().unwrap_or_default().to_string_lossy();
-        is_log(&name) && file.is_file()
-    });
-    files.sort();
-    Ok(files)
 }
 
 /// Follows the chain from line to line.
@@ -173,13 +152,11 @@ pub fn read(path: &Path) -> std::io::Result<Report> {
     }
     if is_folder {
         let last = checker.end.clone().unwrap_or_default();
-        let has_head = path.join(crate::log::HEAD).exists();
+        let has_head = path.join(HEAD).exists();
         match Head::read(path) {
-            None if last.number > 0 || has_head => checker.problem(
-                &path.join(crate::log::HEAD),
-                0,
-                "it is missing or damaged, so a cut-off end cannot be noticed",
-            ),
+            None if last.number > 0 || has_head => {
+                checker.problem(&path.join(HEAD), 0, "it is missing or damaged, so a cut-off end cannot be noticed")
+            }
             // A crash may have come between a line and its head.
             Some(head) if head.number > last.number => {
                 let message = format!("lines {} to {} are missing at the end", last.number + 1, head.number);

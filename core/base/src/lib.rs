@@ -8,6 +8,7 @@
 //! - [`onnx`]: which files hold the weights of a model, where ONNX Runtime is.
 //! - [`program`]: where the installation is that the running process belongs to.
 //! - [`secret`]: hides user and password of addresses; reads them from the environment.
+//! - [`web`]: which requests of a browser a server may answer.
 //! - [`gray`], [`random`], [`Report`]: gray conversion, reproducible random numbers, where algorithms report to.
 //!
 //! The crate sees only the contract. Unsafe code is confined to the two modules that opt in below.
@@ -28,6 +29,7 @@ pub mod simd;
 #[expect(unsafe_code, reason = "threads that outlive one loop borrow the loop's body")]
 pub mod threads;
 pub mod view;
+pub mod web;
 
 pub use parallel::{Parallel, Serial};
 pub use rect::Rect;

@@ -2,8 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::layouts;
-
 /// Names that a message lists.
 const LISTED: usize = 12;
 
@@ -28,12 +26,13 @@ pub enum DataSetError {
     #[error(
         "{folder} holds no data set of a known layout ({known}){remarks}; `panoscope import {folder}` shows what is looked for",
         folder = folder.display(),
-        known = layouts::names(),
         remarks = in_words(remarks)
     )]
     Nothing {
         /// The folder.
         folder: PathBuf,
+        /// Names of the known layouts.
+        known: String,
         /// What stands in the way.
         remarks: Vec<String>,
     },

@@ -45,7 +45,11 @@ impl Found {
     /// There is none of that name, or none at all.
     pub fn sequence(&self, folder: &Path, name: &str) -> Result<&Sequence, DataSetError> {
         let Some(first) = self.sequences.first() else {
-            return Err(DataSetError::Nothing { folder: folder.to_owned(), remarks: self.remarks.clone() });
+            return Err(DataSetError::Nothing {
+                folder: folder.to_owned(),
+                known: layouts::names(),
+                remarks: self.remarks.clone(),
+            });
         };
         let name = name.trim().trim_matches('/');
         if name.is_empty() {

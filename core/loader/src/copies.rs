@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::elf::{self, Parts};
 use crate::error::LoadError;
-use crate::map::{Loaded, PluginFile};
+use crate::plugin_file::{Loaded, PluginFile};
 use crate::sealed::{Fingerprint, SealedWriter};
 
 /// Bytes that are compared at once.

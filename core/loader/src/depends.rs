@@ -6,10 +6,10 @@ use std::path::{Component, Path, PathBuf};
 use panoscope_base::onnx;
 use panoscope_graph::{Catalog, FileKind, Graph, GraphText, Param, ParamKind, ParamValue, Pick};
 
-use crate::lock::{Kind, LockedFile};
+use crate::locked_file::{Kind, LockedFile};
 use crate::needed;
+use crate::plugin_file::PluginFile;
 use crate::sealed::Fingerprint;
-use crate::search::Loader;
 
 /// Programs of an installation that take part in runs, beside the running one.
 const PROGRAMS: [&str; 4] = ["panoscope", "panoscope-arm", "panoscope-machine", "panoscope-theatre"];
@@ -67,8 +67,12 @@ fn program_dir() -> Option<PathBuf> {
     if folder.ends_with("deps") { folder.parent().map(Path::to_owned) } else { Some(folder) }
 }
 
-/// The graph's files, its plugins and `extra_plugins`, the libraries that these need, and the programs. Runs no code of them.
-pub fn code(text: &GraphText, loader: &Loader, extra_plugins: &[&str]) -> Vec<LockedFile> {
+/// The graph's files, those of the `found` plugins that it lists and of `extra_plugins`, the libraries that these need, and the programs. Runs no code of them.
+pub fn code<'a>(
+    text: &GraphText,
+    found: impl Iterator<Item = &'a PluginFile>,
+    extra_plugins: &[&str],
+) -> Vec<LockedFile> {
     let folder = text.path().parent().unwrap_or(Path::new(""));
     let mut files: Vec<CodeFile> = Vec::new();
     for file in text.files() {
@@ -83,7 +87,7 @@ pub fn code(text: &GraphText, loader: &Loader, extra_plugins: &[&str]) -> Vec<Lo
     }
     let listed = text.plugins();
     let is_used = |name: &String| listed.contains(name) || extra_plugins.contains(&name.as_str());
-    let plugins: Vec<_> = loader.found().filter(|found| is_used(&found.note.name)).collect();
+    let plugins: Vec<_> = found.filter(|found| is_used(&found.note.name)).collect();
     for found in &plugins {
         let (name, content) = (found.note.name.clone(), Content::OnDisk(Some(found.file.clone())));
         files.push(CodeFile { kind: Kind::Plugin, name, content });

@@ -6,7 +6,30 @@ use panoscope_graph::PluginProblem;
 use panoscope_isolate::DescribeError;
 
 use crate::elf::ElfError;
-use crate::python::{NoPython, is_python};
+use crate::file_name::is_python;
+
+/// Why a plugin in Python cannot run.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoPython {
+    /// There is no such interpreter.
+    #[error("its interpreter {interpreter} does not exist", interpreter = interpreter.display())]
+    Interpreter {
+        /// Its file.
+        interpreter: PathBuf,
+    },
+    /// The installation has no Python package.
+    #[error("the Python package `panoscope` is missing in {folder}", folder = folder.display())]
+    Package {
+        /// Where it should be.
+        folder: PathBuf,
+    },
+    /// The metadata in the file's head are no TOML.
+    #[error("its `# /// script` block is not valid: {reason}")]
+    Metadata {
+        /// The parser's words.
+        reason: String,
+    },
+}
 
 /// Why a plugin was not loaded.
 #[derive(Debug, thiserror::Error)]

@@ -9,7 +9,8 @@ use panoscope_engine::{Applied, ApplyError, Engine};
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Diagnostics, GraphText, check};
 
-use crate::search::{self, Loader, Stamp};
+use crate::search::{self, Loader};
+use crate::stamp::Stamp;
 use crate::verify::{NotLocked, Seal};
 
 /// Why an edit failed; text and graph are unchanged.

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::depends;
 use crate::keys::{SecretKey, Trust};
+use crate::locked_file::{Kind, LockedFile};
 use crate::search::Loader;
 
 /// Plugins that a lock covers besides those of the graph: the theatre writes clips with them.
@@ -72,79 +73,6 @@ pub enum LockError {
         /// The first digits of the public key.
         key: String,
     },
-}
-
-/// The role of a file in a graph.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Kind {
-    /// The graph file itself.
-    Graph,
-    /// A part of the graph.
-    Part,
-    /// An overlay.
-    Overlay,
-    /// A plugin.
-    Plugin,
-    /// A shared library that a plugin needs, or a library that it needs in turn.
-    Library,
-    /// A program of the installation.
-    Program,
-    /// A neural network.
-    Model,
-    /// Weights of a neural network in a file beside it.
-    Weights,
-    /// ONNX Runtime, which runs neural networks.
-    Runtime,
-    /// A calibration file of a camera.
-    Calibration,
-    /// Another file that a node reads, such as the description of an arm or the names of classes.
-    File,
-    /// Recorded pictures that a source reads instead of a camera.
-    Input,
-}
-
-impl Kind {
-    const fn word(self) -> &'static str {
-        match self {
-            Self::Graph => "graph",
-            Self::Part => "part",
-            Self::Overlay => "overlay",
-            Self::Plugin => "plugin",
-            Self::Library => "library",
-            Self::Program => "program",
-            Self::Model => "model",
-            Self::Weights => "weights",
-            Self::Runtime => "runtime",
-            Self::Calibration => "calibration",
-            Self::File => "file",
-            Self::Input => "input",
-        }
-    }
-
-    /// Whether files of this role are known, and compared, before any code of a plugin runs.
-    pub fn is_code(self) -> bool {
-        matches!(self, Self::Graph | Self::Part | Self::Overlay | Self::Plugin | Self::Library | Self::Program)
-    }
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.word())
-    }
-}
-
-/// A file's name and fingerprint.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LockedFile {
-    /// Its role.
-    pub kind: Kind,
-    /// Name of the plugin, library, program or graph file; `node.param` for a file that a node reads.
-    pub name: String,
-    /// Length in bytes.
-    pub bytes: u64,
-    /// SHA-256 as hexadecimal digits; empty when the file cannot be read.
-    pub sha256: String,
 }
 
 /// Who vouches for a lock.
@@ -214,7 +142,7 @@ impl Lock {
     /// Fingerprints of a graph that was read as `text`, as all is now. `extra_plugins` are used besides those that the graph lists.
     pub fn of(graph: &Graph, catalog: &Catalog, loader: &Loader, text: &GraphText, extra_plugins: &[&str]) -> Self {
         let folder = text.path().parent().unwrap_or(Path::new(""));
-        let mut files = depends::code(text, loader, extra_plugins);
+        let mut files = depends::code(text, loader.found(), extra_plugins);
         files.extend(depends::locked(&depends::data(graph, catalog, folder)));
         Self { version: VERSION, program: env!("CARGO_PKG_VERSION").to_owned(), files, signature: None }
     }

@@ -11,36 +11,17 @@ use panoscope_graph::{NodeSetup, NodeType, ParamProblem, Severity, Validator};
 use panoscope_isolate::{Describer, Description};
 
 use crate::copies::{Way, copy_of};
-use crate::elf::{self, Note};
+use crate::elf;
 use crate::error::LoadError;
+use crate::file_name::is_python;
+use crate::plugin_file::{Loaded, PluginFile};
 use crate::python::{self, Python};
-
-/// A plugin's file and its note.
-#[derive(Clone, Debug)]
-pub struct PluginFile {
-    /// The shared library.
-    pub file: PathBuf,
-    /// The note in the file.
-    pub note: Note,
-    /// The interpreter that runs it, if it is no library.
-    pub python: Option<Python>,
-}
-
-/// A loaded plugin. It stays mapped until the process ends.
-#[derive(Clone)]
-pub struct Loaded {
-    /// The file that it was loaded from.
-    pub plugin: PluginFile,
-    /// Its node types, for the catalogue.
-    pub node_types: Vec<NodeType>,
-    /// Its node types in the same order, for the engine.
-    pub entries: Vec<&'static abi::NodeType>,
-}
 
 /// Reads a plugin's note without loading it.
 pub fn inspect(file: &Path) -> Result<PluginFile, LoadError> {
-    if python::is_python(file) {
-        return python::inspect(file);
+    if is_python(file) {
+        let (note, python) = python::inspect(file)?;
+        return Ok(PluginFile { file: file.to_owned(), note, python: Some(python) });
     }
     let parts = elf::OnDisk::open(file).map_err(|cause| LoadError::Unreadable { file: file.to_owned(), cause })?;
     let note = elf::read_note(&parts).map_err(|cause| LoadError::BadFile { file: file.to_owned(), cause })?;

@@ -10,9 +10,8 @@ use sha2::{Digest, Sha256};
 use toml::Table;
 
 use crate::elf::Note;
-use crate::error::LoadError;
-use crate::map::PluginFile;
-use crate::search::Stamp;
+use crate::error::{LoadError, NoPython};
+use crate::stamp::Stamp;
 
 /// Environment variable with the interpreter of plugins that name none.
 const PYTHON_VARIABLE: &str = "PANOSCOPE_PYTHON";
@@ -20,29 +19,6 @@ const PYTHON_VARIABLE: &str = "PANOSCOPE_PYTHON";
 const MAX_BYTES: u64 = 4 << 20;
 /// Module that runs the nodes.
 const MODULE: &str = "panoscope.child";
-
-/// Why a plugin in Python cannot run.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NoPython {
-    /// There is no such interpreter.
-    #[error("its interpreter {interpreter} does not exist", interpreter = interpreter.display())]
-    Interpreter {
-        /// Its file.
-        interpreter: PathBuf,
-    },
-    /// The installation has no Python package.
-    #[error("the Python package `panoscope` is missing in {folder}", folder = folder.display())]
-    Package {
-        /// Where it should be.
-        folder: PathBuf,
-    },
-    /// The metadata in the file's head are no TOML.
-    #[error("its `# /// script` block is not valid: {reason}")]
-    Metadata {
-        /// The parser's words.
-        reason: String,
-    },
-}
 
 /// The interpreter of a plugin.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -135,13 +111,8 @@ fn code_in(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Whether a file may be a plugin in Python.
-pub(crate) fn is_python(file: &Path) -> bool {
-    file.extension() == Some(OsStr::new("py"))
-}
-
 /// Reads what a Python file offers, without running it.
-pub(crate) fn inspect(file: &Path) -> Result<PluginFile, LoadError> {
+pub(crate) fn inspect(file: &Path) -> Result<(Note, Python), LoadError> {
     let unreadable = |cause| LoadError::Unreadable { file: file.to_owned(), cause };
     let nothing = || LoadError::NoNodes { file: file.to_owned() };
     if std::fs::metadata(file).map_err(unreadable)?.len() > MAX_BYTES {
@@ -158,8 +129,7 @@ pub(crate) fn inspect(file: &Path) -> Result<PluginFile, LoadError> {
     let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let (abi_major, abi_minor) = (abi::ABI_MAJOR, abi::ABI_MINOR);
     let note = Note { abi_major, abi_minor, name, version: String::new(), node_types };
-    let python = Python { interpreter: interpreter(folder, declared) };
-    Ok(PluginFile { file: file.to_owned(), note, python: Some(python) })
+    Ok((note, Python { interpreter: interpreter(folder, declared) }))
 }
 
 /// The interpreter that the file names, else that of an environment beside it, else the user's, else the system's.

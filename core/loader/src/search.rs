@@ -16,28 +16,17 @@ use panoscope_isolate::Processes;
 use crate::depends;
 use crate::elf::ElfError;
 use crate::error::LoadError;
-use crate::lock::Lock;
-use crate::map::{Loaded, PluginFile, describe_verified, inspect, load_verified};
-use crate::python::is_python;
+use crate::file_name::{is_python, stem};
+use crate::foreign_models;
+use crate::locked_file::LockedFile;
+use crate::map::{describe_verified, inspect, load_verified};
+use crate::plugin_file::{Loaded, PluginFile};
+use crate::stamp::Stamp;
 
 /// How long a plugin may take to load and to describe itself in another process.
 const MAX_DESCRIBE: Duration = Duration::from_secs(20);
 /// Environment variable with additional plugin folders, separated by colons.
 pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";
-
-/// Identifies a version of a file by modification time, length and inode; all zero when the file does not exist.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Stamp(u128, u64, u64);
-
-impl Stamp {
-    /// The stamp of the file as it is now.
-    pub fn of(file: &Path) -> Self {
-        use std::os::unix::fs::MetadataExt;
-        let Ok(meta) = std::fs::metadata(file) else { return Self::default() };
-        let time = meta.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
-        Self(time.map_or(0, |t| t.as_nanos()), meta.len(), meta.ino())
-    }
-}
 
 /// A plugin, and whether it was described instead of loaded.
 type LoadKey = (String, bool);
@@ -181,8 +170,8 @@ impl Loader {
 
     /// From here on only the plugins of a lock are loaded, and only from the bytes that were locked. Holds after [`Self::rescan`] too.
     #[must_use]
-    pub fn pinned(mut self, lock: &Lock) -> Self {
-        self.pins = Some(Arc::new(depends::plugins_of(&lock.files)));
+    pub fn pinned(mut self, files: &[LockedFile]) -> Self {
+        self.pins = Some(Arc::new(depends::plugins_of(files)));
         self
     }
 
@@ -380,19 +369,13 @@ impl Plugins for Loader {
     }
 
     fn vet(&self) -> Option<Arc<dyn Vet>> {
-        Some(crate::trial::vet())
+        Some(foreign_models::vet())
     }
 
     fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)> {
         let used = self.found().filter(|found| plugins.contains(&found.note.name));
         used.map(|found| (found.note.name.clone(), found.file.clone())).collect()
     }
-}
-
-pub(crate) fn stem(file: &Path) -> String {
-    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
-    let stem = stem.strip_prefix("lib").unwrap_or(&stem);
-    stem.strip_prefix("panoscope_").unwrap_or(stem).to_owned()
 }
 
 fn missing(plugin: &str) -> PluginProblem {

@@ -16,7 +16,8 @@ use panoscope_base::onnx;
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, ParamValue, check};
 
 use crate::depends::{self, DataFile, Named};
-use crate::lock::{Difference, Kind, Lock, LockedFile};
+use crate::lock::{Difference, Lock};
+use crate::locked_file::{Kind, LockedFile};
 use crate::sealed::{self, Fingerprint, SealedWriter};
 use crate::search::{Loader, search_path};
 
@@ -201,8 +202,8 @@ fn load_runtime(copy: &Path) -> Result<(), VerifyError> {
 /// The plugins that may run before a graph is opened, to ask for its arguments: those of its lock, or none where a plugin or library of the graph
 /// differs from it. Parts and overlays may still be missing, so they are not compared.
 pub fn loader_before_opening(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Loader {
-    let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(lock);
-    let mut now = depends::code(text, &loader, extra_plugins);
+    let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(&lock.files);
+    let mut now = depends::code(text, loader.found(), extra_plugins);
     now.retain(|file| matches!(file.kind, Kind::Plugin | Kind::Library));
     match now.iter().all(|file| lock.files.contains(file)) {
         true => loader,
@@ -215,12 +216,12 @@ pub fn loader_before_opening(text: &GraphText, lock: &Lock, extra_plugins: &[&st
 /// # Errors
 /// See [`VerifyError`]. Where files of step 1 differ, no plugin was loaded.
 pub fn open(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<Verified, VerifyError> {
-    let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(lock);
+    let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(&lock.files);
     let differ = |now: &[LockedFile], is_among: fn(Kind) -> bool| match lock.differences_among(now, is_among) {
         differences if differences.is_empty() => Ok(()),
         differences => Err(VerifyError::Differs(differences)),
     };
-    differ(&depends::code(text, &loader, extra_plugins), Kind::is_code)?;
+    differ(&depends::code(text, loader.found(), extra_plugins), Kind::is_code)?;
     let catalog = loader.catalog_of(text);
     // The plugins' own checks read files, which are not compared yet.
     let mut unasked = catalog.clone();

@@ -176,8 +176,8 @@ fn a_plugin_that_is_swapped_after_it_was_found_is_not_mapped() {
     let folder = folder_with("pinned", "libflow.so", &flow_bytes());
     let file = folder.join("libflow.so");
     let lock = lock_of("flow", &file);
-    assert!(Loader::search(std::slice::from_ref(&folder)).pinned(&lock).load("flow").is_ok(), "as it was locked");
-    let loader = Loader::search(std::slice::from_ref(&folder)).pinned(&lock);
+    assert!(Loader::search(std::slice::from_ref(&folder)).pinned(&lock.files).load("flow").is_ok(), "as it was locked");
+    let loader = Loader::search(std::slice::from_ref(&folder)).pinned(&lock.files);
     // Between the search and the loading.
     let mut other = flow_bytes();
     other.push(0);
@@ -188,7 +188,7 @@ fn a_plugin_that_is_swapped_after_it_was_found_is_not_mapped() {
     assert!(loader.rescan().load("flow").is_err());
     assert!(Loader::search(std::slice::from_ref(&folder)).load("flow").is_ok(), "without a lock it loads");
     // A plugin that the lock does not have.
-    let problem = Loader::search(&[folder]).pinned(&lock_of("other", &file)).load("flow").err().expect("refused");
+    let problem = Loader::search(&[folder]).pinned(&lock_of("other", &file).files).load("flow").err().expect("refused");
     assert!(problem.message.contains("the lock of the graph does not have it"), "{}", problem.message);
 }
 

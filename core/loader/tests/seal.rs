@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Catalog, Graph, GraphText, NodeType, Param, ParamKind, ParamValue, Pick, check};
-use panoscope_loader::lock::{Kind, Lock};
+use panoscope_loader::Kind;
+use panoscope_loader::lock::Lock;
 use panoscope_loader::verify::Seal;
 use panoscope_loader::{Loader, depends};
 

@@ -14,7 +14,6 @@
 
 mod address;
 mod error;
-mod host;
 mod metrics;
 mod page;
 mod paint;
@@ -30,7 +29,6 @@ use panoscope_graph::{Catalog, Graph};
 
 pub use address::{Address, AddressError};
 pub use error::MonitorError;
-pub use host::is_own_host;
 
 use server::Server;
 use state::Shared;

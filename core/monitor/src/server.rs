@@ -13,13 +13,13 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
+use panoscope_base::web::is_own_host;
 use percent_encoding::percent_decode_str;
 use tokio::net::TcpStream;
 use tokio::sync::oneshot;
 
 use crate::address::Address;
 use crate::error::MonitorError;
-use crate::host::is_own_host;
 use crate::state::Shared;
 use crate::{metrics, page};
 

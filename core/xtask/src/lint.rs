@@ -1,6 +1,5 @@
 //! Format and lints.
 
-use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Result, bail};
@@ -12,20 +11,6 @@ use crate::workspace::Workspace;
 pub fn format(workspace: &Workspace) -> Result<()> {
     require(workspace, "fmt", "rustfmt")?;
     process::run(workspace.cargo().args(["fmt", "--all", "--check"]))
-}
-
-/// Environment variables by which clippy compiles, and by which it gets its arguments.
-pub const VARIABLES: [&str; 2] = ["RUSTC_WORKSPACE_WRAPPER", "CLIPPY_ARGS"];
-
-/// Lets clippy compile the packages of the workspace, so that lints cost no second pass; a warning is an error. Without clippy nothing is linted.
-pub fn deny_warnings(cargo: &mut Command) {
-    // Rustup puts a program of this name into PATH also where clippy is not installed.
-    let works = |driver: &PathBuf| process::capture(Command::new(driver).arg("--version")).is_ok();
-    if let Some(driver) = process::find_program("clippy-driver").filter(works) {
-        let [wrapper, arguments] = VARIABLES;
-        // How `cargo clippy` hands its arguments to the driver.
-        cargo.env(wrapper, driver).env(arguments, "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__");
-    }
 }
 
 /// Installs clippy unless it is there.

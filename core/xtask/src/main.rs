@@ -22,6 +22,8 @@ mod report;
 mod sanitizer;
 mod screens;
 mod setup;
+#[cfg(test)]
+mod structure;
 mod system;
 mod tally;
 mod test;

@@ -5,10 +5,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 
-use crate::lint;
 use crate::process;
 use crate::sanitizer::Sanitizer;
-use crate::workspace::Workspace;
+use crate::workspace::{LINT_VARIABLES, Workspace};
 
 /// Its program, for [`crate::tool::ensure`].
 pub const PROGRAM: &str = "cargo-nextest";
@@ -29,7 +28,7 @@ pub fn run(cargo: &mut Command) -> Result<&mut Command> {
     let version = process::capture(Command::new("rustc").arg("-vV"))?;
     let target = version.lines().find_map(|line| line.strip_prefix("host: ")).context("`rustc -vV` names no host")?;
     let runner = format!("CARGO_TARGET_{}_RUNNER", target.to_uppercase().replace('-', "_"));
-    let removed = lint::VARIABLES.map(|name| format!("-u {name}")).join(" ");
+    let removed = LINT_VARIABLES.map(|name| format!("-u {name}")).join(" ");
     cargo.env(runner, format!("env {removed}"));
     Ok(cargo.args(["nextest", "run", "--no-fail-fast", "--profile", PROFILE]))
 }

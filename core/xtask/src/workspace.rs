@@ -6,8 +6,10 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::Value;
 
-use crate::lint;
 use crate::process;
+
+/// Environment variables by which clippy compiles, and by which it gets its arguments.
+pub const LINT_VARIABLES: [&str; 2] = ["RUSTC_WORKSPACE_WRAPPER", "CLIPPY_ARGS"];
 
 /// A plugin crate: a folder under `plugins/`, or under `tests/plugins/` if only tests use it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -77,13 +79,24 @@ impl Workspace {
     /// Cargo for builds in the development profile: workspace packages are linted in the pass that compiles them.
     pub fn cargo_dev(&self) -> Command {
         let mut cargo = self.cargo();
-        lint::deny_warnings(&mut cargo);
+        deny_warnings(&mut cargo);
         cargo
     }
 
     /// Files fetched for tests and benches.
     pub fn data_dir(&self) -> PathBuf {
         self.target.join("data")
+    }
+}
+
+/// Lets clippy compile the packages of the workspace, so that lints cost no second pass; a warning is an error. Without clippy nothing is linted.
+fn deny_warnings(cargo: &mut Command) {
+    // Rustup puts a program of this name into PATH also where clippy is not installed.
+    let works = |driver: &PathBuf| process::capture(Command::new(driver).arg("--version")).is_ok();
+    if let Some(driver) = process::find_program("clippy-driver").filter(works) {
+        let [wrapper, arguments] = LINT_VARIABLES;
+        // How `cargo clippy` hands its arguments to the driver.
+        cargo.env(wrapper, driver).env(arguments, "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__");
     }
 }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use panoscope_graph::{Diagnostic, NodeOutline, NodeType, PacketType, Port};
 
 use crate::mark::Mark;
-use crate::observe::Output;
+use crate::output::{Output, WireEnd};
 
 /// A node as it is drawn.
 #[derive(Clone, Debug)]
@@ -214,7 +214,7 @@ impl GraphView {
     }
 
     /// A wire's description, such as `a.image to b.image`, from its end.
-    pub fn wire_name(&self, end: &crate::observe::WireEnd) -> String {
+    pub fn wire_name(&self, end: &WireEnd) -> String {
         if let Some(flat) = &self.flat {
             return flat.wire_name(end);
         }

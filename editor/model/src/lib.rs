@@ -23,6 +23,7 @@ mod mark;
 pub mod numbered;
 pub mod observe;
 pub mod ops;
+pub mod output;
 pub mod pedal;
 pub mod picture;
 pub mod pixels;

@@ -16,6 +16,7 @@ use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, NodeWindow, Preview, Window};
 use serde::{Deserialize, Serialize};
 
+pub use crate::output::{Output, WireEnd};
 use crate::picture::{self, Range, RenderedPacket};
 use crate::probe::{self, Probe, ProbeRequest};
 use crate::session::Handle;
@@ -29,39 +30,6 @@ pub const THUMBNAIL_INTERVAL: Duration = Duration::from_millis(200);
 const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
 /// Number of points in a node's history: two minutes.
 const HISTORY: usize = 240;
-
-/// An output: node and port.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct Output {
-    /// The node.
-    pub node: String,
-    /// Its output.
-    pub port: String,
-}
-
-impl Output {
-    /// Output `port` of node `node`.
-    pub fn new(node: &str, port: &str) -> Self {
-        Self { node: node.to_owned(), port: port.to_owned() }
-    }
-}
-
-impl std::fmt::Display for Output {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}.{}", self.node, self.port)
-    }
-}
-
-/// The consuming end of a wire.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct WireEnd {
-    /// The node.
-    pub node: String,
-    /// Its input: index in the node type.
-    pub port: usize,
-    /// Index in a list input.
-    pub index: usize,
-}
 
 /// How an output is to be previewed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -13,7 +13,7 @@ use panoscope_editor_widgets::theme;
 use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
 
-use super::stage::focus_frame;
+use super::marks::{fitting, focus_frame};
 use super::{Action, HOLD, Theatre, actions, key_name, plan};
 
 /// Height of a stop button, points, from which its two texts are one above the other.
@@ -123,17 +123,6 @@ impl Theatre {
             put(pos2(left, y), message, 22.0, width * 0.48, Color32::WHITE);
             put(pos2(left + width * 0.52, y), &below, 14.0, width * 0.48, pale);
         }
-    }
-}
-
-/// A text on one line, smaller where it does not fit in `width`.
-pub(super) fn fitting(painter: &Painter, words: &str, size: f32, width: f32, color: Color32) -> Arc<Galley> {
-    let lay = |size: f32| painter.layout_no_wrap(words.to_owned(), FontId::proportional(size), color);
-    let galley = lay(size);
-    if galley.size().x <= width {
-        galley
-    } else {
-        lay((size * width / galley.size().x).max(theme::legible(painter.ctx(), 0.0)))
     }
 }
 

@@ -16,6 +16,7 @@ mod checklist;
 mod guard;
 mod link;
 mod lost;
+mod marks;
 mod measure;
 mod notices;
 mod open;

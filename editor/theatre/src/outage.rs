@@ -7,9 +7,11 @@ use panoscope_editor_model::session::Phase;
 use panoscope_editor_texts::{Phrase, text};
 use panoscope_graph::edit::GraphEdit;
 
-use super::previews::FIRST;
 use super::runner::OutageStage;
 use super::{Measure, OutputCache, Theatre, plan};
+
+/// How long a view may take for its first image before it counts as stopped.
+pub(super) const FIRST: Duration = Duration::from_secs(5);
 
 /// How far this window has followed an outage.
 #[derive(Default)]

@@ -9,6 +9,7 @@ use panoscope_engine::clock;
 use super::lost::{self, SilentCamera};
 use super::measure::Measure;
 use super::notices::{Facts, OLD_MS, STOPPED, STOPPED_MS, metric_is_on};
+use super::outage::FIRST;
 use super::{Pane, Theatre, ThreeD, Verified};
 use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::content::Content;
@@ -17,8 +18,6 @@ use panoscope_editor_model::session::{Phase, Status};
 
 /// Minimum time between two previews.
 const INTERVAL: Duration = Duration::from_millis(33);
-/// How long a view may take for its first image before it counts as stopped.
-pub(super) const FIRST: Duration = Duration::from_secs(5);
 /// Maximum width of a view, px.
 const MAX_WIDTH: usize = 4096;
 /// Width of the preview of a camera that is only monitored, px.

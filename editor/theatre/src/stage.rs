@@ -6,8 +6,8 @@ use eframe::egui::{
     WidgetInfo, WidgetType, pos2, vec2,
 };
 
-use super::arm::fitting;
 use super::arrange::{GAP, TITLE, fit, inset, level};
+use super::marks::{fitting, focus_frame};
 use super::notices::{Facts, NoPicture, OLD_MS, STOPPED_MS};
 use super::{Layout, Pane, Theatre};
 use panoscope_editor_model::surface::Viewpoint;
@@ -400,11 +400,6 @@ fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
 pub(super) fn capture_arrows(ui: &Ui, id: Id) {
     let filter = EventFilter { horizontal_arrows: true, vertical_arrows: true, ..EventFilter::default() };
     ui.memory_mut(|m| m.set_focus_lock_filter(id, filter));
-}
-
-/// Draws a frame around the focused image, outside of it.
-pub(super) fn focus_frame(ui: &Ui, rect: Rect) {
-    ui.painter().rect_stroke(rect.expand(4.0), 6.0, Stroke::new(2.0, theme::accent()), StrokeKind::Inside);
 }
 
 /// All of a picture, for its texture.

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use panoscope_arm_core::interlock::Event;
 use panoscope_arm_core::{Cause, Chain, JointVector};
-use panoscope_arm_guard::arm_port::Target;
 use panoscope_arm_guard::client::Guard;
 use panoscope_arm_guard::clock;
 use panoscope_arm_guard::message::{MAX_DEMAND, Request, Status};
+use panoscope_arm_guard::target::Target;
 use panoscope_node::{Context, Open, Ports, Result, Slot, TableData, TextPacket, Timed, error};
 
 use crate::declared::{In, MotionOut, StopParams};

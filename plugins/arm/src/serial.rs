@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use panoscope_arm_guard::arm_port::Target;
 use panoscope_arm_guard::link::Connection;
+use panoscope_arm_guard::target::Target;
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
 use crate::declared::{In, StopParams};

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use panoscope_arm_core::{JOINTS, JointVector};
-use panoscope_arm_guard::arm_port::Target;
+use panoscope_arm_guard::target::Target;
 use panoscope_arm_guard::ur::{UrConnection, home_of};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation, error};
 

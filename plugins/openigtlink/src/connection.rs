@@ -2,18 +2,9 @@
 
 use std::net::IpAddr;
 
-use panoscope_node::{Choice, Open, Params, Validation};
+use panoscope_node::{Open, Params, Validation};
 
-use crate::link::Endpoint;
-
-/// Which side opens the connection.
-#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Role {
-    /// Waits for programs that connect; serves up to 32 at a time.
-    Server,
-    /// Connects to a program, and again whenever the connection is lost.
-    Client,
-}
+use crate::link::{Endpoint, Role};
 
 /// Where the other program is.
 #[derive(Params)]

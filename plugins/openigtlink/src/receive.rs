@@ -13,8 +13,8 @@ use panoscope_node::{
     TableData, TextPacket, Validation,
 };
 
-use crate::connection::{Connection, Role, check_name};
-use crate::link::{Filter, Inbox, Link, Received, utc_ns};
+use crate::connection::{Connection, check_name};
+use crate::link::{Filter, Inbox, Link, Received, Role, utc_ns};
 use packets::Packets;
 
 /// Longest wait for a message in one call: an empty tick then shows that the node lives.

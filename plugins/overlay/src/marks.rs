@@ -4,10 +4,21 @@ use std::fmt::Write;
 
 use panoscope_imaging::draw::{self, Area, Color, Labels};
 use panoscope_node::abi::{self, Homography, Roi, Tip};
-use panoscope_node::{Detections, Instances, ViewMut};
+use panoscope_node::{Choice, Detections, Instances, ViewMut};
 
 use crate::bar::{self, Bar, Key, MOST_DOTS};
-use crate::overlay::Words;
+
+/// Where words stand.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Words {
+    /// On the picture: beside what they belong to, and in a corner.
+    Picture,
+    /// On plates in a bar below the picture, which keeps its coordinates; dots in the object's colour say which box a plate belongs to. Marks and
+    /// words grow with the picture's width: sizes are those at 640 px.
+    Below,
+    /// Nowhere.
+    Nowhere,
+}
 
 /// How marks are drawn.
 #[derive(Clone, Copy, Debug)]

@@ -6,8 +6,7 @@ use panoscope_imaging::draw::{self, Color};
 use panoscope_node::{Table, ViewMut};
 
 use crate::bar::{Bar, Key};
-use crate::marks::Pen;
-use crate::overlay::Words;
+use crate::marks::{Pen, Words};
 use crate::quantity::write_with_error;
 
 const CLEAR: Color = [80, 220, 80];

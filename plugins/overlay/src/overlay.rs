@@ -13,7 +13,7 @@ use panoscope_node::{
 use crate::bar::{self, Bar};
 use crate::colorize::{AutoRange, Colors};
 use crate::fit::fitted_size;
-use crate::marks::{self, Pen};
+use crate::marks::{self, Pen, Words};
 use crate::nearness;
 use crate::quantity::{error_column, write_with_error};
 
@@ -43,18 +43,6 @@ impl Corner {
         };
         (x.max(0.0), y.max(0.0))
     }
-}
-
-/// Where words stand.
-#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Words {
-    /// On the picture: beside what they belong to, and in a corner.
-    Picture,
-    /// On plates in a bar below the picture, which keeps its coordinates; dots in the object's colour say which box a plate belongs to. Marks and
-    /// words grow with the picture's width: sizes are those at 640 px.
-    Below,
-    /// Nowhere.
-    Nowhere,
 }
 
 /// Inputs.

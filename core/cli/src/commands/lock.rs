@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_graph::GraphText;
+use panoscope_loader::Kind;
 use panoscope_loader::graph_file;
 use panoscope_loader::keys::{SecretKey, public_file};
-use panoscope_loader::lock::{ALWAYS_LOCKED, Kind, Lock, lock_path};
+use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, lock_path};
 use panoscope_loader::verify::{self, VerifyError};
 
 use crate::End;

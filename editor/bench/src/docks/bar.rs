@@ -126,13 +126,3 @@ fn buttons_of(ui: &mut Ui, group: &Group, rect: Rect) -> Option<DockRequest> {
         _ => None,
     }
 }
-
-/// Draws the name of a dragged panel beside the pointer.
-pub(super) fn ghost(ui: &Ui, panel: Panel, at: eframe::egui::Pos2) {
-    let layer = eframe::egui::LayerId::new(eframe::egui::Order::Tooltip, Id::new("dragged panel"));
-    let painter = ui.ctx().layer_painter(layer);
-    let rect = Rect::from_min_size(at + vec2(10.0, 6.0), vec2(96.0, BAR));
-    painter.rect_filled(rect, 4.0, theme::raised());
-    painter.rect_stroke(rect, 4.0, Stroke::new(1.0, theme::accent()), eframe::egui::StrokeKind::Inside);
-    painter.text(rect.center(), Align2::CENTER_CENTER, title(panel), FontId::proportional(12.0), theme::text());
-}

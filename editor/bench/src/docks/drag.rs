@@ -1,10 +1,10 @@
 //! A tab that is dragged: shows where the panel would go, and puts it there.
 
-use eframe::egui::{Context, LayerId, Order, Pos2, Rect, Stroke, StrokeKind, Ui, Vec2};
+use eframe::egui::{Align2, Context, FontId, Id, LayerId, Order, Pos2, Rect, Stroke, StrokeKind, Ui, Vec2, vec2};
 use panoscope_editor_model::docks::{Panel, Side, Target};
 
-use super::{DockRequest, Docks, bar};
-use crate::docks::arrange::Group;
+use super::arrange::{BAR, Group};
+use super::{DockRequest, Docks, title};
 use panoscope_editor_widgets::theme;
 
 /// Share of a panel at each of its sides where a panel is placed beside it; in the middle it becomes a tab.
@@ -109,17 +109,27 @@ impl Docks {
             None => {}
         }
         if !released {
-            bar::ghost(ui, drag.panel, at);
+            ghost(ui, drag.panel, at);
             ui.ctx().request_repaint();
         }
         None
     }
 }
 
+/// Draws the name of a dragged panel beside the pointer.
+fn ghost(ui: &Ui, panel: Panel, at: Pos2) {
+    let layer = LayerId::new(Order::Tooltip, Id::new("dragged panel"));
+    let painter = ui.ctx().layer_painter(layer);
+    let rect = Rect::from_min_size(at + vec2(10.0, 6.0), vec2(96.0, BAR));
+    painter.rect_filled(rect, 4.0, theme::raised());
+    painter.rect_stroke(rect, 4.0, Stroke::new(1.0, theme::accent()), StrokeKind::Inside);
+    painter.text(rect.center(), Align2::CENTER_CENTER, title(panel), FontId::proportional(12.0), theme::text());
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eframe::egui::{pos2, vec2};
+    use eframe::egui::pos2;
 
     #[test]
     fn the_place_under_the_pointer_is_the_target() {

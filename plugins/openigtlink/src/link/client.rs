@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::{LinkError, Remark, Shared, peer};
+use super::{LinkError, Remark, Shared, connected};
 
 /// Longest wait for an answer to a connection.
 const CONNECT_LIMIT: Duration = Duration::from_secs(2);
@@ -25,7 +25,7 @@ fn run(shared: &Arc<Shared>) {
         match connect(shared) {
             Ok(stream) => {
                 said.clear();
-                peer::serve(shared, stream, true);
+                connected::serve(shared, stream, true);
             }
             Err(error) => {
                 let words = error.to_string();

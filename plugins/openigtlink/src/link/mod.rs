@@ -2,6 +2,7 @@
 
 mod answer;
 mod client;
+mod connected;
 mod inbox;
 mod peer;
 mod server;
@@ -13,9 +14,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use panoscope_node::Context;
-
-use crate::connection::Role;
+use panoscope_node::{Choice, Context};
 
 pub use inbox::{Filter, Inbox, Received};
 pub use peer::Outgoing;
@@ -50,6 +49,15 @@ pub enum LinkError {
     /// The system gives no thread.
     #[error("no thread could be started for the connection: {0}")]
     Thread(std::io::Error),
+}
+
+/// Which side opens the connection.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// Waits for programs that connect; serves up to 32 at a time.
+    Server,
+    /// Connects to a program, and again whenever the connection is lost.
+    Client,
 }
 
 /// What identifies a connection.

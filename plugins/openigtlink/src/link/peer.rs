@@ -4,12 +4,10 @@ use std::collections::{BTreeMap, VecDeque};
 use std::io::Write;
 use std::net::{Shutdown, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use panoscope_igtl::{IgtlError, Reader};
-
-use super::{Inbox, Remark, Shared, answer, lock};
+use super::{Shared, lock};
 
 /// A program that takes no byte for this long is given up.
 const WRITE_LIMIT: Duration = Duration::from_secs(5);
@@ -65,14 +63,14 @@ struct Queue {
 pub struct Peer {
     /// Its address.
     pub words: String,
-    stream: TcpStream,
+    pub(super) stream: TcpStream,
     queue: Mutex<Queue>,
     changed: Condvar,
     is_writing: AtomicBool,
 }
 
 impl Peer {
-    fn new(stream: TcpStream) -> std::io::Result<Self> {
+    pub(super) fn new(stream: TcpStream) -> std::io::Result<Self> {
         // Small messages must not wait for more to come.
         stream.set_nodelay(true)?;
         stream.set_write_timeout(Some(WRITE_LIMIT))?;
@@ -148,7 +146,7 @@ impl Peer {
     }
 
     /// Writes what is queued until the connection ends.
-    fn write(&self, shared: &Shared) {
+    pub(super) fn write(&self, shared: &Shared) {
         loop {
             let mut queue = lock(&self.queue);
             let item = loop {
@@ -179,85 +177,4 @@ impl Peer {
             };
         }
     }
-
-    /// Reads until the connection ends; why it ended.
-    fn read(&self, shared: &Shared) -> Option<String> {
-        let mut reader = Reader::default();
-        let mut has_warned = false;
-        loop {
-            match reader.fill(&mut &self.stream) {
-                Ok(0) => return None,
-                Ok(_) => {}
-                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
-                Err(error) => return Some(error.to_string()),
-            }
-            loop {
-                let error = match reader.next_message() {
-                    Ok(Some(raw)) => match answer::take(self, shared, &raw) {
-                        Ok(()) => continue,
-                        Err(error) => error,
-                    },
-                    Ok(None) => break,
-                    Err(error) => error,
-                };
-                shared.totals.damaged.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                if reader.is_broken() {
-                    return Some(error.to_string());
-                }
-                self.warn_once(shared, &mut has_warned, &error);
-            }
-        }
-    }
-
-    /// One remark per connection: a peer that sends one wrong message sends many.
-    fn warn_once(&self, shared: &Shared, has_warned: &mut bool, error: &IgtlError) {
-        if !std::mem::replace(has_warned, true) {
-            shared.remark(
-                true,
-                format!("a message of {} was dropped: {error}; further ones are counted only", self.words),
-            );
-        }
-    }
-}
-
-/// Serves a connection until it ends. `is_client`: this side connected.
-pub fn serve(shared: &Arc<Shared>, stream: TcpStream, is_client: bool) {
-    let peer = match Peer::new(stream) {
-        Ok(peer) => Arc::new(peer),
-        Err(error) => return shared.remark(true, format!("a connection could not be set up: {error}")),
-    };
-    {
-        let mut peers = lock(&shared.peers);
-        if shared.is_stopping() {
-            return;
-        }
-        peers.push(Arc::clone(&peer));
-    }
-    shared.connected.fetch_add(1, Ordering::AcqRel);
-    let whom = if is_client { "connected to" } else { "connection from" };
-    shared.remark(false, format!("{whom} {}", peer.words));
-    let (own, own_shared) = (Arc::clone(&peer), Arc::clone(shared));
-    let writer = std::thread::Builder::new().name("igtl-write".to_owned()).spawn(move || own.write(&own_shared));
-    let reason = match &writer {
-        Ok(_) => peer.read(shared),
-        Err(error) => Some(format!("no thread could be started: {error}")),
-    };
-    peer.close();
-    if let Ok(writer) = writer {
-        // A panic was printed when it happened.
-        let _ = writer.join();
-    }
-    lock(&shared.peers).retain(|other| !Arc::ptr_eq(other, &peer));
-    if shared.is_stopping() {
-        return;
-    }
-    let is_end = reason.is_none();
-    let words = match reason {
-        Some(reason) => format!("the connection to {} was lost: {reason}", peer.words),
-        None => format!("{} closed the connection", peer.words),
-    };
-    // A client of ours that leaves is its own choice; a server that leaves is missed.
-    let words = if is_client { format!("{words}; connecting again") } else { words };
-    shared.add_remark(Remark { is_fault: is_client, is_end, is_apart: is_client, words });
-    lock(&shared.inboxes).iter().filter_map(Weak::upgrade).for_each(|inbox: Arc<Inbox>| inbox.wake());
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::{LinkError, MOST_PEERS, Shared, lock, peer};
+use super::{LinkError, MOST_PEERS, Shared, connected, lock};
 
 /// How often new connections are looked for.
 const STEP: Duration = Duration::from_millis(20);
@@ -52,8 +52,9 @@ fn accept(shared: &Arc<Shared>, listener: &TcpListener) {
             continue;
         }
         let own = Arc::clone(shared);
-        let spawned =
-            std::thread::Builder::new().name("igtl-read".to_owned()).spawn(move || peer::serve(&own, stream, false));
+        let spawned = std::thread::Builder::new()
+            .name("igtl-read".to_owned())
+            .spawn(move || connected::serve(&own, stream, false));
         match spawned {
             Ok(thread) => threads.push(thread),
             Err(error) => {

@@ -1,9 +1,7 @@
 //! Which requests a browser may make: those of a page of this server.
 
-use std::net::IpAddr;
-
-use hyper::Uri;
 use hyper::header::{HOST, HeaderMap, HeaderName, ORIGIN};
+use panoscope_base::web::is_own_host;
 
 /// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -14,15 +12,6 @@ pub enum Foreign {
     /// A page of another origin asked.
     #[error("only pages of this server may ask: open its own page")]
     Origin,
-}
-
-/// Whether `Host` is an IP address or `localhost`. A page elsewhere can have its own name resolve to this machine; the `Host` of its requests is
-/// that name.
-fn is_own_host(host: &str) -> bool {
-    let Ok(uri) = host.parse::<Uri>() else { return false };
-    let Some(name) = uri.host() else { return false };
-    let name = name.trim_start_matches('[').trim_end_matches(']');
-    name == "localhost" || name.parse::<IpAddr>().is_ok()
 }
 
 fn only<'h>(headers: &'h HeaderMap, name: &HeaderName) -> Option<&'h str> {

@@ -7,6 +7,7 @@
 
 mod camera;
 mod disturb;
+mod disturbance;
 mod relief;
 mod render;
 mod rows;

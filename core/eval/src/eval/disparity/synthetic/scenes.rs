@@ -4,7 +4,7 @@ use panoscope_base::random::SplitMix64;
 
 use super::SIZE;
 use super::camera::CENTRE;
-use super::disturb::Disturbance;
+use super::disturbance::Disturbance;
 use super::relief::{Bar, Cover, Hill, Relief, Wave};
 use super::texture::{Material, Texture};
 

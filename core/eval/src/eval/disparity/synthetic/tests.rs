@@ -1,6 +1,7 @@
 use panoscope_base::Threads;
 
-use super::disturb::{self, Disturbance};
+use super::disturb;
+use super::disturbance::Disturbance;
 use super::*;
 
 fn condition(name: &str) -> &'static Condition {
