@@ -1,6 +1,6 @@
 //! Maps a plugin's file into the process and reads its descriptor.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 

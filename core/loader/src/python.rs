@@ -1,6 +1,6 @@
 //! Plugins that are Python files: which there are, what they offer by their text, and which interpreter runs them.
 
-use std::ffi::{OsStr, OsString};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

@@ -642,7 +642,9 @@ fn a_full_disk_is_reported_at_once_and_the_run_goes_on() {
 
 #[test]
 fn a_slow_disk_leaves_counted_gaps_and_never_blocks_the_run() {
-    let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
+    // A queue of all frames: a busy machine must not drop any of them.
+    let end = node("end", "drain", "FROM").replace("\"FROM\"", "{ from = \"a.image\", queue = 60 }");
+    let text = [HEAD, &source("a", 400.0), &end].concat();
     let parsed = GraphText::parse("gaps.toml".as_ref(), &text);
     let loader = loader();
     let catalog = loader.catalog(&parsed.plugins());

@@ -477,10 +477,12 @@ mod tests {
         let demo: Vec<String> = light.map(package).chain([PROGRAM_PACKAGE.to_owned()]).collect();
         assert_eq!(demo.len(), 1 + LIGHT.len());
         let engine = ["panoscope-engine".to_owned()];
+        let remote = ["panoscope-remote".to_owned()];
         for (packages, shared, edges) in [
             (&demo[..], &FEATURES[..2], "normal,build"),
             (&product, &FEATURES, "normal,build"),
             (&engine, &FEATURES, "normal,build,dev"),
+            (&remote, &FEATURES, "normal,build"),
         ] {
             let named = packages.iter().flat_map(|name| ["--package", name]).chain(shared.iter().copied());
             let part = features(&workspace, &named.collect::<Vec<_>>(), edges);

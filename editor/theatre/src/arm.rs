@@ -1,11 +1,10 @@
 //! The emergency stop of a robot arm in the graph: one tap stops it, holding releases it.
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use eframe::egui::{
-    Color32, Context, FontId, Galley, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo,
-    WidgetType, pos2, vec2,
+    Color32, Context, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2,
+    vec2,
 };
 use panoscope_audit::Event;
 use panoscope_editor_texts::text;
