@@ -18,7 +18,11 @@ use crate::video::whole_frames;
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Frames of a run that ends by itself.
 const FRAMES: usize = 120;
+/// Frames of one that a second run meets: it waits for a lock for 1 s.
+const LONG_FRAMES: usize = 400;
 const RATE_HZ: f64 = 200.0;
+/// So long may a call take, ms. Some sleeps are longer: they are no hang.
+const HANG_MS: &str = "1000";
 /// Exit code where no file system can be mounted.
 const NO_MOUNT: i32 = 99;
 /// Ticks that may be in the video and not yet in the recording: the recorder writes at least four times a second.
@@ -55,7 +59,7 @@ impl Case {
             1 => Loss::IsolatedKilled,
             2 => Loss::Twice { recording: dice.below(2) == 0 },
             3 => Loss::DiskFull { kib: 8 + 4 * dice.below(40) as u64 },
-            _ => Loss::Asleep { ms: 20 + dice.below(1500) as u64 },
+            _ => Loss::Asleep { ms: 20 + dice.below(2500) as u64 },
         };
         let width_px = [32, 64, 160][dice.below(3)];
         Self { loss, width_px, after_ms: dice.below(400) as u64 }
@@ -92,6 +96,7 @@ impl Running {
         let mut command = Command::new(program);
         command.args(words).current_dir(folder).stdin(Stdio::null()).stdout(file).stderr(also).process_group(0);
         panoscope_testing::own_settings(&mut command, folder);
+        command.env("PANOSCOPE_HANG_MS", HANG_MS);
         let child = command.spawn().map_err(|error| error.to_string())?;
         Ok(Self { child, log: path })
     }
@@ -302,8 +307,8 @@ impl Campaign {
             Loss::Twice { recording } => {
                 let (graph, name) = if recording { ("other.toml", "run.mcap") } else { ("graph.toml", "next.mcap") };
                 std::fs::write(self.folder.join("other.toml"), case.graph("other.mkv")).expect("a file");
-                let mut first = self.record("graph.toml", "run.mcap", Some(FRAMES))?;
-                first.until_frames(&film, case.after_ms / 2)?;
+                let mut first = self.record("graph.toml", "run.mcap", Some(LONG_FRAMES))?;
+                first.until_frames(&film, 3 * case.after_ms)?;
                 // Its log must not be that of the first one.
                 let words = ["record", graph, "-o", name, "--headless", "--frames", "30"];
                 let mut second = Running::start(&self.program, &self.folder, "second.log", &words)?;
@@ -317,7 +322,7 @@ impl Campaign {
                         }
                         self.replay(case, name)?;
                     }
-                    (_, text) if text.contains("another run") => self.whole(case, &film, FRAMES)?,
+                    (_, text) if text.contains("another run") => self.whole(case, &film, LONG_FRAMES)?,
                     (status, text) => return Err(format!("the second run: {status}: {text}")),
                 }
             }
