@@ -8,8 +8,9 @@ use panoscope_engine::{Engine, Options, SetError};
 use panoscope_loader::Live;
 use panoscope_tests::{load, scratch};
 
+use crate::video::whole_frames;
+
 const PATIENCE: Duration = Duration::from_secs(60);
-const CLUSTER: [u8; 4] = [0x1F, 0x43, 0xB6, 0x75];
 
 fn video(id: &str, path: &Path, more: &str) -> String {
     // Room enough that a busy machine drops nothing.
@@ -66,15 +67,9 @@ fn frames(path: &Path) -> u64 {
     let segment = bytes.windows(4).position(|w| w == [0x18, 0x53, 0x80, 0x67]).expect("a segment");
     let size = u64::from_be_bytes(bytes[segment + 4..segment + 12].try_into().expect("eight bytes")) & !(0xFF << 56);
     assert_eq!(segment as u64 + 12 + size, bytes.len() as u64, "{} was not completed", path.display());
-    let mut at = bytes.windows(4).position(|w| w == CLUSTER).unwrap_or(bytes.len());
-    let mut frames = 0;
-    while bytes.get(at..at + 4) == Some(&CLUSTER) {
-        let size = u64::from_be_bytes(bytes[at + 4..at + 12].try_into().expect("eight bytes")) & !(0xFF << 56);
-        at += 12 + size as usize;
-        assert_eq!(bytes[at - 2..at], [0xFF, 0xD9], "frame {frames} is cut off");
-        frames += 1;
-    }
-    frames
+    let (frames, end) = whole_frames(&bytes);
+    assert_ne!(bytes.get(end..end + 4), Some(&[0x1F, 0x43, 0xB6, 0x75][..]), "frame {frames} is cut off");
+    frames as u64
 }
 
 fn names(folder: &Path) -> Vec<String> {

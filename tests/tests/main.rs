@@ -20,6 +20,7 @@ mod isolated_runs;
 mod isolation;
 mod live;
 mod lock;
+mod losses;
 mod machines;
 mod mosaic;
 mod panorama_of_cameras;
@@ -35,3 +36,5 @@ mod samples;
 mod service;
 mod shipped;
 mod sources;
+#[path = "../support/video.rs"]
+mod video;

@@ -1,5 +1,6 @@
 //! Picture files that match a pattern, in the order of their numbers.
 
+use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -79,21 +80,25 @@ pub fn numbered_files(pattern: &Path, what: &str, fits: impl Fn(&Path) -> bool) 
     };
     let entries =
         fs::read_dir(folder).map_err(|error| format!("the folder {} cannot be read: {error}", folder.display()))?;
-    let names: Vec<String> = entries.flatten().filter_map(|e| e.file_name().into_string().ok()).collect();
+    // Names need not be UTF-8.
+    let names: Vec<OsString> = entries.flatten().map(|e| e.file_name()).collect();
     let by_counter = counter(last).is_some();
-    let matches = |name: &&String| {
+    let matches = |name: &&OsString| {
         fits(Path::new(name))
-            && if by_counter { matches_counter(last, name) } else { matches_glob(last.as_bytes(), name.as_bytes()) }
+            && match by_counter {
+                true => matches_counter(last, &name.to_string_lossy()),
+                false => matches_glob(last.as_bytes(), name.as_encoded_bytes()),
+            }
     };
-    let mut found: Vec<&String> = names.iter().filter(matches).collect();
+    let mut found: Vec<&OsString> = names.iter().filter(matches).collect();
     if found.is_empty() {
         let others = names.iter().filter(|n| fits(Path::new(n))).count();
         return Err(match names.iter().find(|n| fits(Path::new(n))) {
-            Some(one) => format!("the folder holds {others} {what}s, {one} among them"),
+            Some(one) => format!("the folder holds {others} {what}s, {} among them", one.display()),
             None => format!("the folder holds {} files and no {what}", names.len()),
         });
     }
-    found.sort_by_cached_key(|name| (natural_order(name), (*name).clone()));
+    found.sort_by_cached_key(|name| (natural_order(&name.to_string_lossy()), (*name).clone()));
     Ok(found.into_iter().map(|name| folder.join(name)).collect())
 }
 
@@ -109,5 +114,22 @@ mod tests {
         assert!(!matches_counter("img_%04d.png", "img_7.png") && !matches_counter("img_%04d.png", "img_00007.png"));
         assert!(matches_counter("%d.png", "7.png") && !matches_counter("%d.png", "x.png"));
         assert!(counter("100%.png").is_none());
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn names_that_are_not_utf_8_are_found() {
+        use std::os::unix::ffi::OsStringExt;
+
+        let folder = std::env::temp_dir().join(format!("panoscope_pictures_{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let names = ["\u{e9}_10.png", "\u{e9}_2.png"].map(|name| name.chars().map(|c| c as u8).collect::<Vec<u8>>());
+        let files = names.map(|name| folder.join(OsString::from_vec(name)));
+        files.iter().for_each(|file| fs::write(file, b"").unwrap());
+        let in_order = [files[1].clone(), files[0].clone()];
+        assert_eq!(image_files(&folder.join("*")).unwrap(), in_order);
+        assert_eq!(image_files(&folder.join("?_*.png")).unwrap(), in_order);
+        assert!(image_files(&folder.join("*.jpg")).unwrap_err().contains("2 images"));
+        fs::remove_dir_all(&folder).unwrap();
     }
 }

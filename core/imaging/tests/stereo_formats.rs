@@ -8,6 +8,12 @@ fn image() -> FloatImage {
     FloatImage { width: 5, height: 3, data: (0..15).map(|i| i as f32 * 1.25 - 4.0).collect() }
 }
 
+/// The image as PFM with another header.
+fn with_header(header: &[u8]) -> Vec<u8> {
+    let pfm = write_pfm(&image());
+    [header, &pfm[pfm.len() - 4 * 15..]].concat()
+}
+
 #[test]
 fn files_come_back_as_they_were() {
     let image = image();
@@ -25,6 +31,12 @@ fn other_byte_orders_and_layouts_are_read() {
         pfm.extend(value.to_be_bytes());
     }
     assert_eq!(read_pfm(&pfm).unwrap().data, [1.0, 2.0, 3.0, 4.0]);
+    // Lines of Windows; and a header of one line whose first value begins with a byte that is a line feed, too.
+    let crlf = with_header(b"Pf\r\n5 3\r\n-1.0\r\n");
+    assert_eq!(read_pfm(&crlf).unwrap(), image());
+    assert!((0..crlf.len()).all(|length| read_pfm(&crlf[..length]).is_err()));
+    let value = [0x0A, 0, 0x80, 0x3F];
+    assert_eq!(read_pfm(&[&b"Pf 1 1 -1.0\r"[..], &value].concat()).unwrap().data, [f32::from_le_bytes(value)]);
     let mut npy = b"\x93NUMPY\x01\x00".to_vec();
     let header = "{'descr': '>f8', 'fortran_order': True, 'shape': (2, 3)}\n";
     npy.extend((header.len() as u16).to_le_bytes());

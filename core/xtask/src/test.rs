@@ -106,7 +106,6 @@ static SUITES: &[Suite] = &[
 /// The campaigns with their long doses. Beside the number of cases each reads a seed, such as `PANOSCOPE_FAULT_SEED`.
 static CAMPAIGNS: &[Suite] = &[
     campaign("faults", &["panoscope-engine"], "test(/^campaign::/)", &[("PANOSCOPE_FAULT_CASES", "2000")]),
-    campaign("edits", &["panoscope-engine"], "test(/^edit_campaign::/)", &[("PANOSCOPE_EDIT_CASES", "500")]),
     campaign(
         "hostile-models",
         &["panoscope-tools"],
@@ -121,8 +120,13 @@ static CAMPAIGNS: &[Suite] = &[
         "test(/^damaged_streams::/)",
         &[("PANOSCOPE_DAMAGE_CASES", "1000")],
     ),
-    // Processes of nodes that die.
-    campaign("deaths", &["panoscope-tests"], "test(/^deaths::/)", &[("PANOSCOPE_DEATH_CASES", "500")]),
+    // Edits of running graphs; processes of nodes that die; programs that are killed, put to sleep, run twice, or find the disk full.
+    campaign(
+        "losses",
+        &["panoscope-engine", "panoscope-tests"],
+        "test(/^(edit_campaign|deaths|losses)::/)",
+        &[("PANOSCOPE_EDIT_CASES", "300"), ("PANOSCOPE_DEATH_CASES", "300"), ("PANOSCOPE_LOSS_CASES", "400")],
+    ),
     // Many runs in one process of Python.
     campaign("leaks", &["panoscope-tests"], "test(/^python_host::runs_and/)", &[("PANOSCOPE_LEAK_RUNS", "500")]),
     // Faults of the network between two machines.
@@ -391,7 +395,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, asan, tsan, faults, edits, hostile-models, disk, damaged-streams, deaths, leaks, network, kill, arm, sim, campaign"
+            "there is no test suite `fualts`; there are: all, lint, code, asan, tsan, faults, hostile-models, disk, damaged-streams, losses, leaks, network, kill, arm, sim, campaign"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));

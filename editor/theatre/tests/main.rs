@@ -18,3 +18,5 @@ mod screen;
 mod stale;
 mod theatre;
 mod trust;
+#[path = "../../../tests/support/video.rs"]
+mod video;

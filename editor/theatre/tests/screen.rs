@@ -1,11 +1,13 @@
 //! The program itself on a virtual screen: its two processes, their ends, and what is left of them.
 
 use crate::common;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use crate::common::program::{Running, Screen, children, signal, until_gone};
 use crate::common::window::GRAPH;
 use crate::common::{Folder, has_plugin};
+use crate::video::whole_frames;
 use panoscope_audit::{Event, read};
 
 fn events(running: &Running) -> Vec<Event> {
@@ -96,6 +98,47 @@ fn the_window_outlives_its_process_and_shows_pictures_again() {
     assert!(
         matches!(&all[..], [Event::Opened { .. }, Event::ProcessEnded { cause }, Event::Closed] if cause.contains("SIGKILL")),
         "{all:?}"
+    );
+}
+
+/// Waits until a video has some whole frames.
+fn until_frames(running: &mut Running, film: &Path) {
+    let until = Instant::now() + common::PATIENCE;
+    while std::fs::read(film).map_or(0, |bytes| whole_frames(&bytes).0) < 10 {
+        assert!(running.end().is_none(), "it has ended");
+        assert!(Instant::now() < until, "{} has no frames", film.display());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn a_killed_process_takes_nothing_of_the_video_with_it() {
+    if !has_plugin("flow") || !has_plugin("sinks") {
+        return;
+    }
+    let Some(screen) = Screen::start() else { return };
+    let text = GRAPH.replace("\"fixtures\"]", "\"fixtures\", \"sinks\"]")
+        + "\n[nodes.film]\ntype = \"write_video\"\ninputs = { image = \"camera.image\" }\nparams = { path = \"film.mkv\" }\n";
+    let mut running = Running::start(&screen, Folder::new("screen_film"), &text, &[]);
+    let pids = running.until_workers(2);
+    let [film, next] = ["film.mkv", "film.part2.mkv"].map(|name| running.folder.0.join(name));
+    until_frames(&mut running, &film);
+    let seen = std::fs::read(&film).expect("the video");
+    signal(pids[0], "KILL");
+    until_gone(&pids[..1]);
+    let left = std::fs::read(&film).expect("the video");
+    assert!(left.starts_with(&seen), "what was written stays");
+    until_frames(&mut running, &next);
+    signal(running.pid(), "TERM");
+    assert!(running.until_end().success());
+    assert!(std::fs::read(&film).expect("the video") == left, "the next process leaves it alone");
+    // The part that was completed has an index behind its frames.
+    let bytes = std::fs::read(&next).expect("the next part");
+    let (frames, end) = whole_frames(&bytes);
+    assert!(
+        frames >= 10 && bytes[end..].starts_with(&[0x1C, 0x53, 0xBB, 0x6B]),
+        "{frames} frames, then {:02x?}",
+        &bytes[end..]
     );
 }
 

@@ -91,6 +91,17 @@ fn pixels_that_gstreamer_does_not_know_are_named_and_end_nothing() {
 }
 
 #[test]
+fn jpegs_without_a_container_are_all_shown() {
+    let folder = Folder::new("jpegs");
+    let name = "a \"b\" \\ c.mjpeg";
+    encode(&folder.0.join("a.mjpeg"), 25.0, SIZE, "jpegenc", (0..10).map(|index| (index, scene(index + 7, SIZE))));
+    std::fs::rename(folder.0.join("a.mjpeg"), folder.0.join(name)).unwrap();
+    let mut node = folder.open(&format!("left = '{name}'"));
+    let shown: Vec<Option<usize>> = drain(&mut node).iter().map(|out| number(out, "left")).collect();
+    assert_eq!(shown, (7..17).map(Some).collect::<Vec<_>>(), "{:?}", node.logs());
+}
+
+#[test]
 fn a_gif_is_refused_at_once() {
     let folder = Folder::new("gif");
     std::fs::write(folder.0.join("a.gif"), b"GIF89a").unwrap();

@@ -374,11 +374,13 @@ impl Node for Yolo {
             out.unlikeness.set_scalar("unlikeness", f64::from(smoothed), "")?;
         }
         let drops = self.was_unlike && params.unlike == Unlike::Drop;
-        out.text.set_text(match (self.was_unlike, drops) {
-            (false, _) => "",
-            (true, false) => "instruments may be missed or misnamed: unfamiliar images",
-            (true, true) => "instruments are not followed: unfamiliar images",
-        })?;
+        if out.text.is_read() {
+            out.text.set_text(match (self.was_unlike, drops) {
+                (false, _) => "",
+                (true, false) => "instruments may be missed or misnamed: unfamiliar images",
+                (true, true) => "instruments are not followed: unfamiliar images",
+            })?;
+        }
         if drops {
             self.candidates.clear();
         }

@@ -48,8 +48,9 @@ pub fn read_pfm(bytes: &[u8]) -> Result<FloatImage, StereoError> {
         return refuse("width, height and scale are not numbers".into());
     };
     let count = area("PFM", width, height)?;
-    // One white space ends the header.
-    let body = rest.get(1..).unwrap_or(&[]);
+    // One white space ends the header, or the line break that the first line has.
+    let is_crlf = bytes.get(2..4) == Some(b"\r\n") && rest.starts_with(b"\r\n");
+    let body = rest.get(if is_crlf { 2 } else { 1 }..).unwrap_or(&[]);
     if body.len() < 4 * count {
         return refuse(format!("{} bytes of values, {} expected", body.len(), 4 * count));
     }

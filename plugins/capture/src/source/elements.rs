@@ -24,6 +24,11 @@ pub fn names(pipeline: &str) -> Vec<&str> {
     parts.filter_map(|part| part.split_whitespace().next()).filter(is_name).collect()
 }
 
+/// A value of a property as a pipeline's text has it, whatever it holds.
+pub fn quoted(value: &str) -> String {
+    format!("\"{}\"", value.replace('\\', "\\\\").replace('"', "\\\""))
+}
+
 /// The first of `names` that this machine does not have; `None` also when it is unknown.
 pub fn missing<'t>(names: &[&'t str]) -> Option<&'t str> {
     names.iter().copied().find(|name| panoscope_media::is_installed(name) == Some(false))

@@ -12,6 +12,8 @@ pub enum FileKind {
     /// An MPEG transport stream, with packets of 188 or 192 bytes, or a program stream. Nothing states its length: GStreamer computes it from
     /// the clocks in it, which may jump.
     Clocked,
+    /// JPEGs without a container. GStreamer plays one of them.
+    Jpegs,
     /// Any other file.
     Other,
 }
@@ -28,6 +30,9 @@ impl FileKind {
         let is_packet = |at: usize| bytes.get(at) == Some(&0x47);
         if bytes.starts_with(b"GIF8") {
             return Self::Gif;
+        }
+        if bytes.starts_with(&[0xFF, 0xD8, 0xFF]) {
+            return Self::Jpegs;
         }
         let is_transport = is_packet(0) && is_packet(188) || is_packet(4) && is_packet(196);
         if is_transport || bytes.starts_with(&[0, 0, 1, 0xBA]) { Self::Clocked } else { Self::Other }
@@ -48,6 +53,7 @@ mod tests {
         assert_eq!([with(&[0, 188]), with(&[4, 196])], [FileKind::Clocked; 2]);
         assert_eq!(FileKind::of_bytes(&[0, 0, 1, 0xBA, 0x44]), FileKind::Clocked);
         assert_eq!(FileKind::of_bytes(b"GIF89a"), FileKind::Gif);
+        assert_eq!(FileKind::of_bytes(&[0xFF, 0xD8, 0xFF, 0xE0]), FileKind::Jpegs);
         assert_eq!([with(&[0]), FileKind::of_bytes(&[]), FileKind::of_bytes(&[0x1A, 0x45])], [FileKind::Other; 3]);
     }
 }

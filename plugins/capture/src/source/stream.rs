@@ -126,7 +126,11 @@ fn open(
             let help = "convert it, for example by `ffmpeg -i IN.gif OUT.mkv`, or one image to PNG";
             return Err(closed(format!("GIF files are not read: {help}")));
         }
-        SourceName::Video(path) | SourceName::Image(path) => InputName::File(path.clone()),
+        SourceName::Video(path) => match path.to_str().filter(|_| FileKind::of(path) == FileKind::Jpegs) {
+            Some(text) => InputName::Text(format!("filesrc location={} ! jpegparse", elements::quoted(text))),
+            None => InputName::File(path.clone()),
+        },
+        SourceName::Image(path) => InputName::File(path.clone()),
         SourceName::Images(files) => InputName::File(files.first().cloned().unwrap_or_default()),
     };
     let options = InputOptions {

@@ -9,6 +9,7 @@ use super::math::{Stream, smoothstep};
 use super::noise::Layers;
 use super::params::SceneParams;
 use super::relief::{NODES, Relief};
+use super::table::Table;
 use super::vessels::{Growth, draw_vessels};
 
 /// Texels per period in each direction.
@@ -19,16 +20,16 @@ pub const SLOPE_LIMIT: f32 = 6.0;
 /// Eight bytes a texel, lowest first: blue, green, red (square roots of the albedo), gloss, slope along
 /// x (high byte, low byte), slope along y (high, low). Bytes are interpolated linearly; a sum of two
 /// linear functions is linear, so that high and low bytes may be put together after interpolation.
-pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Vec<u64> {
+pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Table<u64> {
     bake_with(params, relief, pool, Simd::detect().avx2())
 }
 
-fn bake_with(params: &SceneParams, relief: &Relief, pool: &dyn Parallel, avx2: bool) -> Vec<u64> {
+fn bake_with(params: &SceneParams, relief: &Relief, pool: &dyn Parallel, avx2: bool) -> Table<u64> {
     let texel_mm = relief.period_mm / TEXELS as f32;
     let palette = Palette::of(params.scene).drawn(params.texture);
     let vessels = vessels(params.seed, &palette.vessels, relief.period_mm, pool);
     let skin = Skin::new(params, relief, palette, texel_mm, &vessels);
-    let mut bumps = vec![0f32; TEXELS * TEXELS];
+    let mut bumps = Table::from(vec![0f32; TEXELS * TEXELS]);
     const ROWS: usize = 16;
     {
         let bumps = SharedMut::new(&mut bumps);
@@ -40,7 +41,7 @@ fn bake_with(params: &SceneParams, relief: &Relief, pool: &dyn Parallel, avx2: b
             }
         });
     }
-    let mut texels = vec![0u64; TEXELS * TEXELS];
+    let mut texels = Table::from(vec![0u64; TEXELS * TEXELS]);
     {
         let (texels, bumps) = (SharedMut::new(&mut texels), &bumps[..]);
         pool.run(TEXELS / ROWS, &|chunk| {
@@ -55,9 +56,9 @@ fn bake_with(params: &SceneParams, relief: &Relief, pool: &dyn Parallel, avx2: b
 }
 
 /// All families of vessels in one map of a byte per texel. Each family is drawn on its own, and the stronger one shows.
-fn vessels(seed: u64, families: &[Growth], period_mm: f32, pool: &dyn Parallel) -> Vec<u8> {
+fn vessels(seed: u64, families: &[Growth], period_mm: f32, pool: &dyn Parallel) -> Table<u8> {
     let area = period_mm * period_mm / (128.0 * 128.0);
-    let mut planes = vec![vec![0u8; TEXELS * TEXELS]; families.len().max(1)];
+    let mut planes = vec![Table::from(vec![0u8; TEXELS * TEXELS]); families.len().max(1)];
     {
         let planes = SharedMut::new(&mut planes);
         pool.run(families.len(), &|family| {
@@ -70,9 +71,9 @@ fn vessels(seed: u64, families: &[Growth], period_mm: f32, pool: &dyn Parallel) 
         });
     }
     let mut planes = planes.into_iter();
-    let mut all = planes.next().unwrap_or_default();
+    let mut all = planes.next().unwrap_or_else(|| Vec::new().into());
     for plane in planes {
-        all.iter_mut().zip(plane).for_each(|(texel, other)| *texel = (*texel).max(other));
+        all.iter_mut().zip(plane.iter()).for_each(|(texel, other)| *texel = (*texel).max(*other));
     }
     all
 }
@@ -226,8 +227,8 @@ struct Skin<'a> {
     net: Layers,
     veil: Layers,
     fleck: Layers,
-    slopes: [Vec<f32>; 2],
-    open: Vec<f32>,
+    slopes: [Table<f32>; 2],
+    open: Table<f32>,
 }
 
 impl<'a> Skin<'a> {
@@ -451,9 +452,9 @@ impl<'a> Skin<'a> {
 
 /// How open the surface lies at each node: 1 on ridges and planes, less in hollows, from the depth below the mean
 /// of a square of `2 * radius + 1` nodes, taken twice.
-fn openness(z_mm: &[f32], radius: usize) -> Vec<f32> {
+fn openness(z_mm: &[f32], radius: usize) -> Table<f32> {
     let mean_along = |plane: &[f32], step: usize, across: usize| {
-        let mut out = vec![0.0; NODES * NODES];
+        let mut out = Table::from(vec![0.0; NODES * NODES]);
         for line in 0..NODES {
             let at = |k: usize| line * across + (k % NODES) * step;
             let mut sum: f64 = (0..=2 * radius).map(|k| f64::from(plane[at(k + NODES - radius)])).sum();
@@ -466,7 +467,7 @@ fn openness(z_mm: &[f32], radius: usize) -> Vec<f32> {
     };
     let blur = |plane: &[f32]| mean_along(&mean_along(plane, 1, NODES), NODES, 1);
     let mean = blur(&blur(z_mm));
-    z_mm.iter().zip(&mean).map(|(z, mean)| 1.0 - 0.45 * smoothstep(0.0, 2.2, z - mean)).collect()
+    z_mm.iter().zip(mean.iter()).map(|(z, mean)| 1.0 - 0.45 * smoothstep(0.0, 2.2, z - mean)).collect()
 }
 
 /// Round lobes between the lines where the noise is zero, 0..1.

@@ -27,6 +27,7 @@ mod scenario;
 mod scratch;
 mod shade;
 mod solid;
+mod table;
 #[cfg(test)]
 mod tests;
 mod tools;

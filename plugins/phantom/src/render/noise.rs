@@ -1,6 +1,7 @@
 //! Value noise smoothed by cubic B-splines: periodic, twice differentiable, cheap to evaluate in rows.
 
 use super::math::{hash, unit};
+use super::table::Table;
 
 /// Weights of the four lattice values around a point `u` in `0..1` between the middle two.
 #[inline(always)]
@@ -14,7 +15,7 @@ pub fn bspline(u: f32) -> [f32; 4] {
 /// One octave of noise, periodic over `cells` lattice steps in both directions; values in about -1..1.
 #[derive(Clone, Debug)]
 pub struct Octave {
-    lattice: Vec<f32>,
+    lattice: Table<f32>,
     cells: usize,
 }
 

@@ -14,6 +14,7 @@ use super::relief::{NODES, Relief};
 use super::scratch::TruthScratch;
 use super::shade::{self, portable};
 use super::shade::{Picture, Sensor, Skin, rows_of};
+use super::table::Table;
 use super::tools::{self, Tool};
 
 /// Rows drawn by one chunk; a multiple of the tile.
@@ -32,14 +33,14 @@ pub struct Phantom {
     pub(super) params: SceneParams,
     pub(super) rig: Rig,
     pub(super) relief: Relief,
-    texels: Vec<u64>,
+    texels: Table<u64>,
     script: Script,
     smoke: Option<Smoke>,
     /// Sub-frames of a picture while nothing goes wrong.
     subframes: usize,
     pub(super) tools: Vec<Tool>,
     /// Surface of the frame drawn last.
-    z_mm: Vec<f32>,
+    z_mm: Table<f32>,
     breath_mm: f32,
     pub(super) camera_buffers: Vec<CameraBuffers>,
     pub(super) truth: TruthScratch,

@@ -10,6 +10,7 @@ use super::marks;
 use super::math::smoothstep;
 use super::noise::Layers;
 use super::params::SceneParams;
+use super::table::Table;
 
 /// Nodes per period in each direction.
 pub const NODES: usize = 512;
@@ -23,11 +24,11 @@ pub struct Relief {
     /// The field repeats after this many mm in x and y.
     pub period_mm: f32,
     /// `z` of each node at rest, mm, row after row.
-    pub z_mm: Vec<f32>,
+    pub z_mm: Table<f32>,
     /// Displacement of each node along z for one mm of breathing.
-    pub breath: Vec<f32>,
+    pub breath: Table<f32>,
     /// Share of the scene's second tissue (fat, mesentery, the deeper organ), 0..1.
-    pub second: Vec<f32>,
+    pub second: Table<f32>,
     /// Upper bound of the slope anywhere, breathing included.
     pub max_slope: f32,
     /// Upper bound of the slope within a block of nodes and the blocks around it, rows of [`BLOCKS`].
@@ -43,9 +44,8 @@ impl Relief {
         let distance = params.distance_mm as f32;
         let period_mm = if distance < 32.0 { 64.0 } else { 128.0 };
         let shape = Shape::new(params, period_mm);
-        let mut z_mm = vec![0.0; NODES * NODES];
-        let mut second = vec![0.0; NODES * NODES];
-        let mut breath = vec![0.0; NODES * NODES];
+        let plane = || Table::from(vec![0.0; NODES * NODES]);
+        let (mut z_mm, mut second, mut breath) = (plane(), plane(), plane());
         let swell = Layers::new(params.seed, 90, &[(4, 0.25)]);
         {
             let (z, s, b) = (SharedMut::new(&mut z_mm), SharedMut::new(&mut second), SharedMut::new(&mut breath));
