@@ -557,9 +557,11 @@ typedef struct PanoscopeHost {
      */
     void (*save)(void *sink, const uint8_t *bytes, size_t len);
     /**
-     * Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. With `file`, the host
-     * answers the path to write, valid until the call ends: `path` itself the first time in a run, later `name.part2.ending` and so on, so
-     * that nothing written in this run is cut off. `PANOSCOPE_STATUS_INVALID` and `file` set to the other node's name: an open node writes it.
+     * Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. `file`, which may be null, is
+     * set to a text that is valid until the call ends. With `PANOSCOPE_STATUS_OK` that is the path to write. For PANOSCOPE_CLAIM_HOLD it is the same in the
+     * whole run; otherwise it is `path` itself the first time in a run, later `name.part2.ending` and so on, so that nothing written in this
+     * run is cut off. With `PANOSCOPE_STATUS_INVALID` it is the name of the open node that writes the file, with `PANOSCOPE_STATUS_ERROR` a message: another run
+     * writes it.
      */
     PanoscopeStatus (*claim_file)(void *call, struct PanoscopeStr path, uint32_t action, struct PanoscopeStr *file);
     /**

@@ -190,9 +190,11 @@ pub struct Host {
     pub random: Option<unsafe extern "C" fn(call: *mut c_void) -> u64>,
     /// Takes bytes of [`crate::NodeType::save_state`].
     pub save: Option<unsafe extern "C" fn(sink: *mut c_void, bytes: *const u8, len: usize)>,
-    /// Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. With `file`, the host
-    /// answers the path to write, valid until the call ends: `path` itself the first time in a run, later `name.part2.ending` and so on, so
-    /// that nothing written in this run is cut off. `STATUS_INVALID` and `file` set to the other node's name: an open node writes it.
+    /// Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. `file`, which may be null, is
+    /// set to a text that is valid until the call ends. With `STATUS_OK` that is the path to write. For [`CLAIM_HOLD`] it is the same in the
+    /// whole run; otherwise it is `path` itself the first time in a run, later `name.part2.ending` and so on, so that nothing written in this
+    /// run is cut off. With `STATUS_INVALID` it is the name of the open node that writes the file, with `STATUS_ERROR` a message: another run
+    /// writes it.
     pub claim_file: Option<unsafe extern "C" fn(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status>,
     /// The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
     pub clock_ns: Option<unsafe extern "C" fn(call: *mut c_void) -> i64>,

@@ -6,6 +6,7 @@
 //! - [`Parallel`]: how a kernel splits its work without knowing whose threads run it.
 //! - [`Simd`]: which instruction set a kernel may use.
 //! - [`onnx`]: which files hold the weights of a model, where ONNX Runtime is.
+//! - [`files`]: creates output files.
 //! - [`program`]: where the installation is that the running process belongs to.
 //! - [`secret`]: hides user and password of addresses; reads them from the environment.
 //! - [`web`]: which requests of a browser a server may answer.
@@ -14,6 +15,7 @@
 //! The crate sees only the contract. Unsafe code is confined to the two modules that opt in below.
 #![deny(unsafe_code)]
 
+pub mod files;
 pub mod format;
 #[expect(unsafe_code, reason = "AVX2 loads and stores go through pointers")]
 pub mod gray;

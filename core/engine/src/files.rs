@@ -3,9 +3,11 @@
 use std::ffi::OsString;
 use std::fs::{self, DirBuilder, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{DirBuilderExt, FileTypeExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+pub use panoscope_base::files::{create, is_special};
 
 /// How long a run waits for the lock of an output: one that was just killed may still be ending.
 pub const LOCK_PATIENCE: Duration = Duration::from_secs(1);
@@ -92,30 +94,6 @@ fn is_at(file: &File, path: &Path) -> bool {
         (Ok(open), Ok(found)) => (open.dev(), open.ino()) == (found.dev(), found.ino()),
         _ => false,
     }
-}
-
-/// Whether `path` leads to a device, a pipe or a socket, which are written to and never replaced.
-pub fn is_special(path: &Path) -> bool {
-    path.metadata().is_ok_and(|found| {
-        let kind = found.file_type();
-        kind.is_char_device() || kind.is_block_device() || kind.is_fifo() || kind.is_socket()
-    })
-}
-
-/// Creates a file with mode 0600 in place of a file or a symbolic link of that name; the target of a link stays as it is. Devices and pipes
-/// are opened.
-///
-/// # Errors
-/// Those of the system.
-pub fn create(path: &Path) -> io::Result<File> {
-    if is_special(path) {
-        return OpenOptions::new().write(true).open(path);
-    }
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-        _ => {}
-    }
-    OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)
 }
 
 /// Opens a file for appending; one that is created has mode 0600. A symbolic link is replaced by a file, as in [`create`].

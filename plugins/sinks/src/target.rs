@@ -3,9 +3,10 @@
 use std::collections::VecDeque;
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
+use panoscope_base::files::create;
 use panoscope_node::{Context, Finish, Open, Result as NodeResult, Validation};
 
 /// Ending of a file that is still being written.
@@ -102,21 +103,6 @@ pub fn make_folder(path: &Path) -> Result<(), SinkError> {
             created.map_err(|error| SinkError::io(path, error))
         }
         _ => Ok(()),
-    }
-}
-
-/// Creates a file with mode 0600 in place of a file or a symbolic link of that name; the target of a link stays as it is. Devices and pipes
-/// are opened.
-///
-/// # Errors
-/// Those of the system.
-pub fn create(path: &Path) -> io::Result<File> {
-    if path.metadata().is_ok_and(|found| !found.is_file()) {
-        return OpenOptions::new().write(true).open(path);
-    }
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
-        _ => OpenOptions::new().write(true).create_new(true).mode(0o600).open(path),
     }
 }
 

@@ -11,7 +11,9 @@ use panoscope_node::{NodeError, Result as NodeResult};
 use super::codec::{Codec, FileKind};
 use super::timeline::{Pacing, Timeline};
 use crate::formats::mkv::{Muxer, Track};
-use crate::target::{SinkError, create, sync};
+use panoscope_base::files::create;
+
+use crate::target::{SinkError, sync};
 
 /// Frame rate where pictures have their own times or there is only one.
 const FALLBACK_FPS: f64 = 30.0;
