@@ -12,6 +12,14 @@ fn disparity(x: f64, y: f64, t: f64) -> f64 {
     290.0 + t + 22.0 * (0.012 * x + 0.3 * t).sin() * (0.017 * y).cos() + 9.0 * (0.04 * y + 0.021 * x).sin()
 }
 
+/// Disparity of an instrument in front of it, px.
+const TOOL_PX: f64 = 350.0;
+
+/// Whether a slanted shaft from the right, which moves up and down, covers a point of the left view.
+fn is_tool(x: f64, y: f64, t: f64) -> bool {
+    x > 430.0 && (y - 230.0 - 8.0 * t.sin() - 0.2 * (x - 430.0)).abs() < 30.0
+}
+
 /// Waves and blocks: edges at all scales.
 fn colour(u: f64, v: f64) -> [u8; 3] {
     let wave = 40.0 * (0.021 * u + 0.3 * (0.013 * v).sin()).sin() + 25.0 * (0.11 * v + 0.017 * u).sin();
@@ -20,10 +28,13 @@ fn colour(u: f64, v: f64) -> [u8; 3] {
 }
 
 /// The left picture, or the right one, which shows the same points shifted by their disparity.
-fn picture((w, h): (usize, usize), t: f64, is_right: bool) -> Vec<u8> {
+fn picture((w, h): (usize, usize), t: f64, is_right: bool, has_tool: bool) -> Vec<u8> {
     let k = w as f64 / 640.0;
     let at = |x: usize, y: usize| {
         let (u, v) = (x as f64 / k, y as f64 / k);
+        if has_tool && is_tool(if is_right { u + TOOL_PX } else { u }, v, t) {
+            return [120; 3];
+        }
         let first = if is_right { u + disparity(u + 290.0, v, t) } else { u };
         colour(if is_right { u + disparity(first, v, t) } else { u }, v)
     };
@@ -31,28 +42,33 @@ fn picture((w, h): (usize, usize), t: f64, is_right: bool) -> Vec<u8> {
 }
 
 /// What a block matcher finds: nothing in the columns that only the left view sees, and holes.
-fn map((w, h): (usize, usize), t: f64) -> Vec<f32> {
+fn map((w, h): (usize, usize), t: f64, has_tool: bool) -> Vec<f32> {
     let k = w as f64 / 640.0;
     let at = |x: usize, y: usize| {
-        let d = disparity(x as f64 / k, y as f64 / k, t) * k;
+        let (u, v) = (x as f64 / k, y as f64 / k);
+        let is_tool = has_tool && is_tool(u, v, t);
+        let d = if is_tool { TOOL_PX * k } else { disparity(u, v, t) * k };
         let noise = ((x * 31 + y * 17) % 9) as f64 / 9.0 - 0.5;
-        let is_hole = (x / 16 * 5 + y / 16 * 3).is_multiple_of(11);
+        // Metal is matched in patches only.
+        let is_unmatched_metal = is_tool && !(x / 12 + y / 12).is_multiple_of(2);
+        let is_hole = is_unmatched_metal || (x / 16 * 5 + y / 16 * 3).is_multiple_of(11);
         if is_hole || d > x as f64 { f32::NAN } else { (d + 0.6 * noise) as f32 }
     };
     (0..h).flat_map(|y| (0..w).map(move |x| at(x, y))).collect()
 }
 
-fn time(size: (usize, usize), crop: CropMethod, pool: &dyn Parallel) -> Option<()> {
+fn time(size: (usize, usize), crop: CropMethod, has_tool: bool, pool: &dyn Parallel) -> Option<()> {
     let (w, h) = size;
     let cropped = if crop == CropMethod::None { "" } else { " cropped" };
-    let case = format!("{w}x{h} {} threads{cropped}", pool.threads());
+    let with_tool = if has_tool { " instrument" } else { "" };
+    let case = format!("{w}x{h} {} threads{cropped}{with_tool}", pool.threads());
     if std::env::args().skip(1).any(|word| !word.starts_with("--") && !case.contains(&word)) {
         return Some(());
     }
     let k = w as f64 / 640.0;
     let frames: Vec<_> = (0..7)
         .map(|n| f64::from(n) * 0.7)
-        .map(|t| (t, picture(size, t, false), picture(size, t, true), map(size, t)))
+        .map(|t| (t, picture(size, t, false, has_tool), picture(size, t, true, has_tool), map(size, t, has_tool)))
         .collect();
     let straight = RectifiedView {
         size,
@@ -109,8 +125,9 @@ fn main() {
     let pair = Threads::new(2);
     for pool in [&panoscope_imaging::Serial as &dyn Parallel, &pair] {
         let sizes = [(640, 480), (1920, 1080)];
-        for (size, crop) in sizes.into_iter().flat_map(|size| [(size, CropMethod::None), (size, CropMethod::Filled)]) {
-            if time(size, crop, pool).is_none() {
+        let cases = [(CropMethod::None, false), (CropMethod::Filled, false), (CropMethod::Filled, true)];
+        for (size, (crop, has_tool)) in sizes.into_iter().flat_map(|size| cases.map(|case| (size, case))) {
+            if time(size, crop, has_tool, pool).is_none() {
                 println!("the compositor refuses the views");
             }
         }

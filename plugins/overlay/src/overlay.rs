@@ -123,6 +123,10 @@ pub struct Settings {
     /// Lines of the bar below the picture.
     #[param(default = 2, range = 1..=8)]
     pub bar_lines: usize,
+    /// Width of the output that a small picture with a bar is enlarged to, by the nearest whole factor, so that the text stays sharp on a large screen.
+    /// 0 keeps its size.
+    #[param(default = 0, range = 0..=4096, unit = "px")]
+    pub wanted_width: usize,
     /// Text that is always written in the corner; the title of a bar below the picture.
     #[param(default = "")]
     pub label: String,
@@ -157,8 +161,15 @@ const WORDS_SHARE: f32 = 0.45;
 
 /// Width of a picture at which marks and words have the size of the parameters where words stand below it.
 const USUAL_WIDTH: f32 = 640.0;
+/// Largest factor by which a picture is enlarged before its bar is written.
+const MAX_ENLARGEMENT: f64 = 4.0;
 /// Least size of words below a picture, as a share of the parameter's.
 const LEAST_SCALE: f32 = 0.5;
+
+/// Whole factor by which a picture of a width comes nearest to the wanted one.
+fn enlargement(width: usize, wanted_width: usize) -> usize {
+    (wanted_width as f64 / width.max(1) as f64).round().clamp(1.0, MAX_ENLARGEMENT) as usize
+}
 
 /// Breaks lines that are wider than `width_px` at spaces.
 fn wrap(words: &mut String, width_px: f32, scale: f32) {
@@ -186,6 +197,8 @@ pub struct Overlay {
     words: String,
     item: String,
     inset: Vec<u8>,
+    /// A picture with its marks, before it is enlarged.
+    small: Vec<u8>,
     fit: Fit,
     labels: Labels,
     bar: Bar,
@@ -326,20 +339,33 @@ impl Node for Overlay {
         if !something && !is_below {
             return out.image.forward(input.image.frame());
         }
-        let mut whole;
+        let whole;
         let mut picture;
         let mut below = None;
+        let mut enlarged = None;
+        let mut small = std::mem::take(&mut self.small);
+        let mut bar_scale = 0.0;
         if is_below {
             let scale = (frame.0 as f32 / USUAL_WIDTH).max(LEAST_SCALE);
             (pen.line_px, pen.text_scale) = (pen.line_px * scale.max(1.0), pen.text_scale * scale);
-            let bar_px = bar::height_px(params.bar_lines, pen.text_scale);
-            whole = out.image.alloc(frame.0, frame.1 + bar_px)?;
-            let from = input.image.view();
-            (0..frame.1).for_each(|y| whole.row_mut(y).copy_from_slice(from.row(y)));
-            let (width, stride) = (whole.width, whole.stride);
-            let (upper, lower) = whole.data.split_at_mut(frame.1 * stride);
-            picture = ViewMut::with_stride(upper, width, frame.1, 3, stride);
+            let factor = enlargement(frame.0, params.wanted_width);
+            let (width, height) = (factor * frame.0, factor * frame.1);
+            bar_scale = factor as f32 * pen.text_scale;
+            let bar_px = bar::height_px(params.bar_lines, bar_scale);
+            whole = out.image.alloc(width, height + bar_px)?;
+            let stride = whole.stride;
+            let (upper, lower) = whole.data.split_at_mut(height * stride);
+            let upper = ViewMut::with_stride(upper, width, height, 3, stride);
             below = Some(ViewMut::with_stride(lower, width, bar_px, 3, stride));
+            picture = if factor == 1 {
+                upper
+            } else {
+                enlarged = Some(upper);
+                small.resize(3 * frame.0 * frame.1, 0);
+                ViewMut::new(&mut small, frame.0, frame.1, 3)
+            };
+            let from = input.image.view();
+            (0..frame.1).for_each(|y| picture.row_mut(y).copy_from_slice(from.row(y)));
         } else {
             picture = out.image.alloc_copy(&input.image)?;
         }
@@ -394,9 +420,14 @@ impl Node for Overlay {
         if let Some(table) = &nearness {
             nearness::draw(&mut picture, table, &pen, &mut self.item, &mut self.bar);
         }
+        if let Some(mut upper) = enlarged {
+            let size = (upper.width, upper.height);
+            self.fit.place(&mut upper, &picture.as_view(), (0, 0), size);
+        }
         if let Some(mut below) = below {
             self.bar.add(&self.words, None);
-            self.bar.draw(&mut below, params.bar_lines, pen.text_scale);
+            self.bar.draw(&mut below, params.bar_lines, bar_scale);
+            self.small = small;
             return Ok(());
         }
         let words = self.words.trim_end();

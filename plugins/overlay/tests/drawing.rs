@@ -317,6 +317,26 @@ fn titles_of_a_screen_stand_below_its_pictures() {
 }
 
 #[test]
+fn a_bar_of_a_small_picture_is_written_at_the_size_of_the_screen() {
+    let written = |width: usize, height: usize, wanted: usize| {
+        let params = format!("params = {{ label = \"panorama\", words = \"below\", wanted_width = {wanted} }}");
+        let mut node = Harness::<Overlay>::from_toml(&params).unwrap();
+        let out = node.input_image::<Bgr8>("image", width, height, &[90; 3].repeat(width * height)).process().unwrap();
+        let view = out.plane::<Bgr8>("image").unwrap();
+        let bar: Vec<u8> = (0..view.height).flat_map(|y| view.row(y).to_vec()).collect();
+        (view.width, view.height, bar)
+    };
+    let (width, height, small) = written(320, 240, 640);
+    let (large_width, large_height, large) = written(640, 480, 640);
+    assert_eq!((width, height), (large_width, large_height));
+    let from = 3 * width * 480;
+    assert!(small[from..] == large[from..], "letters have the same sharpness");
+    assert!(small[..from].iter().all(|value| *value == 90), "the picture is enlarged");
+    assert_eq!(written(600, 450, 640).0, 600, "nearly as large");
+    assert_eq!(written(320, 240, 0).0, 320, "0 keeps the size");
+}
+
+#[test]
 fn a_trajectory_writes_on_the_picture_only_where_nobody_else_does() {
     let run = |read: &[&str], show_box: bool| {
         let setup = Setup::new(&format!("params = {{ show_box = {show_box}, text_scale = 3.0 }}")).read_only(read);

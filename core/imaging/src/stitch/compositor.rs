@@ -436,6 +436,7 @@ impl Compositor {
                 source_from_tap: IDENTITY,
                 shift: None,
                 moved: None,
+                moved_spans: Vec::new(),
                 origins: [[0.0; 2]; 2],
                 tap_step: 1.0,
                 taps: Taps::default(),
@@ -472,6 +473,10 @@ impl Compositor {
         warp.moved = None;
         if let Some(mesh) = mesh.filter(|_| view == 0) {
             warp.moved = mesh.moved().and_then(|bounds| on_canvas(bounds, canvas));
+            if let Some(moved) = warp.moved {
+                let grid = MeshGrid { mesh, origin: warp.origins[0], step: 1.0 };
+                grid.moved_spans((size.width, size.height), moved, &mut warp.moved_spans);
+            }
             stay_outside(mesh, (w, h), canvas, spans);
         }
         let lit = self.layers.lit[view].as_ref().filter(|part| part.size() == (w, h));

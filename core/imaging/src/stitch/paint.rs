@@ -50,6 +50,8 @@ pub(super) struct Warp {
     pub(super) shift: Option<(i64, i64)>,
     /// Canvas rectangle in which the mesh of the reference view moves it.
     pub(super) moved: Option<Rect>,
+    /// Columns of each canvas row in which it does; of use where `moved` is.
+    pub(super) moved_spans: Vec<Span>,
     /// Positions of the first canvas pixel and of the first tap on the reference plane, px.
     pub(super) origins: [[f32; 2]; 2],
     /// Distance of neighbouring taps there, px.
@@ -340,8 +342,8 @@ struct Source<'a> {
     view: View<'a, u8>,
     source_from_canvas: Mapping<'a>,
     shift: Option<(i64, i64)>,
-    /// Where the view is sampled although it is only shifted elsewhere.
-    moved: Option<Rect>,
+    /// Where the view is sampled although it is only shifted elsewhere: bounds, and columns of each canvas row.
+    moved: Option<(Rect, &'a [Span])>,
     gain: [i16; 4],
     avx2: bool,
 }
@@ -356,7 +358,8 @@ impl<'a> Source<'a> {
     fn new(view: &View<'a, u8>, warp: &'a Warp, mesh: Option<&'a Mesh>, gain: &[f32; 3], avx2: bool) -> Self {
         let is_plain = mesh.is_none() || warp.moved.is_some();
         let shift = warp.shift.filter(|_| is_plain && gain.iter().all(|g| *g == 1.0));
-        let (source_from_canvas, moved) = (warp.mapping(mesh), warp.moved.filter(|_| mesh.is_some()));
+        let moved = warp.moved.filter(|_| mesh.is_some()).map(|bounds| (bounds, &warp.moved_spans[..]));
+        let source_from_canvas = warp.mapping(mesh);
         Self { view: *view, source_from_canvas, shift, moved, gain: fixed_gain(gain), avx2 }
     }
 
@@ -367,7 +370,8 @@ impl<'a> Source<'a> {
             Mapping::Plane(_) => None,
         };
         let (source_from_canvas, gain) = (*source_from_canvas, self.gain);
-        DrawnView { view: self.view, source_from_canvas, mesh, shift: self.shift, moved: self.moved, gain }
+        let moved = self.moved.map(|(bounds, _)| bounds);
+        DrawnView { view: self.view, source_from_canvas, mesh, shift: self.shift, moved, gain }
     }
 
     /// Samples up to a block of canvas pixels from `(x, y)` on into `work.pixels`.
@@ -380,10 +384,9 @@ impl<'a> Source<'a> {
     /// Writes the canvas columns `start..end` of row `y` into `row`.
     fn draw(&self, start: usize, end: usize, y: usize, row: &mut [u8], work: &mut Work) {
         let Some(shift) = self.shift else { return self.draw_sampled(start, end, y, row, work) };
-        let Some(moved) = self.moved.filter(|moved| y >= moved.y && y < moved.y + moved.height) else {
-            return self.copy(shift, start, end, y, row);
-        };
-        let (from, to) = (moved.x.clamp(start, end), (moved.x + moved.width).clamp(start, end));
+        let moved = self.moved.and_then(|(_, spans)| spans.get(y)).filter(|span| !span.is_empty());
+        let Some(moved) = moved else { return self.copy(shift, start, end, y, row) };
+        let (from, to) = ((moved.start as usize).clamp(start, end), (moved.end as usize).clamp(start, end));
         self.copy(shift, start, from, y, row);
         self.draw_sampled(from, to, y, row, work);
         self.copy(shift, to, end, y, row);

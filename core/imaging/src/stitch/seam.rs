@@ -79,6 +79,8 @@ pub struct Seam {
     path_cost: Vec<f32>,
     path_from: Vec<u32>,
     path: Vec<u32>,
+    /// Per crossing of a line: the least cost of a path to it from the line before, and where that comes from.
+    arrivals: Vec<(f32, u32)>,
     /// Per row of cells: first column, one past the last column and one past the last row of the label changes.
     changes: Vec<(usize, usize, usize)>,
 }
@@ -95,6 +97,7 @@ impl Seam {
         self.path_cost.reserve(path.saturating_sub(self.path_cost.len()));
         self.path_from.reserve(path.saturating_sub(self.path_from.len()));
         self.path.reserve(columns.max(rows).saturating_sub(self.path.len()));
+        self.arrivals.reserve((columns.max(rows) + 1).saturating_sub(self.arrivals.len()));
         self.changes.reserve(rows.saturating_sub(self.changes.len()));
         self.kept.reserve((columns * rows).saturating_sub(self.kept.len()));
         cut.reserve(columns * rows);
@@ -123,6 +126,11 @@ impl Seam {
         let moved = reference.and_then(|mesh| Some((mesh, mesh.moved()?)));
         for y in 0..self.rows {
             for x in 0..self.columns {
+                // A seam runs between cells that both views cover.
+                if self.class[y * self.columns + x] != BOTH {
+                    self.doubt[y * self.columns + x] = 0.0;
+                    continue;
+                }
                 let middle = |cell: usize, origin: i32| (cell as f32 + 0.5) * scale as f32 - origin as f32;
                 let at = [middle(x, canvas.left), middle(y, canvas.top)];
                 let mut doubt_px = mesh.doubt_px(at);
@@ -388,51 +396,55 @@ impl Seam {
                 must.filter(|(new, _)| *new != (is_behind == new_last)).map_or(0.0, |(_, levels)| levels)
             };
             let mut wrong: f32 = if self.kept.is_empty() { 0.0 } else { (low..high).map(|c| is_wrong(c, true)).sum() };
+            // Cells that change their view when all lie behind the crossing; then one after the other lies before it.
+            let takes = |c: usize| self.take[index(line, c)] == 1;
+            let mut changed = (low..high).filter(|c| takes(*c) != new_last).count();
+            self.arrivals.clear();
+            self.arrivals.resize(high + 1 - low, (0.0, 0));
+            if let Some((l, (from, to))) = above {
+                // Moving sideways parts each cell passed from the one above it.
+                let step = |c: usize| {
+                    let here = self.weight[index(line, c)];
+                    let there = if c >= from && c < to { self.weight[index(l, c)] } else { here };
+                    here + there + LENGTH_LEVELS
+                };
+                let start = |p: usize| if (from..=to).contains(&p) { self.path_cost[l * stride + p] } else { f32::MAX };
+                // From the crossings at `x` and to the right of it.
+                let mut best = (f32::MAX, from as u32);
+                for x in (low..=high.max(to)).rev() {
+                    let (straight, along) = (start(x), best.0 + if x < cells { step(x) } else { 0.0 });
+                    best = if straight <= along { (straight, x as u32) } else { (along, best.1) };
+                    if x <= high {
+                        self.arrivals[x - low] = best;
+                    }
+                }
+                // And from those to the left of it.
+                best = (f32::MAX, from as u32);
+                for x in low.min(from) + 1..=high {
+                    let before = start(x - 1);
+                    best = if before <= best.0 { (before, x as u32 - 1) } else { best };
+                    best.0 += step(x - 1);
+                    if x >= low && best.0 < self.arrivals[x - low].0 {
+                        self.arrivals[x - low] = best;
+                    }
+                }
+            }
             for x in low..=high {
-                if x > low && !self.kept.is_empty() {
-                    wrong += is_wrong(x - 1, false) - is_wrong(x - 1, true);
+                if x > low {
+                    changed = if takes(x - 1) == new_last { changed + 1 } else { changed - 1 };
+                    if !self.kept.is_empty() {
+                        wrong += is_wrong(x - 1, false) - is_wrong(x - 1, true);
+                    }
                 }
                 let mut own = match x {
                     x if x == low => RIM * (2.0 * self.weight[index(line, low)] + LENGTH_LEVELS),
                     x if x == high => RIM * (2.0 * self.weight[index(line, high - 1)] + LENGTH_LEVELS),
                     _ => self.weight[index(line, x - 1)] + self.weight[index(line, x)] + LENGTH_LEVELS,
                 };
-                let changed = (low..high).filter(|c| (self.take[index(line, *c)] == 1) != ((*c >= x) == new_last));
-                own += hold * changed.count() as f32 + wrong;
-                let mut best = (0.0, x as u32);
-                if let Some((l, (from, to))) = above {
-                    best = (f32::MAX, from as u32);
-                    // Moving sideways parts each cell passed from the one above it.
-                    let mut try_path = |p: usize, way: f32| {
-                        let total = self.path_cost[l * stride + p] + way;
-                        if total < best.0 {
-                            best = (total, p as u32);
-                        }
-                    };
-                    let step = |c: usize| {
-                        let here = self.weight[index(line, c)];
-                        let there = if c >= from && c < to { self.weight[index(l, c)] } else { here };
-                        here + there + LENGTH_LEVELS
-                    };
-                    let mut way = 0.0;
-                    for p in x..=to {
-                        if p >= from {
-                            try_path(p, way);
-                        }
-                        if p < cells {
-                            way += step(p);
-                        }
-                    }
-                    way = 0.0;
-                    for p in (from..x).rev() {
-                        way += step(p);
-                        if p <= to {
-                            try_path(p, way);
-                        }
-                    }
-                }
-                self.path_cost[line * stride + x] = best.0 + own;
-                self.path_from[line * stride + x] = best.1;
+                own += hold * changed as f32 + wrong;
+                let (arrived, from) = if above.is_some() { self.arrivals[x - low] } else { (0.0, x as u32) };
+                self.path_cost[line * stride + x] = arrived + own;
+                self.path_from[line * stride + x] = from;
             }
             last = Some(line);
         }

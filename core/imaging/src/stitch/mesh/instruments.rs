@@ -112,6 +112,8 @@ pub struct Instruments {
     depth: Vec<u8>,
     queue: Vec<usize>,
     line: Vec<u8>,
+    /// Columns and rows from a cell to those on the way to where the other view draws it.
+    steps: Vec<[isize; 2]>,
     /// Of the instruments of this frame.
     cuts: [Cut; MAX_INSTRUMENTS],
     tracks: [Track; MAX_INSTRUMENTS],
@@ -420,6 +422,9 @@ impl Instruments {
             }
         }
         self.cuts = cuts;
+        if same.iter().enumerate().all(|(label, same)| label == *same as usize) {
+            return;
+        }
         for label in 1..=MAX_INSTRUMENTS {
             if same[label] != label as u8 {
                 self.tracks[label - 1] = Track::default();
@@ -503,20 +508,23 @@ impl Instruments {
         self.drawn.clone_from(&self.own);
         let [x, y] = how.along;
         let long = (x * x + y * y).sqrt().max(1e-9);
+        self.steps.clear();
+        let limit = self.columns + self.rows;
+        self.steps.extend((1..=limit).map(|step| [x, y].map(|along| (-along / long * step as f64).round() as isize)));
         for (cell, label) in self.own.iter().enumerate().filter(|(_, label)| **label != 0) {
             let is_sure = self.sure[cell] != 0;
             let cells = f64::from(self.nearer[cell]) / self.cell_px as f64;
-            let start = [(cell % self.columns) as f64, (cell / self.columns) as f64];
-            let limit = (self.columns + self.rows) as f64;
+            let start = [cell % self.columns, cell / self.columns];
             // NaN draws nothing.
-            for step in 1..=cells.clamp(0.0, limit).ceil() as usize {
-                let [u, v] = [0, 1].map(|k| (start[k] - how.along[k] / long * step as f64).round());
-                if u >= 0.0 && v >= 0.0 && (u as usize) < self.columns && (v as usize) < self.rows {
-                    let passed = v as usize * self.columns + u as usize;
-                    for (labels, counts) in [(&mut self.drawn, true), (&mut self.sure, is_sure)] {
-                        if counts && labels[passed] == 0 {
-                            labels[passed] = *label;
-                        }
+            for step in self.steps.iter().take(cells.max(0.0).ceil() as usize) {
+                let [Some(u), Some(v)] = [0, 1].map(|k| start[k].checked_add_signed(step[k])) else { break };
+                if u >= self.columns || v >= self.rows {
+                    break;
+                }
+                let passed = v * self.columns + u;
+                for (labels, counts) in [(&mut self.drawn, true), (&mut self.sure, is_sure)] {
+                    if counts && labels[passed] == 0 {
+                        labels[passed] = *label;
                     }
                 }
             }
@@ -559,9 +567,13 @@ impl Instruments {
 /// Copies a line of numbers, and carries each up to `reach` cells further where there is none.
 fn spread(from: &[u8], to: &mut [u8], reach: usize) {
     to.copy_from_slice(from);
+    // Where the numbers before have reached.
+    let mut reached = 0;
     for (i, label) in from.iter().enumerate().filter(|(_, label)| **label != 0) {
-        for near in &mut to[i.saturating_sub(reach)..(i + reach + 1).min(from.len())] {
+        let end = (i + reach + 1).min(from.len());
+        for near in &mut to[i.saturating_sub(reach).max(reached)..end] {
             *near = if *near == 0 { *label } else { *near };
         }
+        reached = end;
     }
 }

@@ -2,6 +2,7 @@
 
 use super::super::warp::{self, BLOCK, Block, GROUP, Line, NODES, Source, Span};
 use super::Mesh;
+use crate::Rect;
 
 /// A mesh seen from an output picture: pixel `(x, y)` of it lies at `origin + step * (x, y)` on the reference plane.
 #[derive(Clone, Copy, Debug)]
@@ -98,6 +99,32 @@ impl MeshGrid<'_> {
             let line = Line { nodes, last: held - 2, start: start - first as f32, step };
             warp::locate_line(&line, (i, end), &source, block, avx2);
             i = end;
+        }
+    }
+
+    /// Columns of each output row, inside the bounds `moved`, of cells with a vertex that does not lie at its own position in the view.
+    pub fn moved_spans(&self, (columns, rows): (usize, usize), moved: Rect, spans: &mut Vec<Span>) {
+        let lattice = &self.mesh.lattice;
+        let cell = lattice.cell_px as f32;
+        spans.clear();
+        spans.resize(rows, Span::default());
+        // The first and the last moved vertex of the rows of vertices above and below the output row.
+        let (mut known, mut ends) = (usize::MAX, None);
+        for (y, span) in spans.iter_mut().enumerate().skip(moved.y).take(moved.height) {
+            let (row, _) = self.row(y);
+            if row != known {
+                let is_moved = |column: &usize| [row, row + 1].iter().any(|row| self.mesh.is_moved(*column, *row));
+                let first = (0..lattice.columns).find(is_moved);
+                ends = first.zip((0..lattice.columns).rev().find(is_moved));
+                known = row;
+            }
+            let Some((first, last)) = ends else { continue };
+            let at = |column: f32| {
+                let x = ((column + lattice.first[0] as f32) * cell - self.origin[0]) / self.step;
+                x.clamp(0.0, columns as f32)
+            };
+            let (start, end) = (at(first as f32 - 1.0).floor(), at(last as f32 + 1.0).ceil());
+            *span = Span { start: start as u32, end: end as u32 };
         }
     }
 

@@ -172,15 +172,21 @@ impl Mesh {
         true
     }
 
+    /// Whether a vertex does not lie at its own position in the view.
+    fn is_moved(&self, column: usize, row: usize) -> bool {
+        let (at, source) = (self.lattice.position(column, row), self.source[row * self.lattice.columns + column]);
+        (0..2).any(|k| (f64::from(source[k]) - at[k]).abs() >= LEAST_MOVE_PX)
+    }
+
     /// Bounds on the reference plane of the cells whose vertices do not lie at their own position in the view; `None` where all do.
     pub(super) fn moved(&self) -> Option<[Point; 2]> {
         let cell = self.lattice.cell_px as f64;
         let mut bounds: Option<[Point; 2]> = None;
-        for (index, source) in self.source.iter().enumerate() {
-            let at = self.lattice.position(index % self.lattice.columns, index / self.lattice.columns);
-            if (0..2).all(|k| (f64::from(source[k]) - at[k]).abs() < LEAST_MOVE_PX) {
+        for (column, row) in (0..self.lattice.len()).map(|i| (i % self.lattice.columns, i / self.lattice.columns)) {
+            if !self.is_moved(column, row) {
                 continue;
             }
+            let at = self.lattice.position(column, row);
             let [low, high] = bounds.unwrap_or([at; 2]);
             bounds = Some([[0, 1].map(|k| low[k].min(at[k] - cell)), [0, 1].map(|k| high[k].max(at[k] + cell))]);
         }
