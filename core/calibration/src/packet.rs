@@ -1,12 +1,13 @@
 //! Camera models and a rectification from the `calibration` packet.
 
 use panoscope_abi::{Calibration, Camera};
-use panoscope_imaging::Rect;
 use panoscope_imaging::shrink::shrunk_px;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{
-    CameraModel, Rectification, RectifiedCamera, RectifyParams, StereoCameras, StereoError,
+    CameraModel, OrderEvidence, Rectification, RectifiedCamera, RectifyParams, RowSample, StereoCameras, StereoError,
+    ViewOrder,
 };
+use panoscope_imaging::{Parallel, Rect};
 
 fn refuse<T>(reason: String) -> Result<T, StereoError> {
     Err(StereoError::Calibration { reason })
@@ -192,4 +193,45 @@ pub fn of_rectified_views(packet: &Calibration) -> Result<Rectification, StereoE
         );
     }
     rectification(packet)
+}
+
+/// The cameras of two views as a packet describes them, against which the features of the views are held.
+#[derive(Clone, Debug)]
+pub struct ViewCameras {
+    packet: Calibration,
+    is_level: bool,
+    models: [CameraModel; 2],
+    rectification: Rectification,
+}
+
+impl ViewCameras {
+    /// `is_level`: the views are rectified already, whatever the packet says.
+    ///
+    /// # Errors
+    /// As [`rectification`] and [`camera`].
+    pub fn new(packet: &Calibration, is_level: bool) -> Result<Self, StereoError> {
+        let rectification = rectification(packet)?;
+        if !is_level {
+            let models = [camera(&packet.left)?, camera(&packet.right)?];
+            return Ok(Self { packet: *packet, is_level, models, rectification });
+        }
+        let level = rectified(packet, &rectification);
+        let models = [camera(&level.left)?, camera(&level.right)?];
+        Ok(Self { packet: *packet, is_level, models, rectification: of_rectified_views(&level)? })
+    }
+
+    /// Whether they were made by [`Self::new`] from these.
+    pub fn are_of(&self, packet: &Calibration, is_level: bool) -> bool {
+        self.is_level == is_level && same(&self.packet, packet)
+    }
+
+    /// Which view is which, by the features that `order` has found.
+    pub fn compare(&self, order: &mut ViewOrder, pool: &dyn Parallel) -> OrderEvidence {
+        order.compare(self.models.each_ref(), &self.rectification, pool)
+    }
+
+    /// The features of the last comparison in the left view that was taken `step_s` later.
+    pub fn row_samples(&self, order: &mut ViewOrder, step_s: f64, pool: &dyn Parallel) -> Vec<RowSample> {
+        order.row_samples(self.models.each_ref(), &self.rectification, step_s, pool)
+    }
 }

@@ -287,6 +287,19 @@ fn calibrate_names_what_is_wrong_with_its_arguments() {
 }
 
 #[test]
+fn calibrate_refuses_too_few_pairs_before_it_runs() {
+    let pictures: Vec<String> = ["l", "r"]
+        .iter()
+        .flat_map(|side| (0..4).map(move |index| format!("few_pairs_{side}{index}.png")))
+        .map(|name| file(&name, ""))
+        .collect();
+    let pattern = |index: usize| format!("{}?.png", &pictures[index][..pictures[index].len() - "0.png".len()]);
+    let (code, _, said) =
+        run(&["calibrate", "--left", &pattern(0), "--right", &pattern(4), "--board", "chessboard:9x6:25mm"]);
+    assert!(code == 2 && said.contains("4 pairs of views are too few") && !said.contains(".toml"), "{code}: {said}");
+}
+
+#[test]
 fn calibrate_solves_opencvs_pairs_and_writes_what_capture_reads() {
     let data = Path::new("/usr/share/doc/opencv-doc/examples/data");
     if !data.join("left01.jpg").exists() {
@@ -307,6 +320,9 @@ fn calibrate_solves_opencvs_pairs_and_writes_what_capture_reads() {
     let found = panoscope_calibration::read(&[PathBuf::from(&out)]).expect("the result is a calibration");
     assert!(found.rms_px < 0.4 && (found.baseline_mm - 83.3).abs() < 1.0, "{found:?}");
     assert!((found.left.fx / found.left.fy - 1.0).abs() < 0.005, "{found:?}");
+    let (code, _, errors) =
+        run(&["calibrate", "--left", &right, "--right", &left, "--board", "chessboard:9x6:25mm", "-o", &out]);
+    assert!(code == 1 && errors.contains("left and right look exchanged"), "{code}: {errors}");
     // With another board nothing is found; every view is named.
     let (code, _, errors) =
         run(&["calibrate", "--left", &left, "--right", &right, "--board", "chessboard:13x4:25mm", "-o", &out]);

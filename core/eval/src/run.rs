@@ -49,6 +49,8 @@ pub struct RunOutput {
     pub packets: Vec<Option<FrameRef>>,
     /// Counters of the engine.
     pub report: Report,
+    /// Newest log lines: node and text.
+    pub log: Vec<(String, String)>,
 }
 
 /// Text of a checked graph in which parts are replaced by their nodes, overlays and settings are applied and arguments have their values.
@@ -151,5 +153,6 @@ pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -
     if let Some((node, reason)) = failed_node(&engine, &report) {
         return Err(EvalError::Node { node, reason });
     }
-    Ok(RunOutput { packets, report })
+    let log = engine.recent_log().into_iter().map(|(_, node, text)| (node, text)).collect();
+    Ok(RunOutput { packets, report, log })
 }

@@ -6,3 +6,4 @@ mod stereo_filters;
 mod stereo_formats;
 mod stereo_geometry;
 mod stereo_matching;
+mod stereo_order;

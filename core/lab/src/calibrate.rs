@@ -38,7 +38,7 @@ pub struct Arguments {
     #[arg(long, default_value = "standard", value_parser = ["radial", "standard", "full", "rational"])]
     model: String,
     /// Pairs that are looked at; of a video, a camera or a live graph 300 unless given.
-    #[arg(long, value_parser = clap::value_parser!(u64).range(3..))]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(5..))]
     frames: Option<u64>,
     /// Keeps views whose error stands out.
     #[arg(long)]
@@ -77,9 +77,12 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let calibrated = calibration::calibrate(&Terminal, &options, &source)?;
     let views = &calibrated.views;
     views.skipped().iter().for_each(|line| log!("{line}"));
-    let Some(calibration) = &calibrated.calibration else {
-        log!("error: {} of {} views could be used: that gives no calibration", views.used(), views.len());
-        return Ok(End::Failed);
+    let calibration = match &calibrated.calibration {
+        Ok(calibration) => calibration,
+        Err(reason) => {
+            log!("error: {reason}");
+            return Ok(End::Failed);
+        }
     };
     if let Some(folder) = &arguments.pictures {
         calibrated.write_pictures(folder)?;

@@ -20,8 +20,8 @@ use crate::views::{Grabbed, View, Views, pair_by_numbers, same_files};
 
 /// Rate of images, which have no times.
 const IMAGE_FPS: f64 = 30.0;
-/// Pause between two empty ticks of a lost device.
-const LOST_PAUSE: Duration = Duration::from_millis(50);
+/// Names of the views in messages.
+const VIEW_NAMES: [&str; MAX_VIEWS] = ["left view", "right view", "third view", "fourth view"];
 
 /// Outputs.
 #[derive(Ports)]
@@ -42,6 +42,17 @@ pub struct Out<'f> {
     pub calibration: Slot<'f, Calibration>,
 }
 
+/// What one output shows: a part of a source's newest picture.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Part {
+    /// Number of the view, from 0.
+    pub view: usize,
+    /// Number of the source: a split one serves two views.
+    pub source: usize,
+    /// Part of the picture.
+    pub rect: Rect,
+}
+
 /// Takes the pictures of all views. Streams are decoded on GStreamer's threads, images on the host's.
 pub struct Capture {
     /// One per source; a split source serves two views.
@@ -57,7 +68,8 @@ pub struct Capture {
     /// Arrival of the tick's oldest live picture by the host's clock, ns.
     arrived_ns: Option<i64>,
     has_ended: bool,
-    is_lost: bool,
+    /// Numbers of the views that are gone, while something is lost: none where views give pictures that do not belong together.
+    lost: Option<Vec<usize>>,
     sizes_warned: bool,
     damage_warned: bool,
     reconnects: u64,
@@ -70,7 +82,7 @@ impl Capture {
     /// # Errors
     /// A view that ended too early; in batch mode also a device that is gone.
     fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>, params: &Settings) -> Result<Option<()>> {
-        let mut grabbed = self.views.grab(cx, clock, self.is_lost);
+        let mut grabbed = self.views.grab(cx, clock, self.lost.is_some());
         if grabbed == Grabbed::End {
             if let Some(words) = self.views.left_over() {
                 cx.warn(&words);
@@ -79,11 +91,16 @@ impl Capture {
             if params.r#loop && self.frame > 0 {
                 let last_s = self.timing.capture_ns.max(0) as f64 / 1e9;
                 self.views.rewind(last_s)?;
-                grabbed = self.views.grab(cx, clock, self.is_lost);
+                grabbed = self.views.grab(cx, clock, self.lost.is_some());
             }
         }
         match grabbed {
-            Grabbed::Ready => {}
+            Grabbed::Ready => {
+                if self.lost.is_some() && self.views.iter().all(|view| view.is_there) {
+                    self.lost = None;
+                    cx.info("all sources are back");
+                }
+            }
             Grabbed::End => {
                 self.end(cx);
                 return Ok(None);
@@ -91,24 +108,15 @@ impl Capture {
             Grabbed::Failed(words) => return Err(self.ended_early(words)),
             Grabbed::Lost(words) if cx.is_batch() => return Err(self.ended_early(words)),
             Grabbed::Lost(words) => {
-                self.set_time(cx, clock);
-                if !self.is_lost {
-                    self.is_lost = true;
-                    self.reconnects += 1;
-                    cx.fault(&format!("{words}. Outputs stay empty until it is back; it is opened again every second"));
+                self.report_loss(cx, &words);
+                if !self.views.iter().any(|view| view.is_there) {
+                    self.set_time(cx, clock);
+                    self.frame += 1;
+                    return Ok(None);
                 }
-                cx.metric("lost", 1.0);
-                self.frame += 1;
-                // Empty ticks at intervals show that the node lives, without spinning.
-                std::thread::sleep(LOST_PAUSE);
-                return Ok(None);
             }
         }
-        if self.is_lost {
-            self.is_lost = false;
-            cx.info("all sources are back");
-        }
-        cx.metric("lost", 0.0);
+        cx.metric("lost", f64::from(u8::from(self.lost.is_some())));
         cx.metric("reconnects", self.reconnects as f64);
         cx.metric("skew_ms", self.views.skew_ms());
         cx.metric("unpaired", self.views.unpaired() as f64);
@@ -116,6 +124,30 @@ impl Capture {
             cx.metric("dropped", self.views.dropped() as f64);
         }
         Ok(Some(()))
+    }
+
+    /// Reports views that were not lost before, and those that are back while others are lost.
+    fn report_loss(&mut self, cx: &Context<'_>, reason: &str) {
+        let lost = self.views.lost();
+        let before = self.lost.replace(lost.clone());
+        let names = |views: &[usize]| views.iter().map(|view| VIEW_NAMES[*view]).collect::<Vec<_>>().join(" and the ");
+        if before.as_ref().is_none_or(|before| lost.iter().any(|view| !before.contains(view))) {
+            self.reconnects += 1;
+            // The only view, or both halves of one picture, need no name.
+            let prefix = match self.views.len() > 1 && !lost.is_empty() {
+                true => format!("{} lost: {reason}", names(&lost)),
+                false => reason.to_owned(),
+            };
+            cx.fault(&format!(
+                "{prefix}. Outputs without a picture stay empty until it is back; it is opened again every second"
+            ));
+        } else if let Some(before) = before {
+            let back: Vec<usize> = before.into_iter().filter(|view| !lost.contains(view)).collect();
+            if !back.is_empty() {
+                cx.info(&format!("{} is back", names(&back)));
+            }
+        }
+        cx.metric("lost", 1.0);
     }
 
     /// Ends the source.
@@ -173,7 +205,11 @@ impl Capture {
         cx.pool().run(views.len(), &|index| {
             let mut view = views[index].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
             let view = &mut *view;
-            view.result = view.source.retrieve(&mut view.picture)
+            if view.is_there {
+                view.result = view.source.retrieve(&mut view.picture);
+            } else {
+                view.picture.clear();
+            }
         });
         cx.metric("damaged", self.views.total(Stream::damaged) as f64);
         let failed = self.views.iter().find_map(|view| {
@@ -275,7 +311,7 @@ impl Capture {
             timing: Timing::default(),
             arrived_ns: None,
             has_ended: false,
-            is_lost: false,
+            lost: None,
             sizes_warned: false,
             damage_warned: false,
             reconnects: 0,
@@ -283,11 +319,11 @@ impl Capture {
         })
     }
 
-    /// Takes the pictures of the next tick: source and rectangle of each view. `None` for an empty tick, and at the end.
+    /// Takes the pictures of the next tick: a part for each view that has one. `None` for an empty tick, and at the end.
     ///
     /// # Errors
     /// As [`Node::process`] of this node.
-    pub(crate) fn take(&mut self, cx: &Context<'_>, params: &Settings) -> Result<Option<Vec<(usize, Rect)>>> {
+    pub(crate) fn take(&mut self, cx: &Context<'_>, params: &Settings) -> Result<Option<Vec<Part>>> {
         // Stills have no end: in batch mode they are one tick unless `loop` is set.
         let is_shown = cx.is_batch() && !params.r#loop && self.frame > 0 && self.views.are_stills();
         if self.has_ended || is_shown || (params.frames > 0 && self.frame >= params.frames) {
@@ -313,16 +349,17 @@ impl Capture {
         let views = if self.halves.is_some() { 2 } else { self.views.len() };
         let mut parts = Vec::with_capacity(MAX_VIEWS);
         for view in 0..views {
-            parts.push(self.part(view, &params.crop)?);
+            parts.extend(self.part(view, &params.crop)?);
         }
-        let differing = parts.iter().find(|p| (p.1.width, p.1.height) != (parts[0].1.width, parts[0].1.height));
-        if let Some((_, rect)) = differing
+        let size = |part: &Part| (part.rect.width, part.rect.height);
+        let differing = parts.iter().find(|part| size(part) != size(&parts[0]));
+        if let Some(Part { rect, .. }) = differing
             && !self.sizes_warned
         {
             self.sizes_warned = true;
             cx.warn(&format!(
                 "the views differ in size ({}x{} and {}x{}): each is passed on as it is",
-                parts[0].1.width, parts[0].1.height, rect.width, rect.height
+                parts[0].rect.width, parts[0].rect.height, rect.width, rect.height
             ));
         }
         if let Some(arrived_ns) = self.arrived_ns {
@@ -351,10 +388,10 @@ impl Capture {
     ///
     /// # Errors
     /// It was made for views of another size.
-    pub(crate) fn calibration_for(&mut self, cx: &Context<'_>, parts: &[(usize, Rect)]) -> Result<Option<Calibration>> {
+    pub(crate) fn calibration_for(&mut self, cx: &Context<'_>, parts: &[Part]) -> Result<Option<Calibration>> {
         let Some(calibration) = &mut self.calibration else { return Ok(None) };
-        for (view, (_, rect)) in parts.iter().take(2).enumerate() {
-            let camera = if view == 0 { &mut calibration.left } else { &mut calibration.right };
+        for Part { view, rect, .. } in parts.iter().filter(|part| part.view < 2) {
+            let camera = if *view == 0 { &mut calibration.left } else { &mut calibration.right };
             if camera.width == 0 {
                 (camera.width, camera.height) = (rect.width as u32, rect.height as u32);
                 cx.info(&format!("the calibration states no size: it is assumed to be that of view {view}"));
@@ -369,10 +406,13 @@ impl Capture {
         Ok(Some(*calibration))
     }
 
-    /// Source and rectangle of a view.
-    fn part(&mut self, view: usize, crops: &[f64]) -> Result<(usize, Rect)> {
+    /// The part that a view shows; `None` while it has no picture.
+    fn part(&mut self, view: usize, crops: &[f64]) -> Result<Option<Part>> {
         let views = if self.halves.is_some() { 2 } else { self.views.len() };
         let source = if self.halves.is_some() { 0 } else { view };
+        if !self.views.view(source).is_there {
+            return Ok(None);
+        }
         let picture = &self.views.view(source).picture;
         let mut rect = Rect::whole(picture.width, picture.height);
         if let Some(halves) = self.halves {
@@ -385,7 +425,7 @@ impl Capture {
             let name = &self.views.view(source).name;
             return Err(NodeError::new(format!("{name}: a picture of {rect:?} is too small to be split")));
         }
-        Ok((source, rect))
+        Ok(Some(Part { view, source, rect }))
     }
 
     /// Sets two outputs to one view; they share one buffer.
@@ -466,7 +506,7 @@ impl Node for Capture {
         {
             out.calibration.set(calibration)?;
         }
-        for (view, (source, rect)) in parts.into_iter().enumerate() {
+        for Part { view, source, rect } in parts {
             match view {
                 0 => self.write_pair(&mut out.left, &mut out.view0, source, rect)?,
                 1 => self.write_pair(&mut out.right, &mut out.view1, source, rect)?,

@@ -8,11 +8,11 @@ use panoscope_data_sets::{DataSetError, Found, Labels, Pictures, Sequence, Stack
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
     Bgr8, Context, Depth, Disparity, LabeledDetections, LabeledInstances, NoPorts, Node, NodeError, NodeInfo, Open,
-    Params, Ports, Rect, Result, Slot, Validation,
+    Params, Ports, Result, Slot, Validation,
 };
 
 use crate::boxes::Boxes;
-use crate::capture::Capture;
+use crate::capture::{Capture, Part};
 use crate::settings::{OnDamage, Pace, Settings, Split};
 use crate::source::SourceName;
 use truth::TruthMaps;
@@ -208,14 +208,14 @@ impl Node for DataSet {
             {
                 out.calibration.set(calibration)?;
             }
-            if let (Some(map), Some((_, part))) = (&self.sequence.truth, parts.first()) {
+            if let (Some(map), Some(part)) = (&self.sequence.truth, parts.first()) {
                 let read = [out.disparity.is_read(), out.depth.is_read()];
-                self.truth.prepare(map, picture, calibration.as_ref(), (part.width, part.height), read)?;
+                self.truth.prepare(map, picture, calibration.as_ref(), (part.rect.width, part.rect.height), read)?;
                 self.truth.write(&mut out.disparity, &mut out.depth)?;
             }
         }
         self.write_labels(picture, &parts, &mut out)?;
-        for (view, (source, rect)) in parts.into_iter().enumerate() {
+        for Part { view, source, rect } in parts {
             let slot = if view == 0 { &mut out.left } else { &mut out.right };
             self.capture.write(slot, source, rect)?;
         }
@@ -233,20 +233,15 @@ impl Node for DataSet {
 
 impl DataSet {
     /// The calibration of a picture, with the rectification that a `rectify` node will use.
-    fn calibration_of(
-        &mut self,
-        cx: &Context<'_>,
-        picture: usize,
-        parts: &[(usize, Rect)],
-    ) -> Result<Option<Calibration>> {
+    fn calibration_of(&mut self, cx: &Context<'_>, picture: usize, parts: &[Part]) -> Result<Option<Calibration>> {
         let Some(files) = &self.sequence.calibration else { return Ok(None) };
         let set = files.set_of(picture);
         if self.calibration != Some(set) {
             self.calibration = None;
             let mut read = files.read(picture).map_err(|error| NodeError::new(format!("calibration: {error}")))?;
-            if let (Some(calibration), [(_, left), (_, right)]) = (&mut read, parts) {
+            if let (Some(calibration), [left, right]) = (&mut read, parts) {
                 // Files without a size belong to views of any.
-                for (camera, rect) in [(&mut calibration.left, left), (&mut calibration.right, right)] {
+                for (camera, Part { rect, .. }) in [(&mut calibration.left, left), (&mut calibration.right, right)] {
                     if camera.width == 0 {
                         (camera.width, camera.height) = (rect.width as u32, rect.height as u32);
                     }
@@ -259,12 +254,12 @@ impl DataSet {
         self.truth.with_rectification(calibration).map(Some)
     }
 
-    fn write_labels(&mut self, picture: usize, parts: &[(usize, Rect)], out: &mut Out<'_>) -> Result<()> {
-        let (Some(labels), Some((_, part))) = (&self.sequence.labels, parts.first()) else { return Ok(()) };
+    fn write_labels(&mut self, picture: usize, parts: &[Part], out: &mut Out<'_>) -> Result<()> {
+        let (Some(labels), Some(Part { rect, .. })) = (&self.sequence.labels, parts.first()) else { return Ok(()) };
         if !out.detections.is_read() && !out.instances.is_read() {
             return Ok(());
         }
-        let size = (part.width, part.height);
+        let size = (rect.width, rect.height);
         self.boxes.clear();
         match labels {
             Labels::Boxes { files, .. } => {
@@ -277,7 +272,7 @@ impl DataSet {
                 let Some(files) = masks.files.get(picture).filter(|files| !files.is_empty()) else { return Ok(()) };
                 let stored = self.capture.stored_size();
                 for file in files {
-                    self.boxes.read_mask(file, stored, *part)?;
+                    self.boxes.read_mask(file, stored, *rect)?;
                 }
                 if out.instances.is_read() {
                     self.boxes.write_instances(&mut out.instances, size)?;

@@ -6,6 +6,7 @@ pub mod crop;
 pub mod data_set;
 mod depth;
 pub mod devices;
+mod exchanged;
 mod kept_frames;
 mod live;
 mod pairing;

@@ -1,4 +1,4 @@
-//! Live views: the newest pictures that arrived together.
+//! Live views: the newest pictures that arrived together. While a view is lost or silent, the others are delivered without it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -20,8 +20,10 @@ pub struct Live {
     limit: Duration,
     /// When the newest pair was complete.
     paired: Option<Instant>,
-    /// Arrivals of the pictures that wait, for each view.
+    /// Arrivals of the pictures that wait, for each view that delivers.
     waiting: Vec<Vec<i64>>,
+    /// The streams of which the newest grab has taken a picture.
+    pub is_taken: Vec<bool>,
     /// Pictures that had no partner.
     pub unpaired: u64,
     /// Pictures that were dropped because a newer pair was there.
@@ -41,6 +43,7 @@ impl Live {
             limit,
             paired: None,
             waiting: Vec::new(),
+            is_taken: Vec::new(),
             unpaired: 0,
             superseded: 0,
             skew_ms: 0.0,
@@ -48,43 +51,54 @@ impl Live {
         }
     }
 
-    /// Takes one picture of each stream, waiting for pictures that belong together. While something `is_lost`, it waits one step only.
+    /// Takes one picture of each stream that delivers, waiting for pictures that belong together; [`Self::is_taken`] says of which ones. While
+    /// something `is_lost`, it waits one step only.
     pub fn grab(&mut self, streams: &mut [&mut Stream], clock: Clock<'_>, is_lost: bool) -> Grabbed {
         let since = *self.paired.get_or_insert_with(Instant::now);
         let begin = Instant::now();
+        self.is_taken.clear();
+        self.is_taken.resize(streams.len(), false);
         let mut waiting = std::mem::take(&mut self.waiting);
-        waiting.resize(streams.len(), Vec::new());
         let result = loop {
             let seen = self.signal.changes();
-            if let Some(result) = poll(streams, clock) {
-                break result;
-            }
-            for (stream, times) in streams.iter().zip(&mut waiting) {
+            let loss = match poll(streams, clock) {
+                Ok(loss) => loss,
+                Err(result) => break result,
+            };
+            // The others are shown without a stream that is lost or silent.
+            let mut delivering: Vec<(usize, &mut Stream)> =
+                streams.iter_mut().map(|stream| &mut **stream).enumerate().filter(|(_, s)| s.delivers(clock)).collect();
+            waiting.resize(delivering.len(), Vec::new());
+            for ((_, stream), times) in delivering.iter().zip(&mut waiting) {
                 stream.arrivals(times);
             }
             match pair(&waiting, self.tolerance_ns) {
                 Pairing::Take { indices, skew_ns } => {
                     let times: Vec<i64> = waiting.iter().zip(indices).map(|(times, index)| times[index]).collect();
-                    if self.take(streams, &times) {
+                    if self.take(&mut delivering, &times) {
+                        delivering.iter().for_each(|(index, _)| self.is_taken[*index] = true);
                         self.skew_ms = skew_ns as f64 * 1e-6;
                         self.arrived_ns = times.into_iter().min().unwrap_or(0);
                         self.paired = Some(Instant::now());
-                        break Grabbed::Ready;
+                        break loss.map_or(Grabbed::Ready, Grabbed::Lost);
                     }
                 }
                 Pairing::Skip { before_ns } => {
-                    for (stream, before_ns) in streams.iter().zip(before_ns) {
+                    for ((_, stream), before_ns) in delivering.iter().zip(before_ns) {
                         self.unpaired += stream.discard_before(before_ns);
                     }
                 }
                 Pairing::Wait => {
-                    if is_lost && begin.elapsed() >= STEP {
-                        break Grabbed::Lost(String::new());
+                    let is_over = if is_lost { begin.elapsed() >= STEP } else { loss.is_some() };
+                    if is_over {
+                        break Grabbed::Lost(loss.unwrap_or_default());
                     }
                     self.signal.wait(seen, STEP);
                 }
             }
-            if !is_lost && since.elapsed().min(begin.elapsed()) > self.limit {
+            // A view that has just fallen silent is lost a little later.
+            let all_give = || streams.iter().all(|stream| stream.is_heard_within(self.limit / 2, clock));
+            if !is_lost && since.elapsed().min(begin.elapsed()) > self.limit && all_give() {
                 break Grabbed::Lost(format!(
                     "all views give pictures, but none of them arrived within {:.1} ms of each other (`tolerance_ms`)",
                     self.tolerance_ns as f64 * 1e-6
@@ -96,9 +110,9 @@ impl Live {
     }
 
     /// Takes the pictures that arrived at `times`. A queue that was full may have dropped one of them meanwhile: then the others have no partner.
-    fn take(&mut self, streams: &mut [&mut Stream], times: &[i64]) -> bool {
+    fn take(&mut self, streams: &mut [(usize, &mut Stream)], times: &[i64]) -> bool {
         let mut taken = 0;
-        for (stream, time) in streams.iter_mut().zip(times) {
+        for ((_, stream), time) in streams.iter_mut().zip(times) {
             self.superseded += stream.discard_before(*time);
             taken += u64::from(stream.take(*time));
         }
@@ -108,20 +122,23 @@ impl Live {
     }
 }
 
-/// Looks after all connections; `None` while all of them stand.
-fn poll(streams: &mut [&mut Stream], clock: Clock<'_>) -> Option<Grabbed> {
-    let mut result = None;
+/// Looks after all connections; returns why streams are lost, if any is.
+///
+/// # Errors
+/// An end or a failure of a stream, as the result of the grab.
+fn poll(streams: &mut [&mut Stream], clock: Clock<'_>) -> Result<Option<String>, Grabbed> {
+    let (mut losses, mut end) = (Vec::new(), None);
+    // All are polled, and a failure matters more than an end.
     for stream in streams {
-        let next = match stream.poll(clock) {
-            Grab::Ready(_) => continue,
-            Grab::End => Grabbed::End,
-            Grab::Failed(words) => Grabbed::Failed(words),
-            Grab::Lost(words) => Grabbed::Lost(words),
-        };
-        // All are polled, and a loss matters more than an end.
-        if result.is_none() || result == Some(Grabbed::End) {
-            result = Some(next);
+        match stream.poll(clock) {
+            Grab::Ready(_) => {}
+            Grab::Lost(words) => losses.push(words),
+            Grab::End => end = end.or(Some(Grabbed::End)),
+            Grab::Failed(words) => end = Some(Grabbed::Failed(words)),
         }
     }
-    result
+    match end {
+        Some(end) if end != Grabbed::End || losses.is_empty() => Err(end),
+        _ => Ok((!losses.is_empty()).then(|| losses.join("; "))),
+    }
 }

@@ -2,11 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use panoscope_imaging::stereo::OrderEvidence;
 use panoscope_node::abi::Calibration;
 use panoscope_node::{Choice, NodeError, Params, Rect, Result, Validation};
 
 use crate::crop::{self, Halves};
+use crate::exchanged::{FileView, exchanged};
 use crate::source::{CaptureError, SourceName, unknown_element};
+use crate::views::pair_by_numbers;
 
 /// Silence after which a live source is lost.
 const TIMEOUT_S: f64 = 1.0;
@@ -221,7 +224,8 @@ impl Settings {
     /// Reports what cannot work, without opening a source.
     pub fn check(&self, check: &mut Validation<'_>) {
         let folder = check.graph_dir();
-        if let Err(error) = self.read_calibration(folder) {
+        let calibration = self.read_calibration(folder);
+        if let Err(error) = &calibration {
             check.error("calibration", error.message(), "");
         } else if self.calibration.trim().is_empty() && check.is_read("calibration") == Some(true) {
             let message = "output `calibration` is read and stays empty: no calibration file is given";
@@ -257,6 +261,9 @@ impl Settings {
             });
         }
         self.check_crops(&names, check);
+        if let Ok(Some(calibration)) = &calibration {
+            self.check_order(&names, calibration, check);
+        }
         let views = if self.split == Split::None { names.len() } else { 2 };
         let missing = [("right", 1), ("view1", 1), ("view2", 2), ("view3", 3)];
         if let Some((output, _)) =
@@ -276,6 +283,50 @@ impl Settings {
             Split::None => None,
             Split::SideBySide => Some(Halves::SideBySide),
             Split::TopBottom => Some(Halves::TopBottom),
+        }
+    }
+
+    /// Reports image files that are exchanged.
+    fn check_order(&self, names: &[Option<SourceName>], calibration: &Calibration, check: &mut Validation<'_>) {
+        let is_split = self.split != Split::None;
+        let mut names: Vec<SourceName> = names.iter().flatten().cloned().collect();
+        if names.len() < if is_split { 1 } else { 2 } {
+            return;
+        }
+        if let Ok(texts) = self.source_texts() {
+            let texts: Vec<String> = texts.into_iter().map(|(_, text)| text.to_owned()).collect();
+            // Of files without a partner the node warns when it opens.
+            if texts.len() == names.len() {
+                pair_by_numbers(&mut names, &texts);
+            }
+        }
+        let view = |view: usize| {
+            let name = &names[if is_split { 0 } else { view }];
+            let file = match name {
+                SourceName::Image(file) => file,
+                SourceName::Images(files) => files.first()?,
+                _ => return None,
+            };
+            let (width, height) = name.picture_size()?;
+            let whole = Rect::whole(width, height);
+            let mut rect = self.halves().map_or(whole, |halves| halves.of(whole, view));
+            if let Some(crop) = crop::of_view(&self.crop, view, if is_split { 2 } else { names.len() }).ok()? {
+                rect = crop::part(rect, crop).ok()?;
+            }
+            Some(FileView { file: file.clone(), rect })
+        };
+        let (Some(left), Some(right)) = (view(0), view(1)) else { return };
+        if let Some(OrderEvidence { pairs, fitting, .. }) = exchanged([left, right], calibration) {
+            let message = format!(
+                "left and right look swapped: of {pairs} features that both views show, {} fit the calibration as the views are given and {} with the views exchanged",
+                fitting[0], fitting[1]
+            );
+            let help = if is_split {
+                "connect output `right` where `left` is meant and `left` where `right` is, or use the calibration of these views"
+            } else {
+                "exchange the sources of `left` and `right`, or use the calibration of these views"
+            };
+            check.warning("calibration", message, help);
         }
     }
 

@@ -25,6 +25,8 @@ pub struct View {
     pub source: Source,
     /// The newest picture.
     pub picture: Picture,
+    /// The tick has a picture of it.
+    pub is_there: bool,
     /// Result of decoding it.
     pub result: Result<(), CaptureError>,
     /// The source's name for messages.
@@ -38,13 +40,14 @@ pub struct View {
 /// Result of grabbing one picture of every view.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Grabbed {
-    /// All are there.
+    /// No view is lost. A live one that is silent may have no picture.
     Ready,
     /// A view has no more pictures.
     End,
     /// A view has no more pictures although more were promised.
     Failed(String),
-    /// A device or stream is gone, or no pictures of all views belong together; what happened.
+    /// Devices or streams are gone, or no pictures of all views belong together; what happened. Views with [`View::is_there`] have a picture
+    /// nevertheless.
     Lost(String),
 }
 
@@ -143,6 +146,7 @@ impl Views {
             list.push(View {
                 source,
                 picture: Picture::default(),
+                is_there: false,
                 result: Ok(()),
                 name: name.in_words(),
                 text,
@@ -194,6 +198,12 @@ impl Views {
     /// All views in order.
     pub fn iter(&mut self) -> impl Iterator<Item = &mut View> {
         self.list.iter_mut().map(|view| view.get_mut().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Numbers of the views whose device or stream is gone.
+    pub fn lost(&mut self) -> Vec<usize> {
+        let views = self.iter().enumerate();
+        views.filter_map(|(index, view)| view.source.stream().filter(|s| !s.is_connected()).map(|_| index)).collect()
     }
 
     /// Rate of pictures without a time of their own.
@@ -265,27 +275,40 @@ impl Views {
     }
 
     /// Takes one picture of every view: the newest live ones that arrived together, the next ones of the others, then more of those that are behind
-    /// in media time.
+    /// in media time. Of live views, those that are lost or silent have none.
     pub fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>, is_lost: bool) -> Grabbed {
-        self.iter().for_each(|view| view.is_ahead = false);
         self.arrived_ns = None;
         let (mut live, mut others) = (Vec::new(), Vec::new());
         for (index, view) in self.list.iter_mut().enumerate() {
             let view = view.get_mut().unwrap_or_else(PoisonError::into_inner);
+            (view.is_ahead, view.is_there) = (false, false);
             match view.source.newest_mut() {
-                Some(stream) => live.push(stream),
+                Some(stream) => live.push((stream, &mut view.is_there)),
                 None => others.push(index),
             }
         }
+        let mut loss = None;
         if !live.is_empty() {
-            match self.live.grab(&mut live, clock, is_lost) {
+            let (mut streams, is_there): (Vec<_>, Vec<_>) = live.into_iter().unzip();
+            let grabbed = self.live.grab(&mut streams, clock, is_lost);
+            is_there.into_iter().zip(&self.live.is_taken).for_each(|(is_there, is_taken)| *is_there = *is_taken);
+            match grabbed {
                 Grabbed::Ready => {}
+                Grabbed::Lost(words) if self.live.is_taken.contains(&true) => loss = Some(words),
                 other => return other,
             }
             (self.skew_ms, self.arrived_ns) = (self.live.skew_ms, Some(self.live.arrived_ns));
         }
+        match self.grab_others(&others, cx, clock) {
+            Grabbed::Ready => loss.map_or(Grabbed::Ready, Grabbed::Lost),
+            other => other,
+        }
+    }
+
+    /// Takes the next pictures of the views that are not live, and more of those that are behind.
+    fn grab_others(&mut self, others: &[usize], cx: &Context<'_>, clock: Clock<'_>) -> Grabbed {
         let mut times = Vec::with_capacity(self.len());
-        match self.grab_some(&others, &mut times, clock) {
+        match self.grab_some(others, &mut times, clock) {
             Grabbed::Ready => {}
             other => return other,
         }
@@ -334,7 +357,7 @@ impl Views {
             let next = match view.source.grab(clock) {
                 Grab::Ready(time) => {
                     times.extend(time);
-                    view.is_ahead = true;
+                    (view.is_ahead, view.is_there) = (true, true);
                     continue;
                 }
                 Grab::Failed(words) => Grabbed::Failed(words),

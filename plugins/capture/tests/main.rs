@@ -4,6 +4,7 @@ mod common;
 mod damage;
 mod damaged_streams;
 mod data_sets;
+mod lost_view;
 mod missing_decoder;
 mod opening;
 mod pairs;

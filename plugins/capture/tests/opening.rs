@@ -5,14 +5,11 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::Command;
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use crate::common::{Folder, value};
+use crate::common::{Folder, PATIENCE, until, value};
 use panoscope_capture::capture::Capture;
-use panoscope_node::harness::{Harness, HarnessError, Outputs, Setup};
-
-/// Longest that a test waits for what must come.
-const PATIENCE: Duration = Duration::from_secs(60);
+use panoscope_node::harness::{Harness, Outputs, Setup};
 
 #[test]
 fn an_address_that_accepts_and_says_nothing_is_given_up() {
@@ -82,18 +79,6 @@ fn send(stream: &mut TcpStream) {
         {
             return;
         }
-    }
-}
-
-/// Calls until `wanted`, or too long.
-fn until(node: &mut Harness<Capture>, wanted: impl Fn(&Outputs) -> bool) -> Result<Outputs, HarnessError> {
-    let begin = Instant::now();
-    loop {
-        let out = node.process()?;
-        if wanted(&out) {
-            return Ok(out);
-        }
-        assert!(begin.elapsed() < PATIENCE, "{:?}", node.logs());
     }
 }
 

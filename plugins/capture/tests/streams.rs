@@ -214,35 +214,6 @@ fn a_picture_in_a_queue_is_as_old_as_its_light() {
 }
 
 #[test]
-fn a_view_that_stops_gives_no_pairs_of_old_pictures() {
-    let folder = Folder::new("stops");
-    let source = "videotestsrc is-live=true ! video/x-raw,width=64,height=48,framerate=30/1";
-    // The right view fails after 20 pictures.
-    let stopping = format!("{source} ! identity error-after=20");
-    let mut node = live(&folder, &format!(r#"left = "{source}", right = "{stopping}", timeout_s = 0.4"#));
-    let (mut pairs, mut last_ns, begin) = (0, 0, Instant::now());
-    let fault = loop {
-        let out = node.process().unwrap();
-        if let Some(words) = out.fault() {
-            assert!(out.is_empty("left").unwrap() && out.is_empty("right").unwrap());
-            break words.to_owned();
-        }
-        if !out.is_empty("left").unwrap() {
-            pairs += 1;
-            let arrived_ns = out.arrived_ns().unwrap();
-            assert!(arrived_ns > last_ns || last_ns == 0, "an old picture came again");
-            last_ns = arrived_ns;
-            assert!(node.metric("skew_ms").is_some_and(|skew| skew <= 1000.0 / 60.0), "{:?}", node.metric("skew_ms"));
-        }
-        assert!(begin.elapsed() < Duration::from_secs(60), "{pairs} pairs: {:?}", node.logs());
-    };
-    assert!((1..=20).contains(&pairs), "{pairs}");
-    assert!(fault.contains("is gone after"), "{fault}");
-    let out = node.process().unwrap();
-    assert!(out.is_empty("left").unwrap() && node.metric("lost") == Some(1.0));
-}
-
-#[test]
 fn views_that_never_meet_are_said() {
     let folder = Folder::new("apart");
     let source = "videotestsrc is-live=true ! video/x-raw,width=64,height=48,framerate=30/1";

@@ -316,3 +316,47 @@ fn a_calibration_travels_with_the_views() {
     let message = folder.refused(&views("a.png"));
     assert!(message.contains("scope.yml") && message.contains("No such file"), "{message}");
 }
+
+/// A random texture that is never twice the same, in cells of some px.
+fn texture(x: u32, y: u32) -> u8 {
+    let layer = |cell: u32, seed: u32| {
+        let (x, y) = (x / cell, y / cell);
+        let hash = (x.wrapping_mul(0x9E37_79B9) ^ y.wrapping_mul(0x85EB_CA6B) ^ seed).wrapping_mul(0xC2B2_AE35);
+        (hash ^ hash >> 15).wrapping_mul(0x27D4_EB2F) >> 25
+    };
+    ((layer(5, 1) + layer(11, 2) + layer(23, 3)) / 2) as u8
+}
+
+#[test]
+fn a_check_names_files_that_are_exchanged() {
+    const SIZE: (u32, u32) = (320, 240);
+    let folder = Folder::new("exchanged");
+    let view = |shift: u32| image::GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| image::Luma([texture(x + shift, y)]));
+    view(0).save(folder.0.join("l_1.png")).unwrap();
+    view(25).save(folder.0.join("r_1.png")).unwrap();
+    let both = image::GrayImage::from_fn(2 * SIZE.0, SIZE.1, |x, y| {
+        image::Luma([if x < SIZE.0 { texture(x + 25, y) } else { texture(x - SIZE.0, y) }])
+    });
+    both.save(folder.0.join("halves.png")).unwrap();
+    let text = CALIBRATION
+        .replace("image_width: 16\nimage_height: 8\n", "image_width: 320\nimage_height: 240\n")
+        .replace("20., 0., 7.5, 0., 20., 3.5", "300., 0., 160., 0., 300., 120.");
+    assert!(text.contains("300., 0., 160.") && text.contains("image_width: 320"), "{text}");
+    fs::write(folder.0.join("scope.yml"), text).unwrap();
+    let problems = |sources: &str| {
+        let setup = Setup::new(&format!("params = {{ {sources}, calibration = \"scope.yml\" }}")).graph_dir(&folder.0);
+        format!("{:?}", Harness::<Capture>::problems(&setup, &[]).unwrap())
+    };
+    for sources in [r#"left = "r_1.png", right = "l_1.png""#, r#"left = "r_*.png", right = "l_*.png""#] {
+        let said = problems(sources);
+        assert!(said.contains("left and right look swapped") && said.contains("exchange the sources"), "{said}");
+    }
+    let said = problems(r#"left = "halves.png", split = "side_by_side""#);
+    assert!(said.contains("left and right look swapped") && said.contains("connect output `right`"), "{said}");
+    let said = problems(r#"left = "l_*.png", right = "r_*.png""#);
+    assert!(!said.contains("swapped"), "{said}");
+    // Another image of the same name is looked at again.
+    view(25).save(folder.0.join("l_1.png")).unwrap();
+    view(0).save(folder.0.join("r_1.png")).unwrap();
+    assert!(problems(r#"left = "l_*.png", right = "r_*.png""#).contains("look swapped"));
+}

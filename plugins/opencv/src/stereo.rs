@@ -235,9 +235,16 @@ impl Node for StereoOpencv {
         let least = offset_px as f32;
         let mut disparity = out.disparity.alloc(width, height)?;
         write(&map, 1.0, least, &mut disparity)?;
+        if self.search.is_swapped() {
+            disparity.data.fill(f32::NAN);
+        }
         self.search.end(cx, [left, right], disparity.as_view(), true, &place);
         if let Some(map) = map_right {
-            write(&map, -1.0, least, &mut out.disparity_right.alloc(width, height)?)?;
+            let mut disparity_right = out.disparity_right.alloc(width, height)?;
+            write(&map, -1.0, least, &mut disparity_right)?;
+            if self.search.is_swapped() {
+                disparity_right.data.fill(f32::NAN);
+            }
         }
         Ok(())
     }

@@ -86,6 +86,18 @@ fn states(out: &Outputs) -> Vec<ViewState> {
 }
 
 #[test]
+fn exchanged_views_are_named() {
+    let mut node = open("model = \"radial\", solve_at = 8");
+    for [left, right] in POSES.map(pair) {
+        assert!(show(&mut node, [&right, &left]).is_empty("calibration").unwrap());
+    }
+    let logs = node.logs();
+    let is_named =
+        |text: &str| text.contains("8 views give no calibration") && text.contains("left and right look exchanged");
+    assert!(logs.iter().any(|line| is_named(&line.message)), "{logs:?}");
+}
+
+#[test]
 fn known_cameras_are_found() {
     let mut node = open("model = \"radial\", solve_at = 8");
     let views = POSES.map(pair);

@@ -6,6 +6,7 @@ mod filter;
 mod matcher;
 mod measure;
 mod on_device;
+mod order;
 mod rectify;
 mod reproject;
 mod shrunk;

@@ -14,6 +14,8 @@ use panoscope_node::{
 
 use panoscope_calibration::packet as calibration;
 
+use crate::order::{OrderWatch, PairState};
+
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
@@ -25,14 +27,14 @@ pub struct In<'f> {
     calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Outputs.
+/// Outputs. All are empty while the views are swapped.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Rectified left view; black outside the camera's picture.
     left: Slot<'f, Bgr8>,
     /// Rectified right view.
     right: Slot<'f, Bgr8>,
-    /// Calibration of the rectified views.
+    /// Calibration of the rectified views. Empty while one of them is late, which spoils what is measured.
     calibration: Slot<'f, Calibration>,
     /// 255 where the left view shows something: inside the scope's rim and inside what its camera covers. Empty while that is all of it.
     mask_left: Slot<'f, Mask>,
@@ -99,6 +101,7 @@ pub struct Rectify {
     /// A view that was shrunk, before it is turned.
     small: Vec<u8>,
     masks: [MaskMaker; 2],
+    order: OrderWatch,
     /// Views have been handed on without a calibration.
     is_passing: bool,
 }
@@ -280,7 +283,13 @@ impl Node for Rectify {
     }
 
     fn open(_: &Open<'_>, _: &RectifyNodeParams) -> Result<Self> {
-        Ok(Self { maps: None, small: Vec::new(), masks: Default::default(), is_passing: false })
+        Ok(Self {
+            maps: None,
+            small: Vec::new(),
+            masks: Default::default(),
+            order: OrderWatch::default(),
+            is_passing: false,
+        })
     }
 
     fn process<'f>(
@@ -297,9 +306,18 @@ impl Node for Rectify {
             return Err(error!("views of {width}x{height} cannot be shrunk by {factor}: set a smaller `scale`"));
         }
         let as_they_are = (factor, None);
+        let views = [input.left.view(), input.right.view()];
+        let same_size = (views[0].width, views[0].height) == (views[1].width, views[1].height);
         if params.bypass {
             if let Some(given) = &input.calibration {
-                out.calibration.set(Calibration { is_rectified: 1, ..calibration::shrunk(given, factor as u32) })?;
+                let state = if same_size { self.order.look(cx, views, given, true) } else { PairState::Fits };
+                if state == PairState::Exchanged {
+                    return Ok(());
+                }
+                if state == PairState::Fits {
+                    out.calibration
+                        .set(Calibration { is_rectified: 1, ..calibration::shrunk(given, factor as u32) })?;
+                }
             }
             make(&input.left, &mut out.left, as_they_are, &mut self.small, cx)?;
             make(&input.right, &mut out.right, as_they_are, &mut self.small, cx)?;
@@ -347,7 +365,11 @@ impl Node for Rectify {
                 ));
             }
         }
-        out.calibration.set(maps.target)?;
+        match self.order.look(cx, views, &maps.source, maps.source.is_rectified != 0) {
+            PairState::Fits => out.calibration.set(maps.target)?,
+            PairState::Late => {}
+            PairState::Exchanged => return Ok(()),
+        }
         if !make_on_gpu(maps, &input, &mut out, cx)? {
             let [left, right] = match &maps.tables {
                 Some([left, right]) => [Some(left), Some(right)],

@@ -7,3 +7,4 @@ mod filters;
 mod geometry;
 mod lit;
 mod matching;
+mod order;

@@ -117,9 +117,11 @@ fn swapped_views_are_named_once() -> TestResult {
     assert!(warned(&node, "swapped"));
     assert_eq!(node.logs().len(), 1, "{:?}", node.logs());
     assert_eq!(node.metric("views_swapped"), Some(1.0));
+    assert_eq!(density(&run(&mut node, &right, &left)?, "disparity")?, 0.0, "what matches by chance is withheld");
     for _ in 0..4 {
         run(&mut node, &left, &right)?;
     }
+    assert!(density(&run(&mut node, &left, &right)?, "disparity")? > 0.4);
     assert_eq!(node.metric("views_swapped"), Some(0.0));
     Ok(())
 }

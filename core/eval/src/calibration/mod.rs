@@ -19,10 +19,13 @@ pub use options::Options;
 pub use report::{Views, summary};
 pub use source::Source;
 
+/// What a warning of the node contains that says why it has not solved.
+const UNSOLVED: &str = "no calibration";
+
 /// A calibration and the views that it was made from.
 pub struct Calibrated {
-    /// Both cameras; `None` if too few views could be used.
-    pub calibration: Option<Calibration>,
+    /// Both cameras, or why there are none.
+    pub calibration: std::result::Result<Calibration, String>,
     /// All views that were looked at.
     pub views: Views,
     output: RunOutput,
@@ -49,8 +52,11 @@ pub fn calibrate(session: &dyn Session, options: &Options, source: &Source) -> R
     let table = Table::read(packet.bytes()).context("the table of views is cut off")?;
     let views = Views::of(&table, source);
     let calibration = match &output.packets[0] {
-        Some(packet) => Some(packets::calibration(packet.bytes()).context("the calibration is cut off")?),
-        None => None,
+        Some(packet) => Ok(packets::calibration(packet.bytes()).context("the calibration is cut off")?),
+        None => Err(output.log.iter().rev().find(|(id, text)| id == node && text.contains(UNSOLVED)).map_or_else(
+            || format!("{} of {} views could be used: that gives no calibration", views.used(), views.len()),
+            |(_, text)| text.clone(),
+        )),
     };
     Ok(Calibrated { calibration, views, output })
 }

@@ -17,6 +17,8 @@ pub const NODE: &str = "calibrate";
 const SOURCE: &str = "views";
 /// Pairs that are looked at where the source has no end of its own.
 const LIVE_FRAMES: u64 = 300;
+/// Smallest number of views that give a calibration.
+const MIN_VIEWS: u64 = 5;
 /// Of a stream of views, how far the board must have moved from every view before, in parts of the diagonal.
 const MIN_MOVE: f64 = 0.03;
 
@@ -61,6 +63,17 @@ fn pairs(left: Vec<PathBuf>, right: Vec<PathBuf>) -> ([Vec<PathBuf>; 2], Vec<Pat
 impl Source {
     /// What the options name.
     pub fn of(session: &dyn Session, options: &Options) -> Result<Self> {
+        let source = Self::named(session, options)?;
+        let count = source.frames(options);
+        if let Some(count) = count.filter(|count| *count < MIN_VIEWS) {
+            bail!(
+                "{count} pairs of views are too few for a calibration: give at least {MIN_VIEWS}, better 15 to 30, with the board tilted and at different distances and places"
+            );
+        }
+        Ok(source)
+    }
+
+    fn named(session: &dyn Session, options: &Options) -> Result<Self> {
         if let Some(graph) = &options.graph {
             for port in [&options.left, &options.right] {
                 ensure!(port.contains('.'), "with --graph, `{port}` must be a port such as scope.left");
@@ -120,6 +133,7 @@ impl Source {
         params.insert("board".into(), options.board.to_string().into());
         params.insert("model".into(), options.model.clone().into());
         params.insert("method".into(), options.method.clone().into());
+        params.insert("min_views".into(), (MIN_VIEWS as i64).into());
         params.insert("reject".into(), (!options.keep_all).into());
         let (mut graph, ports) = match self {
             Self::Graph(path, text) => {

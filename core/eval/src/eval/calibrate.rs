@@ -7,7 +7,7 @@ use panoscope_abi::Calibration;
 use panoscope_calibration::Board;
 
 use crate::calibration::{self, Source, Views};
-use crate::error::{Context, Result};
+use crate::error::{EvalError, Result};
 use crate::figures::Figure;
 use crate::session::{Session, note};
 
@@ -53,10 +53,10 @@ fn made(
     pictures: Option<&Path>,
 ) -> Result<Calibrated> {
     let calibrated = calibration::calibrate(session, options, source)?;
-    let calibration = calibrated.calibration.context("too few views could be used")?;
-    if let Some(folder) = pictures {
+    if let (Ok(_), Some(folder)) = (&calibrated.calibration, pictures) {
         calibrated.write_pictures(folder)?;
     }
+    let calibration = calibrated.calibration.map_err(|reason| EvalError::Input { reason })?;
     Ok(Calibrated { calibration, views: calibrated.views })
 }
 

@@ -39,6 +39,8 @@ mod surface_point;
 mod survey;
 mod tile;
 mod tridiagonal;
+pub mod view_delay;
+pub mod view_order;
 mod watch;
 pub mod wls;
 
@@ -60,4 +62,6 @@ pub use shared_field::SharedField;
 pub use speckle::SpeckleFilter;
 pub use surface_point::{Sample, SurfacePoint};
 pub use tile::{Tile, project_right};
+pub use view_delay::{Delay, RowSample, ViewDelay};
+pub use view_order::{Order, OrderEvidence, ViewOrder};
 pub use wls::{FilterInput, WlsFilter, WlsParams};

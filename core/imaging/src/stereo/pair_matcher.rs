@@ -165,13 +165,20 @@ impl PairMatcher {
         params: &PairParams,
         pool: &dyn Parallel,
         mut disparity: ViewMut<'_, f32>,
-        disparity_right: Option<ViewMut<'_, f32>>,
+        mut disparity_right: Option<ViewMut<'_, f32>>,
     ) -> Result<(), StereoError> {
         let (width, height) = (disparity.width, disparity.height);
         let roi = roi.clamped(width, height);
         let first_px = self.search.begin(report, views, &params.search, pool)?;
         // A region was chosen by who knows what the views share; the whole frame is cut down to that by the maps of both views.
         let is_whole = roi == Rect::whole(width, height);
+        if self.search.is_swapped() {
+            // Matches of swapped views are chance, their depths would be believed.
+            clear(&mut disparity);
+            disparity_right.as_mut().map(clear);
+            self.search.end(report, views, disparity.as_view(), is_whole, &params.search);
+            return Ok(());
+        }
         let tiles = self.search.tiles();
         let right_is_read = disparity_right.is_some();
         let mut right = match disparity_right {
@@ -207,6 +214,11 @@ impl PairMatcher {
         self.search.end(report, views, disparity.as_view(), is_whole, &params.search);
         Ok(())
     }
+}
+
+/// Sets a map to unknown.
+fn clear(map: &mut ViewMut<'_, f32>) {
+    (0..map.height).for_each(|y| map.row_mut(y).fill(f32::NAN));
 }
 
 /// The same view, for one call.

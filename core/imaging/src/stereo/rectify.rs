@@ -178,7 +178,7 @@ impl Rectification {
 }
 
 /// A pixel's direction in the rectified axes, at depth 1.
-fn turn(camera: &CameraModel, rotation: &Matrix3, u: f64, v: f64) -> (f64, f64) {
+pub(crate) fn turn(camera: &CameraModel, rotation: &Matrix3, u: f64, v: f64) -> (f64, f64) {
     let (x, y) = camera.unproject(u, v);
     let [x, y, z] = apply(rotation, [x, y, 1.0]);
     (x / z, y / z)

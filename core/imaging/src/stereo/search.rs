@@ -171,6 +171,11 @@ impl Search {
         self.watch.swapped(report, &mut self.survey, found, views, pool)
     }
 
+    /// Whether the views are swapped: what a kernel matches of them is chance.
+    pub fn is_swapped(&self) -> bool {
+        self.watch.is_swapped()
+    }
+
     /// Call after matching. `is_whole`: the whole left view was matched, not only a region.
     pub fn end(
         &mut self,

@@ -59,6 +59,11 @@ pub struct Watch {
 }
 
 impl Watch {
+    /// Whether the views are swapped.
+    pub fn is_swapped(&self) -> bool {
+        self.swapped
+    }
+
     /// Checks after a survey with few matches whether the swapped views match.
     ///
     /// # Errors

@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use panoscope_media::input::Signal;
 
-pub use decode::decode_picture;
+pub use decode::{decode_picture, read};
 pub use demands::{Clock, Demands, Grab, Lock};
 pub use elements::unknown_element;
 pub use error::{CaptureError, PictureError};

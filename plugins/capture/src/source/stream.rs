@@ -27,6 +27,10 @@ const FIRST_WAIT: Duration = Duration::from_millis(250);
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 /// Limit of the first attempt to open a lost source again. An attempt that is not answered is given up, and the next one may take twice as long.
 const FIRST_ATTEMPT: Duration = Duration::from_millis(1500);
+/// Shortest silence of a live source for which the other views do not wait: well below the time after which a screen calls images old.
+const MIN_PAUSE: Duration = Duration::from_millis(500);
+/// The same in times between two frames.
+const PAUSE_FRAMES: u32 = 3;
 /// A file that gives nothing for this long is given up.
 const FILE_LIMIT: Duration = Duration::from_secs(10);
 
@@ -88,6 +92,8 @@ pub struct Stream {
     loss: String,
     /// Frames of the connection that were there at this time of the host's clock, ns.
     heard: (u64, i64),
+    /// A silence longer than this is not a pause between two frames: other views are shown without this one.
+    pause: Duration,
     damaged: Arc<AtomicU64>,
     dropped_before: u64,
 }
@@ -187,6 +193,7 @@ impl Stream {
             attempt_limit: FIRST_ATTEMPT,
             loss: String::new(),
             heard: (0, i64::MIN),
+            pause: demands.silence_limit,
             damaged: Arc::default(),
             dropped_before: 0,
         };
@@ -340,6 +347,7 @@ impl Stream {
             }
             if matches!(self.state, State::Open(_)) {
                 self.heard = (0, clock());
+                self.pause = Duration::ZERO;
                 self.apply_lock();
             }
         }
@@ -372,10 +380,13 @@ impl Stream {
         }
         let State::Open(input) = &self.state else { return Grab::Lost(self.loss.clone()) };
         let (end, pushed, now_ns) = (input.queue().ended(), input.queue().pushed(), clock());
-        if pushed > self.heard.0 || self.heard.1 == i64::MIN {
+        if self.heard.1 == i64::MIN {
+            self.heard = (pushed, now_ns);
+        } else if pushed > self.heard.0 {
+            self.pause = MIN_PAUSE.max(PAUSE_FRAMES * self.silence(now_ns));
             self.heard = (pushed, now_ns);
         }
-        let silent = Duration::from_nanos(u64::try_from(now_ns.saturating_sub(self.heard.1)).unwrap_or(0));
+        let silent = self.silence(now_ns);
         if end == Some(End::EndOfStream) && self.is_finite {
             return if input.queue().wait_for_item(Duration::ZERO) { Grab::Ready(None) } else { Grab::End };
         }
@@ -384,6 +395,26 @@ impl Stream {
             return self.lose(&words, clock);
         }
         Grab::Ready(None)
+    }
+
+    /// Time since the newest frame, or since the connection, as of the last [`Self::poll`].
+    fn silence(&self, now_ns: i64) -> Duration {
+        Duration::from_nanos(u64::try_from(now_ns.saturating_sub(self.heard.1)).unwrap_or(0))
+    }
+
+    /// Whether there is a connection.
+    pub fn is_connected(&self) -> bool {
+        matches!(self.state, State::Open(_))
+    }
+
+    /// Whether a frame has come within a time, as of the last [`Self::poll`].
+    pub fn is_heard_within(&self, time: Duration, clock: Clock<'_>) -> bool {
+        self.is_connected() && self.silence(clock()) <= time
+    }
+
+    /// Whether frames keep coming, as of the last [`Self::poll`].
+    pub fn delivers(&self, clock: Clock<'_>) -> bool {
+        self.is_heard_within(self.pause, clock)
     }
 
     /// Arrival times of the pictures that wait, oldest first, ns of `CLOCK_MONOTONIC`.

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use gstreamer as gst;
 use gstreamer::prelude::*;
@@ -12,6 +13,8 @@ use panoscope_node::harness::{Harness, HarnessError, Level, Outputs, Setup};
 
 pub const WIDTH: usize = 16;
 pub const HEIGHT: usize = 8;
+/// Longest wait for something that comes.
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A folder of its own, removed at the end.
 pub struct Folder(pub PathBuf);
@@ -82,6 +85,18 @@ pub fn drain_to_failure(node: &mut Harness<Capture>) -> (Vec<Outputs>, Option<St
             Ok(out) if out.ended() || all.len() > 1000 => return (all, None),
             Ok(out) => all.push(out),
         }
+    }
+}
+
+/// Calls until `wanted`, or too long.
+pub fn until(node: &mut Harness<Capture>, mut wanted: impl FnMut(&Outputs) -> bool) -> Result<Outputs, HarnessError> {
+    let begin = Instant::now();
+    loop {
+        let out = node.process()?;
+        if wanted(&out) {
+            return Ok(out);
+        }
+        assert!(begin.elapsed() < PATIENCE, "{:?}", node.logs());
     }
 }
 

@@ -296,7 +296,12 @@ impl CalibrateStereo {
         loop {
             if used.len() < params.min_views {
                 if params.solve_at > 0 {
-                    cx.warn(&format!("{} views are in use, {} are needed", used.len(), params.min_views));
+                    cx.warn(&format!(
+                        "{} of {} views are in use, {} are needed: no calibration",
+                        used.len(),
+                        self.seen.len(),
+                        params.min_views
+                    ));
                 }
                 return false;
             }

@@ -84,7 +84,9 @@ fn camera(size: Size, k: &Mat, d: &Mat) -> opencv::Result<Camera> {
 pub enum Unsolved {
     /// OpenCV's message.
     OpenCv(opencv::Error),
-    /// Cameras that no rectification exists for: swapped, one above the other.
+    /// The camera of the left views stands to the right of the other one.
+    Exchanged,
+    /// Cameras that no rectification exists for, such as one above the other.
     Impossible(String),
 }
 
@@ -98,6 +100,9 @@ impl std::fmt::Display for Unsolved {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::OpenCv(error) => write!(f, "OpenCV: {}", error.message),
+            Self::Exchanged => f.write_str(
+                "left and right look exchanged, because the camera of the left views stands to the right of the other one. Give the views of the left camera as `left` and those of the right one as `right`",
+            ),
             Self::Impossible(why) => f.write_str(why),
         }
     }
@@ -174,6 +179,9 @@ pub fn solve(pairs: &[&Pair], size: (usize, usize), procedure: Procedure) -> Res
         end,
     )?;
     let translation: [f64; 3] = cells(&t)?;
+    if translation[0] > translation[1].abs().max(translation[2].abs()) {
+        return Err(Unsolved::Exchanged);
+    }
     let bare = Calibration {
         left: camera(size, &k[0], &d[0])?,
         right: camera(size, &k[1], &d[1])?,

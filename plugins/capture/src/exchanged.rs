@@ -1,0 +1,80 @@
+//! A check of image files before a graph runs: whether the views are those of the calibration, or exchanged.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use std::time::SystemTime;
+
+use panoscope_calibration::packet::{ViewCameras, same};
+use panoscope_imaging::Serial;
+use panoscope_imaging::stereo::{Order, OrderEvidence, ViewOrder};
+use panoscope_node::abi::Calibration;
+use panoscope_node::{Rect, View};
+
+use crate::source::{Picture, read};
+
+/// One view: its file and the part of the picture that it shows.
+#[derive(Clone, PartialEq)]
+pub struct FileView {
+    /// An image file.
+    pub file: PathBuf,
+    /// Part of the picture.
+    pub rect: Rect,
+}
+
+/// What was compared last: a graph is checked at each edit, and reading two images takes a while.
+static LAST: Mutex<Option<Compared>> = Mutex::new(None);
+
+struct Compared {
+    views: [FileView; 2],
+    changed: [Option<SystemTime>; 2],
+    calibration: Calibration,
+    evidence: Option<OrderEvidence>,
+}
+
+/// Evidence that the views are exchanged; `None` where there is none, or where the images cannot be read as 8 bits of the calibration's size.
+pub fn exchanged(views: [FileView; 2], calibration: &Calibration) -> Option<OrderEvidence> {
+    let changed = views.each_ref().map(|view| view.file.metadata().and_then(|data| data.modified()).ok());
+    let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+    let evidence = match &*last {
+        Some(last) if last.views == views && last.changed == changed && same(&last.calibration, calibration) => {
+            last.evidence
+        }
+        _ => compare(&views, calibration),
+    };
+    *last = Some(Compared { views, changed, calibration: *calibration, evidence });
+    evidence.filter(|evidence| evidence.order == Order::Exchanged)
+}
+
+fn compare(views: &[FileView; 2], calibration: &Calibration) -> Option<OrderEvidence> {
+    let cameras = ViewCameras::new(calibration, calibration.is_rectified != 0).ok()?;
+    let [left, right] = [&calibration.left, &calibration.right].map(|camera| (camera.width, camera.height));
+    let [first, second] = views.each_ref().map(|view| pixels(view, left));
+    let (first, second) = (first?, second?);
+    if left != right {
+        return None;
+    }
+    let (width, height) = (left.0 as usize, left.1 as usize);
+    let mut order = ViewOrder::default();
+    order.take([&first, &second].map(|bgr| View::new(&bgr[..], width, height, 3)), &Serial);
+    order.find(0, &Serial);
+    order.find(1, &Serial);
+    Some(cameras.compare(&mut order, &Serial))
+}
+
+/// BGR pixels of a view of this size.
+fn pixels(view: &FileView, (width, height): (u32, u32)) -> Option<Vec<u8>> {
+    let FileView { file, rect } = view;
+    if (rect.width, rect.height) != (width as usize, height as usize) || rect.is_empty() {
+        return None;
+    }
+    let picture: Picture = read(file).ok()?;
+    let holds = rect.x + rect.width <= picture.width && rect.y + rect.height <= picture.height;
+    if !holds || picture.peak().is_some() {
+        return None;
+    }
+    let mut bgr = vec![0; 3 * rect.width * rect.height];
+    for (y, row) in bgr.chunks_exact_mut(3 * rect.width).enumerate() {
+        picture.write_row(rect.x, rect.y + y, 255.0, row);
+    }
+    Some(bgr)
+}
