@@ -17,10 +17,10 @@ const SUBJECTS: &[Subject] = &[
     Subject { name: "params", sources: &["sync", "params"] },
     Subject { name: "region", sources: &["sync", "memory", "region"] },
     Subject { name: "abandon", sources: &["thread_id", "busy"] },
-    Subject { name: "join", sources: &["sync", "memory", "region", "join"] },
+    Subject { name: "join", sources: &["sync", "memory", "region", "light", "join"] },
     Subject { name: "pool", sources: &["sync", "thread_id", "pool"] },
     Subject { name: "leave", sources: &["sync", "leave", "runner"] },
-    Subject { name: "apply", sources: &["sync", "memory", "region", "join", "change_lock"] },
+    Subject { name: "apply", sources: &["sync", "memory", "region", "light", "join", "change_lock"] },
 ];
 
 /// A mistake in one source of a subject.
@@ -142,8 +142,8 @@ const MUTATIONS: &[Mutation] = &[
         name: "a_rewired_node_loses_its_packets",
         subject: "apply",
         source: "join",
-        from: "std::mem::swap(&mut self.queue, &mut old.queue);",
-        to: "",
+        from: "slot.inherit(old);",
+        to: "let _ = (&slot, old);",
     },
 ];
 
@@ -152,6 +152,7 @@ fn path_of(source: &str) -> &str {
     match source {
         "memory" => "memory/mod",
         "memory_pool" => "memory/pool",
+        "join_slot" => "join/slot",
         "runner" => "node/runner",
         "change_lock" => "apply/change_lock",
         source => source,
@@ -173,7 +174,9 @@ fn instrumented(file: &Path, module: &str, mutation: Option<&Mutation>) -> Strin
         text = text.replace("std::sync::atomic", "core::sync::atomic");
     }
     // `include!` takes no module documentation.
-    let lines = text.lines().filter(|line| !line.starts_with("//!") && !["mod domain;", "mod pool;"].contains(line));
+    let lines = text
+        .lines()
+        .filter(|line| !line.starts_with("//!") && !["mod domain;", "mod pool;", "mod slot;"].contains(line));
     let text: String = lines.flat_map(|line| [line, "\n"]).collect();
     text
         // Threads of the model have small stacks, and it needs private memory only.
@@ -207,6 +210,10 @@ fn lay_out(subject: &Subject, mutation: Option<&Mutation>, engine: &Path, out: &
                 let more = support("memory_extra.rs");
                 format!("{include}\nmod pool {{ {pool} }}\ninclude!({more:?});")
             }
+            "join" => {
+                let slot = write("join_slot");
+                format!("{include}\nmod slot {{ {slot} }}")
+            }
             // Its thread-locals are set as those of the standard library are.
             "pool" | "thread_id" => format!("use crate::shim::{{Assign, Exchange}};\n{include}"),
             _ => include,
@@ -231,7 +238,9 @@ fn main() {
             println!("cargo::rerun-if-changed={}", engine.join(format!("{}.rs", path_of(source))).display());
         }
     }
-    println!("cargo::rerun-if-changed={}", engine.join("memory/pool.rs").display());
+    for part in ["memory/pool.rs", "join/slot.rs"] {
+        println!("cargo::rerun-if-changed={}", engine.join(part).display());
+    }
     println!("cargo::rerun-if-changed=build.rs");
     for mutation in MUTATIONS {
         let subject = SUBJECTS.iter().find(|subject| subject.name == mutation.subject);

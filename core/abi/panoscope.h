@@ -405,7 +405,8 @@ typedef struct PanoscopeTick {
      */
     uint32_t source;
     /**
-     * How much older the light of a packet is than that of its tick, in units of 10 us; see PanoscopeHost.set_lag_ns. The host sets it.
+     * How much older the light of a packet is than that of its tick: the oldest in the upper 20 bits, the newest in the lower 12. Both are
+     * rounded up to 10 us and have a 5-bit exponent above their digits. The host sets it; see PanoscopeHost.set_lag_ns.
      */
     uint32_t flags;
     /**
@@ -586,7 +587,7 @@ typedef struct PanoscopeHost {
     int64_t (*age_ns)(void *call, uint32_t input);
     /**
      * The outputs of this call show light that is older than that of its tick by this: held or predicted values. Readers see this age. An
-     * output never looks younger than an input of the same tick. A source uses PanoscopeHost.set_arrived_ns.
+     * output never looks younger than the oldest input. A source uses PanoscopeHost.set_arrived_ns.
      */
     void (*set_lag_ns)(void *call, int64_t lag_ns);
 } PanoscopeHost;

@@ -8,6 +8,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use panoscope_engine::fault::Fault;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, Listener, Options, Outcome, StartError};
 use panoscope_tests::machines::{Machine, Namespace, Relay, free_port, program, random};
@@ -325,6 +326,33 @@ fn a_lost_machine_disturbs_no_other_node_and_comes_back() {
 }
 
 #[test]
+fn what_accepts_and_closes_is_one_fault_for_each_attempt() {
+    let folder = scratch("machines-closes");
+    let Some((rack, port)) = plain_machine(&folder) else { return };
+    const TIMEOUT_MS: f64 = 1000.0;
+    let text = ONE.to_owned() + &machine(&format!("tcp/127.0.0.1:{port}"), "timeout_ms = 1000");
+    let refused = |fault: &&Fault| fault.words.contains("refuses the connection");
+    let (mut rack, end) = (Some(rack), Instant::now() + PATIENCE);
+    let run = run_disturbed(&folder, &text, Options::default(), |engine| {
+        if rack.is_some() && engine.report().nodes["end_far"].count >= 5 {
+            // Something else listens in its place.
+            rack = None;
+            let listener = std::net::TcpListener::bind(("127.0.0.1", port)).expect("the port is free again");
+            std::thread::spawn(move || listener.incoming().for_each(drop));
+        }
+        if engine.recent_faults().iter().filter(refused).count() >= 4 || Instant::now() > end {
+            engine.stop();
+        }
+    });
+    let faults: Vec<&Fault> = run.faults.iter().filter(refused).collect();
+    assert!(faults.len() >= 4, "{:?}", run.faults);
+    assert!(run.faults.iter().all(|fault| !fault.words.contains(".rs:")), "{:?}", run.faults);
+    let pauses_ms: Vec<f64> = faults.windows(2).map(|pair| pair[1].run_ms - pair[0].run_ms).collect();
+    assert!(pauses_ms.iter().all(|ms| *ms > 0.7 * TIMEOUT_MS), "{pauses_ms:?}");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
 fn ages_of_light_from_another_machine_count_its_way_here() {
     let folder = scratch("machines-ages");
     let Some((_rack, port)) = plain_machine(&folder) else { return };
@@ -336,14 +364,11 @@ fn ages_of_light_from_another_machine_count_its_way_here() {
          params = {{ width = 96, height = 64 }}\n[nodes.end]\ntype = \"drain\"\ninputs = {{ image = \"far.left\" }}\n{}",
         machine(&format!("tcp/{}", relay.address), PATIENT)
     );
-    let mut link = None;
-    let run = run_disturbed(&folder, &text, options(30), |engine| {
-        link = engine.report().groups["rack"].link.clone().or(link.take());
-    });
+    let run = run_disturbed(&folder, &text, options(30), |_| ());
     assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
     let youngest_ms = run.report.paths["end"].age_p50_ms;
     assert!(youngest_ms >= DELAY_US as f64 / 1e3 * 0.9, "{youngest_ms} ms");
-    let link = link.expect("a link");
+    let link = run.report.groups["rack"].link.clone().expect("also after the end of the connection");
     // Both clocks are one here.
     let offset_ns = link.clock_offset_ns.expect("it was measured");
     assert!(offset_ns.unsigned_abs() <= link.clock_uncertainty_ns, "{link:?}");

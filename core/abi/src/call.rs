@@ -209,7 +209,7 @@ pub struct Host {
     /// moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is `INT64_MIN`.
     pub age_ns: Option<unsafe extern "C" fn(call: *mut c_void, input: u32) -> i64>,
     /// The outputs of this call show light that is older than that of its tick by this: held or predicted values. Readers see this age. An
-    /// output never looks younger than an input of the same tick. A source uses [`Host::set_arrived_ns`].
+    /// output never looks younger than the oldest input. A source uses [`Host::set_arrived_ns`].
     pub set_lag_ns: Option<unsafe extern "C" fn(call: *mut c_void, lag_ns: i64)>,
 }
 

@@ -8,7 +8,8 @@ use core::ffi::c_void;
 pub struct Tick {
     /// Which source of the graph.
     pub source: u32,
-    /// How much older the light of a packet is than that of its tick, in units of 10 us; see [`crate::Host::set_lag_ns`]. The host sets it.
+    /// How much older the light of a packet is than that of its tick: the oldest in the upper 20 bits, the newest in the lower 12. Both are
+    /// rounded up to 10 us and have a 5-bit exponent above their digits. The host sets it; see [`crate::Host::set_lag_ns`].
     pub flags: u32,
     /// Counts the source's calls from 0.
     pub seq: u64,

@@ -116,7 +116,7 @@ impl Verdict {
 
 /// What was said of a node's newest fault.
 fn last_words<'a>(faults: &'a [Fault], node: &str) -> &'a str {
-    let notes = [Cause::Slow, Cause::Silent, Cause::Incomplete];
+    let notes = [Cause::Slow, Cause::Silent, Cause::Incomplete, Cause::TooOld];
     let of_node = |f: &&Fault| f.node == node && !notes.contains(&f.cause);
     faults.iter().rev().find(of_node).map_or("see the lines above", |f| f.words.as_str())
 }
@@ -182,6 +182,11 @@ fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdi
         let frames = plural(node.lacking, "frame");
         verdict.add(Weight::Warning, format!("node `{id}` lacks {frames} of its source{why}"));
     }
+    for wire in &node.too_old_on {
+        let (input, ticks) = (&wire.input, plural(wire.ticks, "tick"));
+        let message = format!("node `{id}` went on without input `{input}` at {ticks}: it was older than `max_age_ms`");
+        verdict.add(Weight::Warning, message);
+    }
     if let Some(fault) = facts.faults.iter().rev().find(|f| f.node == id && f.done == Action::Bypass) {
         verdict.add(Weight::Warning, format!("node `{id}` was bypassed: {}", fault.words));
     }
@@ -220,7 +225,7 @@ fn idle(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
 mod tests {
     use std::collections::BTreeMap;
 
-    use panoscope_engine::Machine;
+    use panoscope_engine::{Machine, WireTooOld};
 
     use super::*;
 
@@ -233,6 +238,7 @@ mod tests {
             dropped: 0,
             lacking: 0,
             dropped_on: Vec::new(),
+            too_old_on: Vec::new(),
             skipped: 0,
             faults: 0,
             restarts: 0,
@@ -312,6 +318,16 @@ mod tests {
             verdict.findings[0].words,
             "node `sink` lacks 58 frames of its source: `slow` takes 200.0 ms; let `slow` read with align = \"latest\""
         );
+    }
+
+    #[test]
+    fn an_input_that_was_too_old_is_a_warning() {
+        let wire = WireTooOld { input: "depth".to_owned(), index: 0, ticks: 7 };
+        let report = report(|nodes| nodes.get_mut("sink").expect("there").too_old_on.push(wire));
+        let verdict = judge(&facts(&report));
+        assert_eq!((verdict.end(), verdict.findings[0].weight), (End::Done, Weight::Warning));
+        let message = "node `sink` went on without input `depth` at 7 ticks: it was older than `max_age_ms`";
+        assert_eq!(verdict.findings[0].words, message);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The table at the end of a run.
 
 use panoscope_engine::Report;
+use panoscope_engine::isolation::LinkReport;
 use panoscope_engine::text_table::table;
 use panoscope_graph::Graph;
 
@@ -33,16 +34,50 @@ pub fn text(graph: &Graph, report: &Report) -> String {
     }
     out.push_str(&table(&rows));
     if !report.paths.is_empty() {
-        let mut rows = vec![cells(["sink", "age p50 ms", "p99 ms", "max ms"])];
+        let mut rows = vec![cells(["sink", "age p50 ms", "p99 ms", "max ms", "newest light p50 ms", "p99 ms"])];
         for (sink, path) in &report.paths {
             let mut row = vec![sink.clone()];
-            row.extend([path.age_p50_ms, path.age_p99_ms, path.age_max_ms].map(|ms| format!("{ms:.3}")));
+            let ages =
+                [path.age_p50_ms, path.age_p99_ms, path.age_max_ms, path.newest_age_p50_ms, path.newest_age_p99_ms];
+            row.extend(ages.map(|ms| format!("{ms:.3}")));
             rows.push(row);
         }
         out.push_str(&table(&rows));
+    }
+    for (group, link) in report.groups.iter().filter_map(|(group, counts)| Some((group, counts.link.as_ref()?))) {
+        out.push_str(&link_line(group, link));
     }
     if let Some(allocations) = report.allocations_per_frame {
         out.push_str(&format!("  heap allocations per frame in steady state: {allocations:.2}\n"));
     }
     out
+}
+
+/// The connection to another machine.
+fn link_line(group: &str, link: &LinkReport) -> String {
+    let ms = |ns: f64| ns / 1e6;
+    let clock = match link.clock_offset_ns {
+        Some(offset_ns) => {
+            let error_ms = ms(link.clock_uncertainty_ns as f64);
+            format!("its clock minus this one's {:+.3} ms, error at most {error_ms:.3} ms", ms(offset_ns as f64))
+        }
+        None => "its clock is unknown".to_owned(),
+    };
+    let (round_trip_ms, address) = (ms(link.round_trip_ns as f64), &link.address);
+    format!("  machine `{group}` at {address}: {clock}; round trip {round_trip_ms:.3} ms\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_connection_is_shown_with_its_clock_and_round_trip() {
+        let link = LinkReport { address: "tls/rack:7447".to_owned(), round_trip_ns: 420_000, ..LinkReport::default() };
+        let line = link_line("rack", &link);
+        assert_eq!(line, "  machine `rack` at tls/rack:7447: its clock is unknown; round trip 0.420 ms\n");
+        let link = LinkReport { clock_offset_ns: Some(1_500_000), clock_uncertainty_ns: 210_000, ..link };
+        let line = link_line("rack", &link);
+        assert!(line.contains("its clock minus this one's +1.500 ms, error at most 0.210 ms; round trip"), "{line}");
+    }
 }

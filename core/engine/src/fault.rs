@@ -56,10 +56,12 @@ pub enum Cause {
     Crash,
     /// A node that writes files lacks ticks of its source, which were dropped because the nodes of its region are too slow.
     Incomplete,
+    /// An input was older than `max_age_ms` of its edge and counted as absent.
+    TooOld,
 }
 
 /// How many causes there are.
-pub(crate) const CAUSES: usize = Cause::Incomplete as usize + 1;
+pub(crate) const CAUSES: usize = Cause::TooOld as usize + 1;
 
 /// The engine's response to a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]

@@ -9,9 +9,10 @@ use panoscope_base::random::SplitMix64;
 use crate::claims::{Claimed, Holds};
 use crate::clock;
 use crate::fault::Cause;
+use crate::light::{Sources, is_same, later};
 use crate::log::Level;
 use crate::memory::{FrameRef, Memory, MemoryError, memory};
-use crate::node::{NodeRuntime, Refused, RunContext, Sources};
+use crate::node::{NodeRuntime, Refused, RunContext};
 use crate::outputs;
 use crate::pool;
 use crate::retained;
@@ -139,7 +140,7 @@ impl CallContext<'_> {
     fn write(&mut self, index: u32, frame: &Frame) {
         // SAFETY: `shown` and `outputs` hold `outputs_len` frames each, more than `index` (the callers' promise).
         let (slot, shown) = unsafe { (&mut *self.outputs.add(index as usize), &mut *self.shown.add(index as usize)) };
-        let tick = abi::Tick { flags: self.tick.flags.max(frame.tick.flags), ..self.tick };
+        let tick = abi::Tick { flags: later(self.tick.flags, frame.tick.flags), ..self.tick };
         *slot = *frame;
         slot.tick = tick;
         *shown = *frame;
@@ -149,7 +150,7 @@ impl CallContext<'_> {
     /// Lag of a forwarded frame: one that was made at another tick, such as a retained one, keeps the age of its light.
     #[inline]
     fn lag_of(&self, tick: &abi::Tick) -> u32 {
-        if (tick.seq, tick.source) == (self.tick.seq, self.tick.source) { 0 } else { self.lag_behind(tick) }
+        if is_same(tick, &self.tick) { 0 } else { self.lag_behind(tick) }
     }
 
     /// Whether output `index` may be a frame of this description.

@@ -1,139 +1,22 @@
 //! The inputs of a node: the packets that wait, and when the node may fire.
 
+mod slot;
+
 use std::collections::VecDeque;
 use std::sync::Mutex;
 
 use panoscope_abi::Tick;
 
 use crate::decide::Wanted;
+use crate::light::{Lights, inherited};
 use crate::memory::FrameRef;
 use crate::region::Region;
 use crate::sync::lock;
 
+pub(crate) use self::slot::{Rule, Slot};
+
 /// Most packets beyond its capacity that a slot queues while its region is paused.
 const MAX_PAUSED: usize = 1 << 10;
-/// Default queue length of `nearest` slots in live mode: about one second of a camera.
-const MAX_NEAREST: usize = 32;
-/// Default queue length of `delay` slots in live mode for packets of another region.
-const MAX_DELAYED: usize = 8;
-/// Largest queue capacity that is allocated at the start.
-const MAX_RESERVED: usize = 256;
-
-/// How a slot is matched with the node's other slots.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Rule {
-    /// The same tick on all exact slots.
-    Exact,
-    /// The newest value; fires the node when it has no exact slot and this is a trigger.
-    Latest { trigger: bool },
-    /// The closest capture time within `tolerance_ns`.
-    Nearest { tolerance_ns: i64 },
-    /// The producer's value of this node's previous tick.
-    Delay,
-}
-
-/// One connection into a node.
-pub(crate) struct Slot {
-    pub rule: Rule,
-    /// The input may be empty or unconnected.
-    pub optional: bool,
-    /// Queue length in live mode; older packets are dropped. Not used for `exact` slots, whose queues are limited by the ticks in
-    /// the region.
-    pub capacity: usize,
-    queue: VecDeque<FrameRef>,
-    /// Newest non-empty value that was used (`latest`, `delay`).
-    held: Option<FrameRef>,
-    ended: bool,
-    /// Longest queue since [`Slot::fill`] was called last.
-    most: usize,
-    /// Packets dropped because the queue was full.
-    dropped: u64,
-    /// For a `delay` slot: a packet of the producer is expected.
-    expects: bool,
-    /// Packets beyond the capacity that may wait, because they came during a pause.
-    spare: usize,
-}
-
-impl Slot {
-    pub fn new(rule: Rule, optional: bool, capacity: usize) -> Self {
-        let queue = VecDeque::with_capacity(capacity.clamp(8, MAX_RESERVED));
-        let capacity = capacity.max(1);
-        Self {
-            rule,
-            optional,
-            capacity,
-            queue,
-            held: None,
-            ended: false,
-            most: 0,
-            dropped: 0,
-            expects: false,
-            spare: 0,
-        }
-    }
-
-    /// Default queue length.
-    pub fn usual_capacity(rule: Rule) -> usize {
-        match rule {
-            Rule::Exact | Rule::Latest { .. } => 1,
-            Rule::Nearest { .. } => MAX_NEAREST,
-            Rule::Delay => MAX_DELAYED,
-        }
-    }
-
-    /// Whether packets are matched by time or by turn.
-    pub fn is_timed(&self) -> bool {
-        matches!(self.rule, Rule::Nearest { .. } | Rule::Delay)
-    }
-
-    /// Packets dropped so far because the queue was full.
-    pub fn dropped(&self) -> u64 {
-        self.dropped
-    }
-
-    fn waits_for_delayed(&self) -> bool {
-        self.rule == Rule::Delay && self.expects && self.queue.is_empty() && !self.ended
-    }
-
-    fn put(&mut self, frame: FrameRef) {
-        self.queue.push_back(frame);
-        self.most = self.most.max(self.queue.len());
-    }
-
-    /// Queue length now, and the longest since the last call.
-    pub fn fill(&mut self) -> (usize, usize) {
-        let waiting = self.queue.len();
-        (waiting, std::mem::replace(&mut self.most, waiting))
-    }
-
-    /// Takes over the queue of the slot that this one replaces.
-    fn inherit(&mut self, old: &mut Self) {
-        std::mem::swap(&mut self.queue, &mut old.queue);
-        self.held = old.held.take();
-        self.ended = old.ended;
-        self.expects = old.expects;
-        self.dropped = old.dropped;
-        self.spare = old.spare;
-    }
-
-    /// Retains during a pause what would otherwise be dropped, except values that fire nothing, of which only the newest counts. `fires` says
-    /// whether arrivals fire the node.
-    fn pause(&mut self, fires: bool) {
-        let retains = match self.rule {
-            Rule::Exact => false,
-            Rule::Latest { trigger } => trigger && fires,
-            Rule::Nearest { .. } | Rule::Delay => true,
-        };
-        if retains {
-            self.spare = MAX_PAUSED;
-        }
-    }
-
-    /// Most packets that may wait now.
-    fn room(&self) -> usize {
-        self.capacity.saturating_add(self.spare)
-    }
-}
 
 /// Result of an attempt to fire.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -169,7 +52,13 @@ pub(crate) struct Join {
     pub staged: Vec<FrameRef>,
     pub staged_take: Option<(Tick, bool)>,
     exact: bool,
+    /// Whether a slot is not exact.
+    timed: bool,
     batch: bool,
+    /// The tick before, of a node with slots that are not exact.
+    previous: Option<Tick>,
+    /// A slot whose packet was too old for the tick that was taken last.
+    pub too_old_on: Option<usize>,
     /// Whether the inputs of a source were staged for a tick that it has not made: no producer makes a value for it.
     is_unmade: bool,
     /// Whether a slot may queue more than its capacity, during a pause and until what came then is used.
@@ -183,8 +72,9 @@ pub(crate) struct Join {
 impl Join {
     pub fn new(slots: Vec<Slot>, batch: bool) -> Self {
         let exact = slots.iter().any(|s| s.rule == Rule::Exact);
+        let timed = slots.iter().any(|s| s.rule != Rule::Exact);
         let staged = Vec::with_capacity(slots.len());
-        Self { slots, exact, batch, staged, ..Self::default() }
+        Self { slots, exact, timed, batch, staged, ..Self::default() }
     }
 
     /// Whether the node may be fired: no thread runs it, and it is not finished.
@@ -286,10 +176,11 @@ impl Join {
         self.has_spare = self.slots.iter().any(|s| s.spare > 0);
     }
 
-    /// Sets how many packets wait at most, slot by slot.
-    pub fn set_capacities(&mut self, capacities: impl Iterator<Item = usize>) {
-        for (slot, capacity) in self.slots.iter_mut().zip(capacities) {
+    /// Sets how many packets wait at most, and whether they come round a loop, slot by slot.
+    pub fn set_wires(&mut self, wires: impl Iterator<Item = (usize, bool)>) {
+        for (slot, (capacity, is_state)) in self.slots.iter_mut().zip(wires) {
             slot.capacity = capacity.max(1);
+            slot.is_state = is_state;
         }
     }
 
@@ -300,8 +191,8 @@ impl Join {
                 slot.inherit(old);
             }
         }
-        let (turn, has_spare) = (self.turn, self.has_spare);
-        *self = Join { turn, has_spare, ..new };
+        let (turn, has_spare, previous) = (self.turn, self.has_spare, self.previous);
+        *self = Join { turn, has_spare, previous, ..new };
     }
 
     /// Hands all slots over to the node's successor. From here on packets that a call of a producer still delivers here belong to the successor.
@@ -321,16 +212,16 @@ impl Join {
     }
 
     /// Fires if all inputs are there. `region` must admit the tick for a node that heads one.
-    pub fn try_take(&mut self, region: Option<&Region>, now_ns: u64) -> Take {
+    pub fn try_take(&mut self, region: Option<&Region>, lights: &Lights<'_>) -> Take {
         if self.is_finished() {
             return Take::Finished;
         }
-        if self.exact { self.take_exact(now_ns) } else { self.take_arrival(region) }
+        if self.exact { self.take_exact(lights) } else { self.take_arrival(region, lights) }
     }
 
     /// Whether the packets taken may depend on timing.
     pub fn is_timed(&self) -> bool {
-        self.slots.iter().any(|s| s.rule != Rule::Exact)
+        self.timed
     }
 
     /// The ticks of the staged packets; `None` for an empty input.
@@ -357,6 +248,7 @@ impl Join {
         region: Option<&Region>,
         script: Option<&Mutex<VecDeque<Wanted>>>,
         may_enter: bool,
+        lights: &Lights<'_>,
     ) -> Take {
         if self.is_finished() {
             return Take::Finished;
@@ -391,7 +283,7 @@ impl Join {
         if !there || !may_enter || region.is_some_and(|r| !r.try_admit()) {
             return Take::Wait;
         }
-        let tick = wanted.tick;
+        let mut tick = wanted.tick;
         let mut complete = true;
         self.staged.clear();
         for (slot, wanted) in self.slots.iter_mut().zip(wanted.inputs.iter().copied().chain(std::iter::repeat(None))) {
@@ -405,6 +297,8 @@ impl Join {
         if let Some(script) = &mut script {
             script.pop_front();
         }
+        tick.flags = self.inherit(&tick, lights);
+        self.previous = Some(tick);
         self.staged_take = Some((tick, complete));
         Take::Fire { tick, complete }
     }
@@ -415,14 +309,14 @@ impl Join {
     }
 
     /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still being made.
-    pub fn take_source(&mut self, tick: Tick) -> bool {
+    pub fn take_source(&mut self, tick: Tick, lights: &Lights<'_>) -> bool {
         if self.is_unmade {
             self.slots.iter_mut().for_each(|s| s.expects = false);
         }
         if self.slots.iter().any(Slot::waits_for_delayed) {
             return false;
         }
-        self.stage(tick, None);
+        self.stage(tick, None, lights);
         self.staged_take = None;
         self.is_unmade = true;
         true
@@ -433,7 +327,7 @@ impl Join {
         self.is_unmade = false;
     }
 
-    fn take_exact(&mut self, now_ns: u64) -> Take {
+    fn take_exact(&mut self, lights: &Lights<'_>) -> Take {
         let mut tick = None;
         for slot in self.slots.iter().filter(|s| s.rule == Rule::Exact) {
             match slot.queue.front() {
@@ -443,10 +337,10 @@ impl Join {
             }
         }
         let Some(tick) = tick else { return Take::Wait };
-        if !self.others_ready(tick, now_ns) {
+        if self.timed && !self.others_ready(tick, lights.now_ns) {
             return Take::Wait;
         }
-        self.stage(tick, None)
+        self.stage(tick, None, lights)
     }
 
     /// Delay, latest and nearest slots of a node that has its tick.
@@ -473,7 +367,7 @@ impl Join {
         true
     }
 
-    fn take_arrival(&mut self, region: Option<&Region>) -> Take {
+    fn take_arrival(&mut self, region: Option<&Region>, lights: &Lights<'_>) -> Take {
         let fires = |s: &Slot| matches!(s.rule, Rule::Latest { trigger: true });
         // In batch the merged order must not depend on timing: wait until every firing slot has its next packet.
         if self.batch && self.slots.iter().any(|s| fires(s) && s.queue.is_empty() && !s.ended) {
@@ -511,11 +405,11 @@ impl Join {
         if region.is_some_and(|r| !r.try_admit()) {
             return Take::Wait;
         }
-        self.stage(tick, Some(index))
+        self.stage(tick, Some(index), lights)
     }
 
-    fn stage(&mut self, tick: Tick, fired_by: Option<usize>) -> Take {
-        let mut complete = true;
+    fn stage(&mut self, mut tick: Tick, fired_by: Option<usize>, lights: &Lights<'_>) -> Take {
+        let (mut complete, mut has_lag) = (true, self.timed);
         self.nearest_deadline_ns = 0;
         self.staged.clear();
         for (index, slot) in self.slots.iter_mut().enumerate() {
@@ -554,15 +448,32 @@ impl Join {
                     slot.queue.front().filter(|f| distance(f) <= tolerance_ns.max(0) as u64).cloned()
                 }
             };
-            let frame = frame.unwrap_or_else(|| FrameRef::empty(tick));
+            let mut frame = frame.unwrap_or_else(|| FrameRef::empty(tick));
+            if slot.max_age_ns.is_some() && slot.is_too_old(&frame, &tick, lights) {
+                (frame, self.too_old_on) = (FrameRef::empty(tick), Some(index));
+            }
             complete &= slot.optional || !frame.is_empty();
+            has_lag |= frame.tick().flags != 0;
             self.staged.push(frame);
+        }
+        if has_lag {
+            tick.flags = self.inherit(&tick, lights);
+            self.previous = Some(tick);
         }
         if self.has_spare {
             self.shrink_spare();
         }
         self.staged_take = Some((tick, complete));
         Take::Fire { tick, complete }
+    }
+
+    /// Lag of what is made of the staged packets, as [`Tick::flags`].
+    fn inherit(&self, tick: &Tick, lights: &Lights<'_>) -> u32 {
+        let lags = self.slots.iter().zip(&self.staged).filter(|(slot, frame)| slot.shows_light && !frame.is_empty());
+        inherited(lags.filter_map(|(slot, frame)| match slot.is_state {
+            true => lights.lag_of_state(tick, &frame.tick(), self.previous),
+            false => lights.lag(tick, &frame.tick()),
+        }))
     }
 }
 

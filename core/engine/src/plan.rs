@@ -11,7 +11,8 @@ use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, Node, NodeKind};
 
 use crate::isolation::Group;
 use crate::join::{Join, Rule, Slot};
-use crate::node::{NodeRuntime, NodeSpec, Sources};
+use crate::light::Sources;
+use crate::node::{NodeRuntime, NodeSpec};
 use crate::params::Snapshot;
 use crate::pool::Urgency;
 use crate::region::Region;
@@ -100,8 +101,14 @@ pub(crate) struct Plan {
 }
 
 impl Sources for Plan {
-    fn light_ns(&self, tick: &abi::Tick) -> Option<i64> {
-        self.runtimes.get(tick.source as usize)?.ticks.light_ns(tick)
+    #[inline]
+    fn arrived_ns(&self, tick: &abi::Tick) -> Option<i64> {
+        self.runtimes.get(tick.source as usize)?.ticks.arrived_ns(tick.seq)
+    }
+
+    fn is_constant(&self, tick: &abi::Tick) -> bool {
+        let source = self.runtimes.get(tick.source as usize);
+        source.is_some_and(|source| !source.exclusive && source.ticks.is_only_one(tick.seq))
     }
 }
 
@@ -173,11 +180,28 @@ fn capacity(graph: &Graph, edge: &Edge, any_trigger: bool) -> usize {
     edge.queue.map_or_else(|| Slot::usual_capacity(rule), |queue| queue as usize)
 }
 
-/// The same for all edges into a node, in the order of its slots.
-pub(crate) fn capacities(graph: &Graph, node: usize) -> impl Iterator<Item = usize> {
+/// Queue length of each edge into a node, and whether it closes a loop, in the order of its slots.
+pub(crate) fn wires(graph: &Graph, node: usize) -> impl Iterator<Item = (usize, bool)> {
     let edges = graph.inputs_of(node);
     let any_trigger = edges.iter().any(|e| e.trigger);
-    edges.iter().map(move |edge| capacity(graph, edge, any_trigger))
+    edges.iter().map(move |edge| (capacity(graph, edge, any_trigger), is_state(graph, edge)))
+}
+
+/// Whether an edge brings a state round a loop, see [`crate::light`].
+fn is_state(graph: &Graph, edge: &Edge) -> bool {
+    edge.delay > 0 && leads_to(graph, edge.to_node, edge.from_node)
+}
+
+/// Whether something that node `from` makes reaches node `to`.
+fn leads_to(graph: &Graph, from: usize, to: usize) -> bool {
+    let mut reached = vec![false; graph.nodes.len()];
+    let mut next = vec![from];
+    while let Some(node) = next.pop() {
+        if !std::mem::replace(&mut reached[node], true) {
+            next.extend(graph.outputs_of(node).map(|edge| edge.to_node));
+        }
+    }
+    reached[to]
 }
 
 /// Empty inputs of a node, and the slots of each port.
@@ -188,11 +212,15 @@ pub(crate) fn inputs(graph: &Graph, catalog: &Catalog, node: usize) -> (Join, Ve
     let mut ranges = Vec::with_capacity(description.inputs.len());
     let mut slots = Vec::with_capacity(edges.len());
     for (port, declared) in description.inputs.iter().enumerate() {
-        let first = slots.len() as u32;
+        let (first, is_calibration) = (slots.len() as u32, declared.packet.name == "calibration");
         for edge in edges.iter().filter(|e| e.to_port == port) {
             // Each entry of a list may be empty.
             let optional = declared.optional || declared.list;
-            slots.push(Slot::new(rule(edge, any_trigger), optional, capacity(graph, edge, any_trigger)));
+            let mut slot = Slot::new(rule(edge, any_trigger), optional, capacity(graph, edge, any_trigger));
+            slot.shows_light = !is_calibration && !edge.guide;
+            slot.is_state = is_state(graph, edge);
+            slot.max_age_ns = edge.max_age_ms.filter(|_| !is_calibration).map(|ms| (ms * 1e6) as i64);
+            slots.push(slot);
         }
         ranges.push(PortRange { first, count: slots.len() as u32 - first });
     }
@@ -465,6 +493,8 @@ mod tests {
                     delay: u8::from(kind == "."),
                     trigger: false,
                     convert: false,
+                    max_age_ms: None,
+                    guide: false,
                     span: 0..0,
                 }
             })
@@ -586,6 +616,14 @@ mod tests {
         let (parts, flat) = (plan(&parts), plan(&flat));
         assert_eq!(parts.0.len(), 12);
         assert_eq!(parts, flat);
+    }
+
+    #[test]
+    fn a_delayed_input_is_a_state_only_on_a_loop() {
+        let edges = ["camera > find", "find > arm", "arm . camera", "camera . screen", "find ~ screen"];
+        let graph = graph(&["camera", "find", "arm", "screen"], &edges);
+        let states = |node: usize| wires(&graph, node).map(|(_, is_state)| is_state).collect::<Vec<_>>();
+        assert_eq!((0..4).map(states).collect::<Vec<_>>(), [vec![true], vec![false], vec![false], vec![false, false]]);
     }
 
     #[test]

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::clock;
 use crate::isolation::GroupReport;
+use crate::join::Slot;
 use crate::node::NodeRuntime;
 use crate::plan::Plan;
 use crate::schedule::Shared;
@@ -27,7 +28,7 @@ pub struct Report {
     pub fps: f64,
     /// Per node.
     pub nodes: BTreeMap<String, NodeReport>,
-    /// Per sink: time from the arrival of the light to the end of its work.
+    /// Per sink: ages of what it finished.
     pub paths: BTreeMap<String, PathReport>,
     /// Per group of isolated nodes.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
@@ -60,6 +61,9 @@ pub struct NodeReport {
     /// Packets dropped per edge because its queue was full; edges without drops are not listed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub dropped_on: Vec<WireDrops>,
+    /// Ticks per edge at which the packet was older than `max_age_ms` and counted as absent; edges without any are not listed.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub too_old_on: Vec<WireTooOld>,
     /// Ticks not processed because a required input was empty.
     pub skipped: u64,
     /// Errors and panics.
@@ -101,15 +105,32 @@ pub struct WireDrops {
     pub dropped: u64,
 }
 
-/// Age of the packets that reached a sink.
-#[derive(Clone, Debug, Serialize)]
+/// Packets on one edge that were too old.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct WireTooOld {
+    /// The input's name.
+    pub input: String,
+    /// Position in a list input; 0 for others.
+    pub index: usize,
+    /// Number of ticks.
+    pub ticks: u64,
+}
+
+/// Age of what a sink finished: the time from the arrival of its light to the end of the sink's work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PathReport {
-    /// Median.
+    /// Median age of the oldest light, whatever edges it came by.
     pub age_p50_ms: f64,
     /// 99th percentile.
     pub age_p99_ms: f64,
-    /// The oldest.
+    /// The longest.
     pub age_max_ms: f64,
+    /// Median age of the newest light.
+    pub newest_age_p50_ms: f64,
+    /// 99th percentile.
+    pub newest_age_p99_ms: f64,
+    /// The longest.
+    pub newest_age_max_ms: f64,
 }
 
 /// The machine of a run.
@@ -172,6 +193,7 @@ impl Report {
                     dropped: load(&stats.dropped),
                     lacking: load(&stats.lacking),
                     dropped_on: wire_drops(runtime),
+                    too_old_on: wires_too_old(runtime),
                     skipped: load(&stats.skipped),
                     faults: load(&stats.faults),
                     restarts: load(&stats.restarts),
@@ -193,6 +215,9 @@ impl Report {
                         age_p50_ms: ms(stats.age.quantile_ns(0.5)),
                         age_p99_ms: ms(stats.age.quantile_ns(0.99)),
                         age_max_ms: ms(stats.age.max_ns()),
+                        newest_age_p50_ms: ms(stats.newest_age.quantile_ns(0.5)),
+                        newest_age_p99_ms: ms(stats.newest_age.quantile_ns(0.99)),
+                        newest_age_max_ms: ms(stats.newest_age.max_ns()),
                     },
                 );
             }
@@ -266,7 +291,7 @@ pub struct NodeWindow {
     pub p50_ms: f64,
     /// 99th percentile of the time of a call.
     pub p99_ms: f64,
-    /// For sinks: median time from the arrival of the light to the end of the node's work.
+    /// For sinks: median time from the arrival of the oldest light to the end of the node's work.
     pub age_p50_ms: Option<f64>,
     /// For sinks: 99th percentile of that time.
     pub age_p99_ms: Option<f64>,
@@ -336,25 +361,31 @@ impl Window {
     }
 }
 
-/// Drops of a node's edges, in the order of ports and list positions.
 /// Whether the decider keeps a node closed in this run.
 fn closes(shared: &Shared, runtime: &NodeRuntime) -> bool {
     let decider = shared.context.decider.as_ref();
     !runtime.source && decider.is_some_and(|decider| decider.closes(runtime.source, runtime.side_effects))
 }
 
-fn wire_drops(runtime: &NodeRuntime) -> Vec<WireDrops> {
+/// Something of each edge of a node that has it, in the order of ports and list positions.
+fn per_wire<T>(runtime: &NodeRuntime, of: impl Fn(String, usize, &Slot) -> Option<T>) -> Vec<T> {
     let ranges = runtime.ranges();
     let join = lock(&runtime.join);
     let wires = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
-    let drops = wires.zip(&join.slots).filter(|(_, slot)| slot.dropped() > 0);
-    drops
-        .map(|((port, index), slot)| WireDrops {
-            input: runtime.input_name(port).to_owned(),
-            index,
-            dropped: slot.dropped(),
-        })
-        .collect()
+    let found = wires.zip(&join.slots);
+    found.filter_map(|((port, index), slot)| of(runtime.input_name(port).to_owned(), index, slot)).collect()
+}
+
+fn wire_drops(runtime: &NodeRuntime) -> Vec<WireDrops> {
+    per_wire(runtime, |input, index, slot| {
+        (slot.dropped() > 0).then(|| WireDrops { input, index, dropped: slot.dropped() })
+    })
+}
+
+fn wires_too_old(runtime: &NodeRuntime) -> Vec<WireTooOld> {
+    per_wire(runtime, |input, index, slot| {
+        (slot.too_old > 0).then_some(WireTooOld { input, index, ticks: slot.too_old })
+    })
 }
 
 /// The queues of a node, in the order of ports and list positions.
@@ -362,7 +393,7 @@ fn queues(runtime: &NodeRuntime) -> Vec<QueueWindow> {
     let ranges = runtime.ranges();
     let mut join = lock(&runtime.join);
     let places = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
-    let of = |((port, index), slot): ((usize, usize), &mut crate::join::Slot)| {
+    let of = |((port, index), slot): ((usize, usize), &mut Slot)| {
         let (waiting, most) = slot.fill();
         QueueWindow { port, index, waiting, most, dropped: slot.dropped() }
     };

@@ -146,8 +146,10 @@ pub fn quantile_between_ns(before: &[u64], now: &[u64], q: f64) -> u64 {
 pub struct NodeStats {
     /// Time inside the node's `process`.
     pub time: Arc<Histogram>,
-    /// From the arrival of a tick's light to the end of this node's work on it; kept for sinks.
+    /// From the arrival of the oldest light to the end of this node's work on it; kept for sinks.
     pub age: RareHistogram,
+    /// From the arrival of the newest light.
+    pub newest_age: RareHistogram,
     /// From a failure to the end of the next successful call.
     pub recovery: RareHistogram,
     /// Ticks dropped at the node's inputs.

@@ -171,7 +171,7 @@ impl Shared {
         }
         let capture_ns = pace.last_capture_ns.map_or(0, |last| last.saturating_add(DEFAULT_FRAME_NS));
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
-        if !lock(&runtime.join).take_source(tick) {
+        if !self.take_source(runtime, tick) {
             runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
@@ -191,6 +191,7 @@ impl Shared {
         let made = &mut scratch.made[0];
         if outcome != CallOutcome::Ok {
             if outcome == CallOutcome::End {
+                runtime.ticks.end();
                 return Step::End;
             }
             self.after(&self.plan.load(), node, false, outcome, &tick, now_ns);

@@ -7,7 +7,7 @@ use panoscope_abi::{INPUT_TICK, Tick};
 use crate::clock;
 use crate::decide::Ages;
 use crate::host::{CallContext, call_context};
-use crate::node::{lag_flags, lag_ns};
+use crate::light::{Lag, Lights};
 
 /// Inputs from this index on share a bit of [`CallTimes::asked`]; [`INPUT_TICK`] has the bit after it.
 const LAST_BIT: u32 = 62;
@@ -21,7 +21,7 @@ pub(crate) struct CallTimes {
     asked: u64,
     /// What the recorded run returned, in a replay.
     recorded: Option<Box<Ages>>,
-    /// Lag of all outputs, see [`Tick::flags`].
+    /// Lag that the node declared for its outputs, as [`Tick::flags`].
     lag: u32,
     /// For a source: arrival of the tick, ns of the host's clock.
     arrived_ns: Option<i64>,
@@ -69,7 +69,7 @@ impl CallContext<'_> {
     /// When the light of a packet arrived, by the clock of [`Self::now_ns`].
     fn light_ns(&self, tick: &Tick) -> Option<i64> {
         if self.context.ignores_wall_clock() {
-            return Some(tick.capture_ns.saturating_sub(lag_ns(tick)));
+            return Some(tick.capture_ns.saturating_sub(Lag::carried(tick).oldest_ns));
         }
         self.sources?.light_ns(tick)
     }
@@ -100,13 +100,9 @@ impl CallContext<'_> {
     /// How much older the light of another tick's packet is than that of this call's tick, as [`Tick::flags`].
     #[cold]
     pub fn lag_behind(&self, tick: &Tick) -> u32 {
-        if self.runtime.source {
-            return 0;
-        }
-        match (self.light_ns(&Tick { flags: 0, ..self.tick }), self.light_ns(tick)) {
-            (Some(own_ns), Some(light_ns)) => lag_flags(own_ns.saturating_sub(light_ns)),
-            _ => 0,
-        }
+        let Some(sources) = self.sources.filter(|_| !self.runtime.source) else { return 0 };
+        let lights = Lights { sources, by_capture: self.context.ignores_wall_clock(), now_ns: 0 };
+        lights.lag(&self.tick, tick).map_or(0, Lag::flags)
     }
 
     /// What the node was answered in this call; `None` when it asked nothing.
@@ -155,6 +151,6 @@ pub(crate) unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     let call_context = unsafe { call_context(call) }.filter(|call_context| !call_context.runtime.source);
     if let Some(times) = call_context.and_then(CallContext::times) {
-        times.lag = lag_flags(lag_ns);
+        times.lag = Lag::of(lag_ns).flags();
     }
 }

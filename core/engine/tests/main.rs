@@ -8,6 +8,7 @@ mod edits;
 mod endings;
 mod exclusive;
 mod faults;
+mod light;
 mod limits;
 mod limits_of_calls;
 mod live;

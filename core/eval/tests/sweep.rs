@@ -96,6 +96,21 @@ fn a_column_a_scalar_and_a_told_number_follow_the_parameter() {
 }
 
 #[test]
+fn a_run_with_failed_calls_says_how_many() {
+    let level = "[nodes.level]\ntype = \"level\"\ninputs = { image = \"source.image\" }";
+    let failing = "[nodes.fails]\ntype = \"failing\"\nparams = { first = 5 }\ninputs = { image = \"source.image\" }\n";
+    let text = graph().replace(level, &format!("{failing}{}", level.replace("source.image", "fails.image")));
+    let faulty = points(Request { text, ..request("level.gain", "level.levels.mean") });
+    let failed = |p: &Point| p.result.as_ref().ok().map(|s| s.failed_calls);
+    assert!(faulty.iter().all(|p| failed(p) == Some(1)), "{faulty:?}");
+    let table = csv("level.gain", "level.levels.mean", &faulty);
+    let mut lines = table.lines();
+    assert!(lines.next().is_some_and(|head| head.ends_with(",last,failed_calls,failed")), "{table}");
+    assert!(lines.all(|line| line.ends_with(",1,")), "{table}");
+    assert!(points(request("level.gain", "level.levels.mean")).iter().all(|p| failed(p) == Some(0)));
+}
+
+#[test]
 fn a_recording_stands_in_for_the_sources() {
     let text = graph().replace("rate_hz = 30.0", "rate_hz = 30.0, count = 12").replace("swept.jsonl", "acted.jsonl");
     let path = PathBuf::from("swept.toml");

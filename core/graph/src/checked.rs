@@ -268,6 +268,12 @@ pub struct Edge {
     pub list_index: usize,
     /// How it is matched with the consumer's other inputs.
     pub align: Align,
+    /// Age of the oldest light beyond which a packet counts as absent. Not for `exact`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_age_ms: Option<f64>,
+    /// The input only says where to look: its age does not count for what the consumer makes.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub guide: bool,
     /// Packets that may wait on the edge, at least 1; `None` leaves it to the scheduler.
     pub queue: Option<u32>,
     /// 0, or 1 for the producer's value of the consumer's previous tick.

@@ -106,6 +106,12 @@ fn attributes(edge: &Edge) -> String {
         Align::Latest => words.push("latest".to_owned()),
         Align::Nearest { tolerance_ms } => words.push(format!("nearest {tolerance_ms} ms")),
     }
+    if let Some(max_age_ms) = edge.max_age_ms {
+        words.push(format!("at most {max_age_ms} ms old"));
+    }
+    if edge.guide {
+        words.push("guide".to_owned());
+    }
     if edge.delay > 0 {
         words.push(format!("delay {}", edge.delay));
     }

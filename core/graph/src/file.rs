@@ -144,6 +144,8 @@ pub(crate) struct RefText {
     /// Bytes inside the quotes.
     pub(crate) span: Range<usize>,
     pub(crate) align: Align,
+    pub(crate) max_age_ms: Option<f64>,
+    pub(crate) guide: bool,
     pub(crate) queue: Option<u32>,
     pub(crate) delay: u8,
     pub(crate) trigger: Option<Range<usize>>,

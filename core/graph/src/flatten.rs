@@ -279,6 +279,12 @@ fn reference(reference: &RefText) -> String {
         Align::Latest => more.push_str(", align = \"latest\""),
         Align::Nearest { tolerance_ms } => _ = write!(more, ", align = \"nearest\", tolerance_ms = {tolerance_ms:?}"),
     }
+    if let Some(max_age_ms) = reference.max_age_ms {
+        let _ = write!(more, ", max_age_ms = {max_age_ms:?}");
+    }
+    if reference.guide {
+        more.push_str(", guide = true");
+    }
     if let Some(queue) = reference.queue {
         let _ = write!(more, ", queue = {queue}");
     }

@@ -200,9 +200,11 @@ fn aligned_schema() -> Value {
                 "description": "exact: same tick; latest: newest value, never waits; nearest: closest in time."
             },
             "tolerance_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_MS, "description": "For nearest: how far apart." },
+            "max_age_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_MS, "description": "Not for exact: a packet whose oldest light is older counts as absent." },
             "queue": { "type": "integer", "minimum": 1, "maximum": 1024, "description": "Packets that may wait." },
             "delay": { "enum": [0, 1], "default": 0, "description": "1: the value of this node's previous tick." },
             "trigger": { "type": "boolean", "default": false, "description": "The node runs on this input only." },
+            "guide": { "type": "boolean", "default": false, "description": "Only says where to look: its age does not count." },
             "optional": optional_schema()
         }
     })

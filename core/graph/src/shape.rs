@@ -22,7 +22,8 @@ const NODE: [&str; 10] =
 /// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
 pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
 pub(crate) const HIGHEST_HZ: f64 = 1e9;
-const INPUT: [&str; 7] = ["from", "align", "tolerance_ms", "queue", "delay", "trigger", "optional"];
+const INPUT: [&str; 9] =
+    ["from", "align", "tolerance_ms", "max_age_ms", "queue", "delay", "trigger", "guide", "optional"];
 const PRESET: [&str; 2] = ["pinned", "views"];
 const PIN: [&str; 4] = ["param", "range", "label", "optional"];
 const VIEW: [&str; 3] = ["from", "label", "optional"];
@@ -344,6 +345,8 @@ impl<'s> Reader<'s> {
                 port: port.to_owned(),
                 span,
                 align: Align::Exact,
+                max_age_ms: None,
+                guide: false,
                 queue: None,
                 delay: 0,
                 trigger: None,
@@ -371,7 +374,8 @@ impl<'s> Reader<'s> {
         let mut align_given = false;
         let mut tolerance = None;
         let mut tolerance_key = None;
-        let (mut queue, mut delay, mut trigger, mut optional) = (None, 0, None, false);
+        let (mut max_age, mut queue, mut delay, mut trigger) = (None, None, 0, None);
+        let (mut guide, mut optional) = (false, false);
         for (key, value) in table {
             match self.key("an input", key, &INPUT, table) {
                 "from" => {
@@ -390,9 +394,13 @@ impl<'s> Reader<'s> {
                 "tolerance_ms" => {
                     tolerance = Some((key.span.clone(), self.positive("tolerance_ms", value, LONGEST_MS)));
                 }
+                "max_age_ms" => {
+                    max_age = Some((key.span.clone(), self.positive("max_age_ms", value, LONGEST_MS)));
+                }
                 "queue" => queue = self.whole("queue", value, 1..=1024).map(|n| n as u32),
                 "delay" => delay = self.delay(value),
                 "trigger" => trigger = self.flag("trigger", value).then(|| key.span.clone()),
+                "guide" => guide = self.flag("guide", value),
                 "optional" => optional = self.flag("optional", value),
                 _ => {}
             }
@@ -413,13 +421,23 @@ impl<'s> Reader<'s> {
             }
             (_, None) => {}
         }
+        if let Some((key, _)) = &max_age
+            && align == Align::Exact
+            && delay == 0
+        {
+            let message =
+                "`max_age_ms` is for inputs that do not wait for the same tick; this one is \"exact\"".to_owned();
+            self.error("useless-max-age", key, message)
+                .help("add align = \"latest\" or align = \"nearest\", or remove max_age_ms");
+        }
+        let max_age_ms = max_age.and_then(|(_, ms)| ms);
         if !from_given {
             self.error("missing-from", &value.span, "this input does not say what it is connected to".to_owned())
                 .label("expected `from`")
                 .help("as in { from = \"scope.left\", align = \"latest\" }");
         }
         let reference = reference?;
-        Some(RefText { align, queue, delay, trigger, optional, ..reference })
+        Some(RefText { align, max_age_ms, guide, queue, delay, trigger, optional, ..reference })
     }
 
     fn flag(&mut self, what: &str, value: &Value) -> bool {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use panoscope_engine::Report;
+use panoscope_engine::isolation::LinkReport;
 use prometheus::proto::{Counter, Gauge, LabelPair, Metric, MetricFamily, MetricType};
 use prometheus::{Encoder, TextEncoder};
 
@@ -75,6 +76,12 @@ pub fn text(report: &Report) -> String {
         for (name, help, ms) in times {
             all.gauge(name, help, &label, seconds(ms));
         }
+        for wire in &n.too_old_on {
+            let index = wire.index.to_string();
+            let label = [("node", node.as_str()), ("input", &wire.input), ("index", &index)];
+            let help = "Ticks at which an input was older than `max_age_ms` and counted as absent.";
+            all.count("panoscope_input_too_old_total", help, &label, wire.ticks);
+        }
         for (metric, value) in &n.metrics {
             let help = "The last value of a metric that the node reports.";
             all.gauge("panoscope_node_metric", help, &[("node", node), ("metric", metric)], *value);
@@ -83,9 +90,16 @@ pub fn text(report: &Report) -> String {
     for (sink, path) in &report.paths {
         let label = [("sink", sink.as_str())];
         let ages = [
-            ("panoscope_age_p50_seconds", "Median age of the light of what a sink has finished.", path.age_p50_ms),
+            (
+                "panoscope_age_p50_seconds",
+                "Median age of the oldest light of what a sink has finished.",
+                path.age_p50_ms,
+            ),
             ("panoscope_age_p99_seconds", "99th percentile of that age.", path.age_p99_ms),
             ("panoscope_age_max_seconds", "The highest such age.", path.age_max_ms),
+            ("panoscope_newest_age_p50_seconds", "Median age of the newest light of it.", path.newest_age_p50_ms),
+            ("panoscope_newest_age_p99_seconds", "99th percentile of that age.", path.newest_age_p99_ms),
+            ("panoscope_newest_age_max_seconds", "The highest such age.", path.newest_age_max_ms),
         ];
         for (name, help, ms) in ages {
             all.gauge(name, help, &label, seconds(ms));
@@ -96,6 +110,9 @@ pub fn text(report: &Report) -> String {
         let help = "Processes started for a group of isolated nodes: one, and another after each that died.";
         all.count("panoscope_group_processes_total", help, &label, counts.processes);
         all.count("panoscope_group_calls_total", "Ticks that the nodes of a group processed.", &label, counts.calls);
+        if let Some(link) = &counts.link {
+            link_metrics(&mut all, group, link);
+        }
     }
     let stopped = report.stopped.len() as f64;
     all.gauge("panoscope_stopped_nodes", "Nodes that lost data for good and were stopped.", &[], stopped);
@@ -108,14 +125,44 @@ pub fn text(report: &Report) -> String {
     }
 }
 
+/// The connection to another machine.
+fn link_metrics(all: &mut Families, group: &str, link: &LinkReport) {
+    let label = [("group", group), ("address", link.address.as_str())];
+    let seconds = |ns: f64| ns / 1e9;
+    if let Some(offset_ns) = link.clock_offset_ns {
+        let help = "The other machine's clock minus this one's.";
+        all.gauge("panoscope_link_clock_offset_seconds", help, &label, seconds(offset_ns as f64));
+        let (help, error_s) = ("Largest error of the offset.", seconds(link.clock_uncertainty_ns as f64));
+        all.gauge("panoscope_link_clock_error_seconds", help, &label, error_s);
+    }
+    let help = "Time there and back of the last probe.";
+    all.gauge("panoscope_link_round_trip_seconds", help, &label, seconds(link.round_trip_ns as f64));
+    all.count("panoscope_link_sent_bytes_total", "Bytes sent to the other machine.", &label, link.sent_bytes);
+    all.count("panoscope_link_received_bytes_total", "Bytes received from it.", &label, link.received_bytes);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use panoscope_engine::isolation::GroupReport;
     use panoscope_engine::{Machine, PathReport};
 
     #[test]
     fn a_report_becomes_counters_and_seconds() {
-        let path = PathReport { age_p50_ms: 12.0, age_p99_ms: 30.5, age_max_ms: 40.0 };
+        let path = PathReport {
+            age_p50_ms: 12.0,
+            age_p99_ms: 30.5,
+            age_max_ms: 40.0,
+            newest_age_p50_ms: 5.0,
+            ..PathReport::default()
+        };
+        let link = LinkReport {
+            address: "tls/rack:7447".to_owned(),
+            clock_offset_ns: Some(-2_500_000),
+            clock_uncertainty_ns: 250_000,
+            round_trip_ns: 500_000,
+            ..LinkReport::default()
+        };
         let report = Report {
             graph: "a \"b\"\n".to_owned(),
             frames: 7,
@@ -123,7 +170,7 @@ mod tests {
             fps: 3.5,
             nodes: BTreeMap::new(),
             paths: [("out".to_owned(), path)].into(),
-            groups: BTreeMap::new(),
+            groups: [("rack".to_owned(), GroupReport { link: Some(link), ..GroupReport::default() })].into(),
             stopped: BTreeMap::new(),
             allocations_per_frame: None,
             machine: Machine::here(1),
@@ -133,6 +180,10 @@ mod tests {
             "# TYPE panoscope_ticks_total counter",
             "panoscope_ticks_total 7",
             "panoscope_age_p99_seconds{sink=\"out\"} 0.0305",
+            "panoscope_newest_age_p50_seconds{sink=\"out\"} 0.005",
+            "panoscope_link_clock_offset_seconds{group=\"rack\",address=\"tls/rack:7447\"} -0.0025",
+            "panoscope_link_clock_error_seconds{group=\"rack\",address=\"tls/rack:7447\"} 0.00025",
+            "panoscope_link_round_trip_seconds{group=\"rack\",address=\"tls/rack:7447\"} 0.0005",
             "panoscope_graph_info{graph=\"a \\\"b\\\"\\n\"} 1",
         ] {
             assert!(text.lines().any(|l| l == line), "{line} is missing in {text}");

@@ -1,11 +1,12 @@
 //! What the server knows of the running graph.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use panoscope_engine::isolation::LinkReport;
 use panoscope_engine::memory::FrameRef;
-use panoscope_engine::{Engine, Preview, Report, clock};
+use panoscope_engine::{Engine, Preview, Report, WireTooOld, clock};
 use panoscope_graph::{Catalog, Graph};
 use serde::Serialize;
 
@@ -27,7 +28,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[derive(Clone)]
 struct Picture {
     frame: FrameRef,
-    /// When its light arrived, in ns of the engine's clock.
+    /// When its oldest light arrived, in ns of the engine's clock.
     arrived_ns: Option<i64>,
 }
 
@@ -49,7 +50,7 @@ pub struct Encoded {
     pub jpeg: Vec<u8>,
     /// Number of its tick.
     pub tick: u64,
-    /// Time since its light arrived.
+    /// Time since its oldest light arrived.
     pub age_ms: Option<f64>,
 }
 
@@ -87,6 +88,8 @@ pub struct State {
     pictures: Vec<PictureState>,
     nodes: Vec<NodeState>,
     ages: Vec<AgeState>,
+    /// Connections to other machines, by group.
+    links: BTreeMap<String, LinkReport>,
     faults: Vec<FaultLine>,
 }
 
@@ -108,14 +111,20 @@ struct NodeState {
     p99_ms: f64,
     dropped: u64,
     faults: u64,
+    /// Ticks per input at which it was older than `max_age_ms` and counted as absent.
+    too_old_on: Vec<WireTooOld>,
     stopped: Option<String>,
 }
 
+/// Ages at a sink: of the oldest light, and of the newest.
 #[derive(Debug, Serialize)]
 struct AgeState {
     sink: String,
     p50_ms: f64,
     p99_ms: f64,
+    max_ms: f64,
+    newest_p50_ms: f64,
+    newest_p99_ms: f64,
 }
 
 impl Picture {
@@ -204,13 +213,18 @@ impl Shared {
             p99_ms: n.p99_ms,
             dropped: n.dropped,
             faults: n.faults,
+            too_old_on: n.too_old_on.clone(),
             stopped: report.stopped.get(node).cloned(),
         });
         let ages = report.paths.iter().map(|(sink, path)| AgeState {
             sink: sink.clone(),
             p50_ms: path.age_p50_ms,
             p99_ms: path.age_p99_ms,
+            max_ms: path.age_max_ms,
+            newest_p50_ms: path.newest_age_p50_ms,
+            newest_p99_ms: path.newest_age_p99_ms,
         });
+        let links = report.groups.iter().filter_map(|(group, counts)| Some((group.clone(), counts.link.clone()?)));
         Some(State {
             graph: report.graph.clone(),
             seconds: report.seconds,
@@ -219,6 +233,7 @@ impl Shared {
             pictures: known.shown.iter().map(picture).collect(),
             nodes: nodes.collect(),
             ages: ages.collect(),
+            links: links.collect(),
             faults: known.faults.clone(),
         })
     }

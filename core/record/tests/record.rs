@@ -210,11 +210,16 @@ fn ages_are_decisions_that_a_replay_repeats() {
         [nodes.slow]\ntype = \"pass_blocking\"\nparams = { wait_ms = 11.0 }\ninputs = { image = { from = \"b.image\", align = \"latest\" } }\n\
         [nodes.hold]\ntype = \"hold\"\ninputs = { image = \"a.image\" }\n\
         [nodes.ages]\ntype = \"ages\"\ninputs = { image = { from = \"slow.image\", align = \"latest\" }, tip = \"a.tip\" }\n\
+        [nodes.young]\ntype = \"ages\"\ninputs = { image = { from = \"slow.image\", align = \"latest\", max_age_ms = 15 }, tip = \"a.tip\" }\n\
         [nodes.held]\ntype = \"ages\"\ninputs = { image = \"hold.image\" }\n";
     let file = scratch("ages.mcap");
     let run = start(text, Some(file.clone()), Options { threads: 2, ..Options::default() }, false);
     run.until("ages", 60);
     run.until("held", 60);
+    run.until("young", 60);
+    // Its producer takes 11 ms.
+    let too_old = run.live.engine().report().nodes["young"].too_old_on.clone();
+    assert!(too_old.first().is_some_and(|wire| wire.input == "image" && wire.ticks > 0), "{too_old:?}");
     let original = run.end().digests.expect("fingerprints");
     let recording = Recording::open(&file).expect("whole");
     let asked = recording.events.iter().filter(|e| matches!(e, Event::Ages { .. })).count();

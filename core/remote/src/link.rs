@@ -166,16 +166,23 @@ pub(crate) fn reach(
         }
     };
     std::thread::Builder::new().spawn(watch).map_err(|error| error.to_string())?;
-    let session = network::connect(&address, identity.as_ref());
+    // What accepts and closes at once counts as one attempt, as long as one that does not answer.
+    let pause = timeout / ATTEMPTS / 2;
+    let session = loop {
+        match network::connect(&address, identity.as_ref()) {
+            Ok(session) => break session,
+            Err(_) if Instant::now() + pause < end => std::thread::sleep(pause),
+            Err(error) => {
+                let why = if address.is_tls {
+                    "; both need certificates of one authority, and that of the machine must name this address"
+                } else {
+                    ""
+                };
+                return Err(format!("{} refuses the connection: {error}{why}", address.text));
+            }
+        }
+    };
     drop(done);
-    let session = session.map_err(|error| {
-        let why = if address.is_tls {
-            "; both need certificates of one authority, and that of the machine must name this address"
-        } else {
-            ""
-        };
-        format!("{} refuses the connection: {error}{why}", address.text)
-    })?;
     Ok((session, host))
 }
 

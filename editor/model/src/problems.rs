@@ -130,6 +130,7 @@ fn remedy_of(fault: &Fault) -> &'static str {
         (Cause::Hang, _) => text!("remedy-hang"),
         (Cause::Slow, _) => text!("remedy-slow"),
         (Cause::Incomplete, _) => text!("remedy-incomplete"),
+        (Cause::TooOld, _) => text!("remedy-too-old"),
         (Cause::BadOutput | Cause::NotANumber | Cause::TooMuch | Cause::Format | Cause::Size, _) => {
             text!("remedy-output")
         }

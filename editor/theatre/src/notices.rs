@@ -269,6 +269,8 @@ pub struct Stages {
 fn fault_message(node: &str, fault: &Fault) -> Option<String> {
     Some(match fault.cause {
         Cause::Slow | Cause::Leak | Cause::Size | Cause::Incomplete if fault.done == Action::Note => return None,
+        // The node works; the views show what is missing.
+        Cause::TooOld => return None,
         Cause::Recording => text!("notice-recording-gaps", reason = &fault.words),
         _ if fault.done == Action::Bypass => text!("notice-stage-bypassed", stage = node),
         Cause::Hang => text!("notice-stage-silent", stage = node),

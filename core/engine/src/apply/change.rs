@@ -125,14 +125,26 @@ pub(super) struct Change {
 }
 
 /// An input's connection as the scheduler sees it.
-pub(super) type Connection = (usize, usize, usize, usize, Align, Option<u32>, u8, bool, bool);
+pub(super) type Connection = (usize, usize, usize, usize, Align, Option<u32>, u8, bool, bool, Option<f64>, bool);
 
 pub(super) fn connections(graph: &Graph, slots: &[usize], node: usize) -> Vec<Connection> {
     let edges = graph.inputs_of(node).iter();
     edges
         .map(|e| {
             let from = slots[e.from_node];
-            (from, e.from_port, e.to_port, e.list_index, e.align, e.queue, e.delay, e.trigger, e.convert)
+            (
+                from,
+                e.from_port,
+                e.to_port,
+                e.list_index,
+                e.align,
+                e.queue,
+                e.delay,
+                e.trigger,
+                e.convert,
+                e.max_age_ms,
+                e.guide,
+            )
         })
         .collect()
 }

@@ -216,8 +216,8 @@ impl Switch<'_> {
         runtime.set_outputs_read(plan::outputs_read(graph, node) | subscribed);
         self.engine.shared.context.make_all_recorded_outputs(runtime);
         if !change.gets_inputs() {
-            // Its producers may be in other regions now, which changes how many packets may wait.
-            lock(&runtime.join).set_capacities(plan::capacities(graph, node));
+            // Its producers may be in other regions now, which changes how many packets may wait, or closed a loop.
+            lock(&runtime.join).set_wires(plan::wires(graph, node));
             return false;
         }
         let new = connections(graph, &plan.slots, node);

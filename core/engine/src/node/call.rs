@@ -15,6 +15,7 @@ use crate::fault::{Action, Cause};
 use crate::host::{CallContext, output_bit};
 use crate::instance::Instance;
 use crate::isolation::STATUS_DIED;
+use crate::light::later;
 use crate::log::Level;
 use crate::memory::{FrameRef, Memory, memory};
 use crate::observe::Event;
@@ -422,8 +423,8 @@ impl NodeRuntime {
             self.record_event(run, |node| Event::Ages { node, tick: *tick, ages });
         }
         let lag = call.end_times();
-        tick.flags = tick.flags.max(lag);
-        outputs.iter_mut().for_each(|frame| frame.tick.flags = frame.tick.flags.max(lag));
+        tick.flags = later(tick.flags, lag);
+        outputs.iter_mut().for_each(|frame| frame.tick.flags = later(frame.tick.flags, lag));
     }
 
     /// Checks the outputs of a call that reported success.

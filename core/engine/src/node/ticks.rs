@@ -2,31 +2,10 @@
 
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 
-use panoscope_abi::Tick;
-
 /// Arrival times that are kept per source: as many ticks may be in the graph at once.
 const ARRIVALS: usize = 4096;
 /// Times that are not read, because the source may overwrite them meanwhile.
 const MARGIN: u64 = 64;
-/// Unit of [`Tick::flags`], ns.
-const LAG_NS: i64 = 10_000;
-
-/// The sources of a running graph.
-pub(crate) trait Sources {
-    /// When the light of a packet arrived, in ns of the host's clock; negative for light from before its start. `None` where it is unknown.
-    fn light_ns(&self, tick: &Tick) -> Option<i64>;
-}
-
-/// How much older a packet's light is than that of its tick, ns.
-pub(crate) fn lag_ns(tick: &Tick) -> i64 {
-    i64::from(tick.flags) * LAG_NS
-}
-
-/// [`Tick::flags`] for a lag in ns: rounded up, so that nothing looks younger than it is.
-pub(crate) fn lag_flags(lag_ns: i64) -> u32 {
-    u32::try_from(lag_ns.max(0).unsigned_abs().div_ceil(LAG_NS.unsigned_abs())).unwrap_or(u32::MAX)
-}
-
 /// Counters of a source. The source's thread writes them; the watchdog does when it abandons a call of that thread.
 pub(crate) struct SourceTicks {
     /// Newest capture time, `i64::MIN` before the first tick.
@@ -36,6 +15,10 @@ pub(crate) struct SourceTicks {
     empty: AtomicU64,
     /// Arrival times of the newest ticks, `i64::MIN` for none; empty for a node that is no source.
     arrived_ns: Box<[AtomicI64]>,
+    /// The first tick of this source, after those of its predecessors.
+    first: AtomicU64,
+    /// Ticks made when the source had ended with one tick, 0 for a source that makes more.
+    made_one: AtomicU64,
 }
 
 impl SourceTicks {
@@ -48,6 +31,8 @@ impl SourceTicks {
             made: AtomicU64::new(0),
             empty: AtomicU64::new(0),
             arrived_ns,
+            first: AtomicU64::new(0),
+            made_one: AtomicU64::new(0),
         }
     }
 
@@ -87,6 +72,7 @@ impl SourceTicks {
             to.store(from.load(Ordering::Relaxed), Ordering::Relaxed);
         }
         self.set_made(old.made());
+        self.first.store(old.made(), Ordering::Relaxed);
         self.empty.store(old.empty.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
@@ -100,10 +86,17 @@ impl SourceTicks {
         self.set_made(seq + 1);
     }
 
-    /// See [`Sources::light_ns`]; the packet belongs to this source.
-    #[inline]
-    pub fn light_ns(&self, tick: &Tick) -> Option<i64> {
-        Some(self.arrived_ns(tick.seq)?.saturating_sub(lag_ns(tick)))
+    /// The source says that no tick will follow.
+    pub fn end(&self) {
+        let made = self.made();
+        if made == self.first.load(Ordering::Relaxed) + 1 {
+            self.made_one.store(made, Ordering::Release);
+        }
+    }
+
+    /// Whether tick `seq` is the only one that the source made before it ended.
+    pub fn is_only_one(&self, seq: u64) -> bool {
+        self.made_one.load(Ordering::Acquire) == seq.saturating_add(1)
     }
 
     /// When the light of tick `seq` arrived, in ns of the host's clock. Of a tick that is older than all that are kept, the oldest time that
@@ -144,9 +137,20 @@ mod tests {
     }
 
     #[test]
-    fn a_lag_is_rounded_up() {
-        let lag = |ns| lag_ns(&Tick { flags: lag_flags(ns), ..Tick::default() });
-        assert_eq!((lag(0), lag(-5), lag(1), lag(10_000), lag(10_001)), (0, 0, 10_000, 10_000, 20_000));
-        assert_eq!(lag(i64::MAX), i64::from(u32::MAX) * LAG_NS);
+    fn only_a_source_that_ended_after_one_tick_gave_a_constant() {
+        let ticks = SourceTicks::new(true);
+        ticks.enter(0);
+        assert!(!ticks.is_only_one(0), "another tick may come");
+        ticks.end();
+        assert!(ticks.is_only_one(0) && !ticks.is_only_one(1));
+        let next = SourceTicks::new(true);
+        next.continue_from(&ticks);
+        next.enter(1);
+        next.end();
+        assert!(next.is_only_one(1) && !next.is_only_one(0));
+        let stream = SourceTicks::new(true);
+        (0..2).for_each(|seq| stream.enter(seq));
+        stream.end();
+        assert!(!stream.is_only_one(0) && !stream.is_only_one(1));
     }
 }

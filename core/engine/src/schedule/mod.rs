@@ -17,9 +17,10 @@ use crate::clock;
 use crate::convert;
 use crate::exec::{Exec, prefetch};
 use crate::fault::{Action, Cause};
+use crate::light::{Lag, Sources};
 use crate::log::Level;
 use crate::memory::FrameRef;
-use crate::node::{CallOutcome, NodeRuntime, Ports, RunContext, SizeChange, Sources};
+use crate::node::{CallOutcome, NodeRuntime, Ports, RunContext, SizeChange};
 use crate::own_thread::OwnThread;
 use crate::plan::{Link, Plan, Reader};
 use crate::pool::{self, Pool, Urgency};
@@ -121,8 +122,12 @@ enum Next {
 }
 
 impl Sources for Shared {
-    fn light_ns(&self, tick: &Tick) -> Option<i64> {
-        self.plan.load().light_ns(tick)
+    fn arrived_ns(&self, tick: &Tick) -> Option<i64> {
+        self.plan.load().arrived_ns(tick)
+    }
+
+    fn is_constant(&self, tick: &Tick) -> bool {
+        self.plan.load().is_constant(tick)
     }
 }
 
@@ -181,10 +186,6 @@ impl Shared {
         if let Some((mut tick, complete)) = staged {
             prefetch_next(plan.following(node), 0);
             let start_ns = clock::now_ns();
-            // Outputs are at least as old as the oldest input of the same tick.
-            let is_own = |input: &&FrameRef| (input.tick().seq, input.tick().source) == (tick.seq, tick.source);
-            let lag = scratch.inputs.iter().filter(is_own).map(|input| input.tick().flags).max();
-            tick.flags = lag.unwrap_or(0);
             let (inputs, made) = (&mut scratch.inputs, &mut scratch.made[0]);
             let mut ports = Ports { inputs, lone: false, made, sources: plan };
             let (outcome, now_ns) = runtime.run(&mut exec, &self.context, &mut tick, complete, start_ns, &mut ports);
@@ -223,8 +224,11 @@ impl Shared {
     #[inline]
     pub fn after(&self, plan: &Plan, node: usize, sink: bool, outcome: CallOutcome, tick: &Tick, now_ns: u64) {
         if outcome == CallOutcome::Ok {
-            if sink && let Some(light_ns) = plan.light_ns(tick) {
-                plan.runtimes[node].stats.age.record(now_ns.saturating_add_signed(light_ns.saturating_neg()));
+            if sink && let Some(arrived_ns) = plan.arrived_ns(tick) {
+                let (age_ns, lag) = (now_ns.saturating_add_signed(arrived_ns.saturating_neg()), Lag::carried(tick));
+                let stats = &plan.runtimes[node].stats;
+                stats.age.record(age_ns.saturating_add_signed(lag.oldest_ns));
+                stats.newest_age.record(age_ns.saturating_add_signed(lag.newest_ns));
             }
         } else if outcome != CallOutcome::Skipped {
             self.after_failure(plan, node, outcome, tick);

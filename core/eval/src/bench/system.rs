@@ -254,14 +254,18 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     }
     let paced = paced.report;
     let mut figures = vec![Figure::new("system_fps", fps(&fastest), "1/s", &input)];
+    // Figures of older versions counted the inputs of a sink's own tick only: they compare with those of the newest light.
     let (sink, age) = slowest(&paced);
-    figures.push(Figure::new("system_age_p99", age, "ms", &format!("{input}, slowest sink {sink}")));
+    let (oldest, newest) = (format!("{input}, oldest light"), format!("{input}, newest light"));
+    figures.push(Figure::new("system_age_p99", age, "ms", &format!("{oldest}, slowest sink {sink}")));
     for (sink, path) in &paced.paths {
-        figures.push(Figure::new(&format!("system_age_p99/{sink}"), path.age_p99_ms, "ms", &input));
+        figures.push(Figure::new(&format!("system_age_p99/{sink}"), path.age_p99_ms, "ms", &oldest));
+        figures.push(Figure::new(&format!("system_newest_age_p99/{sink}"), path.newest_age_p99_ms, "ms", &newest));
     }
     if let Some(path) = behind_the_arm(&mut rendered.graph)?.and_then(|sink| paced.paths.get(&sink)) {
-        figures.push(Figure::new("setpoint_age_p50", path.age_p50_ms, "ms", &input));
-        figures.push(Figure::new("setpoint_age_p99", path.age_p99_ms, "ms", &input));
+        figures.push(Figure::new("setpoint_age_p50", path.age_p50_ms, "ms", &oldest));
+        figures.push(Figure::new("setpoint_age_p99", path.age_p99_ms, "ms", &oldest));
+        figures.push(Figure::new("setpoint_newest_age_p99", path.newest_age_p99_ms, "ms", &newest));
     }
     Ok(figures)
 }

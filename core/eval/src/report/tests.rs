@@ -27,6 +27,7 @@ fn file(run: usize, params: &[(&str, &str, f64, bool)], measures: &[(&str, Optio
         last: value.map(|v| v + 100.0),
         count: 3,
         missing: 0,
+        failed_calls: 0,
         failed: value.is_none().then(|| "a <wrong> reason".into()),
     };
     RunFile {

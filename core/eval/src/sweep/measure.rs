@@ -249,6 +249,8 @@ pub struct Summary {
     pub count: u64,
     /// Values that were not finite: unknown.
     pub missing: u64,
+    /// Calls of any node that failed in the run: these ticks are measured without it, or not at all.
+    pub failed_calls: u64,
     /// Mean of the finite ones; NaN when there are none, as are the following.
     pub mean: f64,
     /// Half of them are no larger.
@@ -278,6 +280,7 @@ impl Summary {
         Self {
             count: values.len() as u64,
             missing,
+            failed_calls: 0,
             mean,
             median,
             min: sorted.first().copied().unwrap_or(f64::NAN),

@@ -12,26 +12,35 @@ pub(super) fn number(value: f64) -> String {
     if value.abs() >= 1000.0 { format!("{value:.0}") } else { format!("{value:.4}") }
 }
 
+/// What to add to a result of a run with failed calls.
+pub(super) fn failures(summary: &Summary) -> String {
+    match summary.failed_calls {
+        0 => String::new(),
+        1 => " (1 call of a node failed)".to_owned(),
+        count => format!(" ({count} calls of nodes failed)"),
+    }
+}
+
 /// A point in one line.
 pub fn line(sweep: &Sweep, point: &Point) -> String {
     let (param, unit) = (sweep.param(), sweep.unit());
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     match &point.result {
-        Ok(s) => format!("{param} = {}{unit}: {}", point.value, number(s.mean)),
+        Ok(s) => format!("{param} = {}{unit}: {}{}", point.value, number(s.mean), failures(s)),
         Err(why) => format!("{param} = {}{unit}: {why}", point.value),
     }
 }
 
 /// Points as text, a row per value.
 pub fn table(sweep: &Sweep, points: &[Point]) -> String {
-    let head = [sweep.param(), "mean", "median", "min", "max", "deviation", "last", "count", "missing"];
+    let head = [sweep.param(), "mean", "median", "min", "max", "deviation", "last", "count", "missing", "failed calls"];
     let mut rows = vec![head.map(str::to_owned).to_vec()];
     for point in points {
         let mut cells = vec![point.value.clone()];
         match &point.result {
-            Ok(Summary { count, missing, mean, median, min, max, deviation, last }) => {
+            Ok(Summary { count, missing, failed_calls, mean, median, min, max, deviation, last }) => {
                 cells.extend([mean, median, min, max, deviation, last].map(|v| number(*v)));
-                cells.extend([count.to_string(), missing.to_string()]);
+                cells.extend([count, missing, failed_calls].map(ToString::to_string));
             }
             Err(_) => cells.push("failed".to_owned()),
         }
@@ -70,6 +79,7 @@ fn row(sweep: &Sweep, point: &Point) -> Value {
         "last": of(|s| s.last),
         "count": summary.map(|s| s.count),
         "missing": summary.map(|s| s.missing),
+        "failed_calls": summary.map(|s| s.failed_calls),
         "failed": failed,
     })
 }
@@ -99,15 +109,19 @@ pub fn chart(sweep: &Sweep, points: &[Point]) -> Chart {
 /// Points as a table for other programs: a line each.
 pub fn csv(param: &str, measure: &str, points: &[Point]) -> String {
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
-    let mut out = format!("{},{},median,min,max,deviation,count,missing,last,failed\n", quoted(param), quoted(measure));
+    let mut out = format!(
+        "{},{},median,min,max,deviation,count,missing,last,failed_calls,failed\n",
+        quoted(param),
+        quoted(measure)
+    );
     for point in points {
         let value = quoted(&point.value);
         match &point.result {
             Ok(s) => {
                 let numbers = [s.mean, s.median, s.min, s.max, s.deviation].map(|v| v.to_string()).join(",");
-                out += &format!("{value},{numbers},{},{},{},\n", s.count, s.missing, s.last);
+                out += &format!("{value},{numbers},{},{},{},{},\n", s.count, s.missing, s.last, s.failed_calls);
             }
-            Err(why) => out += &format!("{value},,,,,,,,,{}\n", quoted(why.reason.lines().next().unwrap_or_default())),
+            Err(why) => out += &format!("{value},,,,,,,,,,{}\n", quoted(why.reason.lines().next().unwrap_or_default())),
         }
     }
     out

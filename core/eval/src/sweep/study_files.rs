@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::PointError;
 use super::measure::Summary;
-use super::report::number;
+use super::report::{failures, number};
 use super::study::{RunResult, Study};
 use crate::error::{Context, EvalError, FileAction, OnFile, Result};
 
@@ -56,6 +56,9 @@ pub struct RunMeasure {
     pub count: u64,
     /// Number of values that were not finite.
     pub missing: u64,
+    /// Calls of any node that failed in the run.
+    #[serde(default)]
+    pub failed_calls: u64,
     /// Why there is nothing.
     pub failed: Option<String>,
 }
@@ -73,6 +76,7 @@ impl RunMeasure {
             last: of(|s| s.last),
             count: result.as_ref().map_or(0, |s| s.count),
             missing: result.as_ref().map_or(0, |s| s.missing),
+            failed_calls: result.as_ref().map_or(0, |s| s.failed_calls),
             failed: result.as_ref().err().map(|why| why.reason.clone()),
         }
     }
@@ -270,21 +274,22 @@ pub fn study_csv(study: &Study, results: &[RunResult]) -> String {
         head.extend(columns.iter().map(|(name, _)| quoted(&format!("{measure} {name}"))));
         head.extend(["count", "missing"].map(|name| quoted(&format!("{measure} {name}"))));
     }
-    head.extend(["seconds".to_owned(), "failed".to_owned()]);
+    head.extend(["seconds", "failed_calls", "failed"].map(str::to_owned));
     let mut lines = vec![head.join(",")];
     for run in sorted(results) {
         let mut cells = vec![run.number.to_string()];
         cells.extend(run.values.iter().map(|(value, _)| quoted(value)));
-        let mut failed = String::new();
+        let (mut failed, mut failed_calls) = (String::new(), 0);
         for (name, result) in study.measures().iter().zip(&run.results) {
             let measure = RunMeasure::of(name, result);
             cells.extend(measure.columns().map(|(_, value)| value.map_or_else(String::new, |v| v.to_string())));
             cells.extend([measure.count, measure.missing].map(|count| count.to_string()));
+            failed_calls = failed_calls.max(measure.failed_calls);
             if let (Some(reason), true) = (&measure.failed, failed.is_empty()) {
                 reason.lines().next().unwrap_or_default().clone_into(&mut failed);
             }
         }
-        cells.extend([format!("{:.3}", run.seconds), quoted(&failed)]);
+        cells.extend([format!("{:.3}", run.seconds), failed_calls.to_string(), quoted(&failed)]);
         lines.push(cells.join(","));
     }
     lines.join("\n") + "\n"
@@ -300,7 +305,7 @@ fn sorted(results: &[RunResult]) -> Vec<&RunResult> {
 pub fn study_line(study: &Study, run: &RunResult) -> String {
     let values = study.axes.iter().zip(&run.values).map(|(axis, (value, _))| format!("{} = {value}", axis.param));
     let results = study.measures().iter().zip(&run.results).map(|(name, result)| match result {
-        Ok(summary) => format!("{name} {}", number(summary.mean)),
+        Ok(summary) => format!("{name} {}{}", number(summary.mean), failures(summary)),
         Err(why) => format!("{name}: {}", why.reason.lines().next().unwrap_or_default()),
     });
     format!("{}: {}", values.collect::<Vec<_>>().join(", "), results.collect::<Vec<_>>().join(", "))

@@ -99,7 +99,11 @@ impl Trial<'_> {
         if let Some((node, reason)) = failed {
             return Err(NoSummary::Run(format!("every call of node `{node}` failed: {reason}")));
         }
-        Ok(self.measures.iter().zip(&*received).map(|(m, r)| m.summary(&lock(r), &report)).collect())
+        let failed_calls = report.nodes.values().map(|node| node.faults).sum();
+        let summary = |(measure, received): (&Measure, &Mutex<Received>)| {
+            measure.summary(&lock(received), &report).map(|summary| Summary { failed_calls, ..summary })
+        };
+        Ok(self.measures.iter().zip(&*received).map(summary).collect())
     }
 
     /// One listener for each port, whatever the number of its measures.

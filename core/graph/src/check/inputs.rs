@@ -116,6 +116,8 @@ impl<'a> Checker<'a> {
             to_name: &input.port.value,
             list_index,
             align: reference.align,
+            max_age_ms: reference.max_age_ms,
+            guide: reference.guide,
             queue: reference.queue,
             delay: reference.delay,
             trigger: reference.trigger.as_ref(),

@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
 
 use panoscope_abi::{self as abi, NodeType, Status};
-use panoscope_engine::isolation::{Group, GroupReport, GroupSettings, Isolator};
+use panoscope_engine::isolation::{Group, GroupReport, GroupSettings, Isolator, LinkReport};
 use panoscope_engine::memory::{Domain, SharedFrames};
 
 pub use self::describer::{DescribeError, Describer, Description, describe};
@@ -34,9 +34,16 @@ pub(crate) struct Totals {
     calls: AtomicU64,
     round_trips: AtomicU64,
     sleeps: AtomicU64,
+    /// The connection to another machine, as it was last.
+    last_link: Mutex<Option<LinkReport>>,
 }
 
 impl Totals {
+    /// Keeps what is known of a connection for reports after its end.
+    fn keep_link(&self, link: LinkReport) {
+        *lock(&self.last_link) = Some(link);
+    }
+
     /// Counts one tick.
     fn add(&self, round_trips: u64, sleeps: u64) {
         self.calls.fetch_add(1, Ordering::Relaxed);
@@ -188,11 +195,13 @@ impl Group for Isolated {
 
     fn counts(&self) -> GroupReport {
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let Totals { processes, calls, round_trips, sleeps } = &*self.totals;
+        let Totals { processes, calls, round_trips, sleeps, last_link } = &*self.totals;
         // Held while a process starts, which a report does not wait for.
         let process = self.process.try_lock().ok().and_then(|process| process.upgrade());
-        let machine = self.settings.machine.as_ref();
-        let link = machine.zip(process.as_ref()).and_then(|(machine, process)| process.link_report(&machine.address));
+        let link = self.settings.machine.as_ref().and_then(|machine| {
+            let now = process.as_ref().and_then(|process| process.link_report());
+            Some(LinkReport { address: machine.address.clone(), ..now.or_else(|| lock(last_link).clone())? })
+        });
         GroupReport {
             process_id: process.and_then(|process| process.id()),
             processes: load(processes),

@@ -132,6 +132,23 @@ struct LifeState {
     words: Option<String>,
 }
 
+impl LifeState {
+    /// See [`Process::link_report`].
+    fn link_report(&self) -> Option<LinkReport> {
+        let counts = self.lanes.first()?.lane.link();
+        let clock_uncertainty_ns = counts.clock_uncertainty_ns.load(Ordering::Relaxed);
+        let offset_ns = counts.clock_offset_ns.load(Ordering::Relaxed);
+        Some(LinkReport {
+            address: String::new(),
+            clock_offset_ns: (clock_uncertainty_ns > 0).then_some(offset_ns),
+            clock_uncertainty_ns,
+            round_trip_ns: counts.round_trip_ns.load(Ordering::Relaxed),
+            sent_bytes: counts.sent_bytes.load(Ordering::Relaxed),
+            received_bytes: counts.received_bytes.load(Ordering::Relaxed),
+        })
+    }
+}
+
 impl Life {
     /// Records the end and wakes all that wait for an answer.
     fn end(&self, status: io::Result<ExitStatus>) {
@@ -396,20 +413,9 @@ impl Process {
         self.is_link
     }
 
-    /// The connection to `address`, as the link describes it; `None` while no node uses it.
-    pub fn link_report(&self, address: &str) -> Option<LinkReport> {
-        let state = lock(&self.life.state);
-        let counts = state.lanes.first()?.lane.link();
-        let clock_uncertainty_ns = counts.clock_uncertainty_ns.load(Ordering::Relaxed);
-        let offset_ns = counts.clock_offset_ns.load(Ordering::Relaxed);
-        Some(LinkReport {
-            address: address.to_owned(),
-            clock_offset_ns: (clock_uncertainty_ns > 0).then_some(offset_ns),
-            clock_uncertainty_ns,
-            round_trip_ns: counts.round_trip_ns.load(Ordering::Relaxed),
-            sent_bytes: counts.sent_bytes.load(Ordering::Relaxed),
-            received_bytes: counts.received_bytes.load(Ordering::Relaxed),
-        })
+    /// The connection, as the link describes it, without its address; `None` while no node uses it.
+    pub fn link_report(&self) -> Option<LinkReport> {
+        lock(&self.life.state).link_report()
     }
 
     /// The domain of its own pools.
@@ -493,7 +499,14 @@ impl Process {
 
     /// A lane is no longer used.
     pub fn drop_lane(&self, lane: &Arc<NodeLane>) {
-        lock(&self.life.state).lanes.retain(|known| !Arc::ptr_eq(known, lane));
+        let mut state = lock(&self.life.state);
+        if self.is_link
+            && state.lanes.len() == 1
+            && let Some(link) = state.link_report()
+        {
+            self.totals.keep_link(link);
+        }
+        state.lanes.retain(|known| !Arc::ptr_eq(known, lane));
     }
 
     /// Gives the child a plugin's code, once.

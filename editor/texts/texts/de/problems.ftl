@@ -49,6 +49,7 @@ remedy-bypass = die Ursache beheben; jede Änderung am Knoten öffnet ihn wieder
 remedy-open = Gerät, Datei oder Modell prüfen, die der Knoten nennt; neue Versuche laufen von selbst
 remedy-panic = ein Fehler im Plugin: mit diesen Worten melden; „isolate“ hält ihn von anderen Knoten fern
 remedy-hang = der Knoten kehrt nicht zurück: sein Gerät prüfen oder ihm ein passendes „budget_ms“ geben
+remedy-too-old = der Knoten vor diesem Eingang ist langsam oder steht: diesen Knoten ansehen, oder mit „max_age_ms“ mehr erlauben
 remedy-incomplete = ein langsamer Knoten daneben nimmt ihm Bilder weg: diesen Knoten mit „align = "latest"“ lesen lassen oder ihm ein „max_rate_hz“ geben
 remedy-slow = der Knoten überschreitet sein „budget_ms“: seine Arbeit verringern oder das Budget erhöhen
 remedy-output = die Ausgabe ist nicht wie erklärt: Werte und Eingänge des Knotens prüfen, sonst ist es ein Fehler im Plugin

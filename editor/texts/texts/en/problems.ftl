@@ -49,6 +49,7 @@ remedy-bypass = correct the cause; any edit of the node opens it again
 remedy-open = check the device, file or model that the node names; it is tried again by itself
 remedy-panic = an error in the plugin: report it with these words; `isolate` keeps it from other nodes
 remedy-hang = the node does not return: check its device, or give it a `budget_ms` that fits
+remedy-too-old = the node before this input is slow or has stopped: look at that node, or allow more with `max_age_ms`
 remedy-incomplete = a slow node of the same source takes frames from it: let that node read with `align = "latest"`, or limit it with `max_rate_hz`
 remedy-slow = the node is over its `budget_ms`: reduce its work, or raise the budget
 remedy-output = the output is not as declared: check the node's values and inputs, else it is an error in the plugin

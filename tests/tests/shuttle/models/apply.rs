@@ -7,10 +7,24 @@ use shuttle::thread;
 
 use super::change_lock::ChangeLock;
 use super::join::{Join, Rule, Slot, Take};
+use super::light::{Lights, Sources};
 use super::memory::FrameRef;
 use super::region::{Freed, Region};
 
 const TICKS: u64 = 4;
+
+/// Ticks of unknown light.
+struct NoSource;
+
+impl Sources for NoSource {
+    fn arrived_ns(&self, _: &Tick) -> Option<i64> {
+        None
+    }
+
+    fn is_constant(&self, _: &Tick) -> bool {
+        false
+    }
+}
 
 /// A source, one node in its region, and the lock of changes.
 struct Model {
@@ -38,7 +52,7 @@ impl Model {
 
     /// Takes the next tick, as the scheduler does.
     fn decide(&self, join: &mut Join) -> Option<u64> {
-        let take = join.try_take(None, 1);
+        let take = join.try_take(None, &Lights { sources: &NoSource, by_capture: false, now_ns: 1 });
         join.set_running(matches!(take, Take::Fire { .. }));
         match take {
             Take::Fire { tick, .. } => Some(tick.seq),

@@ -6,7 +6,21 @@ use shuttle::sync::{Arc, Mutex};
 use shuttle::thread;
 
 use super::join::{Join, Rule, Slot, Take};
+use super::light::{Lights, Sources};
 use super::memory::FrameRef;
+
+/// Ticks of unknown light.
+struct NoSource;
+
+impl Sources for NoSource {
+    fn arrived_ns(&self, _: &Tick) -> Option<i64> {
+        None
+    }
+
+    fn is_constant(&self, _: &Tick) -> bool {
+        false
+    }
+}
 
 /// A node and what it did.
 struct Node {
@@ -20,7 +34,7 @@ struct Node {
 impl Node {
     /// Takes the next tick, as the scheduler does. Returns whether one is staged.
     fn decide(&self, join: &mut Join) -> bool {
-        let take = join.try_take(None, 1);
+        let take = join.try_take(None, &Lights { sources: &NoSource, by_capture: false, now_ns: 1 });
         join.set_running(matches!(take, Take::Fire { .. }));
         let fires = matches!(take, Take::Fire { .. });
         assert!(!fires || !self.is_retired.load(Ordering::SeqCst), "it is fired after it was taken out");
