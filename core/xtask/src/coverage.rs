@@ -54,10 +54,13 @@ const PARSERS: &[(&str, &[Source])] = &[
     ("plugin_note", &[all("core/loader/src/elf.rs")]),
     (
         "lock",
-        &[functions(
-            "core/loader/src/lock.rs",
-            &["read", "parse", "message", "word", "check_signature", "digest", "differences", "differences_among"],
-        )],
+        &[
+            functions(
+                "core/loader/src/lock.rs",
+                &["read", "parse", "message", "check_signature", "digest", "differences", "differences_among"],
+            ),
+            functions("core/loader/src/locked_file.rs", &["word"]),
+        ],
     ),
     (
         "machine_message",
@@ -93,7 +96,8 @@ const PARSERS: &[(&str, &[Source])] = &[
         "audit",
         &[
             functions("core/audit/src/chain.rs", &["parse", "follows"]),
-            functions("core/audit/src/log.rs", &["read", "end", "tail"]),
+            functions("core/audit/src/log.rs", &["tail"]),
+            all("core/audit/src/files.rs"),
             all("core/audit/src/read.rs"),
         ],
     ),

@@ -270,45 +270,6 @@ mod tests {
         assert!(shares(&HD, &alone).0 > 0.7, "{alone:?}");
     }
 
-    /// Share of the columns inside the margins in which nothing stands, and of the rows.
-    fn gutters(frame: &Frame, cells: &[Cell]) -> [f64; 2] {
-        let empty = |length: usize, span: fn(&Cell) -> (usize, usize)| {
-            let is_used = |at: &usize| cells.iter().map(span).any(|(from, size)| (from..from + size).contains(at));
-            // A margin between pictures is no gutter.
-            let gaps = frame.gap * cells.len();
-            let unused = (frame.gap..length - frame.gap).filter(|at| !is_used(at)).count();
-            unused.saturating_sub(gaps) as f64 / length as f64
-        };
-        [empty(frame.width, |cell| (cell.x, cell.width)), empty(frame.height, |cell| (cell.y, cell.height))]
-    }
-
-    #[test]
-    fn eight_compositions_have_a_large_main_picture_and_no_gutters() {
-        for (size, wider) in [((640, 480), 1.15), ((1920, 1080), 1.1), ((360, 288), 1.15), ((500, 500), 1.25)] {
-            let caption = HD.height / 30;
-            let main = tile(((size.0 as f64 * wider) as usize, size.1), 0);
-            let sides = [tile(size, 0), tile((480, 300), caption), tile(size, caption)];
-            for sides in [&sides[..], &[]] {
-                let cells = arranged(&HD, main, sides);
-                let case = format!("{size:?} with {} others: {cells:?}", sides.len());
-                let (share, _) = shares(&HD, &cells);
-                // Alone, a picture can be no larger than the screen in its proportions.
-                assert!(share >= 0.6, "{share:.3}, {case}");
-                if sides.is_empty() {
-                    let touches =
-                        cells[0].width + 2 * HD.gap + 1 >= HD.width || cells[0].height + 2 * HD.gap + 1 >= HD.height;
-                    assert!(touches, "{case}");
-                } else {
-                    assert!(
-                        gutters(&HD, &cells).iter().all(|share| *share < 0.08),
-                        "{:?}, {case}",
-                        gutters(&HD, &cells)
-                    );
-                }
-            }
-        }
-    }
-
     #[test]
     fn the_main_picture_is_the_largest_and_the_others_are_not_tiny() {
         for main in [(640, 480), (870, 500), (960, 480), (1100, 420), (1920, 1080)] {

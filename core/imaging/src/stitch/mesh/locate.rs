@@ -123,8 +123,12 @@ impl MeshGrid<'_> {
                 let x = ((column + lattice.first[0] as f32) * cell - self.origin[0]) / self.step;
                 x.clamp(0.0, columns as f32)
             };
-            let (start, end) = (at(first as f32 - 1.0).floor(), at(last as f32 + 1.0).ceil());
-            *span = Span { start: start as u32, end: end as u32 };
+            let (start, end) = (at(first as f32 - 1.0).floor() as u32, at(last as f32 + 1.0).ceil() as u32);
+            // Beyond the lattice its outermost cells go on.
+            *span = Span {
+                start: if first <= 1 { moved.x as u32 } else { start },
+                end: if last + 2 >= lattice.columns { (moved.x + moved.width) as u32 } else { end },
+            };
         }
     }
 
