@@ -1,7 +1,12 @@
-//! Small dense solvers.
+//! Small dense solvers, and a robust mean.
 
 /// Solves `a x = b` for a symmetric positive definite `a` by Cholesky; `None` when it is not.
 pub(crate) fn solve_symmetric<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -> Option<[f64; N]> {
+    solve_regular(a, b, 0.0)
+}
+
+/// As [`solve_symmetric`]; also `None` where a pivot is at most `min_pivot` of its element of the diagonal.
+pub(crate) fn solve_regular<const N: usize>(a: &[[f64; N]; N], b: &[f64; N], min_pivot: f64) -> Option<[f64; N]> {
     let mut lower = [[0.0f64; N]; N];
     for i in 0..N {
         for j in 0..=i {
@@ -10,7 +15,7 @@ pub(crate) fn solve_symmetric<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -
                 sum -= lower[i][k] * lower[j][k];
             }
             if i == j {
-                let positive = sum > 0.0 && sum.is_finite();
+                let positive = sum > min_pivot * a[i][i] && sum.is_finite();
                 if !positive {
                     return None;
                 }
@@ -34,6 +39,12 @@ pub(crate) fn solve_symmetric<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -
         x[i] /= lower[i][i];
     }
     x.iter().all(|value| value.is_finite()).then_some(x)
+}
+
+/// The upper median of the values, which are reordered; 0 without any.
+pub(crate) fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// Eigenvector of the smallest eigenvalue of a symmetric matrix (cyclic Jacobi rotations).

@@ -4,6 +4,8 @@
 //! off their rows too, but always by the same amount at one position of the view. Least squares over the features of several checks separate both:
 //! `rows = a + b x + c y + delay * velocity`.
 
+use crate::geometry::{median, solve_regular};
+
 /// Unknowns: three of the calibration, and the delay.
 const UNKNOWNS: usize = 4;
 /// Weight of the checks before, at each new one: about twelve count.
@@ -43,12 +45,8 @@ pub struct ViewDelay {
 
 /// Keeps values near their median.
 fn is_near(values: &[f64], floor: f64) -> impl Fn(f64) -> bool + use<> {
-    let median = |mut values: Vec<f64>| {
-        let middle = values.len() / 2;
-        if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    };
-    let middle = median(values.to_vec());
-    let reach = OUTLIER * median(values.iter().map(|value| (value - middle).abs()).collect()).max(floor);
+    let middle = median(&mut values.to_vec());
+    let reach = OUTLIER * median(&mut values.iter().map(|value| (value - middle).abs()).collect::<Vec<_>>()).max(floor);
     move |value| (value - middle).abs() <= reach
 }
 
@@ -88,28 +86,11 @@ impl ViewDelay {
         Some(Delay { delay_s: solution[UNKNOWNS - 1], deviation_s })
     }
 
-    /// Solves the normal equations by elimination; `None` where the image never moved.
+    /// Solves the normal equations; `None` where the image never moved.
     fn solve(&self, right: [f64; UNKNOWNS]) -> Option<[f64; UNKNOWNS]> {
-        let mut rows: [[f64; UNKNOWNS + 1]; UNKNOWNS] = std::array::from_fn(|row| {
-            std::array::from_fn(|column| if column < UNKNOWNS { self.sums[row][column] } else { right[row] })
-        });
-        for pivot in 0..UNKNOWNS {
-            // The matrix is symmetric and positive: its diagonal is large enough unless it is singular.
-            let divisor = rows[pivot][pivot];
-            if divisor <= 1e-9 * self.sums[pivot][pivot] {
-                return None;
-            }
-            let of_pivot = rows[pivot].map(|value| value / divisor);
-            for (index, row) in rows.iter_mut().enumerate() {
-                let factor = row[pivot];
-                if index == pivot {
-                    *row = of_pivot;
-                } else {
-                    row.iter_mut().zip(of_pivot).for_each(|(value, of_pivot)| *value -= factor * of_pivot);
-                }
-            }
-        }
-        Some(rows.map(|row| row[UNKNOWNS]))
+        let matrix: [[f64; UNKNOWNS]; UNKNOWNS] =
+            std::array::from_fn(|row| std::array::from_fn(|column| self.sums[row][column]));
+        solve_regular(&matrix, &right, 1e-9)
     }
 }
 

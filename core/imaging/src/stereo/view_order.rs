@@ -8,6 +8,7 @@ use super::camera::CameraModel;
 use super::rectify::{Rectification, turn};
 use super::view_delay::RowSample;
 use crate::features::{Features, GrayBuffer, Match, MatchParams, Matcher, Surf, SurfParams, shrink_gray};
+use crate::geometry::median;
 use crate::{Parallel, View};
 
 /// Approximate number of columns of the views in which features are looked for.
@@ -174,12 +175,8 @@ fn direction(cameras: [&CameraModel; 2], rectification: &Rectification, camera: 
 /// `apart` are rows apart and disparities of the pairs for both orders, px, of views of `width` px, whose features are exact to about `unit` px.
 fn evaluate(apart: &[Vec<[f64; 2]>; 2], unit: f64, width: f64) -> OrderEvidence {
     let pairs = apart[0].len();
-    let median = |apart: &Vec<[f64; 2]>| {
-        let mut rows: Vec<f64> = apart.iter().map(|[rows, _]| rows.abs()).collect();
-        let middle = rows.len() / 2;
-        if rows.is_empty() { f64::INFINITY } else { *rows.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    };
-    let smaller = apart.iter().map(median).fold(f64::INFINITY, f64::min);
+    let rows = |apart: &Vec<[f64; 2]>| median(&mut apart.iter().map(|[rows, _]| rows.abs()).collect::<Vec<_>>());
+    let smaller = apart.iter().map(rows).fold(f64::INFINITY, f64::min);
     let rows_px = (TOLERANCE.0 * smaller).min(TOLERANCE.1 * width).max(TOLERANCE.2 * unit);
     // Points at infinity have none.
     let fits = |[rows, disparity]: &&[f64; 2]| rows.abs() <= rows_px && *disparity >= -unit;

@@ -15,7 +15,7 @@ use super::relax::{Continuation, Relax};
 use super::rigid::Rigid;
 use super::scaled::Scaled;
 use super::{Lattice, Mesh};
-use crate::geometry::{Homography, Point, overlap_roi};
+use crate::geometry::{Homography, Point, median, overlap_roi};
 use crate::{Parallel, Simd, View};
 
 /// Columns of a view that lengths of [`MeshParams`] refer to.
@@ -569,10 +569,4 @@ impl MeshFollower {
 /// Length of a vector whose square does not overflow, faster than `hypot`.
 pub(in crate::stitch) fn length([x, y]: Point) -> f64 {
     (x * x + y * y).sqrt()
-}
-
-/// Of the values, which are reordered; 0 without any.
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
