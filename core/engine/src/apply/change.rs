@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use panoscope_graph::{Align, Catalog, Graph};
+use panoscope_graph::{Catalog, Edge, Graph};
 
 use super::ApplyError;
 use crate::engine::{Current, type_name};
@@ -124,35 +124,18 @@ pub(super) struct Change {
     pub quiet: Vec<usize>,
 }
 
-/// An input's connection as the scheduler sees it.
-pub(super) type Connection = (usize, usize, usize, usize, Align, Option<u32>, u8, bool, bool, Option<f64>, bool);
-
-pub(super) fn connections(graph: &Graph, slots: &[usize], node: usize) -> Vec<Connection> {
-    let edges = graph.inputs_of(node).iter();
-    edges
-        .map(|e| {
-            let from = slots[e.from_node];
-            (
-                from,
-                e.from_port,
-                e.to_port,
-                e.list_index,
-                e.align,
-                e.queue,
-                e.delay,
-                e.trigger,
-                e.convert,
-                e.max_age_ms,
-                e.guide,
-            )
-        })
-        .collect()
+/// The connections of a node's inputs as the scheduler sees them: between slots instead of nodes, wherever they stand in the text.
+pub(super) fn connections(graph: &Graph, slots: &[usize], node: usize) -> Vec<Edge> {
+    let to_node = slots[node];
+    let of_slots = |edge: &Edge| Edge { from_node: slots[edge.from_node], to_node, span: 0..0, ..edge.clone() };
+    graph.inputs_of(node).iter().map(of_slots).collect()
 }
 
 /// For each new connection, the old one that it continues.
-pub(super) fn inherited(old: &[Connection], new: &[Connection]) -> Vec<Option<usize>> {
+pub(super) fn inherited(old: &[Edge], new: &[Edge]) -> Vec<Option<usize>> {
     let mut taken = vec![false; old.len()];
-    let same = |a: &Connection, b: &Connection| (a.0, a.1, a.2, a.4, a.6) == (b.0, b.1, b.2, b.4, b.6);
+    let key = |edge: &Edge| (edge.from_node, edge.from_port, edge.to_port, edge.align, edge.delay);
+    let same = |a: &Edge, b: &Edge| key(a) == key(b);
     new.iter()
         .map(|connection| {
             let found = old.iter().enumerate().position(|(i, o)| !taken[i] && same(o, connection))?;

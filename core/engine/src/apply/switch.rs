@@ -227,8 +227,8 @@ impl Switch<'_> {
             None => vec![None; new.len()],
         };
         let ended: Vec<usize> = (0..new.len())
-            .filter(|&i| from[i].is_none() && old.alive.get(new[i].0) == Some(&true))
-            .filter(|&i| was_finished.get(new[i].0) == Some(&true))
+            .filter(|&i| from[i].is_none() && old.alive.get(new[i].from_node) == Some(&true))
+            .filter(|&i| was_finished.get(new[i].from_node) == Some(&true))
             .collect();
         let mut finished = false;
         if change.is_replaced() {
