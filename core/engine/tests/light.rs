@@ -1,29 +1,37 @@
 //! Ages of packets through every kind of edge, and edges that set a limit to them.
 
+use std::path::Path;
 use std::time::Duration;
 
 use crate::common::{PATIENCE, ledger, options, run, scratch, start};
 use panoscope_engine::fault::Cause;
 use panoscope_engine::{Outcome, Report};
 
-/// A source at 200 Hz, a branch of 4 Hz, and a sink that reads both, the branch as `edge` says.
-fn slow_branch(path: &std::path::Path, edge: &str) -> String {
+/// A source at 200 Hz, a branch whose last node is `branch`, and a sink that reads both, the branch as `edge` says.
+fn beside_a_branch(path: &Path, branch: &str, edge: &str) -> String {
     format!(
         r#"
 [nodes.source]
 type = "frames"
 params = {{ width_px = 16, height_px = 16, rate_hz = 200.0 }}
-[nodes.slow]
-type = "pass"
-inputs = {{ image = {{ from = "source.image", align = "latest" }} }}
-max_rate_hz = 4
+{branch}
 [nodes.join]
 type = "ledger"
-inputs = {{ images = ["source.image", {{ from = "slow.image", {edge} }}] }}
+inputs = {{ images = ["source.image", {{ from = "branch.image", {edge} }}] }}
 params = {{ path = "{}" }}
 "#,
         path.display()
     )
+}
+
+/// The branch makes 4 packets a second.
+fn slow_branch(path: &Path, edge: &str) -> String {
+    let branch = r#"
+[nodes.branch]
+type = "pass"
+inputs = { image = { from = "source.image", align = "latest" } }
+max_rate_hz = 4"#;
+    beside_a_branch(path, branch, edge)
 }
 
 /// Median and highest age of the oldest light at the sink, and the median of the newest, ms.
@@ -70,24 +78,16 @@ fn an_input_beyond_its_age_counts_as_absent_and_the_report_says_so() {
 fn a_source_of_one_packet_adds_no_age_and_a_stream_that_ended_does() {
     let p50_ms = |count: u32| {
         let path = scratch("constant.jsonl");
-        let nodes = format!(
+        let branch = format!(
             r#"
-[nodes.source]
-type = "frames"
-params = {{ width_px = 16, height_px = 16, rate_hz = 200.0 }}
 [nodes.still]
 type = "frames"
 params = {{ width_px = 16, height_px = 16, rate_hz = 200.0, count = {count} }}
-[nodes.pass]
+[nodes.branch]
 type = "pass"
-inputs = {{ image = "still.image" }}
-[nodes.join]
-type = "ledger"
-inputs = {{ images = ["source.image", {{ from = "pass.image", align = "latest" }}] }}
-params = {{ path = "{}" }}
-"#,
-            path.display()
+inputs = {{ image = "still.image" }}"#
         );
+        let nodes = beside_a_branch(&path, &branch, "align = \"latest\"");
         let (report, outcome) = run("live", &nodes, options(2, 200));
         assert_eq!(outcome, Outcome::Done);
         assert!(ledger(&path).last().is_some_and(|(_, inputs)| inputs[1].is_some()), "it is there to the end");

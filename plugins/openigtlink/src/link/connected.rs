@@ -71,7 +71,7 @@ fn read(peer: &Peer, shared: &Shared) -> Option<String> {
                 Ok(None) => break,
                 Err(error) => error,
             };
-            shared.totals.damaged.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            shared.totals.damaged.fetch_add(1, Ordering::Relaxed);
             if reader.is_broken() {
                 return Some(error.to_string());
             }

@@ -5,14 +5,13 @@ use std::path::{Path, PathBuf};
 
 use gstreamer::{Buffer, Caps, Fraction};
 use image::{ImageBuffer, Rgb, imageops};
+use panoscope_base::files::create;
 use panoscope_media::{ContainerFile, Encoder, EncoderSettings, MediaError, Packet};
 use panoscope_node::{NodeError, Result as NodeResult};
 
 use super::codec::{Codec, FileKind};
 use super::timeline::{Pacing, Timeline};
 use crate::formats::mkv::{Muxer, Track};
-use panoscope_base::files::create;
-
 use crate::target::{SinkError, sync};
 
 /// Frame rate where pictures have their own times or there is only one.
