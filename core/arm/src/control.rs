@@ -72,7 +72,7 @@ pub struct Step {
 }
 
 /// A longer time between ticks resets the controller, s.
-const LONGEST_TICK_S: f64 = 0.25;
+const MAX_TICK_S: f64 = 0.25;
 /// Standard deviation of a tip in the picture and of its disparity, px.
 const LATERAL_PX: f64 = 1.0;
 const DISPARITY_PX: f64 = 0.5;
@@ -80,10 +80,10 @@ const DISPARITY_PX: f64 = 0.5;
 const NEAREST_MM: f64 = 5.0;
 const FARTHEST_MM: f64 = 1000.0;
 /// A movement counts as limited when less than this share of it was carried out; slower movements (rad/s) are not checked.
-const LEAST_RAD_S: f64 = 0.01;
+const MIN_RAD_S: f64 = 0.01;
 const CARRIED: f64 = 0.5;
 /// Longest time over which an old tip is predicted, s: the interlock follows none that is older.
-const LONGEST_AGE_S: f64 = 0.3;
+const MAX_AGE_S: f64 = 0.3;
 /// Largest joint angle accepted, rad.
 const FARTHEST_RAD: f64 = 100.0;
 
@@ -152,7 +152,7 @@ impl Controller {
     fn is_limited(&self, set_point: Option<&JointVector>, dt_s: f64) -> bool {
         let went = set_point.zip(self.set_point).map(|(now, then)| (now - then) / dt_s.max(1e-6));
         let speed = self.asked.norm();
-        let is_behind = went.is_some_and(|went| speed > LEAST_RAD_S && went.dot(&self.asked) < CARRIED * speed * speed);
+        let is_behind = went.is_some_and(|went| speed > MIN_RAD_S && went.dot(&self.asked) < CARRIED * speed * speed);
         self.share < 1.0 - 1e-9 || is_behind
     }
 
@@ -168,7 +168,7 @@ impl Controller {
         goals: &Goals,
     ) -> Option<Step> {
         let passed_s = self.last_ns.map(|last| taken_ns.saturating_sub(last) as f64 * 1e-9);
-        if passed_s.is_some_and(|s| !(0.0..=LONGEST_TICK_S).contains(&s)) {
+        if passed_s.is_some_and(|s| !(0.0..=MAX_TICK_S).contains(&s)) {
             self.reset();
         }
         let dt_s = self.last_ns.replace(taken_ns).map_or(0.0, |last| taken_ns.saturating_sub(last) as f64 * 1e-9);
@@ -190,7 +190,7 @@ impl Controller {
         // The arm's angles when this demand takes effect.
         let coming = set_point_rad.map_or(*joints_rad, |set| set + self.asked * dt_s);
         let stance = self.chain.stance(&coming);
-        let age_s = if tip.age_s > 0.0 { tip.age_s.min(LONGEST_AGE_S) } else { 0.0 };
+        let age_s = if tip.age_s > 0.0 { tip.age_s.min(MAX_AGE_S) } else { 0.0 };
         let ahead = Point3::from(place + movement * (goals.latency_s + dt_s + age_s));
         let point = stance.base_from_camera.inverse_transform_point(&ahead).coords;
         let plain = errors(&tip.xyz_mm, cameras, goals.distance_mm);

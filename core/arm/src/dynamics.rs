@@ -24,7 +24,7 @@ impl Default for Quality {
 }
 
 /// Longest latency, in steps of 1 ms.
-pub const MOST_LATENCY_STEPS: usize = 500;
+pub const MAX_LATENCY_STEPS: usize = 500;
 
 /// Six joints that follow set-points.
 #[derive(Clone)]
@@ -41,7 +41,7 @@ pub struct SimArm {
 impl SimArm {
     /// An arm at rest at these angles.
     pub fn new(quality: Quality, angles_rad: JointVector) -> Self {
-        let steps = ((quality.latency_ms / (1e3 * STEP_S)).round() as usize).clamp(1, MOST_LATENCY_STEPS);
+        let steps = ((quality.latency_ms / (1e3 * STEP_S)).round() as usize).clamp(1, MAX_LATENCY_STEPS);
         let in_flight = vec![(angles_rad, JointVector::zeros()); steps];
         Self { quality, in_flight, next: 0, motor: angles_rad, motor_velocity: JointVector::zeros(), link: angles_rad }
     }

@@ -24,32 +24,32 @@ use crate::chain::{JOINTS, JointVector};
 /// Version of the protocol.
 pub const VERSION: u32 = 2;
 /// Longest line, bytes; more bytes without a line feed are garbage.
-pub const LONGEST: usize = 256;
+pub const MAX_LEN: usize = 256;
 /// Numbers of lines start again at 0 here.
 pub const SEQ_END: u32 = 1_000_000;
 /// Length of a CRC in a line: `*` and its digits.
 const TAIL: usize = 9;
 /// Largest angle or speed of a line, in millionths.
-const LARGEST_MICRO: i64 = 9_000_000_000;
+const MAX_MICRO: i64 = 9_000_000_000;
 
 /// Serial number of a device: 1 to 32 letters, digits and `-`.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 pub struct Serial {
-    bytes: [u8; Self::LONGEST],
+    bytes: [u8; Self::MAX_LEN],
     len: u8,
 }
 
 impl Serial {
     /// Longest serial number, bytes.
-    pub const LONGEST: usize = 32;
+    pub const MAX_LEN: usize = 32;
 
     /// Reads a serial number; `None` for an empty or longer text, or other characters.
     pub fn new(text: &str) -> Option<Self> {
         let ok = |b: u8| b.is_ascii_alphanumeric() || b == b'-';
-        if text.is_empty() || text.len() > Self::LONGEST || !text.bytes().all(ok) {
+        if text.is_empty() || text.len() > Self::MAX_LEN || !text.bytes().all(ok) {
             return None;
         }
-        let mut bytes = [0; Self::LONGEST];
+        let mut bytes = [0; Self::MAX_LEN];
         bytes[..text.len()].copy_from_slice(text.as_bytes());
         Some(Self { bytes, len: text.len() as u8 })
     }
@@ -146,7 +146,7 @@ pub enum Line {
 
 /// A number in whole millionths, clamped to the range of the protocol; NaN becomes 0.
 fn micro(value: f64) -> i64 {
-    (value * 1e6).round().clamp(-(LARGEST_MICRO as f64), LARGEST_MICRO as f64) as i64
+    (value * 1e6).round().clamp(-(MAX_MICRO as f64), MAX_MICRO as f64) as i64
 }
 
 impl Line {
@@ -223,7 +223,7 @@ fn vector(words: &mut std::str::Split<'_, char>) -> Option<JointVector> {
     let mut out = JointVector::zeros();
     for k in 0..JOINTS {
         let micro = words.next()?.parse::<i64>().ok()?;
-        out[k] = (-LARGEST_MICRO..=LARGEST_MICRO).contains(&micro).then_some(micro as f64 * 1e-6)?;
+        out[k] = (-MAX_MICRO..=MAX_MICRO).contains(&micro).then_some(micro as f64 * 1e-6)?;
     }
     Some(out)
 }
@@ -250,7 +250,7 @@ pub enum Received {
     Line(Line),
     /// A valid answer in version 1 of the protocol.
     OlderProtocol,
-    /// Anything else: a damaged line, noise, or more than [`LONGEST`] bytes without a line feed.
+    /// Anything else: a damaged line, noise, or more than [`MAX_LEN`] bytes without a line feed.
     Damaged,
 }
 
@@ -262,9 +262,9 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Takes bytes and calls `each` with every line. Allocates nothing after the first [`LONGEST`] bytes.
+    /// Takes bytes and calls `each` with every line. Allocates nothing after the first [`MAX_LEN`] bytes.
     pub fn take(&mut self, bytes: &[u8], mut each: impl FnMut(Received)) {
-        self.held.reserve(LONGEST.saturating_sub(self.held.len()));
+        self.held.reserve(MAX_LEN.saturating_sub(self.held.len()));
         for &byte in bytes {
             if byte == b'\n' {
                 if !self.overflown {
@@ -276,7 +276,7 @@ impl Reader {
                 }
                 self.held.clear();
                 self.overflown = false;
-            } else if self.held.len() < LONGEST {
+            } else if self.held.len() < MAX_LEN {
                 self.held.push(byte);
             } else if !self.overflown {
                 // Reported once, as soon as this cannot be a line.
@@ -323,7 +323,7 @@ mod tests {
         for seq in 0..600 {
             let line = any(&mut random, seq);
             let bytes = text(&line);
-            assert!(bytes.len() <= LONGEST && bytes.is_ascii());
+            assert!(bytes.len() <= MAX_LEN && bytes.is_ascii());
             let (mut reader, mut received) = (Reader::default(), Vec::new());
             // In two pieces, as serial lines deliver them.
             let (a, b) = bytes.split_at(random.of(bytes.len() as u64) as usize);
@@ -409,6 +409,6 @@ mod tests {
             reader.take(&noise, |line| valid += u32::from(line != Received::Damaged));
         }
         assert_eq!(valid, 0);
-        assert!(reader.held.len() <= LONGEST);
+        assert!(reader.held.len() <= MAX_LEN);
     }
 }

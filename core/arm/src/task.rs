@@ -10,7 +10,7 @@ use crate::chain::{Chain, JOINTS, JointVector, Stance};
 /// Smallest singular value below which damping begins; rows are scaled to mm per rad over 100.
 const SINGULAR_BELOW: f64 = 0.25;
 /// Damping at a singular pose.
-const MOST_DAMPING: f64 = 0.25;
+const MAX_DAMPING: f64 = 0.25;
 /// Rows in mm become numbers near 1.
 const ROW_SCALE_MM: f64 = 100.0;
 /// Largest speed towards a joint limit per distance left, 1/s.
@@ -86,7 +86,7 @@ pub fn solve(chain: &Chain, angles_rad: &JointVector, stance: &Stance, up: &Vect
     let singular = square.symmetric_eigenvalues().min().max(0.0).sqrt();
     let damping = if singular < SINGULAR_BELOW {
         let near = 1.0 - singular / SINGULAR_BELOW;
-        MOST_DAMPING * MOST_DAMPING * near * near
+        MAX_DAMPING * MAX_DAMPING * near * near
     } else {
         0.0
     };

@@ -18,7 +18,7 @@ use rustix::net::{
 use thiserror::Error;
 
 use crate::clock;
-use crate::message::{LONGEST, Report, Request, Status};
+use crate::message::{MAX_LEN, Report, Request, Status};
 use crate::target::Target;
 
 /// Name of the guard's program.
@@ -169,7 +169,7 @@ impl Guard {
 
     /// The next record; `None` when there is none, or the guard has ended.
     fn receive(&mut self) -> Option<Report> {
-        let mut buffer = [0; LONGEST];
+        let mut buffer = [0; MAX_LEN];
         loop {
             match recv(self.socket.as_fd(), &mut buffer, RecvFlags::DONTWAIT) {
                 Ok((_, 0)) => {
@@ -177,7 +177,7 @@ impl Guard {
                     return None;
                 }
                 Ok((_, length)) => {
-                    if let Some(report) = Report::decode(&buffer[..length.min(LONGEST)]) {
+                    if let Some(report) = Report::decode(&buffer[..length.min(MAX_LEN)]) {
                         return Some(report);
                     }
                 }
@@ -193,7 +193,7 @@ impl Guard {
 
     /// Sends a request. Never waits: when the guard does not read, the request is lost, and the arm stops.
     pub fn request(&mut self, request: &Request) {
-        let mut out = [0; LONGEST];
+        let mut out = [0; MAX_LEN];
         let flags = SendFlags::DONTWAIT | SendFlags::NOSIGNAL;
         if matches!(send(self.socket.as_fd(), request.encode(&mut out), flags), Err(Errno::PIPE | Errno::CONNRESET)) {
             self.has_ended = true;

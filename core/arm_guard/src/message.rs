@@ -10,11 +10,11 @@ use panoscope_arm_core::{Cause, JOINTS, JointVector};
 /// First bytes of a record: name and version of the format.
 const MAGIC: [u8; 6] = *b"PARM\x01\x00";
 /// Longest record, bytes.
-pub const LONGEST: usize = 512;
+pub const MAX_LEN: usize = 512;
 /// Most values of a demand; another number than the arm's joints is an invalid demand, which the interlock refuses.
 pub const MAX_DEMAND: usize = 8;
 /// Longest text of a failure, bytes.
-const LONGEST_TEXT: usize = 400;
+const MAX_TEXT: usize = 400;
 
 /// What the node asks for, once per call. Times are on the system's monotonic clock, ns.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,12 +80,12 @@ pub enum Report {
 
 /// Writes a record into a buffer.
 struct Writer<'a> {
-    out: &'a mut [u8; LONGEST],
+    out: &'a mut [u8; MAX_LEN],
     len: usize,
 }
 
 impl<'a> Writer<'a> {
-    fn new(out: &'a mut [u8; LONGEST], kind: u8) -> Self {
+    fn new(out: &'a mut [u8; MAX_LEN], kind: u8) -> Self {
         let mut writer = Self { out, len: 0 };
         writer.bytes(&MAGIC);
         writer.bytes(&[kind]);
@@ -200,7 +200,7 @@ const EVENT: u8 = 5;
 
 impl Request {
     /// Writes the record.
-    pub fn encode<'a>(&self, out: &'a mut [u8; LONGEST]) -> &'a [u8] {
+    pub fn encode<'a>(&self, out: &'a mut [u8; MAX_LEN]) -> &'a [u8] {
         let mut w = Writer::new(out, REQUEST);
         w.i64(self.sent_ns);
         w.flag(self.tip.is_some());
@@ -248,7 +248,7 @@ impl Request {
 
 impl Report {
     /// Writes the record.
-    pub fn encode<'a>(&self, out: &'a mut [u8; LONGEST]) -> &'a [u8] {
+    pub fn encode<'a>(&self, out: &'a mut [u8; MAX_LEN]) -> &'a [u8] {
         match self {
             Self::Ready { serial, watchdog_ms, granted } => {
                 let mut w = Writer::new(out, READY);
@@ -260,7 +260,7 @@ impl Report {
             }
             Self::Failed(text) => {
                 let mut w = Writer::new(out, FAILED);
-                let mut end = text.len().min(LONGEST_TEXT);
+                let mut end = text.len().min(MAX_TEXT);
                 while !text.is_char_boundary(end) {
                     end -= 1;
                 }
@@ -316,7 +316,7 @@ impl Report {
 
 impl Status {
     /// Writes the record.
-    pub fn encode<'a>(&self, out: &'a mut [u8; LONGEST]) -> &'a [u8] {
+    pub fn encode<'a>(&self, out: &'a mut [u8; MAX_LEN]) -> &'a [u8] {
         let mut w = Writer::new(out, STATUS);
         w.i64(self.at_ns);
         w.vector(&self.encoders);
@@ -366,12 +366,12 @@ mod tests {
 
     #[test]
     fn every_record_fits_and_comes_back() {
-        let mut out = [0; LONGEST];
+        let mut out = [0; MAX_LEN];
         let asked = request();
         assert_eq!(Request::decode(asked.encode(&mut out)), Some(asked));
         let empty = Request { tip: None, demand: None, ..asked };
         assert_eq!(Request::decode(empty.encode(&mut out)), Some(empty));
-        let serial = Serial::new(&"X".repeat(Serial::LONGEST)).expect("a serial number");
+        let serial = Serial::new(&"X".repeat(Serial::MAX_LEN)).expect("a serial number");
         let event = Event { at_ns: 5, stop: None, speed_rad_s: 0.4 };
         for report in [
             Report::Ready { serial, watchdog_ms: 30, granted: (true, false) },
@@ -384,12 +384,12 @@ mod tests {
         }
         let long = Report::Failed("ä".repeat(1000));
         let Some(Report::Failed(text)) = Report::decode(long.encode(&mut out)) else { panic!("not read") };
-        assert_eq!(text, "ä".repeat(LONGEST_TEXT / 2));
+        assert_eq!(text, "ä".repeat(MAX_TEXT / 2));
     }
 
     #[test]
     fn damaged_records_are_refused() {
-        let mut out = [0; LONGEST];
+        let mut out = [0; MAX_LEN];
         let sound = request().encode(&mut out).to_vec();
         for at in 0..sound.len() {
             for bit in 0..8 {

@@ -11,7 +11,7 @@ pub const VERSION: u16 = 2;
 /// Length of size and type, bytes.
 const HEADER: usize = 3;
 /// Longest package that is accepted, bytes; RTDE's longest is a list of names, 2048 bytes.
-pub const LONGEST: usize = 4096;
+pub const MAX_LEN: usize = 4096;
 
 /// What the controller sends: names and types.
 pub const OUTPUTS: [(&str, &str); 11] = [
@@ -201,7 +201,7 @@ pub struct Reader {
 impl Reader {
     /// With room for the longest package: nothing is allocated later.
     pub fn new() -> Self {
-        Self { held: Vec::with_capacity(LONGEST), is_broken: false }
+        Self { held: Vec::with_capacity(MAX_LEN), is_broken: false }
     }
 
     /// Takes bytes and calls `each` with every whole package.
@@ -212,7 +212,7 @@ impl Reader {
             self.held.extend_from_slice(part);
             bytes = rest;
             match self.size() {
-                Some(size) if !(HEADER..=LONGEST).contains(&size) => {
+                Some(size) if !(HEADER..=MAX_LEN).contains(&size) => {
                     self.is_broken = true;
                     each(Received::Broken);
                 }

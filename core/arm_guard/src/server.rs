@@ -18,7 +18,7 @@ use thiserror::Error;
 use crate::arm_port::{ArmPort, Identity};
 use crate::clock;
 use crate::latch::{LatchError, LatchStore, Record};
-use crate::message::{LONGEST, Report, Request, Status};
+use crate::message::{MAX_LEN, Report, Request, Status};
 use crate::port::PortError;
 use crate::realtime;
 use crate::target::Target;
@@ -80,7 +80,7 @@ pub fn serve(socket: OwnedFd, options: Options) -> Result<(), ServeError> {
             Ok(())
         }
         Err(error) => {
-            let mut out = [0; LONGEST];
+            let mut out = [0; MAX_LEN];
             let _ = send(socket.as_fd(), Report::Failed(error.to_string()).encode(&mut out), SendFlags::empty());
             Err(error)
         }
@@ -282,14 +282,14 @@ impl Server {
         let mut newest: Option<Request> = None;
         // When the newest reset was made that no emergency stop followed.
         let mut reset_ns = None;
-        let mut buffer = [0; LONGEST];
+        let mut buffer = [0; MAX_LEN];
         for _ in 0..REQUESTS_PER_TURN {
             match recv(self.socket.as_fd(), &mut buffer, RecvFlags::DONTWAIT) {
                 Ok((_, 0)) => {
                     self.host_has_ended();
                     return;
                 }
-                Ok((_, length)) => match Request::decode(&buffer[..length.min(LONGEST)]) {
+                Ok((_, length)) => match Request::decode(&buffer[..length.min(MAX_LEN)]) {
                     Some(request) if self.is_in_order(&request, now_ns) => {
                         self.last_sent_ns = request.sent_ns;
                         if self.reset.replace(request.reset).is_some_and(|old| old != request.reset) {
@@ -414,7 +414,7 @@ impl Server {
             depth_mm: tube.depth_mm,
             refused: self.refused,
         };
-        let mut out = [0; LONGEST];
+        let mut out = [0; MAX_LEN];
         self.put(status.encode(&mut out));
         while let Some(event) = self.lock.take_event() {
             self.report(&Report::Event(event));
@@ -422,7 +422,7 @@ impl Server {
     }
 
     fn report(&self, report: &Report) {
-        self.put(report.encode(&mut [0; LONGEST]));
+        self.put(report.encode(&mut [0; MAX_LEN]));
     }
 
     fn put(&self, record: &[u8]) {

@@ -13,7 +13,7 @@ use crate::arm_port::{Answer, ArmPort, Identity};
 use crate::clock;
 use crate::dashboard::{self, ANSWER_WITHIN, UPDATE};
 use crate::port::PortError;
-use crate::rtde::{self, Command, INPUTS, Kind, LONGEST, OUTPUTS, Package, Reader, Received, State};
+use crate::rtde::{self, Command, INPUTS, Kind, MAX_LEN, OUTPUTS, Package, Reader, Received, State};
 use crate::tcp::TcpPort;
 
 /// The program that runs on the robot's controller.
@@ -175,7 +175,7 @@ impl UrLink {
         let serial = dashboard::serial_number(&connection.host, connection.dashboard_port)?;
         let mut link = Self {
             place: connection.place(),
-            port: TcpPort::open(&connection.host, connection.rtde_port, LONGEST)?,
+            port: TcpPort::open(&connection.host, connection.rtde_port, MAX_LEN)?,
             reader: Reader::new(),
             recipes: (0, 0),
             home: connection.home,
@@ -188,7 +188,7 @@ impl UrLink {
             identity: Identity { serial, watchdog_ms: 0 },
             release_until_ns: i64::MIN,
             last: (JointVector::zeros(), i64::MIN),
-            out: Vec::with_capacity(LONGEST),
+            out: Vec::with_capacity(MAX_LEN),
         };
         link.set_up()?;
         link.first_echo()?;
@@ -343,7 +343,7 @@ impl UrLink {
 
     /// Reads what has arrived and calls `each` with every package.
     fn poll(&mut self, mut each: impl FnMut(Received<'_>)) -> Result<(), PortError> {
-        let mut buffer = [0; LONGEST];
+        let mut buffer = [0; MAX_LEN];
         let mut is_broken = false;
         // Bounded, so that a controller that sends without pause cannot hold this thread.
         for _ in 0..16 {

@@ -11,7 +11,7 @@ use panoscope_arm_core::campaign::Random;
 use panoscope_arm_core::interlock::{Evidence, Settings};
 use panoscope_arm_guard::clock;
 use panoscope_arm_guard::link::Connection;
-use panoscope_arm_guard::message::{LONGEST, Report, Request, Status};
+use panoscope_arm_guard::message::{MAX_LEN, Report, Request, Status};
 use panoscope_arm_guard::server::{self, Options};
 use panoscope_firmware::{Behaviour, Firmware};
 use rustix::net::{AddressFamily, RecvFlags, SendFlags, SocketFlags, SocketType, recv, send, socketpair};
@@ -62,7 +62,7 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 /// Sound, hostile and damaged requests, among them no cause to latch.
-fn send_requests(socket: &rustix::fd::OwnedFd, random: &mut Random, reset: u64, buffer: &mut [u8; LONGEST]) {
+fn send_requests(socket: &rustix::fd::OwnedFd, random: &mut Random, reset: u64, buffer: &mut [u8; MAX_LEN]) {
     let now_ns = clock::now_ns();
     let sound = Request {
         sent_ns: now_ns,
@@ -113,7 +113,7 @@ fn nothing_is_allocated_while_the_arm_moves() {
         IS_COUNTED.set(true);
         server::serve(theirs, options)
     });
-    let (mut random, mut buffer, mut reset) = (Random::new(5), [0; LONGEST], 0);
+    let (mut random, mut buffer, mut reset) = (Random::new(5), [0; MAX_LEN], 0);
     let mut newest: Option<Box<Status>> = None;
     // Time in which the arm followed, and the count at its start; a stop latches and is released with allocations, at rest.
     let (mut watched, mut since): (Duration, Option<(Instant, u64)>) = (Duration::ZERO, None);

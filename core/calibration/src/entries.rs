@@ -3,7 +3,7 @@
 use crate::error::Mistake;
 
 /// Most entries of a text; real files have up to 80.
-const MOST_ENTRIES: usize = 10_000;
+const MAX_ENTRIES: usize = 10_000;
 
 /// A name and what stands behind it.
 #[derive(Clone, Copy, Debug)]
@@ -85,7 +85,7 @@ impl<'t> Entries<'t> {
             let name = line[..at].trim();
             (!name.is_empty()).then(|| Entry::new(name, (number, line), at + separator.len_utf8(), end))
         });
-        Self(lines.take(MOST_ENTRIES).collect())
+        Self(lines.take(MAX_ENTRIES).collect())
     }
 
     /// The entries of one `[section]` of an INI file.
@@ -101,7 +101,7 @@ impl<'t> Entries<'t> {
             } else if inside
                 && !trimmed.starts_with(['#', ';'])
                 && let Some(at) = line.find('=')
-                && entries.len() < MOST_ENTRIES
+                && entries.len() < MAX_ENTRIES
             {
                 entries.push(Entry::new(line[..at].trim(), (number, line), at + 1, line.len()));
             }

@@ -55,12 +55,12 @@ pub fn read_kitti(path: &Path, cameras: KittiCameras) -> Result<Calibration, Fil
 }
 
 /// Largest file that is read, in bytes.
-const MOST_BYTES: u64 = 16 << 20;
+const MAX_BYTES: u64 = 16 << 20;
 
 fn text_in(path: &Path) -> Result<String, FileError> {
     let fail = |what: String| Mistake::whole(what).in_file(path);
-    if fs::metadata(path).is_ok_and(|file| file.len() > MOST_BYTES) {
-        return Err(fail(format!("the file is larger than {} MB: it is no calibration", MOST_BYTES >> 20)));
+    if fs::metadata(path).is_ok_and(|file| file.len() > MAX_BYTES) {
+        return Err(fail(format!("the file is larger than {} MB: it is no calibration", MAX_BYTES >> 20)));
     }
     let bytes = fs::read(path).map_err(|error| fail(error.to_string()))?;
     String::from_utf8(bytes).map_err(|_| fail("this is no text: a calibration file is needed".to_owned()))

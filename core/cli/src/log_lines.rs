@@ -20,7 +20,7 @@ pub enum LogFormat {
 const QUIET: Duration = Duration::from_secs(1);
 
 /// Different words that are remembered.
-const MOST_REMEMBERED: usize = 1000;
+const MAX_REMEMBERED: usize = 1000;
 
 struct Seen {
     shown: Instant,
@@ -97,7 +97,7 @@ pub fn sink(verbose: bool, format: LogFormat, color: bool, show: impl Fn(&str) +
             return;
         }
         let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
-        if seen.len() >= MOST_REMEMBERED {
+        if seen.len() >= MAX_REMEMBERED {
             seen.clear();
         }
         let now = Instant::now();

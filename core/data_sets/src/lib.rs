@@ -21,9 +21,9 @@ use panoscope_calibration::pictures::natural_order;
 pub use sequence::{CalibrationFiles, Holds, Labels, MaskFile, MaskLayer, Masks, Pictures, Sequence, Stacked, Truth};
 
 /// Levels of folders below the given one that are searched: archives often repeat the name of the data set in a folder of their own.
-pub const MOST_LEVELS: usize = 4;
+pub const MAX_LEVELS: usize = 4;
 /// Most folders that are searched.
-const MOST_FOLDERS: usize = 20_000;
+const MAX_FOLDERS: usize = 20_000;
 /// Packed files that a remark lists.
 const LISTED: usize = 5;
 
@@ -63,7 +63,7 @@ impl Found {
     }
 }
 
-/// Lists the sequences of all known layouts at a folder and up to [`MOST_LEVELS`] levels below.
+/// Lists the sequences of all known layouts at a folder and up to [`MAX_LEVELS`] levels below.
 ///
 /// A folder that a layout claims is not searched further. Hidden folders are skipped.
 ///
@@ -76,16 +76,16 @@ pub fn find(folder: &Path) -> Result<Found, DataSetError> {
     let mut found = Found::default();
     let mut packed = Vec::new();
     let mut level = vec![Folder::read(folder, String::new())?];
-    for depth in 0..=MOST_LEVELS {
+    for depth in 0..=MAX_LEVELS {
         let mut below = Vec::new();
         for folder in &level {
             found.folders += 1;
             packed.extend(folder.archives());
-            if layouts::claim(folder, &mut found.sequences) || depth == MOST_LEVELS {
+            if layouts::claim(folder, &mut found.sequences) || depth == MAX_LEVELS {
                 continue;
             }
             for inner in folder.folders() {
-                if found.folders + below.len() >= MOST_FOLDERS {
+                if found.folders + below.len() >= MAX_FOLDERS {
                     break;
                 }
                 match Folder::read(&folder.at(inner), folder.name_of(inner)) {
@@ -96,8 +96,8 @@ pub fn find(folder: &Path) -> Result<Found, DataSetError> {
         }
         level = below;
     }
-    if found.folders >= MOST_FOLDERS {
-        found.remarks.push(format!("only the first {MOST_FOLDERS} folders were searched: name a folder further down"));
+    if found.folders >= MAX_FOLDERS {
+        found.remarks.push(format!("only the first {MAX_FOLDERS} folders were searched: name a folder further down"));
     }
     if !packed.is_empty() {
         let more = if packed.len() > LISTED { format!(" and {} more", packed.len() - LISTED) } else { String::new() };

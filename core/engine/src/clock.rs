@@ -19,7 +19,7 @@ const FIRST_MEASUREMENT: Duration = Duration::from_millis(3);
 const NOTICE_NS: u64 = 50_000_000;
 /// Time between two measurements; doubles from the first to the second value.
 const FIRST_INTERVAL_NS: u64 = 100_000_000;
-const LONGEST_INTERVAL_NS: u64 = 64_000_000_000;
+const MAX_INTERVAL_NS: u64 = 64_000_000_000;
 /// Largest relative change of the rate to correct an error.
 const MAX_SLEW: f64 = 0.001;
 /// Beyond this difference of rates between two measurements the counter is not used.
@@ -275,7 +275,7 @@ impl Keeper {
         let measured = lock(&self.measured);
         let ns = pair.os_ns.saturating_sub(measured.first.os_ns);
         let ticks = pair.ticks.wrapping_sub(measured.first.ticks);
-        let interval_ns = (measured.interval_ns * 2).min(LONGEST_INTERVAL_NS);
+        let interval_ns = (measured.interval_ns * 2).min(MAX_INTERVAL_NS);
         let off_ns = off_ns(last, pair);
         let begin_ticks = pair.ticks.wrapping_add((NOTICE_NS as f64 / last.ns_per_tick()) as u64);
         let begin_ns = last.at(begin_ticks);

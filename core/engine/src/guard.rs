@@ -24,9 +24,9 @@ use crate::sync::lock;
 use crate::thread_id;
 
 /// Time limit once the engine stops: long enough for nodes that work.
-const LONGEST_AT_STOP: Duration = Duration::from_secs(1);
+const MAX_AT_STOP: Duration = Duration::from_secs(1);
 /// After this time the next node closes beside one that is still closing.
-const LONGEST_TURN: Duration = Duration::from_secs(1);
+const MAX_TURN: Duration = Duration::from_secs(1);
 /// As much as the main thread has: some libraries need it when they are opened.
 const STACK_BYTES: usize = 8 << 20;
 
@@ -74,7 +74,7 @@ pub(crate) struct Limit {
 impl Limit {
     /// A limit that is shorter once the engine stops.
     pub fn until_stop(usual: Duration) -> Self {
-        Self { usual, at_stop: usual.min(LONGEST_AT_STOP) }
+        Self { usual, at_stop: usual.min(MAX_AT_STOP) }
     }
 
     /// The same limit whether the engine stops or not.
@@ -364,7 +364,7 @@ impl Shared {
             });
             calls.push(Call { runtime, kind: CallKind::Close, run });
         }
-        let turn = until.saturating_duration_since(Instant::now()).min(LONGEST_TURN);
+        let turn = until.saturating_duration_since(Instant::now()).min(MAX_TURN);
         self.guarded(Limit::always(turn), |()| true, calls, |_, _| ControlFlow::Continue(()));
         for (runtime, closed, all) in open {
             while !closed.load(Ordering::Acquire) && Instant::now() < until {

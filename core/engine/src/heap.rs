@@ -4,7 +4,7 @@
 /// Allocations of this size or more are mapped and given back one by one.
 const MAPPED_BYTES: i32 = 256 << 10;
 /// The largest such size that glibc takes.
-const MOST_MAPPED_BYTES: i32 = 32 << 20;
+const MAX_MAPPED_BYTES: i32 = 32 << 20;
 
 /// Keeps large blocks out of the heap for the life of the process. A program calls it first thing in `main`.
 ///
@@ -18,7 +18,7 @@ pub fn keep_large_blocks_apart() {
 /// The opposite: keeps blocks of up to 32 MiB, the most that glibc allows, in the heap, and eight of them free at its end. For a process that does nothing
 /// but pass pictures on: each of them would otherwise pay for new pages.
 pub fn keep_large_blocks() {
-    set(Some(MOST_MAPPED_BYTES), 8 * MOST_MAPPED_BYTES);
+    set(Some(MAX_MAPPED_BYTES), 8 * MAX_MAPPED_BYTES);
 }
 
 /// Keeps this much free memory at the end of the heap instead of giving it back. A window fills and empties tens of blocks below the limit for

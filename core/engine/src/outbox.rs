@@ -12,7 +12,7 @@ use crate::sync::lock;
 /// Length of the queue; more items are skipped.
 pub(crate) const MAX_WAITING: usize = 1024;
 /// How long dropping a queue waits for items that are not written yet.
-const LONGEST_FLUSH: Duration = Duration::from_secs(1);
+const MAX_FLUSH: Duration = Duration::from_secs(1);
 
 /// Items of all queues of the process that are not written yet.
 static UNWRITTEN: AtomicUsize = AtomicUsize::new(0);
@@ -148,7 +148,7 @@ impl<T: Send + 'static> Drop for Outbox<T> {
         self.inner.state().ended = true;
         self.inner.wake.notify_all();
         // A thread that cannot write now is detached.
-        self.flush(LONGEST_FLUSH);
+        self.flush(MAX_FLUSH);
     }
 }
 

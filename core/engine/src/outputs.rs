@@ -6,7 +6,7 @@ use panoscope_base::format;
 use crate::fault::Cause;
 
 /// Largest output of a node.
-pub(crate) const LARGEST_OUTPUT_BYTES: usize = 256 << 20;
+pub(crate) const MAX_OUTPUT_BYTES: usize = 256 << 20;
 
 /// How to check the contents of an output after a call.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,11 +83,11 @@ impl OutputRule {
             let (found, wanted) = (format::name(frame.format), format::names(self.formats));
             return (Cause::Format, format!("output `{name}` is {found}, declared are {wanted}"));
         }
-        if len > LARGEST_OUTPUT_BYTES {
+        if len > MAX_OUTPUT_BYTES {
             let words = format!(
                 "output `{name}` of {width}x{height} wants {} MB; no frame may be larger than {} MB",
                 len >> 20,
-                LARGEST_OUTPUT_BYTES >> 20
+                MAX_OUTPUT_BYTES >> 20
             );
             return (Cause::TooMuch, words);
         }
@@ -160,7 +160,7 @@ impl OutputRule {
 /// Whether an output of these formats may have this description.
 #[inline]
 pub fn fits(formats: u32, frame: &Frame) -> bool {
-    is_allowed(formats, frame.format) && frame.len <= LARGEST_OUTPUT_BYTES && geometry_fits(frame)
+    is_allowed(formats, frame.format) && frame.len <= MAX_OUTPUT_BYTES && geometry_fits(frame)
 }
 
 #[inline]
@@ -211,7 +211,7 @@ mod tests {
         assert_eq!(cause(&Frame { height: u32::MAX, stride_bytes: u32::MAX, ..good }), Err(Cause::BadOutput));
         assert_eq!(cause(&Frame { format: abi::FORMAT_F32, ..good }), Err(Cause::Format));
         assert_eq!(cause(&Frame { format: 4_000_000, ..good }), Err(Cause::Format));
-        assert_eq!(cause(&Frame { len: LARGEST_OUTPUT_BYTES + 1, ..good }), Err(Cause::TooMuch));
+        assert_eq!(cause(&Frame { len: MAX_OUTPUT_BYTES + 1, ..good }), Err(Cause::TooMuch));
     }
 
     #[test]

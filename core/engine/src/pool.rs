@@ -21,9 +21,9 @@ use crate::sync::lock;
 use crate::thread_id;
 
 /// Longest wait of a patient task behind urgent ones.
-const LONGEST_PATIENCE_NS: u64 = 100_000_000;
+const MAX_PATIENCE_NS: u64 = 100_000_000;
 /// Time that urgent tasks wait while no worker returns from its task, until another worker is added.
-const LONGEST_STALL_NS: u64 = 100_000_000;
+const MAX_STALL_NS: u64 = 100_000_000;
 
 /// Runs a node task; called on a worker.
 pub type Task = Arc<dyn Fn(u32, &mut Scratch) + Send + Sync>;
@@ -202,7 +202,7 @@ impl State {
         }
         // Without urgent tasks there is nothing to compare with, so skip reading the clock.
         let compared = (!self.urgent.is_empty() || !self.reliefs.is_empty()) && !self.patient.is_empty();
-        if compared && self.patient_for(clock::now_ns()) > LONGEST_PATIENCE_NS {
+        if compared && self.patient_for(clock::now_ns()) > MAX_PATIENCE_NS {
             return self.patient.pop_front().map(|(task, _)| task);
         }
         let task = self.urgent.pop_front();
@@ -332,13 +332,13 @@ impl Pool {
     /// adds a worker so that unrelated nodes continue. That worker ends when no urgent task waits.
     pub(crate) fn relieve(&self, now_ns: u64) -> std::io::Result<bool> {
         let mut state = lock(&self.inner.state);
-        let waiting = !state.urgent.is_empty() || state.patient_for(now_ns) > LONGEST_PATIENCE_NS;
+        let waiting = !state.urgent.is_empty() || state.patient_for(now_ns) > MAX_PATIENCE_NS;
         let (since_ns, turns) = state.stalled;
         if !waiting || state.idle > 0 || since_ns == 0 || turns != state.turns {
             state.stalled = (if waiting { now_ns.max(1) } else { 0 }, state.turns);
             return Ok(false);
         }
-        if now_ns.saturating_sub(since_ns) < LONGEST_STALL_NS || state.reliefs.len() >= self.inner.threads {
+        if now_ns.saturating_sub(since_ns) < MAX_STALL_NS || state.reliefs.len() >= self.inner.threads {
             return Ok(false);
         }
         let number = thread_id::next();

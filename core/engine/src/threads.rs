@@ -34,7 +34,7 @@ const REWIND_NS: i64 = 1_000_000_000;
 const CAPTURE_NS: Range<i64> = -(1 << 62)..1 << 62;
 
 /// Longest time that a source's thread runs other nodes between two of its ticks, and the largest share of the time between them.
-const LONGEST_WALK_NS: u64 = 1_000_000;
+const MAX_WALK_NS: u64 = 1_000_000;
 const WALK_SHARE: u64 = 8;
 /// The same for the thread of a node that may block: about the time to wake another thread.
 const SHORT_WALK_NS: u64 = 100_000;
@@ -222,7 +222,7 @@ impl Shared {
             self.frame_ns.store(period_ns, Ordering::Relaxed);
             // In batch the source makes its next tick at once instead.
             if self.paced && !self.context.batch {
-                allowance_ns = LONGEST_WALK_NS.min(period_ns / WALK_SHARE);
+                allowance_ns = MAX_WALK_NS.min(period_ns / WALK_SHARE);
             }
         }
         if made.outputs.iter().all(Frame::is_empty) && runtime.is_read() {

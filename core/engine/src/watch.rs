@@ -27,8 +27,8 @@ use crate::sync::lock;
 /// Stuck calls of one node at a time; with one more the node is bypassed.
 const MAX_STUCK: u32 = 3;
 /// Grace time after a node's budget until it counts as hung: two frames, within these limits.
-const SHORTEST_GRACE_NS: u64 = 20_000_000;
-const LONGEST_GRACE_NS: u64 = 66_000_000;
+const MIN_GRACE_NS: u64 = 20_000_000;
+const MAX_GRACE_NS: u64 = 66_000_000;
 /// Shorter sleeps of the process are not logged: a busy machine looks like that.
 const MIN_LOGGED_SLEEP_NS: u64 = 1_000_000_000;
 /// In a replay a call counts as hung only after this many times its budget: the machine may be slower than that of the recording, and what a hang
@@ -116,7 +116,7 @@ impl Shared {
             (budget, true) => (self.hang_ns.max(budget.saturating_mul(REPLAY_BUDGETS)), 0),
             (budget, false) => {
                 let frame_ns = self.frame_ns.load(Ordering::Relaxed);
-                (budget, frame_ns.saturating_mul(2).clamp(SHORTEST_GRACE_NS, LONGEST_GRACE_NS))
+                (budget, frame_ns.saturating_mul(2).clamp(MIN_GRACE_NS, MAX_GRACE_NS))
             }
         }
     }

@@ -261,16 +261,16 @@ struct Cut {
 impl Cut {
     const TAB: &'static str = "    ";
     /// Lines longer than this are cut around the mistake.
-    const MOST: usize = 160;
+    const MAX_COUNT: usize = 160;
 
     fn around(line: &str, column: usize, width: usize) -> Self {
         let start = column - 1;
         let count = line.chars().count();
-        let (from, to) = if count <= Self::MOST {
+        let (from, to) = if count <= Self::MAX_COUNT {
             (0, count)
         } else {
-            let from = start.saturating_sub(Self::MOST / 4);
-            (from, (from + Self::MOST).min(count))
+            let from = start.saturating_sub(Self::MAX_COUNT / 4);
+            (from, (from + Self::MAX_COUNT).min(count))
         };
         let mut cut = Self { text: String::new(), before: 0, width: 0 };
         if from > 0 {

@@ -130,12 +130,12 @@ pub enum FromAbiError {
 
 type Result<T> = std::result::Result<T, FromAbiError>;
 
-const MOST_NODE_TYPES: usize = 1024;
-const MOST_PORTS: usize = 256;
-const MOST_PARAMS: usize = 1024;
-const MOST_CHOICES: usize = 1024;
-const MOST_FLOATS: usize = 1 << 20;
-const MOST_TEXT_BYTES: usize = 1 << 16;
+const MAX_NODE_TYPES: usize = 1024;
+const MAX_PORTS: usize = 256;
+const MAX_PARAMS: usize = 1024;
+const MAX_CHOICES: usize = 1024;
+const MAX_FLOATS: usize = 1 << 20;
+const MAX_TEXT_BYTES: usize = 1 << 16;
 /// Whole numbers cross as f64: beyond this they are not exact.
 const MAX_INT: f64 = 9_007_199_254_740_992.0;
 
@@ -174,7 +174,7 @@ pub unsafe fn node_types(plugin: *const abi::Plugin) -> Result<Vec<NodeType>> {
     check_name(place, &name, true)?;
     let place = format!("plugin `{name}`");
     // SAFETY: the caller's promise.
-    let pointers = unsafe { slice(&place, "node_types", plugin.node_types, plugin.node_types_len, MOST_NODE_TYPES)? };
+    let pointers = unsafe { slice(&place, "node_types", plugin.node_types, plugin.node_types_len, MAX_NODE_TYPES)? };
     let mut types = Vec::with_capacity(pointers.len());
     let mut names = HashSet::new();
     for (index, &pointer) in pointers.iter().enumerate() {
@@ -365,7 +365,7 @@ unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
         }
         abi::PARAM_CHOICE => {
             // SAFETY: the caller's promise.
-            let words = unsafe { slice(place, "choices", param.choices, param.choices_len, MOST_CHOICES)? };
+            let words = unsafe { slice(place, "choices", param.choices, param.choices_len, MAX_CHOICES)? };
             let mut choices = Vec::with_capacity(words.len());
             let mut seen = HashSet::new();
             for word in words {
@@ -393,7 +393,7 @@ unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
         abi::PARAM_FLOATS => {
             let (from, len) = (param.default_floats, param.default_floats_len);
             // SAFETY: the caller's promise.
-            let default = unsafe { slice(place, "default_floats", from, len, MOST_FLOATS)? }.to_vec();
+            let default = unsafe { slice(place, "default_floats", from, len, MAX_FLOATS)? }.to_vec();
             if default.iter().any(|n| !n.is_finite()) {
                 return contradiction("the default holds a number that is not finite".to_owned());
             }
@@ -458,7 +458,7 @@ unsafe fn slice<'a, T>(place: &str, field: &'static str, from: *const T, len: us
 /// As [`slice`].
 unsafe fn text(place: &str, field: &'static str, text: abi::Str) -> Result<String> {
     // SAFETY: the caller's promise.
-    let bytes = unsafe { slice(place, field, text.ptr, text.len, MOST_TEXT_BYTES)? };
+    let bytes = unsafe { slice(place, field, text.ptr, text.len, MAX_TEXT_BYTES)? };
     match std::str::from_utf8(bytes) {
         Ok(text) => Ok(text.to_owned()),
         Err(_) => Err(FromAbiError::NotUtf8 { place: place.to_owned(), field }),

@@ -19,14 +19,14 @@ pub(crate) struct Parsed {
 const ROUNDS: usize = 50;
 
 /// Bytes parsed over all rounds: a long file that is broken everywhere is not a graph, and parsing it must not take long.
-const MOST_BYTES: usize = 5_000_000;
+const MAX_BYTES: usize = 5_000_000;
 
 pub(crate) fn parse(source: &Source) -> Parsed {
     let mut diagnostics = Diagnostics::default();
     let mut work = source.text.clone();
     let mut incomplete = false;
     let mut renamed = 0;
-    let rounds = (MOST_BYTES / work.len().max(1)).clamp(3, ROUNDS);
+    let rounds = (MAX_BYTES / work.len().max(1)).clamp(3, ROUNDS);
     for _ in 0..rounds {
         let (root, errors) = DeTable::parse_recoverable(&work);
         let root = table_from_toml(root.get_ref());

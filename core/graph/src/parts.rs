@@ -15,13 +15,13 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Most nodes and parts of a flattened graph: parts of parts multiply.
-const MOST_NODES: usize = 10_000;
+const MAX_NODES: usize = 10_000;
 /// Most levels of parts in parts.
-const MOST_LEVELS: usize = 64;
+const MAX_LEVELS: usize = 64;
 /// Most bytes of all texts of a graph: a part that is used again is read again.
-const MOST_TEXT_BYTES: usize = 64 << 20;
+const MAX_TEXT_BYTES: usize = 64 << 20;
 /// Most inputs and parameters that parts hand on to their nodes: names of names multiply.
-const MOST_FORWARDED: usize = 50_000;
+const MAX_FORWARDED: usize = 50_000;
 
 /// What a name of a part stands for in the flattened graph.
 #[derive(Clone, Debug)]
@@ -262,8 +262,8 @@ impl Flattener<'_> {
                 .help("a part cannot use itself, nor a file that leads back to it");
             return None;
         }
-        if chain.len() > MOST_LEVELS {
-            self.error("part-recursion", &file.span, format!("parts stand in parts more than {MOST_LEVELS} deep"))
+        if chain.len() > MAX_LEVELS {
+            self.error("part-recursion", &file.span, format!("parts stand in parts more than {MAX_LEVELS} deep"))
                 .help("use the nodes of the inner parts directly");
             return None;
         }
@@ -302,8 +302,8 @@ impl Flattener<'_> {
         };
         let text_length = text.len();
         let read: usize = self.sources.list().last().map_or(0, |last| last.base() + last.text.len());
-        if read + text_length > MOST_TEXT_BYTES {
-            let message = format!("the graph has more than {MOST_TEXT_BYTES} bytes with this part");
+        if read + text_length > MAX_TEXT_BYTES {
+            let message = format!("the graph has more than {MAX_TEXT_BYTES} bytes with this part");
             self.error("too-many-nodes", &file.span, message).help("parts of parts multiply: use fewer");
             return None;
         }
@@ -329,8 +329,8 @@ impl Flattener<'_> {
             return None;
         }
         // A part without nodes of its own counts, too: otherwise empty parts multiply without end.
-        if self.flat.nodes.len() + self.flat.parts.len() + part.nodes.len() > MOST_NODES {
-            let message = format!("the graph has more than {MOST_NODES} nodes with this part");
+        if self.flat.nodes.len() + self.flat.parts.len() + part.nodes.len() > MAX_NODES {
+            let message = format!("the graph has more than {MAX_NODES} nodes with this part");
             self.error("too-many-nodes", &file.span, message).help("parts of parts multiply: use fewer");
             return None;
         }
@@ -403,12 +403,12 @@ impl Flattener<'_> {
     /// Counts a name that is handed on; the first one too many is reported.
     fn may_forward(&mut self, span: &Range<usize>) -> bool {
         self.flat.forwarded += 1;
-        if self.flat.forwarded == MOST_FORWARDED {
-            let message = format!("parts hand on more than {MOST_FORWARDED} inputs and parameters");
+        if self.flat.forwarded == MAX_FORWARDED {
+            let message = format!("parts hand on more than {MAX_FORWARDED} inputs and parameters");
             self.error("too-many-nodes", span, message)
                 .help("names in [part] that stand for several names multiply: use fewer");
         }
-        self.flat.forwarded < MOST_FORWARDED
+        self.flat.forwarded < MAX_FORWARDED
     }
 
     /// Connects an input inside a part as its user connects the part.

@@ -3,7 +3,7 @@
 use crate::args::ArgKind;
 use crate::catalog::{Catalog, NodeType, Port};
 use crate::param::{Param, ParamKind, Pick};
-use crate::shape::{HIGHEST_HZ, LONGEST_MS};
+use crate::shape::{HIGHEST_HZ, MAX_MS};
 use serde_json::{Map, Value, json};
 
 const NODE_ID: &str = "^[A-Za-z_][A-Za-z0-9_-]*(/[A-Za-z_][A-Za-z0-9_-]*)*$";
@@ -199,8 +199,8 @@ fn aligned_schema() -> Value {
                 "default": "exact",
                 "description": "exact: same tick; latest: newest value, never waits; nearest: closest in time."
             },
-            "tolerance_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_MS, "description": "For nearest: how far apart." },
-            "max_age_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_MS, "description": "Not for exact: a packet whose oldest light is older counts as absent." },
+            "tolerance_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": MAX_MS, "description": "For nearest: how far apart." },
+            "max_age_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": MAX_MS, "description": "Not for exact: a packet whose oldest light is older counts as absent." },
             "queue": { "type": "integer", "minimum": 1, "maximum": 1024, "description": "Packets that may wait." },
             "delay": { "enum": [0, 1], "default": 0, "description": "1: the value of this node's previous tick." },
             "trigger": { "type": "boolean", "default": false, "description": "The node runs on this input only." },
@@ -265,7 +265,7 @@ fn node_schema(catalog: &Catalog, node_type: &NodeType) -> Value {
                 "default": "restart",
                 "description": "What the host does when the node faults."
             },
-            "budget_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_MS, "description": "Time it should not exceed per tick." },
+            "budget_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": MAX_MS, "description": "Time it should not exceed per tick." },
             "max_rate_hz": { "type": "number", "exclusiveMinimum": 0, "maximum": HIGHEST_HZ, "description": "It runs at most this often." },
             "cpu": { "type": "integer", "minimum": 0, "maximum": 4095, "description": "Core its thread is pinned to; a compute node gets a thread for it." },
             "isolate": { "$ref": "#/$defs/group" },

@@ -20,7 +20,7 @@ const TOP_OF_OVERLAY: [&str; 7] = ["plugins", "plugin_paths", "args", "nodes", "
 const NODE: [&str; 10] =
     ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu", "isolate", "on"];
 /// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
-pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
+pub(crate) const MAX_MS: f64 = 86_400_000.0;
 pub(crate) const HIGHEST_HZ: f64 = 1e9;
 const INPUT: [&str; 9] =
     ["from", "align", "tolerance_ms", "max_age_ms", "queue", "delay", "trigger", "guide", "optional"];
@@ -274,7 +274,7 @@ impl<'s> Reader<'s> {
                     let words = [("restart", OnFault::Restart), ("bypass", OnFault::Bypass), ("stop", OnFault::Stop)];
                     node.on_fault = self.word("on_fault", value, &words).unwrap_or_default();
                 }
-                "budget_ms" => node.budget_ms = self.positive("budget_ms", value, LONGEST_MS),
+                "budget_ms" => node.budget_ms = self.positive("budget_ms", value, MAX_MS),
                 "max_rate_hz" => node.max_rate_hz = self.positive("max_rate_hz", value, HIGHEST_HZ),
                 "cpu" => node.cpu = self.whole("cpu", value, 0..=4095).map(|n| n as u32),
                 "isolate" => node.isolate = self.group(value),
@@ -392,10 +392,10 @@ impl<'s> Reader<'s> {
                     }
                 }
                 "tolerance_ms" => {
-                    tolerance = Some((key.span.clone(), self.positive("tolerance_ms", value, LONGEST_MS)));
+                    tolerance = Some((key.span.clone(), self.positive("tolerance_ms", value, MAX_MS)));
                 }
                 "max_age_ms" => {
-                    max_age = Some((key.span.clone(), self.positive("max_age_ms", value, LONGEST_MS)));
+                    max_age = Some((key.span.clone(), self.positive("max_age_ms", value, MAX_MS)));
                 }
                 "queue" => queue = self.whole("queue", value, 1..=1024).map(|n| n as u32),
                 "delay" => delay = self.delay(value),

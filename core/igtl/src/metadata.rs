@@ -77,9 +77,9 @@ fn entries<'a>(index: &'a [u8], texts: &'a [u8]) -> Result<Vec<Entry<'a>>> {
 /// There is more metadata than a message holds.
 pub fn put_extended(out: &mut Vec<u8>, message_id: u32, metadata: &[Entry<'_>]) -> Result<()> {
     // The index has at most 65,535 bytes.
-    const MOST: usize = (u16::MAX as usize - 2) / 8;
-    if metadata.len() > MOST {
-        return Err(IgtlError::TooMany { what: "entries of metadata", count: metadata.len(), limit: MOST });
+    const MAX_COUNT: usize = (u16::MAX as usize - 2) / 8;
+    if metadata.len() > MAX_COUNT {
+        return Err(IgtlError::TooMany { what: "entries of metadata", count: metadata.len(), limit: MAX_COUNT });
     }
     let texts: usize = metadata.iter().map(|(key, value)| key.len() + value.len()).sum();
     let Ok(text_bytes) = u32::try_from(texts) else {

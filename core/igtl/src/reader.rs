@@ -11,9 +11,9 @@ use crate::message::Message;
 pub const DEFAULT_BODY_LIMIT: u64 = 256 << 20;
 
 /// Bytes that are asked for at least.
-const LEAST: usize = 64 << 10;
+const MIN_VALUE: usize = 64 << 10;
 /// Bytes that are asked for at most: a peer that announces much and sends little costs little.
-const MOST: usize = 1 << 20;
+const MAX_COUNT: usize = 1 << 20;
 /// A buffer that grew beyond this is given back when it is empty.
 const KEPT: usize = 64 << 20;
 
@@ -85,10 +85,10 @@ impl Reader {
         }
         (self.start, self.end) = (0, held);
         let missing = match self.announced() {
-            Some(bytes) => bytes.saturating_sub(held as u64).min(MOST as u64) as usize,
+            Some(bytes) => bytes.saturating_sub(held as u64).min(MAX_COUNT as u64) as usize,
             None => 0,
         };
-        let room = missing.max(LEAST);
+        let room = missing.max(MIN_VALUE);
         if self.buffer.len() < held + room {
             self.buffer.resize(held + room, 0);
         }

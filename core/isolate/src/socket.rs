@@ -5,7 +5,7 @@ use std::mem::MaybeUninit;
 use std::os::fd::{AsRawFd, BorrowedFd, FromRawFd, OwnedFd, RawFd};
 
 /// Longest message.
-const MOST_BYTES: usize = 8192;
+const MAX_BYTES: usize = 8192;
 /// Room for one file descriptor as ancillary data, aligned as the system wants it.
 type Control = [u64; 4];
 
@@ -43,7 +43,7 @@ pub(crate) fn pair() -> io::Result<(OwnedFd, OwnedFd)> {
 
 /// Sends a message, with a file descriptor.
 pub(crate) fn send(socket: BorrowedFd<'_>, message: &[u8], file: Option<BorrowedFd<'_>>) -> io::Result<()> {
-    if message.len() > MOST_BYTES {
+    if message.len() > MAX_BYTES {
         return Err(io::Error::other("the message is too long"));
     }
     let mut part = libc::iovec { iov_base: message.as_ptr().cast_mut().cast(), iov_len: message.len() };
@@ -77,7 +77,7 @@ pub(crate) fn send(socket: BorrowedFd<'_>, message: &[u8], file: Option<Borrowed
 
 /// Receives a message and its file descriptor. An empty message is the end: the other side is gone.
 pub(crate) fn receive(socket: BorrowedFd<'_>) -> io::Result<(Vec<u8>, Option<OwnedFd>)> {
-    let mut message = vec![0; MOST_BYTES];
+    let mut message = vec![0; MAX_BYTES];
     let mut part = libc::iovec { iov_base: message.as_mut_ptr().cast(), iov_len: message.len() };
     let mut control: Control = [0; 4];
     // SAFETY: all-zero bytes are a value of this struct.

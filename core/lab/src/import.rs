@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_data_sets::{self as data_sets, Found, KNOWN, MOST_LEVELS, Pictures, Sequence};
+use panoscope_data_sets::{self as data_sets, Found, KNOWN, MAX_LEVELS, Pictures, Sequence};
 use panoscope_engine::text_table::table;
 use serde_json::{Value, json};
 
@@ -121,7 +121,7 @@ fn as_json(sequence: &Sequence) -> Value {
 /// Says which layouts are known.
 fn nothing(folder: &Path, found: &Found) {
     log!(
-        "no data set of a known layout in {} ({} folders searched, down to {MOST_LEVELS} levels)",
+        "no data set of a known layout in {} ({} folders searched, down to {MAX_LEVELS} levels)",
         folder.display(),
         found.folders
     );

@@ -26,7 +26,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// connect again.
 const BACKLOG: usize = 64;
 /// Requests to set parameters that wait for the run.
-const MOST_REQUESTS: usize = 64;
+const MAX_REQUESTS: usize = 64;
 
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -83,7 +83,7 @@ impl ParameterHandler for Handler {
             return refuse("parameters can only be read; start the run with --foxglove-set to set them", responder);
         }
         let mut requests = lock(&self.0.requests);
-        if requests.len() >= MOST_REQUESTS {
+        if requests.len() >= MAX_REQUESTS {
             drop(requests);
             return refuse("too many requests to set parameters wait", responder);
         }

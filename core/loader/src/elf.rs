@@ -70,7 +70,7 @@ const SHT_NOTE: u32 = 7;
 /// Bytes of an entry of the table of segments and of that of sections, in every 64-bit ELF file.
 const ENTRY_BYTES: (u64, u64) = (56, 64);
 /// Most bytes of all notes: those of compilers have a few hundred, ours two thousand.
-const MOST_NOTE_BYTES: u64 = 1 << 20;
+const MAX_NOTE_BYTES: u64 = 1 << 20;
 
 /// A file that is read in parts: plugins are large, and only a small part is needed before loading.
 pub trait Parts {
@@ -218,8 +218,8 @@ pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
         }
     }
     // Sections may overlap, so the length of the file does not limit their sum.
-    if notes.iter().fold(0u64, |sum, (_, size)| sum.saturating_add(*size)) > MOST_NOTE_BYTES {
-        return Err(ElfError::BadNote { what: format!("the notes have more than {MOST_NOTE_BYTES} bytes") });
+    if notes.iter().fold(0u64, |sum, (_, size)| sum.saturating_add(*size)) > MAX_NOTE_BYTES {
+        return Err(ElfError::BadNote { what: format!("the notes have more than {MAX_NOTE_BYTES} bytes") });
     }
     for (offset, size) in notes {
         if let Some(note) = find_note(&file.part(offset, size)?)? {

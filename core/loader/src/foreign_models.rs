@@ -17,7 +17,7 @@ use crate::stamp::Stamp;
 const BASE_TIME: Duration = Duration::from_secs(5);
 const TIME_PER_MB: Duration = Duration::from_millis(250);
 /// Less than opening may take in a run, so that the reason is that of the trial.
-const LONGEST_TIME: Duration = Duration::from_secs(25);
+const MAX_TIME: Duration = Duration::from_secs(25);
 /// Memory for the process itself with ONNX Runtime and OpenCV.
 const BASE_BYTES: u64 = 1 << 30;
 /// Memory for each byte of the model and its weights: parsed, optimized and laid out for the processor.
@@ -44,7 +44,7 @@ pub(crate) fn limits(models: &[&Path]) -> TrialLimits {
     let megabytes = u32::try_from(bytes >> 20).unwrap_or(u32::MAX);
     TrialLimits {
         memory_bytes: BASE_BYTES.saturating_add(bytes.saturating_mul(BYTES_PER_BYTE)),
-        time: BASE_TIME.saturating_add(TIME_PER_MB.saturating_mul(megabytes)).min(LONGEST_TIME),
+        time: BASE_TIME.saturating_add(TIME_PER_MB.saturating_mul(megabytes)).min(MAX_TIME),
     }
 }
 

@@ -8,7 +8,7 @@ use panoscope_graph::{Catalog, Graph, PresetView};
 use crate::paint::{Range, painted};
 
 /// Most outputs that are shown of a graph without `[preset]`.
-const MOST: usize = 6;
+const MAX_COUNT: usize = 6;
 /// JPEG quality, percent.
 const QUALITY: u8 = 80;
 
@@ -52,7 +52,7 @@ pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
         for edge in to_sinks.filter(|edge| has_picture(edge.from_node, edge.from_port)) {
             let label = &graph.nodes[edge.from_node].id;
             let one = shown(edge.from_node, edge.from_port, label);
-            if all.len() < MOST && !all.iter().any(|known| known.name() == one.name()) {
+            if all.len() < MAX_COUNT && !all.iter().any(|known| known.name() == one.name()) {
                 all.push(one);
             }
         }

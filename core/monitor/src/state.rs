@@ -18,7 +18,7 @@ const MAX_UNSEEN: Duration = Duration::from_secs(3);
 /// How often it is looked whether the graph has changed.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Faults that are shown.
-const MOST_FAULTS: usize = 10;
+const MAX_FAULTS: usize = 10;
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -145,7 +145,7 @@ impl Shared {
             let shown = (source.graph.as_ref() != Some(&graph)).then(|| pictures::of_graph(&graph, &catalog(&graph)));
             source.graph = Some(graph);
             let faults = engine.recent_faults();
-            let lines = faults.iter().rev().take(MOST_FAULTS).map(|fault| FaultLine {
+            let lines = faults.iter().rev().take(MAX_FAULTS).map(|fault| FaultLine {
                 unix_ms: fault.unix_ms,
                 node: fault.node.clone(),
                 words: fault.words.clone(),

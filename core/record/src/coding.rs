@@ -16,7 +16,7 @@ use crate::format::PacketHead;
 /// zstd's level: higher ones gain a few percent on camera pictures and take several times as long.
 const LEVEL: i32 = 1;
 /// Shorter packets are stored as they are.
-const LEAST_BYTES: usize = 256;
+const MIN_BYTES: usize = 256;
 /// Packets whose place in the file is remembered.
 const REMEMBERED: usize = 256;
 /// Bytes of the checksum before packed bytes.
@@ -131,7 +131,7 @@ impl Packer {
 
     /// The compressed bytes; `None` where they are not shorter.
     pub fn pack(&mut self, format: u32, bytes: &[u8]) -> Option<&[u8]> {
-        if bytes.len() < LEAST_BYTES {
+        if bytes.len() < MIN_BYTES {
             return None;
         }
         let (size, lag) = numbers(format);

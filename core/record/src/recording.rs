@@ -22,15 +22,15 @@ use crate::mcap_texts;
 use panoscope_engine::memory::{FrameRef, memory};
 
 /// Maximum length of the index at the end of a recording.
-const LONGEST_INDEX: u64 = 64 << 20;
+const MAX_INDEX: u64 = 64 << 20;
 /// Bytes of MCAP's footer record.
 const FOOTER_BYTES: usize = 9 + 20;
 /// Maximum length of an event.
-const LONGEST_EVENT: u64 = 256 << 20;
+const MAX_EVENT: u64 = 256 << 20;
 /// Maximum length of a packet.
-const LONGEST_PACKET: u64 = 1 << 30;
+const MAX_PACKET: u64 = 1 << 30;
 /// Maximum length of a packet that takes less space in the file: a short file must not take all memory.
-const LONGEST_PACKED: u64 = 1 << 28;
+const MAX_PACKED: u64 = 1 << 28;
 
 /// Why a recording cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -444,7 +444,7 @@ impl Scan {
             return if self.head.is_some() { Err(damaged("a message without a channel")) } else { self.skip(rest) };
         };
         if !packets {
-            if rest > LONGEST_EVENT {
+            if rest > MAX_EVENT {
                 return Err(damaged("an event is too long"));
             }
             let mut body = self.body(rest)?;
@@ -484,9 +484,9 @@ impl Scan {
         }
         let stored = rest - head_bytes as u64;
         let (fits, longest) = match head.coding {
-            Coding::Plain => (head.len == stored, LONGEST_PACKET),
-            Coding::Packed => (stored < head.len, LONGEST_PACKED),
-            Coding::Reference => (stored == REFERENCE_BYTES, LONGEST_PACKED),
+            Coding::Plain => (head.len == stored, MAX_PACKET),
+            Coding::Packed => (stored < head.len, MAX_PACKED),
+            Coding::Reference => (stored == REFERENCE_BYTES, MAX_PACKED),
         };
         if !fits || head.len > longest || self.head.is_none() {
             return Err(damaged("a packet has a wrong length"));
@@ -515,7 +515,7 @@ impl Scan {
 
     /// Checks MCAP's index behind the data, which has its own checksum. Returns how the recording ends.
     fn index(&mut self, end_len: u64) -> Stop {
-        let read = |this: &mut Self, len: u64| if len > LONGEST_INDEX { Ok(Vec::new()) } else { this.body(len) };
+        let read = |this: &mut Self, len: u64| if len > MAX_INDEX { Ok(Vec::new()) } else { this.body(len) };
         let end = match read(self, end_len) {
             Ok(end) => end,
             Err(stop) => return stop,

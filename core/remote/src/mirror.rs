@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use panoscope_engine::isolation::Pixels;
-use panoscope_engine::memory::MOST_POOLS;
+use panoscope_engine::memory::MAX_POOLS;
 use panoscope_engine::sync::lock;
 use panoscope_isolate::relay::Bytes;
 
@@ -178,7 +178,7 @@ impl Pools {
 
 /// A file in memory for a pool, of a fixed size.
 pub fn new_file(number: u32, len: u64) -> io::Result<File> {
-    if number == 0 || number as usize > MOST_POOLS || len == 0 || len > MAX_POOL_BYTES {
+    if number == 0 || number as usize > MAX_POOLS || len == 0 || len > MAX_POOL_BYTES {
         return Err(BadMessage.into());
     }
     // SAFETY: the name is a zero-terminated text.

@@ -15,11 +15,11 @@ const OPENING_NS: i64 = 2_000_000_000;
 const LAST_NS: i64 = 200_000_000;
 /// Half openings from which their direction is known, and up to which ends belong to one instrument, mm.
 const OPEN_MM: f64 = 1.5;
-const MOST_HALF_MM: f64 = 12.0;
+const MAX_HALF_MM: f64 = 12.0;
 /// Largest distance of a tip from the shaft's axis at which the jaws are closed, mm.
 const CLOSED_MM: f64 = 1.0;
 /// Largest lean of the opening's direction: tangent against the direction across the shaft.
-const MOST_LEAN: f64 = 1.0;
+const MAX_LEAN: f64 = 1.0;
 
 /// The axis of a shaft in the picture, in units of the focal length (x/z, y/z).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,7 +80,7 @@ impl Jaws {
     pub fn see_both(&mut self, now_ns: i64, ends_mm: [Vector3<f64>; 2], along: Vector2<f64>, length_mm: f64) {
         let half = (ends_mm[0] - ends_mm[1]) / 2.0;
         let is_finite = half.iter().chain(along.iter()).chain([&length_mm]).all(|v| v.is_finite());
-        if !is_finite || half.norm() > MOST_HALF_MM {
+        if !is_finite || half.norm() > MAX_HALF_MM {
             return;
         }
         self.last = Some(((ends_mm[0] + ends_mm[1]) / 2.0, now_ns));
@@ -131,7 +131,7 @@ impl Jaws {
         }
         let half = both.half_mm;
         let lean = if half.x >= OPEN_MM { half.yz() / half.x } else { Vector2::zeros() };
-        let lean = lean.map(|v| v.clamp(-MOST_LEAN, MOST_LEAN));
+        let lean = lean.map(|v| v.clamp(-MAX_LEAN, MAX_LEAN));
         let measured = axis.map(|axis| {
             let aside_mm = (end_mm.xy() / end_mm.z - axis.from).dot(&axis.across()) * end_mm.z;
             in_camera(Vector3::new(1.0, lean.x, lean.y) * aside_mm, axis.along)
@@ -148,7 +148,7 @@ impl Jaws {
             (None, kept) => (kept?, false),
         };
         let middle = Middle { middle_mm: end_mm - offset, other_mm: end_mm - offset * 2.0, is_measured };
-        (offset.norm() <= MOST_HALF_MM && middle.other_mm.z > 0.0).then_some(middle)
+        (offset.norm() <= MAX_HALF_MM && middle.other_mm.z > 0.0).then_some(middle)
     }
 
     /// Takes the middle that [`Jaws::of_one`] returned for an end as the tip of this picture.

@@ -24,7 +24,7 @@ impl Default for Model {
 /// Standard deviation of the speed after one measurement, mm/s.
 const FIRST_SPEED_MM_S: f64 = 25.0;
 /// Longest time of one prediction, s.
-const LONGEST_S: f64 = 10.0;
+const MAX_S: f64 = 10.0;
 
 /// State and covariance of position and velocity.
 #[derive(Clone, Copy, Debug)]
@@ -83,7 +83,7 @@ impl Kalman {
         if dt_s.is_nan() || dt_s <= 0.0 {
             return;
         }
-        let dt = dt_s.min(LONGEST_S);
+        let dt = dt_s.min(MAX_S);
         let mut step = Covariance::identity();
         (0..3).for_each(|k| step[(k, k + 3)] = dt);
         self.state = step * self.state;

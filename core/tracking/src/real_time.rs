@@ -9,9 +9,9 @@ use std::collections::VecDeque;
 /// Time over which the two clocks are compared, ns: much longer than the jitter of arrivals.
 const WINDOW_NS: i64 = 1_000_000_000;
 /// Shortest time that is enough to compare them, ns.
-const LEAST_NS: i64 = 200_000_000;
+const MIN_NS: i64 = 200_000_000;
 /// Most ticks that are compared.
-const MOST_TICKS: usize = 64;
+const MAX_TICKS: usize = 64;
 /// Capture times that advance more slowly than real time by this factor are corrected.
 const SLOW: f64 = 1.25;
 
@@ -30,7 +30,7 @@ pub struct RealTime {
 
 impl Default for RealTime {
     fn default() -> Self {
-        Self { ticks: VecDeque::with_capacity(MOST_TICKS), last_capture_ns: None, real_ns: 0, rate: 1.0 }
+        Self { ticks: VecDeque::with_capacity(MAX_TICKS), last_capture_ns: None, real_ns: 0, rate: 1.0 }
     }
 }
 
@@ -49,7 +49,7 @@ impl RealTime {
             self.rate = 1.0;
         }
         if let Some(arrived_ns) = arrived_ns {
-            if self.ticks.len() == MOST_TICKS {
+            if self.ticks.len() == MAX_TICKS {
                 self.ticks.pop_front();
             }
             self.ticks.push_back((capture_ns, arrived_ns));
@@ -71,7 +71,7 @@ impl RealTime {
     fn compare(&mut self) {
         let (Some(first), Some(last)) = (self.ticks.front(), self.ticks.back()) else { return };
         let (captured_ns, arrived_ns) = (last.0.saturating_sub(first.0), last.1.saturating_sub(first.1));
-        if captured_ns <= 0 || arrived_ns < LEAST_NS || self.ticks.len() < 3 {
+        if captured_ns <= 0 || arrived_ns < MIN_NS || self.ticks.len() < 3 {
             return;
         }
         let rate = arrived_ns as f64 / captured_ns as f64;

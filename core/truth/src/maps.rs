@@ -13,9 +13,9 @@ use tiff::decoder::{Decoder, DecodingResult};
 pub const ENDINGS: [&str; 6] = ["npy", "pfm", "tif", "tiff", "exr", "png"];
 
 /// Most columns or rows.
-const MOST_SIDE: usize = 1 << 16;
+const MAX_SIDE: usize = 1 << 16;
 /// Most pixels of a map: a small file can announce many more than it holds.
-const MOST_PIXELS: usize = 1 << 26;
+const MAX_PIXELS: usize = 1 << 26;
 /// What KITTI's 16-bit PNG values are divided by to get pixels.
 pub const KITTI_DIVISOR: f32 = 256.0;
 
@@ -62,7 +62,7 @@ pub enum ContentError {
     #[error("the EXR is damaged or of an unknown kind: {0}")]
     Exr(#[from] exr::error::Error),
     /// More pixels than a map may have.
-    #[error("its size is {width}x{height}: a map has up to {MOST_PIXELS} pixels")]
+    #[error("its size is {width}x{height}: a map has up to {MAX_PIXELS} pixels")]
     Size {
         /// Columns.
         width: usize,
@@ -171,7 +171,7 @@ pub fn decode(ending: &str, bytes: &[u8]) -> Result<RawMap, ContentError> {
 
 /// Number of pixels of a size that a map may have.
 fn pixels(width: usize, height: usize) -> Result<usize, ContentError> {
-    let is_large = width > MOST_SIDE || height > MOST_SIDE || width * height > MOST_PIXELS;
+    let is_large = width > MAX_SIDE || height > MAX_SIDE || width * height > MAX_PIXELS;
     if is_large || width * height == 0 { Err(ContentError::Size { width, height }) } else { Ok(width * height) }
 }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Most columns or rows.
-const MOST_SIDE: u32 = 1 << 13;
+const MAX_SIDE: u32 = 1 << 13;
 
 /// Why a file gives no classes.
 #[derive(Debug, thiserror::Error)]
@@ -72,7 +72,7 @@ impl MaskPicture {
     pub fn decode(bytes: &[u8]) -> Result<Self, image::ImageError> {
         let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), image::ImageFormat::Png);
         let mut limits = image::Limits::default();
-        (limits.max_image_width, limits.max_image_height) = (Some(MOST_SIDE), Some(MOST_SIDE));
+        (limits.max_image_width, limits.max_image_height) = (Some(MAX_SIDE), Some(MAX_SIDE));
         reader.limits(limits);
         let picture = reader.decode()?.into_rgb8();
         let (width, height) = (picture.width() as usize, picture.height() as usize);

@@ -15,7 +15,7 @@ use crate::workspace::Workspace;
 const PACKAGE: &str = "panoscope-fuzz-targets";
 const TEST: &str = "corpora";
 /// Least share of the lines of a parser, percent.
-const LEAST_PERCENT: f64 = 85.0;
+const MIN_PERCENT: f64 = 85.0;
 
 /// Lines that belong to a parser.
 struct Source {
@@ -315,7 +315,7 @@ pub fn nightly(program: &str) -> Command {
 }
 
 /// Replays the corpora and prints the share of the lines of each parser that they reach; with `lists_missed` also the lines that they do not
-/// reach. `work` is a folder for what is built. Returns whether all parsers have [`LEAST_PERCENT`].
+/// reach. `work` is a folder for what is built. Returns whether all parsers have [`MIN_PERCENT`].
 ///
 /// Counted are the lines of [`PARSERS`], where a file is named as a whole or by its functions that parse. Lines of tests do not count.
 pub fn coverage(workspace: &Workspace, work: &Path, lists_missed: bool) -> Result<bool> {
@@ -365,8 +365,8 @@ pub fn coverage(workspace: &Workspace, work: &Path, lists_missed: bool) -> Resul
         let (covered, count) =
             parts.iter().map(|(_, counts)| share(counts)).fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         let percent = 100.0 * covered as f64 / count.max(1) as f64;
-        let mark = if percent < LEAST_PERCENT { " < 85 %" } else { "" };
-        complete &= percent >= LEAST_PERCENT;
+        let mark = if percent < MIN_PERCENT { " < 85 %" } else { "" };
+        complete &= percent >= MIN_PERCENT;
         println!("{name:<38} {count:>6} {covered:>7} {percent:>5.1} %{mark}");
         for (file, counts) in &parts {
             let (covered, count) = share(counts);

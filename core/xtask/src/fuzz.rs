@@ -19,10 +19,10 @@ const MALLOC_MB: u32 = 64;
 const MALLOC_PICTURE_MB: u32 = 600;
 const RSS_MB: u32 = 2048;
 /// Longest input that the fuzzer makes, bytes.
-const MOST_LEN: u32 = 16 << 10;
+const MAX_LEN: u32 = 16 << 10;
 /// Most files and bytes of a corpus that is kept in the repository.
-const MOST_FILES: usize = 60;
-const MOST_BYTES: u64 = 100 << 10;
+const MAX_FILES: usize = 60;
+const MAX_BYTES: u64 = 100 << 10;
 
 /// What the command line asks for.
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -212,7 +212,7 @@ impl Fuzzing<'_> {
         let known = inputs(&artifacts);
         let mut command = self.command(target)?;
         command.arg(format!("-artifact_prefix={}/", artifacts.display()));
-        command.arg(format!("-max_total_time={seconds}")).arg(format!("-max_len={MOST_LEN}"));
+        command.arg(format!("-max_total_time={seconds}")).arg(format!("-max_len={MAX_LEN}"));
         // What is found goes to the first folder.
         command.arg("-print_final_stats=1").arg(self.folder("corpus", target)?);
         command.arg(self.folder("seeds", target)?);
@@ -256,7 +256,7 @@ impl Fuzzing<'_> {
         let mut all: Vec<(u64, PathBuf)> = inputs(&chosen).into_iter().map(|(file, len)| (len, file)).collect();
         all.sort();
         for (len, file) in all {
-            if files + 1 > MOST_FILES || bytes + len > MOST_BYTES {
+            if files + 1 > MAX_FILES || bytes + len > MAX_BYTES {
                 break;
             }
             let name = file.file_name().context("a file has a name")?;

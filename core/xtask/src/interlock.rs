@@ -15,7 +15,7 @@ const FILES: &str = "core/arm/src/interlock/";
 /// Their tests.
 const TESTS: &str = "interlock/tests/";
 /// Least share of mutants that the tests find, percent.
-const LEAST_SCORE: f64 = 90.0;
+const MIN_SCORE: f64 = 90.0;
 /// Branch coverage needs the nightly compiler.
 const TOOLCHAIN: &str = "+nightly";
 
@@ -37,7 +37,7 @@ impl Parts {
     }
 }
 
-/// Judges the tests; fails below full coverage and below [`LEAST_SCORE`].
+/// Judges the tests; fails below full coverage and below [`MIN_SCORE`].
 ///
 /// # Errors
 /// A tool cannot be installed or fails, or the tests leave out too much: the message lists what.
@@ -148,8 +148,8 @@ fn mutants(workspace: &Workspace) -> Result<()> {
         score.found + score.survivors.len() as u64,
         score.percent()
     );
-    if score.percent() < LEAST_SCORE {
-        bail!("the tests find {:.1} % of the mutants, {LEAST_SCORE} % are needed", score.percent());
+    if score.percent() < MIN_SCORE {
+        bail!("the tests find {:.1} % of the mutants, {MIN_SCORE} % are needed", score.percent());
     }
     Ok(())
 }

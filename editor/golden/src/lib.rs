@@ -16,9 +16,9 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 /// With this variable set, tests write the golden images instead of comparing.
 const BLESS: &str = "PANOSCOPE_BLESS";
 /// Largest difference of a channel that counts as the same colour.
-const LEAST_DIFFERENCE: u8 = 24;
+const MIN_DIFFERENCE: u8 = 24;
 /// Share of the pixels that may have another colour, because rounding differs between processors.
-const MOST_DIFFERENT: f64 = 0.0005;
+const MAX_DIFFERENT: f64 = 0.0005;
 
 /// The textures that egui has uploaded.
 #[derive(Clone, Default)]
@@ -190,10 +190,9 @@ pub fn compare(name: &str, mut picture: RgbImage, masked: &[Rect]) {
     let Ok(old) = image::open(&kept) else { panic!("there is no {}: {}", kept.display(), look()) };
     let old = old.to_rgb8();
     assert!(old.dimensions() == picture.dimensions(), "{name} is {:?} now: {}", picture.dimensions(), look());
-    let differs = |(a, b): &(&image::Rgb<u8>, &image::Rgb<u8>)| {
-        a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > LEAST_DIFFERENCE)
-    };
+    let differs =
+        |(a, b): &(&image::Rgb<u8>, &image::Rgb<u8>)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > MIN_DIFFERENCE);
     let count = old.pixels().zip(picture.pixels()).filter(differs).count();
     let share = count as f64 / f64::from(old.width() * old.height());
-    assert!(share <= MOST_DIFFERENT, "{count} pixels of {name} differ: {}", look());
+    assert!(share <= MAX_DIFFERENT, "{count} pixels of {name} differ: {}", look());
 }

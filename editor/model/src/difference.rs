@@ -14,7 +14,7 @@ pub enum Line {
 }
 
 /// Largest product of the numbers of lines for which the least difference is searched; larger texts differ as a whole.
-const MOST_CELLS: usize = 4_000_000;
+const MAX_CELLS: usize = 4_000_000;
 
 /// Lines that differ between two texts, each change with up to `around` lines before and after it. Cost O(lines x lines) between the first and the
 /// last line that differ.
@@ -34,7 +34,7 @@ pub fn lines(ours: &str, theirs: &str, around: usize) -> Vec<Line> {
 /// The least difference of two lists of lines.
 fn changed(a: &[&str], b: &[&str]) -> Vec<Line> {
     let (ours, theirs) = (|k: usize| Line::Ours(a[k].to_owned()), |k: usize| Line::Theirs(b[k].to_owned()));
-    if a.len().saturating_mul(b.len()) > MOST_CELLS {
+    if a.len().saturating_mul(b.len()) > MAX_CELLS {
         return (0..a.len()).map(ours).chain((0..b.len()).map(theirs)).collect();
     }
     // Length of the longest common subsequence of what follows.

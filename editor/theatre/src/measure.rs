@@ -39,22 +39,22 @@ pub struct Length {
 impl Length {
     /// The length and its error in the language of the window.
     pub fn words(&self) -> String {
-        text!("measure-length", length = decimal(self.mm, 1), error = decimal(self.error_mm.max(LEAST_ERROR_MM), 1))
+        text!("measure-length", length = decimal(self.mm, 1), error = decimal(self.error_mm.max(MIN_ERROR_MM), 1))
     }
 
     /// As [`Self::words`], of a depth.
     pub fn depth_words(&self) -> String {
-        text!("measure-depth", length = decimal(self.mm, 1), error = decimal(self.error_mm.max(LEAST_ERROR_MM), 1))
+        text!("measure-depth", length = decimal(self.mm, 1), error = decimal(self.error_mm.max(MIN_ERROR_MM), 1))
     }
 }
 
 /// The smallest error that is shown, mm.
-const LEAST_ERROR_MM: f64 = 0.1;
+const MIN_ERROR_MM: f64 = 0.1;
 
 /// As files have it, in every language.
 impl std::fmt::Display for Length {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{:.1} ± {:.1} mm", self.mm, self.error_mm.max(LEAST_ERROR_MM))
+        write!(f, "{:.1} ± {:.1} mm", self.mm, self.error_mm.max(MIN_ERROR_MM))
     }
 }
 

@@ -42,7 +42,7 @@ pub(crate) const BEAT: Duration = Duration::from_millis(50);
 /// Longest wait for something to send.
 const ROUND: Duration = Duration::from_millis(20);
 /// How long files may take to be finished after the window is gone.
-const LONGEST_END: Duration = Duration::from_secs(40);
+const MAX_END: Duration = Duration::from_secs(40);
 /// Makes the system end this process before others when memory runs out: the window outlives it.
 const OOM_SCORE: &str = "500";
 
@@ -384,8 +384,8 @@ impl Worker {
     /// Finishes all files.
     fn end(&self) {
         let limit = std::thread::Builder::new().name("limit".to_owned()).spawn(|| {
-            std::thread::sleep(LONGEST_END);
-            eprintln!("error: the graph did not end within {} s", LONGEST_END.as_secs());
+            std::thread::sleep(MAX_END);
+            eprintln!("error: the graph did not end within {} s", MAX_END.as_secs());
             panoscope_engine::ending::leave(1);
         });
         drop(limit);

@@ -4,7 +4,7 @@ use eframe::egui::{InputState, Modifiers, Rect, Response, Ui, Vec2, pos2, vec2};
 use panoscope_editor_widgets::ARROWS;
 
 /// Largest magnification.
-const MOST: f32 = 8.0;
+const MAX_COUNT: f32 = 8.0;
 /// Factor of a key press.
 const STEP: f32 = 1.25;
 /// How far an arrow key moves the view, as a fraction of what is visible.
@@ -51,7 +51,7 @@ impl Zoom {
     fn by(&mut self, factor: f32, around: Vec2) {
         let before = self.visible();
         let fixed = before.min.to_vec2() + around * before.size();
-        self.scale = (self.scale * factor).clamp(1.0, MOST);
+        self.scale = (self.scale * factor).clamp(1.0, MAX_COUNT);
         self.middle = fixed + (Vec2::splat(0.5) - around) / self.scale;
         self.keep_inside();
     }
@@ -112,7 +112,7 @@ mod tests {
             zoom.step(true);
             assert!(zoom.visible().min.x >= -1e-6 && zoom.visible().max.y <= 1.0 + 1e-6);
         }
-        assert!((zoom.scale() - MOST).abs() < 1e-3);
+        assert!((zoom.scale() - MAX_COUNT).abs() < 1e-3);
         for _ in 0..40 {
             zoom.step(false);
         }

@@ -17,7 +17,7 @@ use panoscope_editor_widgets::theme::BLACK;
 use panoscope_theatre::{Layout, OpenError, OpenFailed, Options, Theatre};
 
 /// Size of the smallest text, px of the screen.
-const LEAST_PX: f32 = 11.0;
+const MIN_PX: f32 = 11.0;
 /// How far a glyph may reach out of its clip rectangle, points: the edges of letters are smooth.
 const EDGE: f32 = 1.5;
 
@@ -78,7 +78,7 @@ fn assert_legible(ctx: &Context, shapes: &[ClippedShape], pictures: &[Rect], wha
         }
         let sizes = shape.galley.job.sections.iter().map(|section| section.format.font_id.size * points);
         let least = sizes.fold(f32::MAX, f32::min);
-        assert!(least >= LEAST_PX - 0.05, "{what}: `{said}` has {least:.1} px");
+        assert!(least >= MIN_PX - 0.05, "{what}: `{said}` has {least:.1} px");
         let rect = shape.visual_bounding_rect();
         if !long.iter().any(|beginning| said.starts_with(beginning)) {
             assert!(!shape.galley.elided, "{what}: `{said}` is cut");

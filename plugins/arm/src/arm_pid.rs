@@ -95,8 +95,8 @@ pub struct PidParams {
 const THESIS_FOCAL_PX: f64 = 750.0;
 /// Fastest that an error is asked to go back, at 640 columns, px/s and mm/s, beside what is fed forward: faster than this the joints' accelerations
 /// limit the movement, and the tube misses the trocar by more.
-const MOST_PX_S: f64 = 250.0;
-const MOST_MM_S: f64 = 20.0;
+const MAX_PX_S: f64 = 250.0;
+const MAX_MM_S: f64 = 20.0;
 
 /// Columns of the table.
 pub const COLUMNS: [&str; 10] = [
@@ -121,7 +121,7 @@ impl PidParams {
             derivative: self.picture_d,
             filter_s: self.filter_s,
             dead_zone: self.dead_zone_px * scale,
-            most: MOST_PX_S * scale,
+            most: MAX_PX_S * scale,
         };
         let distance = Gains {
             proportional: self.distance_p,
@@ -129,7 +129,7 @@ impl PidParams {
             derivative: self.distance_d,
             filter_s: self.filter_s,
             dead_zone: self.dead_zone_mm,
-            most: MOST_MM_S,
+            most: MAX_MM_S,
         };
         Goals {
             distance_mm: self.distance_mm,

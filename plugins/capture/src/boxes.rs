@@ -9,9 +9,9 @@ use panoscope_truth::labels;
 use panoscope_truth::masks::MaskPicture;
 
 /// Least pixels of a part of a mask that counts as an object: specks at the border of an instrument are none.
-const LEAST_PIXELS: usize = 16;
+const MIN_PIXELS: usize = 16;
 /// The same as a share of the picture.
-const LEAST_SHARE: f64 = 1e-4;
+const MIN_SHARE: f64 = 1e-4;
 
 /// Boxes of a picture, in memory that is used again.
 #[derive(Debug, Default)]
@@ -98,7 +98,7 @@ impl Boxes {
                 stored.1
             )));
         };
-        let least = LEAST_PIXELS.max((LEAST_SHARE * (mask.width * mask.height) as f64) as usize);
+        let least = MIN_PIXELS.max((MIN_SHARE * (mask.width * mask.height) as f64) as usize);
         let row_len = mask.width.div_ceil(8);
         for layer in file.layers.iter() {
             for part in mask.parts(&layer.code, least) {

@@ -5,7 +5,7 @@ use std::time::Duration;
 use crate::source::Clock;
 
 /// Longest wait for a picture's time: a jump in a file's times is not waited for.
-const LONGEST_PAUSE: Duration = Duration::from_millis(1500);
+const MAX_PAUSE: Duration = Duration::from_millis(1500);
 
 /// Times of one instance. All times are ns; those of the host's clock come from the caller.
 #[derive(Debug)]
@@ -62,10 +62,10 @@ impl Timing {
         let (start_ns, first_ns) = *self.pace_from.get_or_insert((now_ns, self.capture_ns));
         let due_ns = start_ns.saturating_add((self.capture_ns - first_ns).max(0));
         let pause = Duration::from_nanos(u64::try_from(due_ns.saturating_sub(now_ns)).unwrap_or(0));
-        std::thread::sleep(pause.min(LONGEST_PAUSE));
+        std::thread::sleep(pause.min(MAX_PAUSE));
         let late = Duration::from_nanos(u64::try_from(now_ns.saturating_sub(due_ns)).unwrap_or(0));
         // After a long pause the missed pictures are not made up for.
-        if late > period || pause > LONGEST_PAUSE {
+        if late > period || pause > MAX_PAUSE {
             self.pace_from = Some((clock(), self.capture_ns));
         }
     }

@@ -24,7 +24,7 @@ const AREA: usize = 16;
 /// Mean difference of an area's pixels that counts as none: both decode the same data.
 const SAME: f64 = 2.0;
 /// Of so many pictures of damaged H.264, at most one may hold stale areas that no decoder can see.
-const MOST_STALE: usize = 50;
+const MAX_STALE: usize = 50;
 const FLIPPED: &str = "flipped";
 /// Earlier pictures that an area is compared with.
 const BEFORE: usize = 12;
@@ -233,7 +233,7 @@ fn no_stale_pixels_are_shown() {
     println!("{cases} damaged videos, {refused} refused");
     assert_eq!(totals.iter().map(|shown| shown.stale).sum::<usize>(), 0, "stale areas were shown");
     assert!(totals.iter().all(|shown| shown.whole > 0), "{totals:?}");
-    assert!(valid.stale_pictures * MOST_STALE <= valid.whole + valid.wrong + valid.withheld, "{valid:?}");
+    assert!(valid.stale_pictures * MAX_STALE <= valid.whole + valid.wrong + valid.withheld, "{valid:?}");
 }
 
 #[test]

@@ -75,12 +75,12 @@ impl Search {
 }
 
 /// OpenCV's block matching takes no window below this, px.
-const LEAST_BM_BLOCK_PX: i32 = 5;
+const MIN_BM_BLOCK_PX: i32 = 5;
 
 /// Reports a window that the matcher refuses.
 fn check_window(check: &mut Validation<'_>, method: Method, block_px: i32) {
-    if method == Method::Bm && block_px < LEAST_BM_BLOCK_PX {
-        let message = format!("`block_px` is {block_px}, OpenCV's block matching takes at least {LEAST_BM_BLOCK_PX}");
+    if method == Method::Bm && block_px < MIN_BM_BLOCK_PX {
+        let message = format!("`block_px` is {block_px}, OpenCV's block matching takes at least {MIN_BM_BLOCK_PX}");
         check.error("block_px", message, "take a larger window, or method = \"sgbm\"");
     }
 }

@@ -21,7 +21,7 @@ use crate::link::{Link, Outgoing, utc_ns};
 /// Longest wait for queued messages when the graph ends.
 const DRAIN_LIMIT: Duration = Duration::from_secs(2);
 /// Buffers that are used again.
-const MOST_SPARES: usize = 16;
+const MAX_SPARES: usize = 16;
 
 /// Inputs: at least one is connected. Each is sent when it has a packet.
 #[derive(Ports)]
@@ -176,7 +176,7 @@ impl Send {
             message.encode(bytes)?;
         }
         let bytes = Arc::clone(&buffer);
-        if self.spares.len() < MOST_SPARES {
+        if self.spares.len() < MAX_SPARES {
             self.spares.push(buffer);
         }
         let device = device.to_owned();
@@ -392,7 +392,7 @@ impl Node for Send {
         // Poses first: they are small, and a picture ahead of them would make them late.
         self.send_poses(call, input.pose.as_ref(), input.tip.as_ref(), params)?;
         if let Some(text) = &input.text {
-            let content = Content::Text(IgtlText { text: Cow::Borrowed(cut(text, IgtlText::MOST)) });
+            let content = Content::Text(IgtlText { text: Cow::Borrowed(cut(text, IgtlText::MAX_COUNT)) });
             self.send(call, &params.text_name, cx.tick_age(), content, &[], true)?;
         }
         if let Some(detections) = &input.detections {

@@ -12,7 +12,7 @@ const ROOM: f32 = 2.0;
 /// Distance between two dots of a key, in units of the scale of text.
 const DOT_STEP: f32 = 4.0;
 /// Most dots of a key: more cannot be told apart at a glance.
-pub const MOST_DOTS: usize = 6;
+pub const MAX_DOTS: usize = 6;
 
 const GROUND: u8 = 16;
 const PLATE_COLOR: Color = [44, 42, 40];
@@ -23,7 +23,7 @@ const INK: Color = [255; 3];
 pub struct Key {
     /// Colour of the object's marks.
     pub color: Color,
-    /// Number of dots, 1 to [`MOST_DOTS`].
+    /// Number of dots, 1 to [`MAX_DOTS`].
     pub dots: usize,
 }
 
@@ -50,7 +50,7 @@ pub fn height_px(lines: usize, scale: f32) -> usize {
 
 /// Draws the dots of a key from `(x, y)`, the middle of the first one, to the right.
 pub fn dots(out: &mut ViewMut<'_, u8>, (x, y): (f32, f32), key: Key, scale: f32) {
-    for k in 0..key.dots.min(MOST_DOTS) {
+    for k in 0..key.dots.min(MAX_DOTS) {
         let x = x + k as f32 * DOT_STEP * scale;
         // A dark rim, for bright tissue.
         draw::fill_circle(out, x, y, 2.0 * scale, [0; 3], 0.8);
@@ -114,7 +114,7 @@ struct Pen {
 
 impl Pen {
     fn key_px(&self, key: Option<Key>) -> f32 {
-        key.map_or(0.0, |key| (key.dots.min(MOST_DOTS) as f32 * DOT_STEP + 1.0) * self.scale)
+        key.map_or(0.0, |key| (key.dots.min(MAX_DOTS) as f32 * DOT_STEP + 1.0) * self.scale)
     }
 
     /// Width left in the present line, less what the count of `more` plates takes in the last one.

@@ -84,7 +84,7 @@ pub struct AutoRange {
 /// Share of a picture's numbers beyond the range from which on the range changes at once, and from which on it changes when that lasts.
 const BEYOND: [f32; 2] = [0.04, 0.015];
 /// Share of the range that numbers fill at least.
-const LEAST_FILLED: f32 = 0.45;
+const MIN_FILLED: f32 = 0.45;
 /// Pictures in a row after which a range that does not suit changes.
 const PATIENCE: u32 = 15;
 
@@ -107,7 +107,7 @@ impl AutoRange {
         if let Some(usual) = usual_range(plane, step, &mut self.work) {
             let (low, high) = *self.range.get_or_insert_with(|| rounded(usual));
             let beyond = self.work.iter().filter(|v| **v < low || **v > high).count() as f32 / self.work.len() as f32;
-            let is_loose = usual.1 - usual.0 < LEAST_FILLED * (high - low) && rounded(usual) != (low, high);
+            let is_loose = usual.1 - usual.0 < MIN_FILLED * (high - low) && rounded(usual) != (low, high);
             self.unsuited = if is_loose || beyond > BEYOND[1] { self.unsuited + 1 } else { 0 };
             if beyond > BEYOND[0] || self.unsuited >= PATIENCE {
                 (self.range, self.unsuited) = (Some(rounded(usual)), 0);

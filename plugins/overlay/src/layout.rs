@@ -35,7 +35,7 @@ pub struct Frame {
 /// How much more an area of the main picture counts than one of the others.
 const IMPORTANCE: f64 = 4.0;
 /// The least width of a smaller picture as a share of the screen's; the second where the first leaves the main picture too little.
-const LEAST_SHARES: [f64; 2] = [0.2, 0.16];
+const MIN_SHARES: [f64; 2] = [0.2, 0.16];
 /// The least area of the main picture as a share of the screen's.
 const MAIN_SHARE: f64 = 0.62;
 /// How much a missing pixel of a smaller picture's width counts, in screens' widths.
@@ -74,7 +74,7 @@ fn aspect(size: Size) -> f64 {
 /// Earlier pictures come first: down the column, then along the row.
 pub fn arrange(frame: &Frame, main: Tile, sides: &[Tile], cells: &mut Vec<Cell>) {
     let whole = (frame.width * frame.height) as f64;
-    for least_share in LEAST_SHARES {
+    for least_share in MIN_SHARES {
         best_plan(frame, main, sides, least_share, cells).place(frame, main, sides, cells);
         if cells[0].area() >= MAIN_SHARE * whole {
             return;

@@ -6,7 +6,7 @@ use panoscope_imaging::draw::{self, Area, Color, Labels};
 use panoscope_node::abi::{self, Homography, Roi, Tip};
 use panoscope_node::{Choice, Detections, Instances, ViewMut};
 
-use crate::bar::{self, Bar, Key, MOST_DOTS};
+use crate::bar::{self, Bar, Key, MAX_DOTS};
 
 /// Where words stand.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -135,7 +135,7 @@ pub fn box_keys(
     order.extend((0..items.len()).filter(|index| items[*index].score >= pen.min_score));
     order.sort_by_key(|index| items[*index].track_id);
     for (number, item) in order.iter().map(|index| &items[*index]).enumerate() {
-        let key = Key { color: color_of_class(detections, item.class_index), dots: (number + 1).min(MOST_DOTS) };
+        let key = Key { color: color_of_class(detections, item.class_index), dots: (number + 1).min(MAX_DOTS) };
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
         // Inside the picture even where the box begins at its edge.
         let inset = 2.0 * pen.text_scale + pen.line_px;

@@ -164,7 +164,7 @@ const USUAL_WIDTH: f32 = 640.0;
 /// Largest factor by which a picture is enlarged before its bar is written.
 const MAX_ENLARGEMENT: f64 = 4.0;
 /// Least size of words below a picture, as a share of the parameter's.
-const LEAST_SCALE: f32 = 0.5;
+const MIN_SCALE: f32 = 0.5;
 
 /// Whole factor by which a picture of a width comes nearest to the wanted one.
 fn enlargement(width: usize, wanted_width: usize) -> usize {
@@ -346,7 +346,7 @@ impl Node for Overlay {
         let mut small = std::mem::take(&mut self.small);
         let mut bar_scale = 0.0;
         if is_below {
-            let scale = (frame.0 as f32 / USUAL_WIDTH).max(LEAST_SCALE);
+            let scale = (frame.0 as f32 / USUAL_WIDTH).max(MIN_SCALE);
             (pen.line_px, pen.text_scale) = (pen.line_px * scale.max(1.0), pen.text_scale * scale);
             let factor = enlargement(frame.0, params.wanted_width);
             let (width, height) = (factor * frame.0, factor * frame.1);

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 /// Most digits behind the point.
-const MOST_PLACES: i32 = 4;
+const MAX_PLACES: i32 = 4;
 
 /// Writes `26.8 ± 1.2 mm`: the 95 % error bound with two significant digits, rounded up, and the value to the same place.
 ///
@@ -20,7 +20,7 @@ pub fn write_with_error(out: &mut String, value: f64, bound: f64, unit: &str) {
     // A bound of 9.96 has two significant digits as 10: its place is found after rounding. A hair less: 1.2 / 0.1 is a little above 12.
     let rounded_up = |place: f64| (bound / place - 1e-6).ceil() * place;
     let place_of = |number: f64| 10f64.powf(number.log10().floor() - 1.0);
-    let place = place_of(rounded_up(place_of(bound)).max(bound)).max(10f64.powi(-MOST_PLACES));
+    let place = place_of(rounded_up(place_of(bound)).max(bound)).max(10f64.powi(-MAX_PLACES));
     let places = (-place.log10().round()).max(0.0) as usize;
     let _ = write!(out, "{:.places$} ± {:.places$} {unit}", (value / place).round() * place, rounded_up(place));
 }

@@ -69,7 +69,7 @@ const TITLE_TOP: f32 = 2.5;
 /// Proportions of a smaller picture that has not arrived.
 const USUAL: Size = (4, 3);
 /// A picture whose proportions change less does not move the others.
-const LEAST_CHANGE: f64 = 0.03;
+const MIN_CHANGE: f64 = 0.03;
 
 /// Composes the screen. A smaller picture that has not arrived leaves its cell dark.
 #[derive(Default)]
@@ -108,7 +108,7 @@ impl Screen {
                 continue;
             };
             let ratio = (new.0 * tile.size.1) as f64 / (new.1 * tile.size.0).max(1) as f64;
-            if (ratio - 1.0).abs() > LEAST_CHANGE {
+            if (ratio - 1.0).abs() > MIN_CHANGE {
                 (tile.size, has_changed) = (new, true);
             }
         }

@@ -10,7 +10,7 @@ use panoscope_ros::convert::{self, Boxes, ConvertError, Picture, Samples};
 use panoscope_ros::messages;
 
 /// Pictures of a view that wait for their partner.
-const MOST_WAITING: usize = 8;
+const MAX_WAITING: usize = 8;
 
 /// Outputs. A tick has what came together: both views of one instant, or one message of another topic.
 #[derive(Ports)]
@@ -241,7 +241,7 @@ impl Incoming {
         let Some((index, _)) = nearest else {
             let own = &mut self.waiting[view];
             own.push_back((stamp_ns, picture));
-            if own.len() > MOST_WAITING {
+            if own.len() > MAX_WAITING {
                 own.pop_front();
                 self.unpaired += 1;
             }
@@ -390,7 +390,7 @@ mod tests {
         for at in 0..100 {
             assert!(incoming.view(0, at * 33_000_000, picture(0)).is_none());
         }
-        assert_eq!((incoming.waiting[0].len(), incoming.unpaired), (MOST_WAITING, 92));
+        assert_eq!((incoming.waiting[0].len(), incoming.unpaired), (MAX_WAITING, 92));
     }
 
     #[test]

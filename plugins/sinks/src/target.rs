@@ -286,7 +286,7 @@ pub struct Wholes {
 }
 
 /// Older files than so many are on the disk by themselves: the system waits half a minute at most.
-const MOST_RECENT: usize = 300;
+const MAX_RECENT: usize = 300;
 
 impl Wholes {
     /// Writes a file.
@@ -302,7 +302,7 @@ impl Wholes {
         let is_other = self.recent.back().is_none_or(|last| last != path);
         write_whole(path, is_other && path.exists(), body)?;
         if is_other {
-            if self.recent.len() == MOST_RECENT {
+            if self.recent.len() == MAX_RECENT {
                 self.recent.pop_front();
             }
             self.recent.push_back(path.to_owned());

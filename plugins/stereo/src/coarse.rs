@@ -11,7 +11,7 @@ use panoscope_imaging::{Parallel, Rect, SharedMut, View, ViewMut};
 const ROWS: usize = 32;
 
 /// Neighbours with a larger difference are two surfaces, in px of the shrunk map: nothing lies between them.
-const LARGEST_STEP_PX: f32 = 1.0;
+const MAX_STEP_PX: f32 = 1.0;
 
 /// The factor that a parameter `scale` stands for, for views of a width in px. 0 becomes a factor whose shrunk views have a pixel count
 /// that grows with the width instead of with its square: 2 from 640 px on, 3 from 1440, 4 from 2560.
@@ -87,7 +87,7 @@ impl Coarse {
             confidence: job.confidence.is_some().then(|| ViewMut::new(&mut self.support, width, height, 1)),
         })?;
         let smooth = View::new(&self.smooth[..], width, height, 1);
-        enlarge(smooth, factor, factor as f32, LARGEST_STEP_PX, pool, job.disparity, &mut self.lines);
+        enlarge(smooth, factor, factor as f32, MAX_STEP_PX, pool, job.disparity, &mut self.lines);
         if let Some(confidence) = job.confidence {
             let support = View::new(&self.support[..], width, height, 1);
             enlarge(support, factor, 1.0, f32::INFINITY, pool, confidence, &mut self.lines);
@@ -188,7 +188,7 @@ mod tests {
         let small: Vec<f32> = (0..width * height).map(|i| slope(3.0 * (i % width) as f32 + 1.0) / 3.0).collect();
         let mut map = vec![f32::NAN; 97 * 19];
         let small = View::new(&small[..], width, height, 1);
-        enlarge(small, 3, 3.0, LARGEST_STEP_PX, &Serial, ViewMut::new(&mut map, 97, 19, 1), &mut Vec::new());
+        enlarge(small, 3, 3.0, MAX_STEP_PX, &Serial, ViewMut::new(&mut map, 97, 19, 1), &mut Vec::new());
         for y in 0..19 {
             for x in 1..95 {
                 let value = map[y * 97 + x];

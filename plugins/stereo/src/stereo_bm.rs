@@ -39,12 +39,12 @@ pub struct StereoBmParams {
 }
 
 /// Smallest window that the kernel compares.
-const LEAST_BLOCK_PX: usize = 5;
+const MIN_BLOCK_PX: usize = 5;
 
 impl StereoBmParams {
     /// In pixels of views shrunk by `factor`; the range is set by each call.
     fn kernel(&self, factor: usize) -> BlockMatchingParams {
-        let block = if factor == 1 { self.block_px } else { (self.block_px / factor).max(LEAST_BLOCK_PX) | 1 };
+        let block = if factor == 1 { self.block_px } else { (self.block_px / factor).max(MIN_BLOCK_PX) | 1 };
         BlockMatchingParams {
             min_disparity_px: self.search.min_disparity_px,
             search_px: self.search.search_px,

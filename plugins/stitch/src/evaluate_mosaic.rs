@@ -9,7 +9,7 @@ const COLUMNS: [&str; 8] = ["tick", "state", "drift_px", "drift_mm", "drift_pct"
 /// State of a tick without a homography.
 const STATE_NONE: f64 = 3.0;
 /// Points per frame at least.
-const LEAST_POINTS: usize = 12;
+const MIN_POINTS: usize = 12;
 
 /// Parameters of the evaluation.
 #[derive(Params, Clone, PartialEq)]
@@ -144,7 +144,7 @@ impl Node for EvaluateMosaic {
             if let Some(given) = input.homography.as_ref().filter(|_| is_fresh) {
                 let map = Map(given.left_from_right);
                 self.points(&input, &first, params.step.max(1) as usize);
-                if self.frame.len() >= LEAST_POINTS {
+                if self.frame.len() >= MIN_POINTS {
                     let count = self.frame.len() as f64;
                     let pairs = || self.frame.iter().zip(&self.truth);
                     let rms = |map: &Map| (pairs().map(|(p, q)| map.squared_error(*p, *q)).sum::<f64>() / count).sqrt();

@@ -40,7 +40,7 @@ pub struct EvaluateDetectionsParams {
 /// Columns of the table.
 const COLUMNS: [&str; 7] = ["class", "objects", "detections", "hits", "precision_pct", "recall_pct", "ap50_pct"];
 /// Most classes that are told apart.
-const MOST_CLASSES: usize = 1000;
+const MAX_CLASSES: usize = 1000;
 
 /// See the module.
 #[derive(Default)]
@@ -58,7 +58,7 @@ impl EvaluateDetections {
     fn class(&mut self, label: &str) -> usize {
         let name = normal_name(label);
         self.names.iter().position(|known| *known == name).unwrap_or_else(|| {
-            if self.names.len() < MOST_CLASSES {
+            if self.names.len() < MAX_CLASSES {
                 self.names.push(name);
             }
             self.names.len() - 1

@@ -69,7 +69,7 @@ pub const COLUMNS: [&str; 19] = [
 ];
 
 /// Most tips that are evaluated.
-const MOST_TIPS: usize = 16;
+const MAX_TIPS: usize = 16;
 
 /// Counts of one tip: warnings of tissue and of other tips, with exact thresholds and with the margin.
 struct Tip {
@@ -120,7 +120,7 @@ impl Node for EvaluateProximity {
         for truth in input.truth.rows().filter(|row| row[seen] > 0.5) {
             let index = match self.tips.iter().position(|known| known.track_id == truth[id]) {
                 Some(index) => index,
-                None if self.tips.len() == MOST_TIPS => continue,
+                None if self.tips.len() == MAX_TIPS => continue,
                 None => {
                     let judge = |on_mm: f64, margin_mm: f64| Judge::new(rule(on_mm), margin_mm, params.delay_ms * 1e-3);
                     let both = |on_mm: f64| [judge(on_mm, 0.0), judge(on_mm, params.margin_mm)];

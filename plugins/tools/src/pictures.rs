@@ -18,7 +18,7 @@ const END_SHARE: f32 = 0.85;
 /// Most that the first picture counts, as a share of the limit.
 const FIRST_MOST: f32 = 0.99;
 /// Largest gap in time that the smoothing bridges, s: after a longer one it begins anew.
-const LONGEST_GAP_S: f32 = 5.0;
+const MAX_GAP_S: f32 = 5.0;
 
 /// Statistics that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -144,7 +144,7 @@ impl Monitor {
         self.last_ns = capture_ns;
         // The first picture alone says little.
         let first = unlikeness.min(FIRST_MOST);
-        let before = self.smoothed.filter(|_| (0.0..=LONGEST_GAP_S).contains(&passed_s));
+        let before = self.smoothed.filter(|_| (0.0..=MAX_GAP_S).contains(&passed_s));
         let share = if smooth_s > 0.0 { 1.0 - (-passed_s / smooth_s).exp() } else { 1.0 };
         let smoothed = match before {
             _ if smooth_s <= 0.0 => unlikeness,

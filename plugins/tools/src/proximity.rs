@@ -94,7 +94,7 @@ pub const COLUMNS: [&str; 16] = [
 ];
 
 /// Most tips of one tick that are used.
-const MOST_TIPS: usize = 16;
+const MAX_TIPS: usize = 16;
 /// Time after which the warnings of a lost tip are dropped, ns.
 const MEMORY_NS: i64 = 1_000_000_000;
 
@@ -298,14 +298,14 @@ impl Node for Proximity {
         let age_ns = self.surface_ns.map_or(i64::MAX, age_of);
         let is_surface_known = age_ns <= max_age_ns;
         let age_ms = if self.surface_ns.is_some() { age_ns as f64 * 1e-6 } else { f64::NAN };
-        let mut known: [Option<Known>; MOST_TIPS] = [None; MOST_TIPS];
+        let mut known: [Option<Known>; MAX_TIPS] = [None; MAX_TIPS];
         let mut count = 0;
         for (index, tip) in input.tip.iter().enumerate().filter_map(|(index, tip)| Some((index, tip?))) {
             let age_ns = nanoseconds(cx.age(&tip));
             let is_place = tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()) && tip.xyz_mm[2] > 0.0;
             let key = if tip.track_id >= 0 { tip.track_id } else { -2 - index as i64 };
             let is_known = known[..count].iter().flatten().any(|other| other.key == key);
-            if is_place && age_ns <= max_age_ns && !is_known && count < MOST_TIPS {
+            if is_place && age_ns <= max_age_ns && !is_known && count < MAX_TIPS {
                 known[count] = Some(Known { tip: *tip, key });
                 count += 1;
             }

@@ -19,14 +19,14 @@ const COLUMNS: f64 = 640.0;
 /// Upper limit of the log-likelihood ratio of a pixel outside the silhouette.
 const OUTSIDE: f32 = -2.0;
 /// Smallest normalised correlation of both views, and smallest lead over every position farther away than `BESIDE_PX`.
-const LEAST: f32 = 0.6;
+const MIN_VALUE: f32 = 0.6;
 const BETTER: f32 = 0.03;
 const BESIDE_PX: usize = 6;
 /// Share of the window that is instrument, at least and at most: an end has both around it.
 const SHARES: (f32, f32) = (0.03, 0.9);
 
 /// Least side of the compared window, cells.
-const LEAST_SIDE: usize = 8;
+const MIN_SIDE: usize = 8;
 /// Cells on either side of the best coarse position that are tried at full size.
 const REFINED_CELLS: usize = 2;
 /// Products that are added up side by side, so that they can be computed at once.
@@ -93,14 +93,14 @@ impl SecondView {
         let pitch = (scale.round() as usize).max(1);
         let window = Window { x, y, disparities: (first, last), pitch };
         let (columns, rows) = window.size();
-        if columns < LEAST_SIDE || rows < LEAST_SIDE || first + 2 * BESIDE_PX * pitch >= last {
+        if columns < MIN_SIDE || rows < MIN_SIDE || first + 2 * BESIDE_PX * pitch >= last {
             return None;
         }
         self.compare(silhouette, views, &window)?;
         let (best, most) = self.best()?;
         let others = self.fit.iter().enumerate().filter(|(at, _)| at.abs_diff(best) > BESIDE_PX);
         let second = others.map(|(_, fit)| *fit).fold(f32::NEG_INFINITY, f32::max);
-        if most < LEAST || most < second + BETTER || best == 0 || best + 1 == self.fit.len() {
+        if most < MIN_VALUE || most < second + BETTER || best == 0 || best + 1 == self.fit.len() {
             return None;
         }
         if pitch == 1 {

@@ -102,7 +102,7 @@ const VERY_LONG: f64 = 20.0;
 /// Gap between parts of the border that count as one.
 const BORDER_GAP_PX: usize = 3;
 /// Most lines across the axis into which a mask is cut.
-const MOST_LINES: f64 = 256.0;
+const MAX_LINES: f64 = 256.0;
 /// Parts of a mask with less than this share of its pixels are no instrument.
 const SPECK_SHARE: f64 = 0.1;
 /// Parts that begin within this share of a mask's length enter from outside.
@@ -238,7 +238,7 @@ impl TipFinder {
             (axis, low, high) = ([-axis[0], -axis[1]], -high, -low);
         }
         let (left, right) = reach([-axis[1], axis[0]]);
-        let pitch = ((high - low).max(right - left) / MOST_LINES).max(1.0);
+        let pitch = ((high - low).max(right - left) / MAX_LINES).max(1.0);
         let count = |length: f64| (length / pitch).ceil() as usize + 1;
         let from = [cx + low * axis[0] - left * axis[1], cy + low * axis[1] + left * axis[0]];
         let lines = Lines { from, axis, pitch, lines: count(high - low), steps: count(right - left) };

@@ -9,27 +9,27 @@ mod cells;
 mod plane;
 
 use crate::shaft::{End, Mask, TipPixel};
-use cells::{COLOURS, Cells, FEWEST_CELLS, Region, class_of, shade};
+use cells::{COLOURS, Cells, MIN_CELLS, Region, class_of, shade};
 pub use cells::{Cues, Nearness};
 use plane::{Sums, positions, solve};
 
 /// Limits of a single cue, against and for an instrument, in standard deviations.
-const MOST_FOR: f32 = 5.0;
-const MOST_AGAINST: f32 = -2.0;
+const MAX_FOR: f32 = 5.0;
+const MAX_AGAINST: f32 = -2.0;
 /// Sum of both cues from which a cell is instrument in the first guess.
 const FIRST_GUESS: f32 = 3.0;
 /// Standard deviations in front of the surface from which a cell is certainly in front of it.
 const BEFORE: f32 = 2.0;
 /// Share of the largest part's cells from which another part may be a jaw, and share of its own cells that must be gray then.
 const JAW_SHARE: f32 = 0.3;
-const MOST_OF: f32 = 0.7;
+const MAX_OF: f32 = 0.7;
 /// Standard deviations less red than tissue from which a cell is certainly gray.
 const GRAY: f32 = 1.5;
 /// Log-likelihood ratio of the learned colours from which a cell beside the instrument is added to it.
 const GROWS: f32 = 1.0;
 /// Weight of redness, and most that the share of a colour in the box says beside its share around it, where nothing is known of nearness.
 const ALONE: f32 = 2.0;
-const MOST_SHARE: f32 = 2.0;
+const MAX_SHARE: f32 = 2.0;
 /// Brightness from which a gray cell may be glare on wet tissue.
 const GLARE: f32 = 0.75;
 /// Smallest standard deviation of the surface's nearness, as a share of it, and of its redness: the errors of matching and noise.
@@ -80,7 +80,7 @@ pub struct Silhouette {
 fn median(sorted: &mut Vec<f32>, values: impl Iterator<Item = f32>) -> Option<(f32, f32)> {
     sorted.clear();
     sorted.extend(values.filter(|v| v.is_finite()));
-    if sorted.len() < FEWEST_CELLS / 4 {
+    if sorted.len() < MIN_CELLS / 4 {
         return None;
     }
     let middle = sorted.len() / 2;
@@ -207,7 +207,7 @@ impl Silhouette {
         let deviation = deviation.max(REDNESS_FLOOR);
         for ((score, gray), redness) in score.iter_mut().zip(gray).zip(redness.iter()).filter(|(_, r)| r.is_finite()) {
             *gray = (centre - redness) / deviation;
-            *score += gray.clamp(MOST_AGAINST, MOST_FOR);
+            *score += gray.clamp(MAX_AGAINST, MAX_FOR);
         }
         true
     }
@@ -225,7 +225,7 @@ impl Silhouette {
             }
         }
         let [around, inside] = counts;
-        let ratios = log_ratios(&inside, &around, MOST_SHARE);
+        let ratios = log_ratios(&inside, &around, MAX_SHARE);
         for (index, score) in score.iter_mut().enumerate() {
             if let Some(class) = class(index) {
                 *score = ALONE * *score + ratios[class];
@@ -280,7 +280,7 @@ impl Silhouette {
             for ((score, value), x) in scores.iter_mut().zip(values).zip(columns).filter(|((_, v), _)| v.is_finite()) {
                 // From here on in deviations before the surface.
                 *value = over(&plane, [1.0, *x, y], *value) / deviation;
-                *score += value.clamp(MOST_AGAINST, MOST_FOR);
+                *score += value.clamp(MAX_AGAINST, MAX_FOR);
             }
         }
         true
@@ -423,7 +423,7 @@ impl Silhouette {
         let is_gray = |part: u32| {
             let cells = || (0..self.part.len()).filter(|index| self.part[*index] == part);
             let gray = cells().filter(|index| self.gray.get(*index).is_some_and(|gray| *gray > GRAY)).count();
-            gray as f32 > MOST_OF * cells().count() as f32
+            gray as f32 > MAX_OF * cells().count() as f32
         };
         let large =
             self.others.iter().filter(|(part, cells)| *part != best && *cells as f32 > JAW_SHARE * best_cells as f32);

@@ -97,7 +97,7 @@ pub const COLUMNS: [&str; KEYS.len() + FIGURES.len()] = {
 pub const PAIRS: [&str; 6] = ["a", "b", "seen_s", "both_s", "overlap", "correlation"];
 
 /// Most poses of the camera that are stored for late tips.
-const MOST_POSES: usize = 64;
+const MAX_POSES: usize = 64;
 
 /// See the module.
 pub struct Skill {
@@ -175,7 +175,7 @@ impl Node for Skill {
     fn open(_: &Open<'_>, params: &SkillParams) -> Result<Self> {
         Ok(Self {
             session: Session::new(settings(params)),
-            poses: VecDeque::with_capacity(MOST_POSES),
+            poses: VecDeque::with_capacity(MAX_POSES),
             classes: Vec::new(),
             looked_ns: Vec::new(),
             refused: false,
@@ -190,7 +190,7 @@ impl Node for Skill {
             Some(pose) => pose_of(pose).ok_or_else(|| error!("the camera pose holds numbers that are no pose"))?,
             None => Isometry3::identity(),
         };
-        if self.poses.len() == MOST_POSES {
+        if self.poses.len() == MAX_POSES {
             self.poses.pop_front();
         }
         self.poses.push_back((now_ns, room_from_camera));

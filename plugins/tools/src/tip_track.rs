@@ -79,9 +79,9 @@ pub const COLUMNS: [&str; 13] = [
 ];
 
 /// Most tips of one tick that are used.
-const MOST_TIPS: usize = 16;
+const MAX_TIPS: usize = 16;
 /// Most poses of the camera that are stored for late tips.
-const MOST_POSES: usize = 64;
+const MAX_POSES: usize = 64;
 
 /// Tracks the leading tip.
 pub struct TipTrack {
@@ -115,7 +115,7 @@ impl Node for TipTrack {
     type Params = TrackParams;
 
     fn open(_: &Open<'_>, _: &TrackParams) -> Result<Self> {
-        let poses = VecDeque::with_capacity(MOST_POSES);
+        let poses = VecDeque::with_capacity(MAX_POSES);
         Ok(Self {
             tracker: Tracker::default(),
             last: None,
@@ -167,7 +167,7 @@ impl Node for TipTrack {
             self.poses.clear();
             self.used_ns.fill(i64::MIN);
         }
-        if self.poses.len() == MOST_POSES {
+        if self.poses.len() == MAX_POSES {
             self.poses.pop_front();
         }
         self.poses.push_back((now_ns, room_from_camera));
@@ -198,8 +198,8 @@ impl Node for TipTrack {
                 (index, seen)
             })
         });
-        let (mut from, mut count) = ([0_usize; MOST_TIPS], 0);
-        let reports = new_tips.take(MOST_TIPS).map(|(index, report)| {
+        let (mut from, mut count) = ([0_usize; MAX_TIPS], 0);
+        let reports = new_tips.take(MAX_TIPS).map(|(index, report)| {
             from[count] = index;
             count += 1;
             report

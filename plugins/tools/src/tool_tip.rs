@@ -134,7 +134,7 @@ const STILL_IOU: f32 = 0.35;
 const BORDER_SHARE: f64 = 0.01;
 const STRIP_SHARE: f32 = 0.06;
 /// Most boxes that are tried until one has its tip in the picture.
-const MOST_TRIES: usize = 4;
+const MAX_TRIES: usize = 4;
 /// Ticks within which the leading tool may return with another number.
 const MEMORY_TICKS: u32 = 15;
 
@@ -182,13 +182,13 @@ const MIN_VALUES: usize = 6;
 /// Largest multiple of the radius within which a mask's own depth is searched.
 const WIDER: usize = 8;
 /// Number of tips stored for late boxes.
-const MOST_OBSERVATIONS: usize = 16;
+const MAX_OBSERVATIONS: usize = 16;
 /// Range of depths in which an end is searched in the other view, mm.
 const REACH_MM: (f64, f64) = (20.0, 250.0);
 /// Largest difference of depth between two jaws of one instrument, mm.
 const JAWS_MM: f64 = 10.0;
 /// Largest distance of the ends of open jaws from their middle, mm, and time for which it is stored while one jaw hides the other, ns.
-const MOST_HALF_MM: f64 = 12.0;
+const MAX_HALF_MM: f64 = 12.0;
 const HALF_NS: i64 = 2_000_000_000;
 /// Time in which the stored opening halves while the jaws are seen nearer together, ns.
 const HALF_FADES_NS: f64 = 0.7e9;
@@ -317,7 +317,7 @@ impl Node for ToolTip {
             half: None,
             hidden: HiddenJaw::default(),
             last: None,
-            observations: VecDeque::with_capacity(MOST_OBSERVATIONS),
+            observations: VecDeque::with_capacity(MAX_OBSERVATIONS),
             time: RealTime::default(),
         })
     }
@@ -386,9 +386,9 @@ impl Node for ToolTip {
             .take()
             .filter(|kept| (0.0..=longest_ns).contains(&(self.time.real(now_ns - kept.found_ns) as f64)));
         // A tool that ends at the picture's border has its tip outside, as boxes of shafts at the border do.
-        let mut tried = [usize::MAX; MOST_TRIES];
+        let mut tried = [usize::MAX; MAX_TRIES];
         let (mut is_cut, mut best) = (false, None);
-        for try_number in 0..MOST_TRIES {
+        for try_number in 0..MAX_TRIES {
             let wanted = items.iter().enumerate().filter(|(index, _)| !tried.contains(index));
             let least = |d: &Detection| {
                 if claim(d) > 0 && kept.is_some() { params.keep_score.min(params.min_score) } else { params.min_score }
@@ -510,7 +510,7 @@ impl Node for ToolTip {
                 let faded = self.half.map_or(0.0, |(half, at_ns)| {
                     half * 0.5_f64.powf(now_ns.saturating_sub(at_ns).max(0) as f64 / HALF_FADES_NS)
                 });
-                self.half = Some(((apart / 2.0).max(faded), now_ns)).filter(|(half, _)| *half <= MOST_HALF_MM);
+                self.half = Some(((apart / 2.0).max(faded), now_ns)).filter(|(half, _)| *half <= MAX_HALF_MM);
             }
             let lens = Lens { focal_px: [p[0], p[5]], centre_px: [p[2], p[6]] };
             let is_own = |x: usize, y: usize| of(index, x, y);
@@ -564,7 +564,7 @@ impl Node for ToolTip {
         if valid {
             self.last = Some((xyz_mm, now_ns));
         }
-        if self.observations.len() == MOST_OBSERVATIONS {
+        if self.observations.len() == MAX_OBSERVATIONS {
             self.observations.pop_front();
         }
         self.observations.push_back((now_ns, [tip.u_px, tip.v_px]));

@@ -150,7 +150,7 @@ pub struct YoloParams {
 }
 
 /// Smallest share of a box that is lit.
-const LEAST_LIT: f32 = 0.5;
+const MIN_LIT: f32 = 0.5;
 
 /// Label of an instrument whose kind is not sure.
 pub const UNKNOWN: &str = "unknown";
@@ -389,7 +389,7 @@ impl Node for Yolo {
         }
         self.lit.update(input.mask.as_ref().map(Image::view));
         if let Some(lit) = self.lit.part().filter(|lit| lit.size() == (picture.width, picture.height)) {
-            self.candidates.retain(|candidate| lit.share_of(candidate.corners) >= LEAST_LIT);
+            self.candidates.retain(|candidate| lit.share_of(candidate.corners) >= MIN_LIT);
         }
         let suppression = Suppression {
             max_overlap: params.max_overlap,

@@ -26,7 +26,7 @@ const MOTOR_RAD_S2: f64 = 20.0;
 /// Smallest movement that is logged, rad.
 const LOGGED_RAD: f64 = 1e-7;
 /// Longest step in which movements are computed, s.
-const LONGEST_STEP_S: f64 = 0.001;
+const MAX_STEP_S: f64 = 0.001;
 
 /// What the controller and its line do. Everything may change while it runs.
 #[derive(Clone, Copy, Debug)]
@@ -348,7 +348,7 @@ impl Controller {
             // A controller that was held up computes what its motors did meanwhile.
             let mut left_s = dt_s;
             while left_s > 0.0 {
-                let step_s = left_s.min(LONGEST_STEP_S);
+                let step_s = left_s.min(MAX_STEP_S);
                 self.step(behaviour, step_s);
                 left_s -= step_s;
             }

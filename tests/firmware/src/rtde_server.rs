@@ -13,9 +13,9 @@ use crate::ur::UrBehaviour;
 /// Registers of each kind.
 const REGISTERS: usize = 48;
 /// Bytes that wait for a client; packages beyond are skipped, as a real controller does.
-const MOST_WAITING: usize = 65_536;
+const MAX_WAITING: usize = 65_536;
 /// Longest package of a client, bytes.
-const LONGEST: usize = 4096;
+const MAX_LEN: usize = 4096;
 
 /// The registers that clients and the program share. Inputs keep their last value.
 #[derive(Debug)]
@@ -213,7 +213,7 @@ impl Servers {
             damage(&mut client.received[from..], behaviour.damaged_bytes, random);
             while let Some(size) = self.clients[index].size() {
                 let client = &mut self.clients[index];
-                if !(3..=LONGEST).contains(&size) {
+                if !(3..=MAX_LEN).contains(&size) {
                     client.is_closed = true;
                     arrived.refused += 1;
                     break;
@@ -367,7 +367,7 @@ impl Servers {
                 }
                 let later = if behaviour.is_cut { bytes.split_off(bytes.len() / 2) } else { Vec::new() };
                 let due = now + behaviour.delay;
-                if client.waiting.iter().map(|(_, bytes)| bytes.len()).sum::<usize>() < MOST_WAITING {
+                if client.waiting.iter().map(|(_, bytes)| bytes.len()).sum::<usize>() < MAX_WAITING {
                     client.waiting.push_back((due, bytes));
                     client.waiting.push_back((due + Duration::from_millis(1), later));
                 }

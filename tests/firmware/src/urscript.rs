@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 
 /// Statements of one thread in one control cycle; more is a loop that never waits.
-const MOST_STATEMENTS: u32 = 10_000;
+const MAX_STATEMENTS: u32 = 10_000;
 
 /// What the program reads and writes.
 pub trait Robot {
@@ -412,7 +412,7 @@ impl Program {
 
     /// Runs a thread until it waits.
     fn resume(&mut self, task: &mut Task, robot: &mut dyn Robot) -> Result<Motion, String> {
-        for _ in 0..MOST_STATEMENTS {
+        for _ in 0..MAX_STATEMENTS {
             let Some((line, op)) = self.codes[task.code].get(task.at).cloned() else {
                 return Err("the program has ended".to_owned());
             };

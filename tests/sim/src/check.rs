@@ -12,7 +12,7 @@ use crate::harm::Harm;
 use crate::observe::Seen;
 
 /// Most failures that are reported of a run.
-const MOST_FAILURES: usize = 8;
+const MAX_FAILURES: usize = 8;
 
 /// A call of a node.
 struct Call<'a> {
@@ -59,7 +59,7 @@ pub fn check(done: &Done) -> Vec<String> {
             first.waits_for
         ));
     }
-    failures.truncate(MOST_FAILURES);
+    failures.truncate(MAX_FAILURES);
     failures
 }
 

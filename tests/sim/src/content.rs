@@ -23,15 +23,15 @@ pub struct Content {
 }
 
 /// Most steps of a picture.
-pub const MOST_STEPS: usize = 20;
+pub const MAX_STEPS: usize = 20;
 /// Smallest picture that holds all steps.
-pub const LEAST_BYTES: usize = HEAD_BYTES + MOST_STEPS * 8 + 8;
+pub const MIN_BYTES: usize = HEAD_BYTES + MAX_STEPS * 8 + 8;
 const HEAD_BYTES: usize = 4 + 4 + 8 + 4;
 const MAGIC: [u8; 4] = *b"PSIM";
 /// Bytes that are written or read between two places where another thread may run.
 const PIECE_BYTES: usize = 128;
 /// No picture is larger.
-const MOST_BYTES: usize = 1 << 16;
+const MAX_BYTES: usize = 1 << 16;
 
 /// Names a node in a picture.
 pub fn name_hash(name: &str) -> u32 {
@@ -84,7 +84,7 @@ impl Content {
     /// The first byte that is not as it must be.
     pub fn read(bytes: &[u8]) -> Result<Self, String> {
         let mut copy = Vec::with_capacity(bytes.len());
-        for piece in bytes[..bytes.len().min(MOST_BYTES)].chunks(PIECE_BYTES) {
+        for piece in bytes[..bytes.len().min(MAX_BYTES)].chunks(PIECE_BYTES) {
             copy.extend_from_slice(piece);
             point();
         }
@@ -95,7 +95,7 @@ impl Content {
             return Err(format!("{what}: it begins with {:02x?}", &copy[..copy.len().min(8)]));
         }
         let (Some(len), Some(count)) = (number(4), number(16)) else { return Err("it is too short".to_owned()) };
-        if len as usize != copy.len() || count as usize > MOST_STEPS {
+        if len as usize != copy.len() || count as usize > MAX_STEPS {
             return Err(format!("a picture of {len} bytes with {count} steps in {} bytes", copy.len()));
         }
         let seq = u64::from(number(8).unwrap_or(0)) | u64::from(number(12).unwrap_or(0)) << 32;
@@ -128,7 +128,7 @@ mod tests {
     #[test]
     fn every_byte_counts() {
         let content = Content { seq: 7, steps: vec![Step { node: 1, values: 2 }, Step { node: 3, values: 4 }] };
-        let mut bytes = vec![0; LEAST_BYTES + 100];
+        let mut bytes = vec![0; MIN_BYTES + 100];
         content.write(&mut bytes);
         assert_eq!(Content::read(&bytes), Ok(content.clone()));
         for at in 0..bytes.len() {

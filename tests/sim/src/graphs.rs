@@ -291,7 +291,7 @@ pub enum Edit {
 }
 
 /// Longest way from a source.
-const MOST_DEPTH: usize = 9;
+const MAX_DEPTH: usize = 9;
 
 impl Maker {
     /// A maker whose graphs follow from the dice.
@@ -326,7 +326,7 @@ impl Maker {
             !node.kind.is_sink()
                 && !node.latest
                 && model.source_of(&node.id) == Some(source)
-                && model.depth(&node.id) < MOST_DEPTH
+                && model.depth(&node.id) < MAX_DEPTH
         };
         let tips: Vec<_> = model.nodes.iter().filter(fits).map(|node| node.id.clone()).collect();
         self.dice.pick(&tips).clone()
@@ -468,7 +468,7 @@ impl Maker {
             2 if !inner.is_empty() => {
                 let reader = self.dice.pick(&inner).clone();
                 let Some(at) = model.nodes.iter().position(|node| node.id == reader) else { return };
-                if model.nodes.iter().any(|node| model.depth(&node.id) >= MOST_DEPTH) {
+                if model.nodes.iter().any(|node| model.depth(&node.id) >= MAX_DEPTH) {
                     return;
                 }
                 let from = model.nodes[at].inputs[0].clone();

@@ -18,7 +18,7 @@ use shuttle::{Config, FailurePersistence, Runner};
 /// Orders that are tried; half a second to some seconds each.
 const ORDERS: usize = 2_000;
 /// Orders in which a mistake must be found.
-const MOST_ORDERS: usize = 20_000;
+const MAX_ORDERS: usize = 20_000;
 /// Preemptions that an order may need to show a mistake.
 const DEPTH: usize = 3;
 
@@ -31,7 +31,7 @@ fn holds(model: fn()) {
 fn fails(model: fn()) -> bool {
     let mut config = Config::new();
     config.failure_persistence = FailurePersistence::None;
-    let run = move || _ = Runner::new(PctScheduler::new(DEPTH, MOST_ORDERS), config).run(model);
+    let run = move || _ = Runner::new(PctScheduler::new(DEPTH, MAX_ORDERS), config).run(model);
     // On a thread of its own: what an order that failed leaves in thread-locals goes with it.
     std::thread::spawn(move || catch_unwind(AssertUnwindSafe(run)).is_err()).join().unwrap_or(true)
 }

@@ -22,7 +22,7 @@ impl Memory {
     /// A memory of its own for every order that is tried.
     pub fn fresh(limit_bytes: i64) -> Self {
         Memory {
-            pools: [const { OnceLock::new() }; MOST_POOLS],
+            pools: [const { OnceLock::new() }; MAX_POOLS],
             current: AtomicU32::new(PRIVATE),
             shared: Shared::new(),
             in_use_bytes: AtomicI64::new(0),

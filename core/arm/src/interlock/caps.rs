@@ -27,7 +27,7 @@ pub const DEMAND_AGE: Duration = Duration::from_millis(24);
 /// Largest age of a tip that a setting can allow.
 pub const TIP_AGE: Duration = Duration::from_millis(300);
 /// Longest time between two calls that still counts as running.
-pub const LONGEST_CALL: Duration = Duration::from_millis(250);
+pub const MAX_CALL: Duration = Duration::from_millis(250);
 
 /// Margins between planned movements and the limits, because plans are checked at some steps only.
 const ANGLE_MARGIN_RAD: f64 = 0.012;

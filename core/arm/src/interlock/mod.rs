@@ -39,7 +39,7 @@ const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// Shorter gaps in the demands (a late tick) are not reported as stops.
 const NOTED_AFTER_STEPS: u32 = 31;
 /// Most events that wait to be taken.
-const MOST_EVENTS: usize = 32;
+const MAX_EVENTS: usize = 32;
 
 /// Settings of the user; the limits in [`caps`] hold whatever they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -126,7 +126,7 @@ impl Interlock {
             stop: Some(Cause::NoTip),
             stopping_steps: NOTED_AFTER_STEPS,
             noted: Some(Cause::NoTip),
-            events: VecDeque::with_capacity(MOST_EVENTS),
+            events: VecDeque::with_capacity(MAX_EVENTS),
             stops: 0,
         }
     }
@@ -247,7 +247,7 @@ impl Interlock {
 
     /// Advances to `now_ns` and calls `each` with every set-point (one per ms). Time that goes backwards makes no step, a jump at most 250 steps.
     pub fn advance(&mut self, now_ns: i64, each: &mut dyn FnMut(&SetPoint)) {
-        let longest_ns = caps::LONGEST_CALL.as_nanos() as i64;
+        let longest_ns = caps::MAX_CALL.as_nanos() as i64;
         let passed_ns = now_ns.saturating_sub(self.now_ns);
         if passed_ns < 0 || passed_ns > longest_ns {
             // Tips and demands are of another time.
@@ -410,7 +410,7 @@ impl Interlock {
     }
 
     fn note(&mut self, stop: Option<Cause>) {
-        if self.events.len() == MOST_EVENTS {
+        if self.events.len() == MAX_EVENTS {
             self.events.pop_front();
         }
         let speed_rad_s = self.state.velocity.amax();

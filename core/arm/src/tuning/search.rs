@@ -27,11 +27,11 @@ pub const OVERSHOOT_COST: f64 = 1.0;
 pub type Ranges = [(f64, f64); 3];
 /// Largest proportional gain as a share of the loop's limit of stability: that of Ziegler and Nichols for a PID. The controller's predictor
 /// compensates dead time only as far as its model of the arm is right, and errors of a few mm do not reveal where it is wrong.
-pub const MOST_OF_ULTIMATE: f64 = 0.6;
+pub const MAX_OF_ULTIMATE: f64 = 0.6;
 
 /// Gains that are tried on a loop.
 pub fn ranges(ultimate: &Ultimate) -> Ranges {
-    [(0.5, (MOST_OF_ULTIMATE * ultimate.gain).max(0.5)), (0.02, 10.0), (0.005, 1.0)]
+    [(0.5, (MAX_OF_ULTIMATE * ultimate.gain).max(0.5)), (0.02, 10.0), (0.005, 1.0)]
 }
 
 /// Cost of gains, with its parts.

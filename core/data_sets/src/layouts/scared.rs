@@ -15,7 +15,7 @@ use crate::sequence::{CalibrationFiles, Holds, Sequence, Stacked, Truth};
 
 const DATA_SET: &str = "SCARED";
 /// Larger numbers are no frame of a video.
-const MOST_FRAMES: usize = 1_000_000;
+const MAX_FRAMES: usize = 1_000_000;
 
 /// Points of the frames by the numbers in their names.
 fn scene_points(data: &Folder) -> Option<Truth> {
@@ -30,7 +30,7 @@ fn scene_points(data: &Folder) -> Option<Truth> {
     let mut numbered = Vec::new();
     for file in files {
         let number =
-            stem(&file).trim_start_matches(|c: char| !c.is_ascii_digit()).parse().ok().filter(|n| *n < MOST_FRAMES);
+            stem(&file).trim_start_matches(|c: char| !c.is_ascii_digit()).parse().ok().filter(|n| *n < MAX_FRAMES);
         let Some(number) = number else { continue };
         if numbered.len() <= number {
             numbered.resize(number + 1, None);

@@ -34,10 +34,10 @@ use crate::schedule::Ready;
 use crate::sync::lock;
 
 /// Longest wait for the ticks inside a region.
-const LONGEST_DRAIN: Duration = Duration::from_secs(10);
+const MAX_DRAIN: Duration = Duration::from_secs(10);
 
 /// Longest wait for the threads of nodes that were removed.
-const LONGEST_LEAVE: Duration = Duration::from_secs(2);
+const MAX_LEAVE: Duration = Duration::from_secs(2);
 
 impl Engine {
     /// Changes the running graph into another one that was checked against `catalog`, as one transaction: all of it or nothing.
@@ -237,7 +237,7 @@ impl Engine {
                 return Err(ApplyError::Ended);
             }
             if Instant::now() >= until {
-                return Err(ApplyError::Busy { node, seconds: LONGEST_DRAIN.as_secs() });
+                return Err(ApplyError::Busy { node, seconds: MAX_DRAIN.as_secs() });
             }
             std::thread::sleep(Duration::from_micros(50));
         }
@@ -333,7 +333,7 @@ impl Engine {
 
     /// Pauses the touched regions and waits until no tick is inside.
     fn hold(&self, old: &Plan, change: &Change) -> Result<(), ApplyError> {
-        let until = Instant::now() + LONGEST_DRAIN;
+        let until = Instant::now() + MAX_DRAIN;
         for &slot in &change.quiet {
             old.runtimes[slot].runner.leave.request();
             old.runtimes[slot].runner.wake();
@@ -466,7 +466,7 @@ impl Engine {
 
     /// Closes nodes that are no longer part of the graph, so that their files are finished.
     fn close_old(&self, old: &Plan, slots: &[usize]) {
-        let until = Instant::now() + LONGEST_LEAVE;
+        let until = Instant::now() + MAX_LEAVE;
         for &slot in slots {
             let runtime = &old.runtimes[slot];
             // A node with its own thread closes on that thread.

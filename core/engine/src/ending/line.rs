@@ -12,20 +12,20 @@ pub fn write_json_lines() {
 
 /// A line of limited length; longer text is truncated.
 pub(super) struct Line {
-    bytes: [u8; Self::MOST],
+    bytes: [u8; Self::MAX_COUNT],
     len: usize,
 }
 
 impl Line {
     /// Small, because an alternate signal stack may have no more than 8 KiB.
-    const MOST: usize = 700;
+    const MAX_COUNT: usize = 700;
 
     pub fn new() -> Self {
-        Self { bytes: [0; Self::MOST], len: 0 }
+        Self { bytes: [0; Self::MAX_COUNT], len: 0 }
     }
 
     pub fn text(&mut self, text: &str) -> &mut Self {
-        let room = Self::MOST - self.len;
+        let room = Self::MAX_COUNT - self.len;
         let bytes = &text.as_bytes()[..text.len().min(room)];
         self.bytes[self.len..self.len + bytes.len()].copy_from_slice(bytes);
         self.len += bytes.len();
@@ -83,7 +83,7 @@ impl Line {
         let (mut message, tail) = (std::mem::replace(self, Self::new()), "\"}");
         self.text("{\"unix_ms\":").number(unix_ms).text(",\"level\":\"warning\",\"node\":\"\",\"message\":\"");
         // Room for the end and the line feed; a character may have been cut off.
-        let room = (Self::MOST - self.len - tail.len() - 1).min(message.len);
+        let room = (Self::MAX_COUNT - self.len - tail.len() - 1).min(message.len);
         for byte in &mut message.bytes[..room] {
             *byte = match *byte {
                 b'"' => b'\'',
@@ -117,7 +117,7 @@ mod tests {
                 count == 0 || value["message"].as_str().is_some_and(|message| message.starts_with("'ü/ ")),
                 "{text}"
             );
-            assert!(words.len < Line::MOST, "room for the line feed");
+            assert!(words.len < Line::MAX_COUNT, "room for the line feed");
         }
     }
 
@@ -130,6 +130,6 @@ mod tests {
         for _ in 0..200 {
             words.text("a long text").number(u64::MAX);
         }
-        assert_eq!(words.len, Line::MOST);
+        assert_eq!(words.len, Line::MAX_COUNT);
     }
 }

@@ -26,7 +26,7 @@ use crate::host;
 use crate::isolation::Groups;
 use crate::light::Sources;
 use crate::log::{Level, Log};
-use crate::node::{LONGEST_BUDGET_NS, NodeRuntime, RunContext};
+use crate::node::{MAX_BUDGET_NS, NodeRuntime, RunContext};
 use crate::plan;
 use crate::plugins::Plugins;
 use crate::pool::{self, Pool, Task};
@@ -62,9 +62,9 @@ impl Current {
 }
 
 /// Longest wait: more is treated as no limit.
-const LONGEST_PATIENCE: Duration = Duration::from_secs(100 * 24 * 3600);
+const MAX_PATIENCE: Duration = Duration::from_secs(100 * 24 * 3600);
 /// Shortest wait when closing, whatever the caller asks for: threads have to end and nodes to finish their files.
-const LEAST_PATIENCE: Duration = Duration::from_secs(1);
+const MIN_PATIENCE: Duration = Duration::from_secs(1);
 /// A running graph.
 pub struct Engine {
     pub(crate) shared: Arc<Shared>,
@@ -127,7 +127,7 @@ impl Engine {
         let pool = Pool::new(threads);
         let count = plan.runtimes.len();
         let warm_up_ticks = options.frames.map_or(30, |n| (n / 4).min(30)).max(1);
-        let patience = u64::try_from(options.hang.as_nanos()).map_or(LONGEST_BUDGET_NS, |ns| ns.min(LONGEST_BUDGET_NS));
+        let patience = u64::try_from(options.hang.as_nanos()).map_or(MAX_BUDGET_NS, |ns| ns.min(MAX_BUDGET_NS));
         let shared = Arc::new_cyclic(|me| Shared {
             me: me.clone(),
             plan: ArcSwap::from_pointee(plan),
@@ -266,15 +266,15 @@ impl Engine {
         if !self.closed.swap(true, Ordering::AcqRel) {
             self.stop();
             let log = &self.shared.context.log;
-            let patience = patience.min(LONGEST_PATIENCE);
-            let until = Instant::now() + patience.max(LEAST_PATIENCE);
+            let patience = patience.min(MAX_PATIENCE);
+            let until = Instant::now() + patience.max(MIN_PATIENCE);
             let change = self.change.lock_until(until);
             if change.is_none() {
                 log.write(Level::Error, "engine", "a change of the graph does not come to its end and is left behind");
             }
             self.wait(Some(until.saturating_duration_since(Instant::now()).min(patience)));
             self.watch_stop.store(true, Ordering::Relaxed);
-            let leave = Instant::now() + LEAST_PATIENCE;
+            let leave = Instant::now() + MIN_PATIENCE;
             if let Some(watch) = lock(&self.watch).take() {
                 watch.thread().unpark();
                 pool::join_until(watch, leave);
@@ -289,7 +289,7 @@ impl Engine {
             let (plan, current) = (self.shared.plan.load(), self.current.load());
             // In graph order, so that readers finish their files last.
             let runtimes = current.graph.order.iter().map(|&node| Arc::clone(&plan.runtimes[current.slots[node]]));
-            self.shared.close_all(runtimes.collect(), Instant::now() + patience.max(LEAST_PATIENCE));
+            self.shared.close_all(runtimes.collect(), Instant::now() + patience.max(MIN_PATIENCE));
             self.shared.context.claims.unlock();
             self.shared.context.flush();
         }

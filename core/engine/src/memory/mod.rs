@@ -19,20 +19,20 @@ pub use self::domain::{Domain, DomainError, SharedFrames};
 pub use self::pool::PoolFile;
 use self::pool::{Backing, CANARY_BYTES, Pool};
 
-const SMALLEST_BITS: u32 = 8;
-const LARGEST_BITS: u32 = 30;
+const MIN_BITS: u32 = 8;
+const MAX_BITS: u32 = 30;
 /// Pools of a domain, one per power of two.
-const POOLS: usize = (LARGEST_BITS - SMALLEST_BITS + 1) as usize;
+const POOLS: usize = (MAX_BITS - MIN_BITS + 1) as usize;
 /// Domains of the process, the private one included.
 const DOMAINS: usize = 16;
 /// Numbers of pools are 1 to this.
-pub const MOST_POOLS: usize = POOLS * DOMAINS;
+pub const MAX_POOLS: usize = POOLS * DOMAINS;
 /// The domain that only this process maps.
 const PRIVATE: u32 = 0;
 
 /// The frame memory of the process.
 pub struct Memory {
-    pools: [OnceLock<Pool>; MOST_POOLS],
+    pools: [OnceLock<Pool>; MAX_POOLS],
     /// The domain of frames that belong to no group.
     current: AtomicU32,
     shared: Shared,
@@ -65,7 +65,7 @@ pub enum MemoryError {
 /// Size of the buffers for frames of so many bytes, as a power of two. A buffer that is too large has none.
 fn bits_for(len: usize) -> u32 {
     let bytes = len.max(1).saturating_add(CANARY_BYTES);
-    (usize::BITS - (bytes - 1).leading_zeros()).max(SMALLEST_BITS)
+    (usize::BITS - (bytes - 1).leading_zeros()).max(MIN_BITS)
 }
 
 /// Most bytes of a frame in the buffer that is handed out for a frame of `len` bytes.
@@ -76,7 +76,7 @@ pub fn room_for(len: usize) -> usize {
 /// The frame memory of the process.
 pub fn memory() -> &'static Memory {
     static MEMORY: Memory = Memory {
-        pools: [const { OnceLock::new() }; MOST_POOLS],
+        pools: [const { OnceLock::new() }; MAX_POOLS],
         current: AtomicU32::new(PRIVATE),
         shared: Shared::new(),
         in_use_bytes: AtomicI64::new(0),
@@ -123,10 +123,10 @@ impl Memory {
     #[inline]
     fn allocate_at(&self, domain: u32, len: usize) -> Result<(BufferId, *mut u8), MemoryError> {
         let bits = bits_for(len);
-        if bits > LARGEST_BITS {
+        if bits > MAX_BITS {
             return Err(MemoryError::TooLarge { wanted_bytes: len });
         }
-        let number = (domain as usize * POOLS) as u32 + bits - SMALLEST_BITS;
+        let number = (domain as usize * POOLS) as u32 + bits - MIN_BITS;
         let size = 1i64 << bits;
         let limit_bytes = self.limit_bytes.load(Ordering::Relaxed);
         let exhausted = |in_use_bytes| MemoryError::Exhausted { wanted_bytes: len, in_use_bytes, limit_bytes };

@@ -12,7 +12,7 @@ use crate::params::{InForce, Snapshot};
 use crate::sync::lock;
 
 /// Longest budget: 100 days, which a clock in ns can add up.
-pub(crate) const LONGEST_BUDGET_NS: u64 = 100 * 24 * 3600 * 1_000_000_000;
+pub(crate) const MAX_BUDGET_NS: u64 = 100 * 24 * 3600 * 1_000_000_000;
 
 /// Incremented when parameters, instance or policy change. A call that sees the same epoch skips all three checks.
 pub(super) struct ConfigEpoch(AtomicU64);
@@ -63,7 +63,7 @@ impl Config {
     /// Sets what the host does about faults, slow calls and frequent ticks; in force from the next tick on.
     pub fn set_policy(&self, epoch: &ConfigEpoch, on_fault: OnFault, budget_ms: Option<f64>, max_rate_hz: Option<f64>) {
         self.on_fault.store(on_fault as u8, Ordering::Relaxed);
-        let budget_ns = budget_ms.map_or(0, |ms| ((ms * 1e6).max(1.0) as u64).min(LONGEST_BUDGET_NS));
+        let budget_ns = budget_ms.map_or(0, |ms| ((ms * 1e6).max(1.0) as u64).min(MAX_BUDGET_NS));
         self.budget_ns.store(budget_ns, Ordering::Relaxed);
         self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
         epoch.advance();

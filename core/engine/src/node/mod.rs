@@ -20,7 +20,7 @@ use std::time::Duration;
 use panoscope_abi::{self as abi, PortRange, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
-pub(crate) use self::config::LONGEST_BUDGET_NS;
+pub(crate) use self::config::MAX_BUDGET_NS;
 use self::config::{Config, ConfigEpoch};
 use self::progress::Progress;
 pub(crate) use self::progress::SizeChange;
@@ -53,7 +53,7 @@ use crate::vet::Vet;
 /// Frames that a node may retain between calls.
 pub(crate) const MAX_RETAINED_FRAMES: usize = 128;
 /// Longest wait for the reader of the log, and for the fault log.
-const LONGEST_FLUSH: Duration = Duration::from_secs(1);
+const MAX_FLUSH: Duration = Duration::from_secs(1);
 /// Calls in a row without output after which a node counts as silent.
 const SILENT_CALLS: u32 = 30;
 
@@ -111,10 +111,10 @@ impl RunContext {
         }
     }
 
-    /// Waits until log lines and faults are passed on, but no longer than [`LONGEST_FLUSH`] for a reader that does not read.
+    /// Waits until log lines and faults are passed on, but no longer than [`MAX_FLUSH`] for a reader that does not read.
     pub fn flush(&self) {
-        self.log.flush(LONGEST_FLUSH);
-        self.faults.flush(LONGEST_FLUSH);
+        self.log.flush(MAX_FLUSH);
+        self.faults.flush(MAX_FLUSH);
     }
 
     /// Whether results must not depend on the wall clock (batch, replay): a tick waits instead of being dropped.

@@ -59,7 +59,7 @@ fn urgent_tasks_go_first_and_patient_ones_do_not_starve() {
     // What has waited too long goes first.
     pool.push(0, Urgency::Urgent);
     pool.push(4, Urgency::Patient);
-    std::thread::sleep(std::time::Duration::from_nanos(LONGEST_PATIENCE_NS * 3 / 2));
+    std::thread::sleep(std::time::Duration::from_nanos(MAX_PATIENCE_NS * 3 / 2));
     pool.push(5, Urgency::Urgent);
     held.send(()).expect("the worker waits");
     assert_eq!(order(3), [0, 4, 5]);
@@ -177,7 +177,7 @@ fn tasks_go_on_while_all_workers_are_stuck() {
     pool.push(1, Urgency::Urgent);
     let mut now_ns = 1;
     assert!(!pool.relieve(now_ns).expect("threads"), "not at once");
-    now_ns += LONGEST_STALL_NS;
+    now_ns += MAX_STALL_NS;
     assert!(pool.relieve(now_ns).expect("threads"));
     assert_eq!(seen.recv_timeout(PATIENCE), Ok(1));
     let until = Instant::now() + PATIENCE;
@@ -186,7 +186,7 @@ fn tasks_go_on_while_all_workers_are_stuck() {
         std::thread::yield_now();
     }
     for _ in 0..100 {
-        now_ns += LONGEST_STALL_NS;
+        now_ns += MAX_STALL_NS;
         assert!(!pool.relieve(now_ns).expect("threads"), "nothing waits");
     }
     gate.open();

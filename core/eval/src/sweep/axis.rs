@@ -114,7 +114,7 @@ impl Axis {
             return Err(bad("no range is given".to_owned()));
         };
         let steps = match (is_random, kind) {
-            (true, ParamKind::Int { .. }) => super::MOST_STEPS,
+            (true, ParamKind::Int { .. }) => super::MAX_STEPS,
             (true, _) => 2,
             (false, _) => own.unwrap_or(steps),
         };

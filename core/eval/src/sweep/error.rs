@@ -3,7 +3,7 @@
 use panoscope_graph::Diagnostics;
 
 /// Most values of one sweep.
-pub const MOST_STEPS: usize = 1000;
+pub const MAX_STEPS: usize = 1000;
 
 /// Why nothing can be swept.
 #[derive(Debug, thiserror::Error)]
@@ -58,7 +58,7 @@ pub(super) enum ValuesError {
     Kind { kind: String },
     #[error("both ends must be finite numbers")]
     NotFinite,
-    #[error("{steps} steps: from 2 to {MOST_STEPS} values can be tried")]
+    #[error("{steps} steps: from 2 to {MAX_STEPS} values can be tried")]
     Steps { steps: usize },
     #[error("both ends are {end}: there is nothing between them")]
     Empty { end: f64 },

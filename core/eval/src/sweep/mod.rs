@@ -18,11 +18,11 @@ mod trial;
 mod values;
 
 pub use axis::{Axis, AxisRequest, AxisValue, AxisValues};
-pub use error::{MOST_STEPS, PointError, SweepError};
+pub use error::{MAX_STEPS, PointError, SweepError};
 pub use measure::{COUNTERS, Measure, Rows, Summary};
 pub use report::{chart, csv, json, line, table};
 pub use run::{Point, Request, Sweep, can_sweep};
-pub use study::{MOST_RUNS, Plan, RunResult, Study, StudyRequest};
+pub use study::{MAX_RUNS, Plan, RunResult, Study, StudyRequest};
 pub use study_files::{
     RESULTS, RunFile, RunMeasure, RunParam, Statistic, StudyFolder, study_csv, study_line, study_table,
 };

@@ -21,7 +21,7 @@ use super::study_files::{RunMeasure, Statistic};
 use super::trial::Trial;
 
 /// Most runs of a study.
-pub const MOST_RUNS: usize = 10_000;
+pub const MAX_RUNS: usize = 10_000;
 
 /// Which combinations of values are run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -274,15 +274,15 @@ impl Study {
         let runs = match request.plan {
             Plan::Grid => {
                 let count = axes.iter().try_fold(1usize, |product, axis| product.checked_mul(axis.values.len()));
-                if count.is_none_or(|count| count > MOST_RUNS) {
-                    let reason = format!("more than {MOST_RUNS} combinations: take fewer values, or --random");
+                if count.is_none_or(|count| count > MAX_RUNS) {
+                    let reason = format!("more than {MAX_RUNS} combinations: take fewer values, or --random");
                     return Err(bad_param("--param", reason));
                 }
                 let lists: Vec<Vec<AxisValue>> = axes.iter().map(|axis| axis.values.clone()).collect();
                 Runs::Known(combinations(&lists))
             }
-            Plan::Random { runs, .. } | Plan::Search { runs, .. } if !(1..=MOST_RUNS).contains(&runs) => {
-                return Err(bad_param("--random, --search", format!("from 1 to {MOST_RUNS} runs can be made")));
+            Plan::Random { runs, .. } | Plan::Search { runs, .. } if !(1..=MAX_RUNS).contains(&runs) => {
+                return Err(bad_param("--random, --search", format!("from 1 to {MAX_RUNS} runs can be made")));
             }
             Plan::Random { runs, seed } => {
                 let mut random = SplitMix64(seed);

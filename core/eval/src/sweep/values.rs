@@ -2,7 +2,7 @@
 
 use panoscope_graph::{ParamKind, ParamValue};
 
-use super::error::{MOST_STEPS, ValuesError};
+use super::error::{MAX_STEPS, ValuesError};
 
 /// A value as a graph file writes it.
 pub fn shown(value: &ParamValue) -> String {
@@ -67,7 +67,7 @@ fn spread(from: f64, to: f64, steps: usize) -> Result<Vec<f64>, ValuesError> {
     if !(from.is_finite() && to.is_finite()) {
         return Err(ValuesError::NotFinite);
     }
-    if !(2..=MOST_STEPS).contains(&steps) {
+    if !(2..=MAX_STEPS).contains(&steps) {
         return Err(ValuesError::Steps { steps });
     }
     if from == to {

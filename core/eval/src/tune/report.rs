@@ -7,7 +7,7 @@ use panoscope_arm_core::control::Goals;
 use panoscope_arm_core::tuning::course::{BAND, Channel, Motion};
 use panoscope_arm_core::tuning::relay::{Parts, Rule};
 use panoscope_arm_core::tuning::search::{
-    LATER_MS, MOST_OF_ULTIMATE, OVERSHOOT_COST, RAMP_MM_S, SHAKE_COST, STEP_MM, SWING_COST, SWING_MM, with,
+    LATER_MS, MAX_OF_ULTIMATE, OVERSHOOT_COST, RAMP_MM_S, SHAKE_COST, STEP_MM, SWING_COST, SWING_MM, with,
 };
 use panoscope_engine::text_table::table;
 use serde_json::{Value, json};
@@ -122,7 +122,7 @@ fn tables(all: &[Tuning]) -> String {
     );
     let _ = writeln!(
         text,
-        "cost: ITAE of step and ramp in mm s^2 + {SWING_COST} per mm of error on the swing + {SHAKE_COST} per 100 mm/s^2 of shaking + {OVERSHOOT_COST} per % of overshoot beyond the limit, the mean of this arm and one {LATER_MS} ms later; P at most {MOST_OF_ULTIMATE} of the gain that swings"
+        "cost: ITAE of step and ramp in mm s^2 + {SWING_COST} per mm of error on the swing + {SHAKE_COST} per 100 mm/s^2 of shaking + {OVERSHOOT_COST} per % of overshoot beyond the limit, the mean of this arm and one {LATER_MS} ms later; P at most {MAX_OF_ULTIMATE} of the gain that swings"
     );
     text
 }

@@ -10,7 +10,7 @@ use std::collections::{BinaryHeap, VecDeque};
 use std::ops::Range;
 
 /// Cycles named before giving up; each may hide others that share its edges.
-const MOST_CYCLES: usize = 20;
+const MAX_CYCLES: usize = 20;
 
 /// Whose ticks a node works on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,7 +25,7 @@ impl<'a> Checker<'a> {
     pub(super) fn flow(&mut self) -> Vec<usize> {
         // Edges that carry this tick's value; those a cycle's message proposes to delay are taken out as it does.
         let mut direct: Vec<bool> = self.links.iter().map(|l| l.delay == 0).collect();
-        for _ in 0..MOST_CYCLES {
+        for _ in 0..MAX_CYCLES {
             let cycles = self.cycles(|link| direct[link]);
             if cycles.is_empty() {
                 break;

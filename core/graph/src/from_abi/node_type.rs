@@ -5,18 +5,18 @@ use std::path::PathBuf;
 use panoscope_abi as abi;
 
 use super::{
-    FromAbiError, MOST_PARAMS, MOST_PORTS, Result, check_name, known_bits, params, ports, slice, struct_size, text,
+    FromAbiError, MAX_PARAMS, MAX_PORTS, Result, check_name, known_bits, params, ports, slice, struct_size, text,
     validator,
 };
 use crate::catalog::{NodeKind, NodeType};
 
 /// Size of the struct in the first version of the contract: all before `validate`, bytes.
-const LEAST_SIZE: usize = abi::NodeType::FIRST_SIZE;
+const MIN_SIZE: usize = abi::NodeType::FIRST_SIZE;
 
 /// A copy of a descriptor in which fields that its plugin does not have are null.
 ///
 /// # Safety
-/// `node` is aligned and points to `(*node).struct_size` readable bytes, at least [`LEAST_SIZE`].
+/// `node` is aligned and points to `(*node).struct_size` readable bytes, at least [`MIN_SIZE`].
 unsafe fn copied(node: *const abi::NodeType) -> abi::NodeType {
     let mut copy = std::mem::MaybeUninit::<abi::NodeType>::zeroed();
     // SAFETY: the caller's promise; both sides hold at least the smaller of the two sizes.
@@ -53,7 +53,7 @@ pub(super) unsafe fn node_type(
         return Err(FromAbiError::Pointer { place, field: "the entry of node_types", fault, len: 1 });
     }
     // SAFETY: the caller's promise; the size is the first field of every version.
-    struct_size(&place, unsafe { (*node).struct_size }, LEAST_SIZE)?;
+    struct_size(&place, unsafe { (*node).struct_size }, MIN_SIZE)?;
     // SAFETY: the caller's promise, and the struct has the fields of the first version.
     let node = &unsafe { copied(node) };
     // SAFETY: the caller's promise.
@@ -82,9 +82,9 @@ pub(super) unsafe fn node_type(
             source: node.flags & abi::NODE_SOURCE != 0,
             exclusive: node.flags & abi::NODE_EXCLUSIVE != 0,
             side_effects: node.flags & abi::NODE_SIDE_EFFECTS != 0,
-            inputs: ports(&place, "input", slice(&place, "inputs", node.inputs, node.inputs_len, MOST_PORTS)?)?,
-            outputs: ports(&place, "output", slice(&place, "outputs", node.outputs, node.outputs_len, MOST_PORTS)?)?,
-            params: params(&place, slice(&place, "params", node.params, node.params_len, MOST_PARAMS)?)?,
+            inputs: ports(&place, "input", slice(&place, "inputs", node.inputs, node.inputs_len, MAX_PORTS)?)?,
+            outputs: ports(&place, "output", slice(&place, "outputs", node.outputs, node.outputs_len, MAX_PORTS)?)?,
+            params: params(&place, slice(&place, "params", node.params, node.params_len, MAX_PARAMS)?)?,
             shipped_dir: PathBuf::new(),
             interpreter: None,
             validator: node.validate.map(validator::of),

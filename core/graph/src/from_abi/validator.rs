@@ -14,7 +14,7 @@ use crate::validate::{NodeSetup, ParamProblem, Validator};
 type Validate = unsafe extern "C" fn(*mut abi::ValidateCall) -> abi::Status;
 
 /// Problems of one node that are kept: a plugin that reports without end must not fill the memory.
-const MOST_PROBLEMS: usize = 64;
+const MAX_PROBLEMS: usize = 64;
 
 /// Asks `validate`, whose plugin stays mapped.
 pub(super) fn of(validate: Validate) -> Validator {
@@ -33,7 +33,7 @@ unsafe extern "C" fn invalid(call: *mut c_void, severity: u32, param: u32, messa
     let _ = catch_unwind(AssertUnwindSafe(|| {
         // SAFETY: `call` is the sink that `problems` lends for the length of the call and touches only after it.
         let sink = unsafe { &mut *call.cast::<Sink>() };
-        if sink.problems.len() == MOST_PROBLEMS {
+        if sink.problems.len() == MAX_PROBLEMS {
             return;
         }
         // SAFETY: the plugin's texts are readable for the length of this function.

@@ -10,7 +10,7 @@ const ARG: [&str; 6] = ["type", "doc", "default", "range", "unit", "choices"];
 const PART: [&str; 3] = ["inputs", "outputs", "params"];
 const MACHINE: [&str; 4] = ["address", "pixels", "timeout_ms", "plaintext"];
 /// Longest time that a machine may be silent, ms.
-const LONGEST_SILENCE_MS: i64 = 60_000;
+const MAX_SILENCE_MS: i64 = 60_000;
 
 impl Reader<'_> {
     /// The table `[isolate]`: plugins and the groups of their nodes.
@@ -69,7 +69,7 @@ impl Reader<'_> {
                     }
                     "pixels" => machine.pixels = self.word("pixels", value, &Pixels::WORDS).unwrap_or_default(),
                     "timeout_ms" => {
-                        if let Some(ms) = self.whole("timeout_ms", value, 100..=LONGEST_SILENCE_MS) {
+                        if let Some(ms) = self.whole("timeout_ms", value, 100..=MAX_SILENCE_MS) {
                             machine.timeout_ms = ms as u32;
                         }
                     }

@@ -381,7 +381,7 @@ pub struct Text<'a> {
 
 impl<'a> Text<'a> {
     /// Most bytes of a text.
-    pub const MOST: usize = u16::MAX as usize;
+    pub const MAX_COUNT: usize = u16::MAX as usize;
 
     pub(super) fn decode(bytes: &'a [u8]) -> Result<Self> {
         let mut fields = Fields::new("STRING", bytes);
@@ -395,7 +395,7 @@ impl<'a> Text<'a> {
 
     pub(super) fn encode(&self, out: &mut Vec<u8>) -> Result<()> {
         let Ok(len) = u16::try_from(self.text.len()) else {
-            return Err(IgtlError::TooMany { what: "bytes of text", count: self.text.len(), limit: Self::MOST });
+            return Err(IgtlError::TooMany { what: "bytes of text", count: self.text.len(), limit: Self::MAX_COUNT });
         };
         out.extend_from_slice(&encoding(&self.text).to_be_bytes());
         out.extend_from_slice(&len.to_be_bytes());

@@ -8,14 +8,14 @@ const REACH: usize = 2;
 /// Largest gradient over that distance, as a share of the limit between neighbours: smoothing draws a step out into a ramp.
 const RAMP_SHARE: f32 = 0.5;
 /// Smallest piece of a surface, as a share of all corners.
-const LEAST_PIECE: f32 = 0.004;
+const MIN_PIECE: f32 = 0.004;
 /// Largest gradient at a rim, as a share of the limit between neighbours, and how many corners of a steeper one are cut at most: a step of one
 /// corner is a long tooth there when it is seen from the side.
 const RIM_SHARE: f32 = 0.2;
 const RIM_ROUNDS: usize = 6;
 /// Neighbours of eight that a corner of a rim has, and known corners of the 25 around it, its own included: a straight rim has 15.
-const LEAST_NEIGHBOURS: usize = 4;
-const LEAST_AROUND: u8 = 13;
+const MIN_NEIGHBOURS: usize = 4;
+const MIN_AROUND: u8 = 13;
 /// Corners in a row, from the picture's edge inward, that a surface has at least.
 const EDGE: usize = 6;
 /// How often rims are smoothed.
@@ -200,14 +200,14 @@ impl Rims {
                 let (x, y) = (mirrored(x, dx, width), mirrored(y, dy, height));
                 count += usize::from(is_known(&corners[y * width + x]));
             }
-            self.is_out[at] = count < LEAST_NEIGHBOURS || around.sum::<u8>() < LEAST_AROUND;
+            self.is_out[at] = count < MIN_NEIGHBOURS || around.sum::<u8>() < MIN_AROUND;
         }
         self.take_out(corners);
     }
 
     fn cut_islands(&mut self, corners: &mut [Corner], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
-        let least = (corners.len() as f32 * LEAST_PIECE) as usize;
+        let least = (corners.len() as f32 * MIN_PIECE) as usize;
         self.is_visited.clear();
         self.is_visited.resize(corners.len(), false);
         self.is_out.clear();

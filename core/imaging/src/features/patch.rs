@@ -10,7 +10,7 @@ pub(crate) const ROW: usize = 32;
 pub(super) type Patch = [[f32; ROW]; PATCH];
 
 /// The pyramid level is the one on which s is at least this many pixels.
-const LEAST_STEP: f32 = 1.0;
+const MIN_STEP: f32 = 1.0;
 
 /// Where a patch lies on a pyramid level.
 #[derive(Clone, Copy)]
@@ -26,7 +26,7 @@ pub(crate) struct Grid {
 impl Grid {
     /// A patch around `(x, y)` with samples `step` apart, on the level that suits scale `scale`.
     pub(crate) fn on(pyramid: &Pyramid, x: f32, y: f32, scale: f32, step: f32, angle: f32) -> (&Level, Grid) {
-        let wanted = (scale / LEAST_STEP).max(1.0).log2() as usize;
+        let wanted = (scale / MIN_STEP).max(1.0).log2() as usize;
         let (level, index) = pyramid.level(wanted);
         let shrink = 1.0 / (1u32 << index) as f32;
         let (sin, cos) = angle.sin_cos();

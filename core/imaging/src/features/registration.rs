@@ -12,9 +12,9 @@ use crate::geometry::{
 use crate::{Parallel, Serial, SharedMut, View};
 
 /// Overlaps narrower than this cannot hold the larger filters; the next search covers whole frames.
-const LEAST_ROI_PX: usize = 48;
+const MIN_ROI_PX: usize = 48;
 /// Fewer matches than this agree by chance on a shift of a narrow overlap.
-const LEAST_NARROW_INLIERS: usize = 8;
+const MIN_NARROW_INLIERS: usize = 8;
 /// The homography before also stays while it explains the matches worse by no more than this share.
 const STILL_TOLERANCE: f64 = 0.1;
 
@@ -252,7 +252,7 @@ impl RegisterSurf {
         }
         let (left, right) = overlap_rois(map, sizes[0], sizes[1]);
         let shrink = self.params.shrink.max(1);
-        let least = LEAST_ROI_PX * shrink;
+        let least = MIN_ROI_PX * shrink;
         let fits = |roi: &Rect| roi.width >= least && roi.height >= least;
         let margin = self.params.roi_margin_px;
         let regions = (fits(&left) && fits(&right))
@@ -355,7 +355,7 @@ impl RegisterSurf {
         }
         let narrow = NarrowParams {
             threshold_px: ransac.threshold_px,
-            min_inliers: min_inliers.max(LEAST_NARROW_INLIERS),
+            min_inliers: min_inliers.max(MIN_NARROW_INLIERS),
             seed: ransac.seed,
         };
         fit_narrow(&self.from, &self.to, &narrow, &mut self.mask)

@@ -13,7 +13,7 @@ const NARROW_SHARE: f64 = 0.34;
 /// Width of the strips in shares of a view's side: the narrower, the fewer keypoints without a partner.
 const STRIP_SHARE: f64 = 0.25;
 /// Narrower overlaps than this hold no keypoints, px.
-const LEAST_NARROW_PX: usize = 16;
+const MIN_NARROW_PX: usize = 16;
 /// Widens the search regions of a narrow overlap, px: most of it is lost when the views move by little.
 const NARROW_MARGIN_PX: usize = 24;
 /// Partners in facing strips lie at most this far across the direction in which the views stand, in shares of the strip's length: cameras
@@ -104,7 +104,7 @@ impl Strips {
             self.next += 1;
             search
         });
-        search.regions.iter().all(|r| r.width >= LEAST_NARROW_PX && r.height >= LEAST_NARROW_PX).then_some(search)
+        search.regions.iter().all(|r| r.width >= MIN_NARROW_PX && r.height >= MIN_NARROW_PX).then_some(search)
     }
 
     /// Begins with the first pair of sides again.
@@ -121,7 +121,7 @@ pub(super) fn narrow(map: &Homography, sizes: Sizes) -> Option<Search> {
         roi.width as f64 >= NARROW_SHARE * width as f64 && roi.height as f64 >= NARROW_SHARE * height as f64
     };
     let least = both.iter().map(|roi| roi.width.min(roi.height)).min().unwrap_or(0);
-    if least < LEAST_NARROW_PX || both.iter().zip(sizes).all(is_wide) {
+    if least < MIN_NARROW_PX || both.iter().zip(sizes).all(is_wide) {
         return None;
     }
     let grown = |roi: Rect, (width, height): (usize, usize)| roi.grown(NARROW_MARGIN_PX, width, height);

@@ -39,15 +39,15 @@ pub(super) fn sample_line(level: &Level, start: Start, vectors: usize, line: &mu
 #[target_feature(enable = "avx2")]
 pub(super) fn sample_avx2(level: &Level, grid: Grid, half: f32, vectors: usize, out: &mut [[f32; ROW]]) {
     use std::arch::x86_64::*;
-    const MOST: usize = ROW / 8;
-    assert!(vectors > 0 && vectors <= MOST && level.width > 0 && level.height > 0);
+    const MAX_COUNT: usize = ROW / 8;
+    assert!(vectors > 0 && vectors <= MAX_COUNT && level.width > 0 && level.height > 0);
     let first = Start::of(level, grid, half, 0);
     let ramp = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
     let (x0, ux) = (_mm256_set1_ps(first.x), _mm256_set1_ps(first.ux));
     // Of each vector of samples: its first pixel, pixels relative to that one, shares of the pixel to the right.
-    let mut base = [0usize; MOST];
-    let mut pick = [_mm256_setzero_si256(); MOST];
-    let mut share = [_mm256_setzero_ps(); MOST];
+    let mut base = [0usize; MAX_COUNT];
+    let mut pick = [_mm256_setzero_si256(); MAX_COUNT];
+    let mut share = [_mm256_setzero_ps(); MAX_COUNT];
     for vector in 0..vectors {
         let i = _mm256_add_ps(ramp, _mm256_set1_ps((vector * 8) as f32));
         let x = _mm256_add_ps(x0, _mm256_mul_ps(i, ux));

@@ -15,13 +15,13 @@ const SAMPLES: usize = 512;
 /// Error allowed along the displacement over that allowed across it: tissue is not a plane.
 pub const ALONG: f64 = 4.0;
 /// Slopes of the displacement beyond this are wrong matches: the far side of the view would be stretched or squeezed by a fifth.
-const MOST_SLOPE: f64 = 0.2;
+const MAX_SLOPE: f64 = 0.2;
 /// Prior on a constant displacement: standard deviation of its slopes.
 const SLOPE_DEVIATION: f64 = 0.06;
 /// Pairs whose errors are correlated.
 const ALIKE: f64 = 4.0;
 /// Smallest distance of a sample's points from which a slope is computed, px.
-const LEAST_SPAN_PX: f64 = 24.0;
+const MIN_SPAN_PX: f64 = 24.0;
 /// Rounds of the reweighted fit.
 const ROUNDS: usize = 5;
 
@@ -58,7 +58,7 @@ impl Displacement {
     fn through(a: (Point, Point), b: (Point, Point)) -> Option<Self> {
         let line: Point = std::array::from_fn(|i| b.0[i] - a.0[i]);
         let squared = line[0] * line[0] + line[1] * line[1];
-        if squared < LEAST_SPAN_PX * LEAST_SPAN_PX {
+        if squared < MIN_SPAN_PX * MIN_SPAN_PX {
             return None;
         }
         let first: Point = std::array::from_fn(|i| a.1[i] - a.0[i]);
@@ -70,7 +70,7 @@ impl Displacement {
 
     fn is_plausible(&self) -> bool {
         // NaN is not plausible.
-        self.x_slope.iter().chain(&self.y_slope).all(|slope| slope.abs() <= MOST_SLOPE)
+        self.x_slope.iter().chain(&self.y_slope).all(|slope| slope.abs() <= MAX_SLOPE)
             && self.offset.iter().all(|value| value.is_finite())
     }
 

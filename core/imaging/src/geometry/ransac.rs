@@ -269,7 +269,7 @@ fn from_four(from: &[Point; 4], to: &[Point; 4]) -> Option<[f64; 9]> {
 }
 
 /// Least triangle of a sample, in squares of the frame's unit (the spread of all points is about 1).
-const LEAST_TRIANGLE: f64 = 2e-3;
+const MIN_TRIANGLE: f64 = 2e-3;
 
 /// The matrix that takes the projective basis to four points, its coefficients and its orientation.
 fn basis(points: &[Point; 4]) -> Option<([f64; 9], [f64; 3], f64)> {
@@ -277,7 +277,7 @@ fn basis(points: &[Point; 4]) -> Option<([f64; 9], [f64; 3], f64)> {
     let cross = |p: Point, q: Point, r: Point| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
     let whole = cross(a, b, c);
     let parts = [cross(d, b, c), cross(a, d, c), cross(a, b, d)];
-    let wide = |part: &f64| part.abs() > LEAST_TRIANGLE;
+    let wide = |part: &f64| part.abs() > MIN_TRIANGLE;
     if !(wide(&whole) && parts.iter().all(wide)) {
         return None;
     }

@@ -36,7 +36,7 @@ const COMPUTE_FRAMES: u32 = 8;
 /// Share of the lines that must have light in a frame that counts, in percent.
 const LIGHT_PERCENT: usize = 25;
 /// Least share of a view that is lit; below it nothing is known.
-const LEAST_SHARE: f64 = 0.1;
+const MIN_SHARE: f64 = 0.1;
 /// Distance from the border at which the rim's level is measured: outside of lines that video devices make.
 const LEVEL_INSET_PX: usize = 4;
 /// No light was seen along a line.
@@ -263,7 +263,7 @@ impl LitFinder {
         }
         let mut raw = std::mem::take(&mut self.raw);
         let mut part = LitPart::default();
-        if is_rim.contains(&true) && raw.share() >= LEAST_SHARE {
+        if is_rim.contains(&true) && raw.share() >= MIN_SHARE {
             raw.inset(self.scaled(MARGIN_PX), &mut part);
         } else {
             raw = LitPart::whole(width, height);

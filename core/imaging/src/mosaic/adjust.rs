@@ -11,7 +11,7 @@ use super::skyline::Skyline;
 use crate::geometry::Homography;
 
 /// Largest number of parameters of a keyframe.
-const MOST_DEGREES: usize = 8;
+const MAX_DEGREES: usize = 8;
 /// Distances above this pull less and less (Cauchy loss), in pixels: a wrong edge must not bend the mosaic, but one that closes a long loop has
 /// to pull until its error is spread.
 const LOSS_PX: f64 = 10.0;
@@ -96,8 +96,8 @@ fn cauchy(squared_px: f64) -> f64 {
 impl Adjust {
     /// Reserves memory for so many keyframes on a chain; denser graphs grow it once more.
     pub fn reserve(&mut self, keyframes: usize) {
-        self.gradient.reserve(keyframes * MOST_DEGREES);
-        self.step.reserve(keyframes * MOST_DEGREES);
+        self.gradient.reserve(keyframes * MAX_DEGREES);
+        self.step.reserve(keyframes * MAX_DEGREES);
         self.first.reserve(keyframes);
         self.poses.reserve(keyframes);
         self.trial.reserve(keyframes);
@@ -255,7 +255,7 @@ fn linearise(
         if !weight.is_finite() {
             continue;
         }
-        let mut jacobian = [[[0.0f64; MOST_DEGREES]; 2]; 2];
+        let mut jacobian = [[[0.0f64; MAX_DEGREES]; 2]; 2];
         for (index, generator) in generators(model).iter().enumerate() {
             for (row, column, factor) in generator.iter() {
                 for axis in 0..2 {

@@ -17,18 +17,18 @@ const ROWS: usize = 16;
 /// Sums per pixel: blue, green, red, weight.
 const LANES: usize = 4;
 /// Least weight of a pixel inside a frame.
-const LEAST_WEIGHT: f32 = 1e-6;
+const MIN_WEIGHT: f32 = 1e-6;
 /// Width of the transition around the newest frame, as a share of the frame's half side.
 const LIVE_EDGE: f32 = 0.12;
 /// Samples along each side of a frame by which its exposure is compared, and how many have to be useful.
 const GAIN_SAMPLES: usize = 32;
-const LEAST_SAMPLES: usize = 24;
+const MIN_SAMPLES: usize = 24;
 /// Weights of a frame and of what is shown are this near to each other, as a ratio, where exposures are compared.
 const GAIN_BAND: f32 = 4.0;
 /// Range of gray levels that are used to measure exposure.
 const GAIN_LEVELS: (f64, f64) = (12.0, 245.0);
 /// Largest gain; the smallest is its inverse.
-const MOST_GAIN: f64 = 1.6;
+const MAX_GAIN: f64 = 1.6;
 /// Share of a measured exposure difference that is compensated; less than 1, so that gains do not drift along a chain.
 const GAIN_SHARE: f64 = 0.9;
 
@@ -78,7 +78,7 @@ fn nearness(m: &[f32; 6], i: f32, over: [f32; 2]) -> (f32, f32) {
 #[inline(always)]
 fn weight_of(near: f32) -> f32 {
     let square = near * near;
-    square * square * square + LEAST_WEIGHT
+    square * square * square + MIN_WEIGHT
 }
 
 impl Canvas {
@@ -221,10 +221,10 @@ impl Canvas {
                 }
             }
         }
-        if count < LEAST_SAMPLES {
+        if count < MIN_SAMPLES {
             return [1.0; 3];
         }
-        std::array::from_fn(|c| (shown[c] / own[c]).powf(GAIN_SHARE).clamp(1.0 / MOST_GAIN, MOST_GAIN) as f32)
+        std::array::from_fn(|c| (shown[c] / own[c]).powf(GAIN_SHARE).clamp(1.0 / MAX_GAIN, MAX_GAIN) as f32)
     }
 
     /// Copies the picture.

@@ -5,7 +5,7 @@ use super::outline::distance;
 use crate::geometry::Point;
 
 /// Point pairs of an edge at most.
-pub(super) const MOST_PAIRS: usize = 24;
+pub(super) const MAX_PAIRS: usize = 24;
 /// Edges per keyframe for which memory is reserved.
 const EDGES_PER_KEYFRAME: usize = 8;
 /// An edge between keyframes that were this many edges apart, or not connected, closes a loop.
@@ -19,7 +19,7 @@ pub(super) struct Edge {
     /// Keyframe of the second point.
     pub to: u64,
     /// In pixels of each keyframe.
-    pub pairs: [(Point, Point); MOST_PAIRS],
+    pub pairs: [(Point, Point); MAX_PAIRS],
     pub count: usize,
     /// Weight of each pair.
     pub weight: f64,

@@ -3,7 +3,7 @@
 use crate::geometry::{Homography, Point, plausible};
 
 /// Most corners of two convex quadrilaterals' intersection.
-const MOST_CORNERS: usize = 8;
+const MAX_CORNERS: usize = 8;
 
 /// A frame's outline in the mosaic.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,22 +62,22 @@ pub(super) fn distance(a: Point, b: Point) -> f64 {
 
 /// Area of the intersection of two convex quadrilaterals (Sutherland and Hodgman 1974).
 fn shared_area(subject: &[Point; 4], clip: &[Point; 4]) -> f64 {
-    let mut now = [[0.0; 2]; MOST_CORNERS];
+    let mut now = [[0.0; 2]; MAX_CORNERS];
     now[..4].copy_from_slice(subject);
     let mut count = 4;
     for i in 0..4 {
         let (a, b) = (clip[i], clip[(i + 1) % 4]);
         let side = |p: Point| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
-        let mut next = [[0.0; 2]; MOST_CORNERS];
+        let mut next = [[0.0; 2]; MAX_CORNERS];
         let mut kept = 0;
         for j in 0..count {
             let (p, q) = (now[j], now[(j + 1) % count]);
             let (sp, sq) = (side(p), side(q));
-            if sp >= 0.0 && kept < MOST_CORNERS {
+            if sp >= 0.0 && kept < MAX_CORNERS {
                 next[kept] = p;
                 kept += 1;
             }
-            if (sp >= 0.0) != (sq >= 0.0) && kept < MOST_CORNERS {
+            if (sp >= 0.0) != (sq >= 0.0) && kept < MAX_CORNERS {
                 let t = sp / (sp - sq);
                 next[kept] = [p[0] + (q[0] - p[0]) * t, p[1] + (q[1] - p[1]) * t];
                 kept += 1;

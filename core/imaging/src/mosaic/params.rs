@@ -6,7 +6,7 @@ use crate::features::{MatchParams, SurfParams};
 use crate::geometry::{Homography, Plausibility, RansacParams};
 
 /// Smallest side of a frame, in pixels: smaller ones hold too few features.
-pub const LEAST_SIDE_PX: usize = 64;
+pub const MIN_SIDE_PX: usize = 64;
 
 /// Which maps between keyframes are allowed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -214,7 +214,7 @@ impl fmt::Display for MosaicError {
                 write!(f, "the frame has {channels} channels; a mosaic takes BGR frames with 3")
             }
             Self::TooSmall { width, height } => {
-                write!(f, "the frame is {width}x{height} px; a mosaic needs at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX}")
+                write!(f, "the frame is {width}x{height} px; a mosaic needs at least {MIN_SIDE_PX}x{MIN_SIDE_PX}")
             }
             Self::SizeChanged { width, height, want_width, want_height } => write!(
                 f,

@@ -5,7 +5,7 @@ use super::params::{MosaicParams, MosaicView};
 use crate::geometry::Homography;
 
 /// Smallest picture pixels per mosaic pixel; a mosaic that needs less is shown around the newest frame.
-const LEAST_SCALE: f64 = 0.05;
+const MIN_SCALE: f64 = 0.05;
 /// Scales go down in steps of this, so that a growing mosaic is seldom drawn anew.
 const STEP: f64 = 0.85;
 /// The picture is enlarged again when the mosaic needs less than this share of it.
@@ -34,7 +34,7 @@ pub(super) fn choose(now: Option<Homography>, bounds: [f64; 4], newest: &Outline
         let fits = |room: f64, extent: f64| room / extent.max(1.0);
         let needed = fits(room(size.0), bounds[2] - bounds[0]).min(fits(room(size.1), bounds[3] - bounds[1]));
         let needed = needed.min(params.zoom);
-        if needed >= LEAST_SCALE {
+        if needed >= MIN_SCALE {
             if let Some(now) = now
                 && is_inside(&now, bounds, size)
                 && now.0[0] <= params.zoom
@@ -49,7 +49,7 @@ pub(super) fn choose(now: Option<Homography>, bounds: [f64; 4], newest: &Outline
             return shown_at(scale, middle, size);
         }
     }
-    let scale = if params.view == MosaicView::Fit { LEAST_SCALE } else { params.zoom };
+    let scale = if params.view == MosaicView::Fit { MIN_SCALE } else { params.zoom };
     if let Some(now) = now.filter(|now| now.0[0] == scale) {
         let [x, y] = now.map(newest.centre);
         let central = |v: f64, side: usize| (0.25..0.75).contains(&(v / side as f64));

@@ -1,6 +1,6 @@
 //! Registration of a frame to one keyframe.
 
-use super::graph::MOST_PAIRS;
+use super::graph::MAX_PAIRS;
 use super::params::{MosaicModel, MosaicParams};
 use crate::Parallel;
 use crate::features::{Features, Gate, Match, Matcher};
@@ -10,7 +10,7 @@ use crate::geometry::{Homography, Point, Ransac};
 const CELLS: (usize, usize) = (6, 4);
 /// Least spread of the inliers across their narrow direction, as a share of the frame's larger side: an instrument that moves
 /// with the camera, or a gap in smoke, has matches that agree with each other but not with the scene.
-const LEAST_SPREAD: f64 = 0.035;
+const MIN_SPREAD: f64 = 0.035;
 /// Factor on the evidence that a strict test needs.
 const STRICT: f64 = 1.6;
 
@@ -30,7 +30,7 @@ pub(super) struct Link {
     pub inliers: usize,
     pub rms_px: f64,
     /// Inliers in the frame, spread over it.
-    pub points: [Point; MOST_PAIRS],
+    pub points: [Point; MAX_PAIRS],
     pub count: usize,
 }
 
@@ -96,7 +96,7 @@ impl Tracker {
             MosaicModel::Homography => fit.homography,
             model => linear_fit(&self.from, &self.to, &self.mask, model)?,
         };
-        if !params.plausibility.accepts(&map, size) || self.spread_px() < LEAST_SPREAD * size.0.max(size.1) as f64 {
+        if !params.plausibility.accepts(&map, size) || self.spread_px() < MIN_SPREAD * size.0.max(size.1) as f64 {
             return None;
         }
         let squares: f64 = self.inliers().map(|(p, q)| map.squared_error(p, q)).sum();
@@ -123,8 +123,8 @@ impl Tracker {
     }
 
     /// One inlier per cell, then others until the list is full.
-    fn spread_points(&self, size: (usize, usize)) -> ([Point; MOST_PAIRS], usize) {
-        let mut points = [[0.0; 2]; MOST_PAIRS];
+    fn spread_points(&self, size: (usize, usize)) -> ([Point; MAX_PAIRS], usize) {
+        let mut points = [[0.0; 2]; MAX_PAIRS];
         let mut count = 0;
         let mut taken = [false; CELLS.0 * CELLS.1];
         for (point, _) in self.inliers() {
@@ -132,14 +132,14 @@ impl Tracker {
                 ((value.max(0.0) / side as f64 * cells as f64) as usize).min(cells - 1)
             };
             let index = cell(point[1], size.1, CELLS.1) * CELLS.0 + cell(point[0], size.0, CELLS.0);
-            if !taken[index] && count < MOST_PAIRS {
+            if !taken[index] && count < MAX_PAIRS {
                 taken[index] = true;
                 points[count] = point;
                 count += 1;
             }
         }
         for (point, _) in self.inliers() {
-            if count == MOST_PAIRS {
+            if count == MAX_PAIRS {
                 break;
             }
             if !points[..count].contains(&point) {

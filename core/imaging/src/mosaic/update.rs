@@ -3,7 +3,7 @@
 use super::adjust::Adjust;
 use super::canvas::{Canvas, Source};
 use super::coverage::own_area;
-use super::graph::{Edge, Graph, MOST_PAIRS};
+use super::graph::{Edge, Graph, MAX_PAIRS};
 use super::keyframe::{Keyframe, index_of};
 use super::outline::{Outline, distance, union};
 use super::params::*;
@@ -150,7 +150,7 @@ impl Mosaic {
         if frame.channels != 3 {
             return Err(MosaicError::Channels { channels: frame.channels });
         }
-        if width < LEAST_SIDE_PX || height < LEAST_SIDE_PX {
+        if width < MIN_SIDE_PX || height < MIN_SIDE_PX {
             return Err(MosaicError::TooSmall { width, height });
         }
         if !self.keyframes.is_empty() && (width, height) != self.size {
@@ -565,7 +565,7 @@ fn source_of(keyframe: &Keyframe, size: (usize, usize)) -> Source<'_> {
 
 /// An edge of a registration: where both keyframes see its points.
 fn edge_between(from: u64, to: u64, link: &Link, both: impl Fn([f64; 2]) -> ([f64; 2], [f64; 2])) -> Edge {
-    let mut pairs = [([0.0; 2], [0.0; 2]); MOST_PAIRS];
+    let mut pairs = [([0.0; 2], [0.0; 2]); MAX_PAIRS];
     for (pair, point) in pairs.iter_mut().zip(link.points()) {
         *pair = both(*point);
     }

@@ -6,7 +6,7 @@
 use crate::{Parallel, Rect, SharedMut, View};
 
 /// Largest side of a cell, px.
-pub(crate) const MOST_SIGMA_XY: usize = 128;
+pub(crate) const MAX_SIGMA_XY: usize = 128;
 /// Columns of cells whose pixels are added in turn.
 const AT_ONCE: usize = 4;
 
@@ -226,7 +226,7 @@ impl PixelRow<'_> {
         fill_ids(guide, channels, sigma_xy, lumas, luma_step, ids);
         // Neighbours fall into one cell, and each addition would wait for the one before: pixels of `AT_ONCE` columns of cells are
         // taken in turn.
-        let (mut trusts, mut products) = ([0.0; AT_ONCE * MOST_SIGMA_XY], [0.0; AT_ONCE * MOST_SIGMA_XY]);
+        let (mut trusts, mut products) = ([0.0; AT_ONCE * MAX_SIGMA_XY], [0.0; AT_ONCE * MAX_SIGMA_XY]);
         let group = AT_ONCE * sigma_xy;
         for ((ids, value), confidence) in ids.chunks(group).zip(value.chunks(group)).zip(confidence.chunks(group)) {
             let n = ids.len();

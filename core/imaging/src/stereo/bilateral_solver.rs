@@ -6,7 +6,7 @@
 //! solution changes little between frames, so the solver starts from the last frame's.
 
 use crate::stereo::StereoError;
-use crate::stereo::bilateral_grid::{BilateralGrid, MOST_SIGMA_XY};
+use crate::stereo::bilateral_grid::{BilateralGrid, MAX_SIGMA_XY};
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::grid_solver::GridSolver;
@@ -60,7 +60,7 @@ impl BilateralSolverParams {
     /// [`StereoError::Parameter`].
     pub fn validate(&self) -> Result<(), StereoError> {
         let refuse = |name, value: String, accepted| Err(StereoError::Parameter { name, value, accepted });
-        if !(2..=MOST_SIGMA_XY).contains(&self.sigma_xy_px) {
+        if !(2..=MAX_SIGMA_XY).contains(&self.sigma_xy_px) {
             return refuse("sigma_xy_px", self.sigma_xy_px.to_string(), "2 to 128");
         }
         if !(2..=128).contains(&self.sigma_luma) {
@@ -310,7 +310,7 @@ impl Slice<'_> {
         let row_cells = columns * lumas;
         let grid_row = row / side;
         // How far the pixels of a cell are from its centre, in cells: 0 in the middle, 1/2 at the rim.
-        let mut offsets = [0.0; MOST_SIGMA_XY];
+        let mut offsets = [0.0; MAX_SIGMA_XY];
         for (step, offset) in offsets[..side].iter_mut().enumerate() {
             *offset = (step as f32 + 0.5) / side as f32 - 0.5;
         }

@@ -9,8 +9,8 @@ use crate::{Rect, View, ViewMut};
 /// Columns of a view that lengths refer to; they grow with the view.
 const REFERENCE_COLUMNS: usize = 640;
 /// Width of a strip, px.
-const LEAST_PX: usize = 8;
-const MOST_PX: usize = 32;
+const MIN_PX: usize = 8;
+const MAX_PX: usize = 32;
 /// Distance of the rows that are matched, and rows above and below each that are compared with it, px.
 const ROW_STEP_PX: usize = 4;
 const REACH_PX: usize = 8;
@@ -19,16 +19,16 @@ const KNOWN_PX: usize = 12;
 const KNOWN_SHARE: f32 = 0.3;
 const AGREE_PX: f32 = 4.0;
 /// Rows in a line, in steps, that must be known for the strip to start there: chance does not agree for long.
-const LEAST_RUN: usize = 6;
+const MIN_RUN: usize = 6;
 /// The disparity changes by at most this much per row, px per px, and by so much more for its noise, px.
-const MOST_SLOPE: f32 = 1.2;
+const MAX_SLOPE: f32 = 1.2;
 const NOISE_PX: f32 = 2.0;
 /// Smallest correlation of a match.
-const LEAST_CORRELATION: f32 = 0.6;
+const MIN_CORRELATION: f32 = 0.6;
 /// Smallest standard deviation of what is matched, levels.
-const LEAST_TEXTURE: f32 = 1.5;
+const MIN_TEXTURE: f32 = 1.5;
 /// Rows without a match, in steps, after which the search ends.
-const MOST_MISSES: usize = 4;
+const MAX_MISSES: usize = 4;
 
 /// Fills in disparities of a strip at the right border of the left view. Reuses its memory.
 #[derive(Debug, Default)]
@@ -60,7 +60,7 @@ impl Layout {
     /// Largest change of the disparity over so many steps, px.
     fn climb(&self, steps: usize) -> f32 {
         let unit = self.unit as f32;
-        unit * (MOST_SLOPE * (steps * ROW_STEP_PX) as f32 + NOISE_PX)
+        unit * (MAX_SLOPE * (steps * ROW_STEP_PX) as f32 + NOISE_PX)
     }
 }
 
@@ -74,7 +74,7 @@ impl BorderStrip {
         let reaches = roi.x + roi.width >= width;
         let margin = REACH_PX * unit;
         if !reaches
-            || width < 4 * MOST_PX * unit
+            || width < 4 * MAX_PX * unit
             || roi.height <= 2 * margin
             || [left.channels, right.channels] != [1; 2]
         {
@@ -119,7 +119,7 @@ impl BorderStrip {
             self.known.push(agreed(&mut self.sorted, total, AGREE_PX * unit as f32));
         }
         // What lies further in needs no strip; what agrees by chance does not agree for long.
-        let narrow = (layout.width - 2 * MOST_PX * unit) as f32;
+        let narrow = (layout.width - 2 * MAX_PX * unit) as f32;
         let mut start = 0;
         while start < layout.count {
             let mut end = start + 1;
@@ -127,7 +127,7 @@ impl BorderStrip {
                 end += 1;
             }
             let run = &mut self.known[start..end];
-            if run.len() < LEAST_RUN {
+            if run.len() < MIN_RUN {
                 run.fill(f32::NAN);
             }
             start = end;
@@ -147,7 +147,7 @@ impl BorderStrip {
         let Some(mut last) = from(&mut steps.clone(), &self.known) else { return };
         let mut misses = 0;
         for step in steps {
-            if self.known[step].is_finite() || misses == MOST_MISSES {
+            if self.known[step].is_finite() || misses == MAX_MISSES {
                 return;
             }
             match best(views, layout, layout.row(step), last, layout.climb(misses + 1)) {
@@ -202,8 +202,8 @@ fn agreed(values: &mut [f32], total: usize, within: f32) -> f32 {
 /// The disparity near `around` at which the strip around a row correlates best; `None` when it correlates too little.
 fn best(views: [View<'_, u8>; 2], layout: &Layout, row: usize, around: f32, climb: f32) -> Option<f32> {
     let (unit, width) = (layout.unit, layout.width);
-    let first = ((around - climb).round() as i64).max((width - MOST_PX * unit) as i64);
-    let last = ((around + climb).round() as i64).min((width - LEAST_PX * unit) as i64);
+    let first = ((around - climb).round() as i64).max((width - MAX_PX * unit) as i64);
+    let last = ((around + climb).round() as i64).min((width - MIN_PX * unit) as i64);
     let of = |d: i64| correlation(views, layout, row, d as usize);
     let (mut best_at, mut best_value) = (first, f32::MIN);
     for d in first..=last {
@@ -212,7 +212,7 @@ fn best(views: [View<'_, u8>; 2], layout: &Layout, row: usize, around: f32, clim
             (best_at, best_value) = (d, value);
         }
     }
-    if best_value < LEAST_CORRELATION {
+    if best_value < MIN_CORRELATION {
         return None;
     }
     // Vertex of the parabola through the neighbours.
@@ -242,7 +242,7 @@ fn correlation([left, right]: [View<'_, u8>; 2], layout: &Layout, row: usize, di
     let one = 1.0 / count.max(1.0);
     let (a, b) = (a * one, b * one);
     let (va, vb) = (aa * one - a * a, bb * one - b * b);
-    if va.min(vb) < LEAST_TEXTURE * LEAST_TEXTURE {
+    if va.min(vb) < MIN_TEXTURE * MIN_TEXTURE {
         return -1.0;
     }
     (ab * one - a * b) / (va * vb).sqrt()

@@ -35,7 +35,7 @@ impl Default for ConfidenceParams {
 const STEPS_PER_PX: f32 = 4.0;
 /// Largest quantised disparity: the squares of a 31 x 31 window of these still fit 32 bits, and their sum fits the bits below
 /// the count.
-const MOST_STEPS: f32 = 2047.0;
+const MAX_STEPS: f32 = 2047.0;
 /// Sums carry the count of their pixels from this bit on.
 const COUNT_SHIFT: u32 = 21;
 /// Part of the neighbourhood that must be matched for full confidence.
@@ -290,8 +290,8 @@ fn accumulate(values: &[f32], remove: bool, sum: &mut [u32], square: &mut [u32])
     let sign = if remove { u32::MAX } else { 1 };
     for x in 0..n {
         let valid = values[x].is_finite();
-        let steps = if valid { (values[x] * STEPS_PER_PX).clamp(0.0, MOST_STEPS) } else { 0.0 };
-        // SAFETY: 0..=MOST_STEPS.
+        let steps = if valid { (values[x] * STEPS_PER_PX).clamp(0.0, MAX_STEPS) } else { 0.0 };
+        // SAFETY: 0..=MAX_STEPS.
         let steps: i32 = unsafe { steps.to_int_unchecked() };
         let steps = steps as u32;
         sum[x] = sum[x].wrapping_add(sign.wrapping_mul((u32::from(valid) << COUNT_SHIFT) + steps));

@@ -9,7 +9,7 @@ const RADIUS: usize = 4;
 /// Spacing of the measured points, in px.
 const STEP: usize = 24;
 /// Smallest number of points for a result.
-const LEAST_POINTS: usize = 24;
+const MIN_POINTS: usize = 24;
 
 /// Measures the vertical error of a matched pair. Reuses its memory.
 #[derive(Debug, Default)]
@@ -38,7 +38,7 @@ impl Epipolar {
                 }
             }
         }
-        if self.errors.len() < LEAST_POINTS {
+        if self.errors.len() < MIN_POINTS {
             return None;
         }
         let middle = self.errors.len() / 2;

@@ -60,7 +60,7 @@ const DOUBT_SLOPE: f64 = 4.0;
 const STATED_DEVIATIONS: f64 = 2.0;
 
 /// Most points of one measured item.
-pub const MOST_POINTS: usize = 3;
+pub const MAX_POINTS: usize = 3;
 
 fn between(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [b[0] - a[0], b[1] - a[1], b[2] - a[2]]
@@ -91,15 +91,15 @@ pub fn angle(points: &[[f64; 3]]) -> f64 {
 /// `measure` of the points and its stated error: every cause is tried alone, the changes add up as squares.
 /// The error is NaN when `errors` is `None`.
 pub fn with_error(points: &[SurfacePoint], errors: Option<&Errors>, measure: fn(&[[f64; 3]]) -> f64) -> (f64, f64) {
-    let count = points.len().min(MOST_POINTS);
-    let mut places = [[0.0; 3]; MOST_POINTS];
+    let count = points.len().min(MAX_POINTS);
+    let mut places = [[0.0; 3]; MAX_POINTS];
     for (place, point) in places.iter_mut().zip(points) {
         *place = point.xyz_mm(0.0);
     }
     let value = measure(&places[..count]);
     let Some(errors) = errors else { return (value, f64::NAN) };
     let mut squares = 0.0;
-    let mut add = |changed: &[[f64; 3]; MOST_POINTS]| squares += (measure(&changed[..count]) - value).powi(2);
+    let mut add = |changed: &[[f64; 3]; MAX_POINTS]| squares += (measure(&changed[..count]) - value).powi(2);
     for (index, point) in points[..count].iter().enumerate() {
         let mut changed = places;
         let doubt = errors.doubtful_inverse_depth * (DOUBT_SLOPE * (1.0 - point.confidence).powi(3)).min(1.0);

@@ -17,7 +17,7 @@ const KEEP_PER_MILLE: u64 = 985;
 /// nothing behind the farthest surface, and what enters the picture (a tool) is nearer.
 const EQUAL_PER_MILLE: u64 = 997;
 /// Smallest share of matched coarse pixels, in per mille, at which a survey is used.
-const LEAST_PER_MILLE: usize = 5;
+const MIN_PER_MILLE: usize = 5;
 
 impl Offset {
     /// The present offset; `None` before the first usable survey.
@@ -27,7 +27,7 @@ impl Offset {
 
     /// Whether a survey has matched too few pixels to be used.
     pub fn says_nothing(&self, matched: usize, pixels: usize) -> bool {
-        matched * 1000 < pixels * LEAST_PER_MILLE
+        matched * 1000 < pixels * MIN_PER_MILLE
     }
 
     /// Adds a survey's `counts` (of `pixels` coarse pixels, in bins of `bin_px`) and returns the offset for a search over `search_px`.

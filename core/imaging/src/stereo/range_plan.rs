@@ -11,9 +11,9 @@ const AROUND_PX: usize = 24;
 /// Room on both sides of a tile's surveyed range, px.
 const ROOM_PX: i32 = 6;
 /// Coarse pixels that a disparity needs to count for a range, itself and its neighbours together: fewer are wrong matches.
-const LEAST_PIXELS: u32 = 3;
+const MIN_PIXELS: u32 = 3;
 /// Widest search of a tile, px.
-const MOST_SEARCH_PX: usize = 512;
+const MAX_SEARCH_PX: usize = 512;
 /// Searches are multiples of this, px.
 const STEP_PX: usize = 32;
 
@@ -75,10 +75,10 @@ impl RangePlan {
             let low = ((first * bin_px) as i32 - (bin_px / 2) as i32 - ROOM_PX).max(0);
             let high = (last * bin_px + bin_px / 2) as i32 + ROOM_PX;
             let wanted = ((high - low) as usize + 1).next_multiple_of(STEP_PX);
-            tile.search_px = wanted.min(MOST_SEARCH_PX);
-            self.is_cut |= wanted > MOST_SEARCH_PX;
+            tile.search_px = wanted.min(MAX_SEARCH_PX);
+            self.is_cut |= wanted > MAX_SEARCH_PX;
             // The farthest surface has nothing behind it, what enters the picture is nearer: what is cut off is far, what is left over is near.
-            tile.first_px = if wanted > MOST_SEARCH_PX { high + 1 - MOST_SEARCH_PX as i32 } else { low };
+            tile.first_px = if wanted > MAX_SEARCH_PX { high + 1 - MAX_SEARCH_PX as i32 } else { low };
         }
         // Without any match there is nothing to search for.
         if self.ranges.iter().all(Option::is_none) {
@@ -128,7 +128,7 @@ fn surveyed(survey: &Survey, area: Rect, counts: &mut Vec<u32>) -> Option<(usize
     }
     let near = |bin: &usize| {
         let around = bin.saturating_sub(1)..(bin + 2).min(counts.len());
-        counts[*bin] > 0 && counts[around].iter().sum::<u32>() >= LEAST_PIXELS
+        counts[*bin] > 0 && counts[around].iter().sum::<u32>() >= MIN_PIXELS
     };
     Some(((0..counts.len()).find(near)?, (0..counts.len()).rfind(near)?))
 }

@@ -14,7 +14,7 @@ const COLUMNS: usize = 24;
 /// Rows per measurement of the border.
 const BLOCK_ROWS: usize = 16;
 /// A block needs one matched pixel in this many.
-const LEAST_SHARE: usize = 16;
+const MIN_SHARE: usize = 16;
 /// Pixels this near to the edge are not cleared, px.
 const SLACK_PX: f32 = 2.0;
 
@@ -90,7 +90,7 @@ fn border_disparities(
             known.extend(map.row(y)[columns.clone()].iter().copied().filter(|d| d.is_finite()));
         }
         let middle = known.len() / 2;
-        let enough = known.len() * LEAST_SHARE >= pixels.max(1);
+        let enough = known.len() * MIN_SHARE >= pixels.max(1);
         borders.push(if enough { *known.select_nth_unstable_by(middle, f32::total_cmp).1 } else { f32::NAN });
     }
 }

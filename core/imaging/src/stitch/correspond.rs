@@ -19,7 +19,7 @@ const COARSE: (f32, f32) = (0.75, 0.08);
 /// Positions this near belong to the same top, px.
 const SAME_TOP: usize = 2;
 /// Smallest spread of a patch's gray levels for a correlation.
-const LEAST_DEVIATION: f32 = 2.0;
+const MIN_DEVIATION: f32 = 2.0;
 
 /// How correspondences are sought.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +84,7 @@ impl Patch {
         let mean = values.iter().sum::<f32>() / values.len() as f32;
         values.iter_mut().for_each(|v| *v -= mean);
         let length = values.iter().map(|v| v * v).sum::<f32>().sqrt();
-        if length < LEAST_DEVIATION * SIDE as f32 {
+        if length < MIN_DEVIATION * SIDE as f32 {
             return None;
         }
         values.iter_mut().for_each(|v| *v /= length);
@@ -103,7 +103,7 @@ impl Patch {
             }
         }
         let spread = square - sum * sum / (SIDE * SIDE) as f32;
-        if spread < (LEAST_DEVIATION * SIDE as f32).powi(2) { -1.0 } else { cross / spread.sqrt() }
+        if spread < (MIN_DEVIATION * SIDE as f32).powi(2) { -1.0 } else { cross / spread.sqrt() }
     }
 
     /// The best place in a part of the picture.

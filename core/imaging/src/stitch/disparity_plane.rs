@@ -9,9 +9,9 @@ use panoscope_base::random::SplitMix64;
 /// Number of samples of three points.
 const SAMPLES: usize = 256;
 /// Slopes beyond this are wrong matches: tissue that turns away so steeply is not seen by both cameras.
-const MOST_SLOPE: f64 = 0.5;
+const MAX_SLOPE: f64 = 0.5;
 /// Samples whose points span less area than this, in px^2, do not determine the slopes.
-const LEAST_AREA_PX2: f64 = 50.0;
+const MIN_AREA_PX2: f64 = 50.0;
 /// Prior on a plane that does not turn about the vertical axis: standard deviation of `x_slope`. The overlap of two
 /// views side by side is narrow in x, so that noise alone would tilt the plane.
 const X_SLOPE_DEVIATION: f64 = 0.1;
@@ -82,13 +82,13 @@ impl DisparityPlane {
 
     fn is_plausible(&self) -> bool {
         // Written so that NaN fails too.
-        self.x_slope.abs() <= MOST_SLOPE && self.y_slope.abs() <= MOST_SLOPE && self.offset_px.is_finite()
+        self.x_slope.abs() <= MAX_SLOPE && self.y_slope.abs() <= MAX_SLOPE && self.offset_px.is_finite()
     }
 
     fn through([a, b, c]: [Sample; 3]) -> Option<Self> {
         let (u, v) = ([b.at[0] - a.at[0], b.at[1] - a.at[1]], [c.at[0] - a.at[0], c.at[1] - a.at[1]]);
         let area = u[0] * v[1] - u[1] * v[0];
-        if area.abs() < LEAST_AREA_PX2 {
+        if area.abs() < MIN_AREA_PX2 {
             return None;
         }
         let (p, q) = (b.disparity_px - a.disparity_px, c.disparity_px - a.disparity_px);

@@ -207,13 +207,13 @@ pub struct RegisterGrid {
 /// Pairs each way that carry a plane over to pictures that are not rectified.
 const PLANE_PAIRS: usize = 5;
 /// Samples further off a plane than this do not belong to it, whatever a homography is allowed.
-const MOST_PLANE_PX: f64 = 4.0;
+const MAX_PLANE_PX: f64 = 4.0;
 /// An overlap of less than this part of a side is narrow.
 const NARROW_PART: usize = 3;
 /// Pixels of a cell that are read, about; more are spaced further apart.
-const MOST_CELL_PIXELS: usize = 300;
+const MAX_CELL_PIXELS: usize = 300;
 /// Smallest number of columns used per cell.
-const LEAST_CELL_STEPS: usize = 2;
+const MIN_CELL_STEPS: usize = 2;
 /// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
 const BEYOND_PER_MILLE: u64 = 10;
 
@@ -353,7 +353,7 @@ impl RegisterGrid {
     /// The homography of a plane in space, for an overlap too narrow to determine more; `mask` becomes its inliers.
     fn fit_plane(&mut self, left: &RectifiedView, right: &RectifiedView) -> Option<RansacFit> {
         let RansacParams { threshold_px, seed, .. } = self.scaled.ransac;
-        let threshold_px = threshold_px.min(MOST_PLANE_PX);
+        let threshold_px = threshold_px.min(MAX_PLANE_PX);
         let plane = DisparityPlane::fit(&self.samples, threshold_px, self.scaled.min_inliers, seed)?;
         // Exact for pinhole cameras; lens distortion is averaged over the view.
         let (mut from, mut to) = ([[0.0; 2]; PLANE_PAIRS * PLANE_PAIRS], [[0.0; 2]; PLANE_PAIRS * PLANE_PAIRS]);
@@ -424,13 +424,13 @@ impl RegisterGrid {
         self.ransac.reserve(rows * columns);
         self.stability.reserve(rows * columns, self.scaled.anchor_fit);
         // Cells of a narrow overlap still hold some pixels each.
-        let columns = columns.min(area.width / (LEAST_CELL_STEPS * step));
+        let columns = columns.min(area.width / (MIN_CELL_STEPS * step));
         if columns == 0 || area.height < rows {
             return;
         }
         // A median of some hundred pixels is as good as one of thousands.
         let in_cell = area.width / columns * (area.height / rows);
-        let step = step.max((in_cell / MOST_CELL_PIXELS).isqrt());
+        let step = step.max((in_cell / MAX_CELL_PIXELS).isqrt());
         for row in 0..rows {
             let (y0, y1) = (area.y + row * area.height / rows, area.y + (row + 1) * area.height / rows);
             for column in 0..columns {

@@ -7,7 +7,7 @@ use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use panoscope_abi::BufferId;
-use panoscope_engine::memory::MOST_POOLS;
+use panoscope_engine::memory::MAX_POOLS;
 
 use super::wait_while;
 
@@ -19,8 +19,8 @@ struct Mapped {
     len: AtomicUsize,
 }
 
-static POOLS: [Mapped; MOST_POOLS + 1] =
-    [const { Mapped { base: AtomicPtr::new(std::ptr::null_mut()), len: AtomicUsize::new(0) } }; MOST_POOLS + 1];
+static POOLS: [Mapped; MAX_POOLS + 1] =
+    [const { Mapped { base: AtomicPtr::new(std::ptr::null_mut()), len: AtomicUsize::new(0) } }; MAX_POOLS + 1];
 static CHANGED: Condvar = Condvar::new();
 static CHANGES: Mutex<()> = Mutex::new(());
 

@@ -7,7 +7,7 @@ use std::time::SystemTime;
 /// Longest description that is read.
 const MAX_BYTES: u64 = 16 << 20;
 /// Most descriptions that a folder keeps; the oldest go.
-const MOST: usize = 256;
+const MAX_COUNT: usize = 256;
 
 /// A description that was kept.
 pub(super) fn read(file: &Path) -> Option<Vec<u8>> {
@@ -33,7 +33,7 @@ fn remove_oldest(folder: &Path) {
         |entry: &fs::DirEntry| entry.metadata().and_then(|meta| meta.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
     let mut files: Vec<_> = entries.flatten().map(|entry| (age(&entry), entry.path())).collect();
     files.sort();
-    let surplus = files.len().saturating_sub(MOST);
+    let surplus = files.len().saturating_sub(MAX_COUNT);
     for (_, file) in &files[..surplus] {
         let _ = fs::remove_file(file);
     }
@@ -54,8 +54,8 @@ mod tests {
         // Times of files are coarse: several of them may be equal.
         let old = SystemTime::now() - std::time::Duration::from_secs(60);
         fs::File::options().write(true).open(&file).unwrap().set_modified(old).unwrap();
-        (0..MOST).for_each(|number| write(&file.with_file_name(number.to_string()), b""));
-        assert_eq!(fs::read_dir(folder.join("more")).unwrap().count(), MOST);
+        (0..MAX_COUNT).for_each(|number| write(&file.with_file_name(number.to_string()), b""));
+        assert_eq!(fs::read_dir(folder.join("more")).unwrap().count(), MAX_COUNT);
         assert_eq!(read(&file), None, "the oldest");
         // A folder that cannot be made is no mistake.
         write(Path::new("/proc/no/such/folder"), b"");

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use panoscope_abi::BufferId;
 use panoscope_base as base;
 use panoscope_engine::isolation::{GroupSettings, LinkReport, Machine};
-use panoscope_engine::memory::{MOST_POOLS, Memory, PoolFile, memory};
+use panoscope_engine::memory::{MAX_POOLS, Memory, PoolFile, memory};
 
 use super::{PluginImage, Totals, lock};
 use crate::lane::Lane;
@@ -277,7 +277,7 @@ pub(crate) struct Process {
     life: Arc<Life>,
     socket: Mutex<Option<OwnedFd>>,
     /// Pools that the child knows, one bit each.
-    known_pools: [AtomicU64; MOST_POOLS / 64 + 1],
+    known_pools: [AtomicU64; MAX_POOLS / 64 + 1],
     /// Their files: as long as they are kept, no other memory gets their numbers.
     files: Mutex<Vec<PoolFile>>,
     /// Plugins that the child was given.
@@ -352,7 +352,7 @@ impl Process {
         Arc::new(Self {
             life,
             socket: Mutex::new(Some(socket)),
-            known_pools: [const { AtomicU64::new(0) }; MOST_POOLS / 64 + 1],
+            known_pools: [const { AtomicU64::new(0) }; MAX_POOLS / 64 + 1],
             files: Mutex::default(),
             plugins: Mutex::default(),
             domain,

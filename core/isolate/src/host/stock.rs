@@ -7,7 +7,7 @@ use super::process::Process;
 use crate::wire::Writer;
 
 /// A buffer is replaced when the output needs less than this share of it.
-const SMALLEST_SHARE: usize = 4;
+const MIN_SHARE: usize = 4;
 
 /// At most one buffer per output, as large as the output was when it was made last.
 #[derive(Default)]
@@ -26,7 +26,7 @@ impl Stock {
     pub fn note(&mut self, output: u32, len: usize) {
         let len = room_for(len);
         if let Some(reserve) = self.outputs.get_mut(output as usize)
-            && (len > reserve.wanted_bytes || len < reserve.wanted_bytes / SMALLEST_SHARE)
+            && (len > reserve.wanted_bytes || len < reserve.wanted_bytes / MIN_SHARE)
         {
             *reserve = Reserve { wanted_bytes: len, buffer: None };
         }

@@ -11,7 +11,7 @@ use std::sync::{Mutex, PoisonError};
 /// Stamps that are kept: 30 s at 60 pictures per second.
 const KEPT: usize = 2048;
 /// A stamp may be this much earlier than the probe's time: exposure, transfer and a busy machine.
-const LARGEST_LAG_NS: i64 = 60_000_000;
+const MAX_LAG_NS: i64 = 60_000_000;
 
 /// Stamps of one pipeline's sources: presentation time and arrival, ns.
 #[derive(Debug, Default)]
@@ -25,7 +25,7 @@ impl Arrivals {
         if stamps.back().is_some_and(|(last, _)| *last == pts_ns) {
             return;
         }
-        let agrees = |stamp: &i64| (0..=LARGEST_LAG_NS).contains(&(now_ns - stamp));
+        let agrees = |stamp: &i64| (0..=MAX_LAG_NS).contains(&(now_ns - stamp));
         if stamps.len() == KEPT {
             stamps.pop_front();
         }

@@ -18,7 +18,7 @@ use super::libav_log::{self, DamageReport};
 /// Times of marked pictures that are kept.
 const KEPT: usize = 1024;
 /// Longest text of a decoder that is passed on.
-const LONGEST_REASON: usize = 120;
+const MAX_REASON: usize = 120;
 
 /// How a decoder's input shows where decoding can begin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -184,7 +184,7 @@ impl DamageReport for Guard {
     /// Marks the data that the decoder decodes now as damaged.
     fn report(&self, words: &str) {
         self.complaints.fetch_add(1, Ordering::Relaxed);
-        let words: String = words.trim().chars().take(LONGEST_REASON).collect();
+        let words: String = words.trim().chars().take(MAX_REASON).collect();
         let mut span = self.span();
         let is_jpeg = span.format == Format::Jpeg;
         if let Some(now_ns) = span.decoding_ns {

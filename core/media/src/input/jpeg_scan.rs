@@ -5,7 +5,7 @@
 
 use super::jpeg_error::JpegError;
 
-const MOST_COMPONENTS: usize = 4;
+const MAX_COMPONENTS: usize = 4;
 
 /// Codes of one table: for each length, the first code, the first symbol's index and the number of codes.
 #[derive(Clone, Default)]
@@ -20,7 +20,7 @@ struct Table {
 
 const SHORT_BITS: u32 = 9;
 /// Bytes of padding that may follow the last code.
-const MOST_PADDING: usize = 8;
+const MAX_PADDING: usize = 8;
 
 impl Table {
     fn new(counts: &[u8; 16], symbols: &[u8]) -> Option<Self> {
@@ -128,7 +128,7 @@ impl<'b> Bits<'b> {
         let whole_bytes = (left / 8) as usize;
         let rest = &self.bytes[self.at..];
         let is_padding = |byte: u8| byte == 0 || byte == 0xFF;
-        whole_bytes + rest.len() <= MOST_PADDING
+        whole_bytes + rest.len() <= MAX_PADDING
             && rest.iter().all(|byte| is_padding(*byte))
             && (0..whole_bytes).all(|index| is_padding((self.buffer >> (self.missing as usize + 8 * index)) as u8))
     }
@@ -182,7 +182,7 @@ pub fn check(segments: &[(u8, &[u8])], scan: &[u8]) -> Result<(), JpegError> {
     if order.len() / 2 != components.len() {
         return Ok(());
     }
-    let mut used = Vec::with_capacity(MOST_COMPONENTS);
+    let mut used = Vec::with_capacity(MAX_COMPONENTS);
     for pair in order.as_chunks::<2>().0 {
         let found = components.iter().find(|component| component.id == pair[0]);
         let component = found.ok_or(JpegError::Broken { block: 0 })?;
@@ -206,7 +206,7 @@ pub fn check(segments: &[(u8, &[u8])], scan: &[u8]) -> Result<(), JpegError> {
     for (index, part) in parts.into_iter().enumerate() {
         let first = index * per_part;
         let mut bits = Bits::new(part);
-        let mut level = [0_i32; MOST_COMPONENTS];
+        let mut level = [0_i32; MAX_COMPONENTS];
         for unit in first..units.min(first + per_part) {
             for (number, component) in used.iter().enumerate() {
                 let broken = JpegError::Broken { block: unit };
@@ -260,7 +260,7 @@ fn block(bits: &mut Bits<'_>, dc: &Table, ac: &Table, level: &mut i32) -> Option
 fn header(content: &[u8]) -> Option<(usize, usize, Vec<Component>)> {
     let word = |at: usize| Some(usize::from(*content.get(at)?) << 8 | usize::from(*content.get(at + 1)?));
     let (height, width, count) = (word(1)?, word(3)?, usize::from(*content.get(5)?));
-    if width == 0 || height == 0 || count == 0 || count > MOST_COMPONENTS {
+    if width == 0 || height == 0 || count == 0 || count > MAX_COMPONENTS {
         return None;
     }
     let list = content.get(6..6 + 3 * count)?.as_chunks::<3>().0;

@@ -17,7 +17,7 @@ use super::running::{Lines, Run, Running, Watched};
 use super::values::to_json;
 
 /// Packets of all watched outputs that wait for Python.
-const MOST_WAITING: usize = 32;
+const MAX_WAITING: usize = 32;
 
 /// A graph file as read, with its arguments.
 #[pyclass(frozen, module = "panoscope._native")]
@@ -97,7 +97,7 @@ impl GraphFile {
         let ready = self.ready(&how.watch, how.is_part)?;
         let text = ready.settled()?;
         let full = if ready.graph.mode == Mode::Batch || how.keeps_all { Full::Wait } else { Full::Drop };
-        let inbox = Arc::new(Inbox::new(MOST_WAITING, full));
+        let inbox = Arc::new(Inbox::new(MAX_WAITING, full));
         let lines = Lines::default();
         let recorder = match &how.record {
             Some(file) => {
@@ -302,7 +302,7 @@ pub fn replay(
             }
             None => (None, recording.watched(&watch)?, settings),
         };
-        let (inbox, lines) = (Arc::new(Inbox::new(MOST_WAITING, Full::Wait)), Lines::default());
+        let (inbox, lines) = (Arc::new(Inbox::new(MAX_WAITING, Full::Wait)), Lines::default());
         let options = ReplayOptions {
             graph,
             settings,

@@ -24,7 +24,7 @@ use crate::view::View;
 /// How often the end of a run is looked for.
 const STEP: Duration = Duration::from_millis(5);
 /// Most log lines that wait for Python; later ones are not kept.
-const MOST_LINES: usize = 1000;
+const MAX_LINES: usize = 1000;
 
 /// An output whose packets Python gets.
 pub struct Watched {
@@ -55,7 +55,7 @@ impl Lines {
         let lines = Arc::clone(&self.0);
         Box::new(move |level, node, words| {
             let mut lines = lock(&lines);
-            if lines.len() < MOST_LINES {
+            if lines.len() < MAX_LINES {
                 lines.push((level, node.to_owned(), words.to_owned()));
             }
         })

@@ -6,9 +6,9 @@ use crate::vector::{add_scaled, dot, norm, sub};
 /// Pixels along a cell.
 const CELL_PX: usize = 4;
 /// Pixels of a cell whose depth has to be known.
-const FEWEST: usize = 4;
+const MIN_SAMPLES: usize = 4;
 /// Cells of nine that have to be known: what stands alone is a wrong match.
-const FEWEST_AROUND: usize = 5;
+const MIN_AROUND: usize = 5;
 /// How far holes are filled in from known tissue, as a share of the focal length: half the width of a thick instrument close to the camera (5 of 35 mm).
 const FILLED: f64 = 0.15;
 
@@ -91,7 +91,7 @@ impl Surface {
                         let known = (column * CELL_PX..(column + 1) * CELL_PX).map(|x| depth_mm(x, y));
                         self.sorted.extend(known.filter(|z| z.is_finite() && *z > 0.0));
                     }
-                    if self.sorted.len() >= FEWEST {
+                    if self.sorted.len() >= MIN_SAMPLES {
                         let middle = self.sorted.len() / 2;
                         z = *self.sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
                     }
@@ -117,7 +117,7 @@ impl Surface {
             }
             let middle = self.sorted.len() / 2;
             let median = *self.sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
-            *z = if self.sorted.len() >= FEWEST_AROUND { median } else { f32::NAN };
+            *z = if self.sorted.len() >= MIN_AROUND { median } else { f32::NAN };
         }
     }
 

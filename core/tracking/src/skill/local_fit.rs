@@ -6,7 +6,7 @@
 use super::Sample;
 
 /// Samples that a fit takes at least, where there are as many.
-pub const FEWEST: usize = 7;
+pub const MIN_SAMPLES: usize = 7;
 
 /// Position (mm) and velocity (mm/s) at one time. The fourth number is the depth along the view.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -25,11 +25,11 @@ impl State {
     }
 }
 
-/// The samples around a time: all within `half_s`, or the nearest [`FEWEST`].
+/// The samples around a time: all within `half_s`, or the nearest [`MIN_SAMPLES`].
 fn around(samples: &[Sample], at_s: f64, half_s: f64) -> &[Sample] {
     let mut first = samples.partition_point(|s| s.at_s < at_s - half_s);
     let mut end = samples.partition_point(|s| s.at_s <= at_s + half_s);
-    while end - first < FEWEST.min(samples.len()) {
+    while end - first < MIN_SAMPLES.min(samples.len()) {
         let before = (first > 0).then(|| at_s - samples[first - 1].at_s);
         let after = (end < samples.len()).then(|| samples[end].at_s - at_s);
         match (before, after) {

@@ -58,7 +58,7 @@ pub struct Sample {
 pub struct Settings {
     /// Samples farther apart leave a stretch out of view between them, s.
     pub max_gap_s: f64,
-    /// Half width of the window that place and velocity are fitted in, s. Fewer than [`local_fit::FEWEST`] samples widen it.
+    /// Half width of the window that place and velocity are fitted in, s. Fewer than [`local_fit::MIN_SAMPLES`] samples widen it.
     pub window_s: f64,
     /// Speed below which a tool rests, mm/s.
     pub rest_mm_s: f64,

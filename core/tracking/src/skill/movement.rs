@@ -10,9 +10,9 @@ pub const EDGE: f64 = 0.1;
 /// The same where its first bounds are taken from rougher speeds.
 pub(super) const ROUGH_EDGE: f64 = 0.05;
 /// Shortest movement whose smoothness is measured, s and mm: below, noise of tracking is most of it.
-pub const SHORTEST_S: f64 = 0.2;
-/// See [`SHORTEST_S`].
-pub const SHORTEST_MM: f64 = 2.0;
+pub const MIN_S: f64 = 0.2;
+/// See [`MIN_S`].
+pub const MIN_MM: f64 = 2.0;
 /// Step of integrals, s.
 const STEP_S: f64 = 0.002;
 /// Step of the speed profile whose spectrum is taken, s.
@@ -67,7 +67,7 @@ impl Meter {
         knot_s: f64,
         rest_mm_s: f64,
     ) -> Option<Movement> {
-        if end_s - start_s < SHORTEST_S || !self.spline.fit(samples, start_s, end_s, knot_s) {
+        if end_s - start_s < MIN_S || !self.spline.fit(samples, start_s, end_s, knot_s) {
             return None;
         }
         let spline = &self.spline;
@@ -91,7 +91,7 @@ impl Meter {
         let duration_s = to - from;
         let parts = (duration_s / STEP_S).ceil() as usize;
         let path_mm = integral(from, to, parts, speed);
-        if duration_s < SHORTEST_S || path_mm < SHORTEST_MM {
+        if duration_s < MIN_S || path_mm < MIN_MM {
             return None;
         }
         let squared_jerk = integral(from, to, parts, |t| norm(spline.at(t, 3)).powi(2));

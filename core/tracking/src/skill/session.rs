@@ -9,11 +9,11 @@ use super::tool::{Sink, Tool};
 use super::{Sample, Settings, Together};
 
 /// Largest number of tools.
-pub const MOST_TOOLS: usize = 16;
+pub const MAX_TOOLS: usize = 16;
 /// Largest number of phases; later ones count as the last.
-pub const MOST_PHASES: usize = 64;
+pub const MAX_PHASES: usize = 64;
 /// Movements that are kept for [`Session::take_movements`].
-const MOST_MOVEMENTS: usize = 256;
+const MAX_MOVEMENTS: usize = 256;
 
 /// What is known of one tool.
 #[derive(Clone, Copy)]
@@ -83,11 +83,11 @@ impl Session {
         }
         self.next_phase = match self.phases.iter().position(|known| known == name) {
             Some(known) => known,
-            None if self.phases.len() < MOST_PHASES => {
+            None if self.phases.len() < MAX_PHASES => {
                 self.phases.push(name.to_owned());
                 self.phases.len() - 1
             }
-            None => MOST_PHASES - 1,
+            None => MAX_PHASES - 1,
         };
         let count = self.phases.len();
         self.tools.iter_mut().for_each(|tool| tool.phases.resize(count, Measures::default()));
@@ -104,12 +104,12 @@ impl Session {
         self.phase = self.next_phase;
     }
 
-    /// Number of the tool with a key, made with a name where there is none; none when there are [`MOST_TOOLS`] others.
+    /// Number of the tool with a key, made with a name where there is none; none when there are [`MAX_TOOLS`] others.
     pub fn tool(&mut self, key: u64, name: impl FnOnce() -> String) -> Option<usize> {
         if let Some(known) = self.tools.iter().position(|tool| tool.key == key) {
             return Some(known);
         }
-        if self.tools.len() == MOST_TOOLS {
+        if self.tools.len() == MAX_TOOLS {
             return None;
         }
         if self.phases.is_empty() {
@@ -119,7 +119,7 @@ impl Session {
         // Pairs need nothing of it before now.
         tool.decided = self.tools.iter().map(|t| t.decided).min().unwrap_or(0);
         self.tools.push(tool);
-        self.movements.push(VecDeque::with_capacity(MOST_MOVEMENTS));
+        self.movements.push(VecDeque::with_capacity(MAX_MOVEMENTS));
         if let Some(cells) = &mut self.cells {
             cells.push(Vec::new());
         }

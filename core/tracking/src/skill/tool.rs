@@ -9,9 +9,9 @@ use super::{CELL_S, Sample, Settings};
 use crate::proximity::Hysteresis;
 
 /// Longest movement: a longer one is measured in parts, s.
-const LONGEST_S: f64 = 30.0;
+const MAX_S: f64 = 30.0;
 /// Samples that are kept at most.
-const MOST_SAMPLES: usize = 8192;
+const MAX_SAMPLES: usize = 8192;
 
 /// The middle of a cell, s.
 fn middle_s(cell: i64) -> f64 {
@@ -171,8 +171,8 @@ impl Tool {
         let since_s = middle_s(since.min(next)) - sink.settings.window_s.max(CELL_S) - CELL_S;
         let spare = self.samples.partition_point(|s| s.at_s < since_s);
         // Fits of sparse samples reach farther back; and moving memory about for each sample would cost more than it saves.
-        let spare = spare.saturating_sub(local_fit::FEWEST);
-        if spare > self.samples.len() / 2 || self.samples.len() > MOST_SAMPLES {
+        let spare = spare.saturating_sub(local_fit::MIN_SAMPLES);
+        if spare > self.samples.len() / 2 || self.samples.len() > MAX_SAMPLES {
             self.samples.drain(..spare);
         }
     }
@@ -213,7 +213,7 @@ impl Tool {
                 self.first = cell;
             }
             self.speeds.push(state.speed() as f32);
-            if self.speeds.len() as f64 * CELL_S >= LONGEST_S || self.samples.len() >= MOST_SAMPLES {
+            if self.speeds.len() as f64 * CELL_S >= MAX_S || self.samples.len() >= MAX_SAMPLES {
                 self.end_movement(sink);
             }
         }

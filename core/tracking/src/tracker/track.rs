@@ -18,7 +18,7 @@ const OTHER_CLASS: f64 = 6.0;
 /// Standard deviation of a lost tip about its last seen position, mm.
 const LOST_MM: f64 = 3.0;
 /// Older observations count as this old, s.
-const LONGEST_AGE_S: f64 = 0.5;
+const MAX_AGE_S: f64 = 0.5;
 /// Observations after which the class is certain.
 const SUREST_CLASS: u32 = 30;
 
@@ -48,7 +48,7 @@ impl Observation {
             report,
             at_mm: (room_from_camera * Point3::from(*p)).coords,
             covariance_mm2: turn.matrix() * seen * turn.matrix().transpose(),
-            age_s: if report.age_s > 0.0 { report.age_s.min(LONGEST_AGE_S) } else { 0.0 },
+            age_s: if report.age_s > 0.0 { report.age_s.min(MAX_AGE_S) } else { 0.0 },
             off_axis: ((p.x - rules.baseline_mm / 2.0) / p.z).hypot(p.y / p.z),
             is_taken: false,
         }

@@ -28,8 +28,8 @@ pub struct Voc {
 /// The text is no XML, or an object has no name or no box.
 pub fn voc(text: &str) -> Result<Voc, LabelError> {
     // The parser calls itself for each level.
-    if levels(text) > MOST_LEVELS {
-        return Err(LabelError::Deep { most: MOST_LEVELS });
+    if levels(text) > MAX_LEVELS {
+        return Err(LabelError::Deep { most: MAX_LEVELS });
     }
     let tree = roxmltree::Document::parse(text).map_err(|error| LabelError::Xml { reason: error.to_string() })?;
     let child = |node: roxmltree::Node<'_, '_>, name: &str| {
@@ -55,7 +55,7 @@ pub fn voc(text: &str) -> Result<Voc, LabelError> {
 }
 
 /// Most elements in each other; an annotation has four.
-const MOST_LEVELS: usize = 100;
+const MAX_LEVELS: usize = 100;
 
 /// Most elements of a text that are open at once. Comments, declarations and quoted values are skipped as the parser does.
 fn levels(text: &str) -> usize {

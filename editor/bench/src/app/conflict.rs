@@ -12,7 +12,7 @@ use panoscope_editor_widgets::theme;
 /// Equal lines shown before and after a change.
 const AROUND: usize = 2;
 /// Maximum number of lines of a difference that are shown.
-const MOST_LINES: usize = 400;
+const MAX_LINES: usize = 400;
 
 /// Set while a file and the window's text of it have both changed since the file was read or saved.
 pub(super) struct Conflict {
@@ -44,7 +44,7 @@ impl Conflict {
             let format = TextFormat { font_id: FontId::monospace(12.0), color, ..TextFormat::default() };
             job.append(&format!("{text}\n"), 0.0, format);
         };
-        for entry in lines.iter().take(MOST_LINES) {
+        for entry in lines.iter().take(MAX_LINES) {
             match entry {
                 Line::Same(text) => line(&format!("  {text}"), theme::muted()),
                 Line::Ours(text) => line(&format!("- {text}"), theme::fault()),
@@ -58,8 +58,8 @@ impl Conflict {
             count[0] += usize::from(matches!(entry, Line::Ours(_)));
             count[1] += usize::from(matches!(entry, Line::Theirs(_)));
         }
-        if lines.len() > MOST_LINES {
-            line(&format!("  ... {}", text!("conflict-more", count = lines.len() - MOST_LINES)), theme::muted());
+        if lines.len() > MAX_LINES {
+            line(&format!("  ... {}", text!("conflict-more", count = lines.len() - MAX_LINES)), theme::muted());
         }
         let caption = text!("conflict-difference", ours = count[0], theirs = count[1]);
         ui.label(RichText::new(&caption).size(12.0));

@@ -5,7 +5,7 @@ use eframe::egui::{
 };
 
 use super::interaction::CanvasRequest;
-use super::paint::LEAST_TEXT;
+use super::paint::MIN_TEXT;
 use super::{Canvas, Scene};
 use panoscope_editor_model::folding::parent;
 use panoscope_editor_texts::text;
@@ -69,7 +69,7 @@ impl Canvas {
         let painter = ui.painter();
         let fill = theme::family("part").gamma_multiply(0.07);
         painter.rect(rect, radius, fill, Stroke::new(1.5, edge), StrokeKind::Inside);
-        let font = |size: f32| FontId::proportional((size * scale).max(LEAST_TEXT));
+        let font = |size: f32| FontId::proportional((size * scale).max(MIN_TEXT));
         let middle = title.left_center() + vec2(12.0 * scale, 0.0);
         let name = painter.text(middle, Align2::LEFT_CENTER, &part.id, font(15.0), theme::text());
         let users = match part.users.len() {

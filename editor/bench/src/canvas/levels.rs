@@ -14,7 +14,7 @@ use panoscope_editor_model::layout;
 /// Distance between the corner of a part's frame and the origin of the positions inside.
 const INSET: Vec2 = vec2(ROOM, ROOM + TITLE);
 /// Least size of a frame.
-const LEAST: Vec2 = vec2(240.0, 120.0);
+const MIN_VALUE: Vec2 = vec2(240.0, 120.0);
 
 /// Where the nodes of a level and of the parts inside it are, in points of the graph.
 #[derive(Default)]
@@ -75,7 +75,7 @@ pub(super) fn lay_out(view: &GraphView, shapes: &[Arc<Shape>], part: &str, windo
         // The frame begins where positions inside do, and grows around nodes that are left of that or above.
         let origin = extent.min.min(Pos2::ZERO);
         level.shift(-origin.to_vec2());
-        let size = (extent.max - origin + INSET + Vec2::splat(ROOM)).max(LEAST);
+        let size = (extent.max - origin + INSET + Vec2::splat(ROOM)).max(MIN_VALUE);
         level.origins.insert(opened.id.clone(), Pos2::ZERO - origin.to_vec2());
         level.shift(INSET);
         items.push(Item { id: opened.id.clone(), node: None, size, position: opened.position });

@@ -6,7 +6,7 @@ use eframe::egui::{
 };
 
 use super::interaction::CanvasRequest;
-use super::paint::LEAST_TEXT;
+use super::paint::MIN_TEXT;
 use super::{Canvas, Scene};
 use panoscope_editor_model::Mark;
 use panoscope_editor_texts::text;
@@ -125,7 +125,7 @@ impl Canvas {
         let (transform, scale) = (self.transform(), self.scale());
         let framed = this.size.is_some();
         let mut rect = transform * rect_of(&this);
-        let font = FontId::proportional((if framed { 16.0 } else { 13.0 } * scale).max(LEAST_TEXT));
+        let font = FontId::proportional((if framed { 16.0 } else { 13.0 } * scale).max(MIN_TEXT));
         let color = theme::text().gamma_multiply(if framed { 0.75 } else { 0.95 });
         let galley = ui.painter().layout(this.text.clone(), font, color, (rect.width() - 16.0 * scale).max(20.0));
         if !framed {

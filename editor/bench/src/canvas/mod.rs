@@ -40,7 +40,7 @@ const FIT_SCALE: f32 = 1.5;
 const FIT_MARGIN: f32 = 20.0;
 
 /// Greatest width of a thumbnail, and step of widths, px.
-const LARGEST_PICTURE: f32 = 640.0;
+const MAX_PICTURE: f32 = 640.0;
 const PICTURE_STEP: f32 = 32.0;
 
 /// What the canvas draws.
@@ -267,7 +267,7 @@ impl Canvas {
     /// Width of a thumbnail in px: as it is drawn, in steps, so that a small change of the zoom asks for no other one.
     pub fn thumbnail_width(&self, pixels_per_point: f32) -> usize {
         let width = (shape::WIDTH - 2.0 * shape::PAD) * self.scale() * pixels_per_point;
-        (width.clamp(64.0, LARGEST_PICTURE) / PICTURE_STEP).ceil() as usize * PICTURE_STEP as usize
+        (width.clamp(64.0, MAX_PICTURE) / PICTURE_STEP).ceil() as usize * PICTURE_STEP as usize
     }
 
     /// Outputs whose thumbnails are visible, with their packet types.

@@ -9,7 +9,7 @@ use eframe::egui::{
     vec2,
 };
 
-use super::paint::LEAST_TEXT;
+use super::paint::MIN_TEXT;
 use super::shape::{DETAIL, HEADER, PAD, PICTURES, PORTS, Pin};
 use super::{Canvas, Scene};
 use panoscope_editor_model::content::{Content, DetectedBox};
@@ -62,8 +62,8 @@ impl Canvas {
         };
         if scale < PICTURES {
             plain_node(far, rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family);
-            if rect.height() > LINE && rect.width() > 2.5 * LEAST_TEXT {
-                let font = FontId::proportional(LEAST_TEXT);
+            if rect.height() > LINE && rect.width() > 2.5 * MIN_TEXT {
+                let font = FontId::proportional(MIN_TEXT);
                 let name = elided(painter, title, font, theme::text(), rect.width() - 6.0);
                 painter.galley(rect.min + vec2(4.0, (rect.height() - name.size().y) / 2.0), name, theme::text());
             }
@@ -219,7 +219,7 @@ impl Canvas {
                         frame.center(),
                         Align2::CENTER_CENTER,
                         caption,
-                        FontId::proportional(LEAST_TEXT),
+                        FontId::proportional(MIN_TEXT),
                         theme::muted(),
                     );
                 }

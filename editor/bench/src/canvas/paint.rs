@@ -9,13 +9,13 @@ use super::{Canvas, Scene};
 use panoscope_editor_widgets::theme;
 
 /// Least size of a text on the canvas, in points of the window.
-pub(super) const LEAST_TEXT: f32 = 11.0;
+pub(super) const MIN_TEXT: f32 = 11.0;
 
 impl Canvas {
     /// A font that grows and shrinks with the graph, but stays legible.
     pub(super) fn font(&self, size: f32) -> FontId {
         // Rounded to half points, so that the font texture needs fewer sizes.
-        FontId::new(((size * self.scale()) * 2.0).round().max(2.0 * LEAST_TEXT) / 2.0, FontFamily::Proportional)
+        FontId::new(((size * self.scale()) * 2.0).round().max(2.0 * MIN_TEXT) / 2.0, FontFamily::Proportional)
     }
 
     /// Draws the grid points. The background is the window's clear colour, because filling pixels is slow with software rendering.

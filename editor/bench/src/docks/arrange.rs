@@ -8,7 +8,7 @@ pub const GAP: f32 = 1.0;
 /// Height of the tabs of a group, points.
 pub const BAR: f32 = 28.0;
 /// Least size of a part, points; the graph gets at least twice as much.
-const LEAST: f32 = 96.0;
+const MIN_VALUE: f32 = 96.0;
 
 /// Panels in the same space.
 #[derive(Clone, Debug)]
@@ -126,12 +126,12 @@ fn divide(
 /// Sizes in a room: those that are wanted, where the part with the graph takes the rest; smaller where the room is too small for that. Without
 /// the graph all have their share.
 fn sizes(wanted: &[(f32, bool)], room: f32) -> Vec<f32> {
-    let fixed: f32 = wanted.iter().filter(|(_, takes_rest)| !takes_rest).map(|(size, _)| size.max(LEAST)).sum();
+    let fixed: f32 = wanted.iter().filter(|(_, takes_rest)| !takes_rest).map(|(size, _)| size.max(MIN_VALUE)).sum();
     let has_rest = wanted.iter().any(|(_, takes_rest)| *takes_rest);
-    let for_fixed = if has_rest { fixed.min((room - 2.0 * LEAST).max(room / 3.0)) } else { room };
+    let for_fixed = if has_rest { fixed.min((room - 2.0 * MIN_VALUE).max(room / 3.0)) } else { room };
     let scale = if fixed > 0.0 { for_fixed / fixed } else { 0.0 };
     let rest = room - if fixed > 0.0 { for_fixed } else { 0.0 };
-    wanted.iter().map(|(size, takes_rest)| if *takes_rest { rest } else { size.max(LEAST) * scale }).collect()
+    wanted.iter().map(|(size, takes_rest)| if *takes_rest { rest } else { size.max(MIN_VALUE) * scale }).collect()
 }
 
 #[cfg(test)]

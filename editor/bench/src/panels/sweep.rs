@@ -11,7 +11,7 @@ use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
 use panoscope_base::packet::has_numbers;
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::numbers::drag_value;
-use panoscope_eval::sweep::{COUNTERS, MOST_STEPS, Point, Request, can_sweep, csv};
+use panoscope_eval::sweep::{COUNTERS, MAX_STEPS, Point, Request, can_sweep, csv};
 use panoscope_graph::ParamKind;
 use panoscope_loader::Loader;
 
@@ -204,7 +204,7 @@ impl SweepPanel {
                 }
                 let steps = ui.add(
                     drag_value(&mut self.steps)
-                        .range(2..=MOST_STEPS)
+                        .range(2..=MAX_STEPS)
                         .suffix(format!(" {}", text!("sweep-steps.suffix"))),
                 );
                 name(ui, steps.id, text!("sweep-steps"));

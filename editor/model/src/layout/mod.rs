@@ -10,7 +10,7 @@ pub use rows::fitted;
 /// Distance between layers and between the nodes of a layer, in points at zoom 1.
 const GAP: [f32; 2] = [64.0, 32.0];
 /// The same at most, where the window has more space than the nodes need.
-const MOST_GAP: [f32; 2] = [144.0, 112.0];
+const MAX_GAP: [f32; 2] = [144.0, 112.0];
 
 /// Height reserved for the wires of a node that pass a layer.
 const LANE: f32 = 20.0;

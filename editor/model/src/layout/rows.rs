@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::layers::{self, Neighbours, distance};
-use super::{GAP, LANE, Layout, MOST_GAP};
+use super::{GAP, LANE, Layout, MAX_GAP};
 
 /// Distance between two rows without wires between them, points at zoom 1.
 const CHANNEL: f32 = 40.0;
@@ -109,7 +109,7 @@ fn spread(input: &Input<'_>, plan: &Plan, laid: &Laid) -> Laid {
     let across = plan.row_ranges(columns.len()).map(|row| row.len() - 1).max().unwrap_or(0);
     let down = |row: std::ops::Range<usize>| columns[row].iter().map(|c| c.len().saturating_sub(1)).max().unwrap_or(0);
     let down: usize = plan.row_ranges(columns.len()).map(down).sum::<usize>() + plan.rows.len() - 1;
-    let gap = [(GAP[0] + spare(0, across)).min(MOST_GAP[0]), (GAP[1] + spare(1, down)).min(MOST_GAP[1])];
+    let gap = [(GAP[0] + spare(0, across)).min(MAX_GAP[0]), (GAP[1] + spare(1, down)).min(MAX_GAP[1])];
     lay(input, plan, gap)
 }
 
@@ -381,7 +381,7 @@ fn place_rows(
     for (index, row) in ranges.iter().enumerate() {
         // All rows end at the same edge, where that needs no great distances.
         let even = (widest - filled(row)) / (row.len() - 1).max(1) as f32;
-        let between = even.clamp(gap[0], MOST_GAP[0].max(gap[0]));
+        let between = even.clamp(gap[0], MAX_GAP[0].max(gap[0]));
         let mut x = 0.0f32;
         for layer in row.clone() {
             rows.left[layer] = (x / 8.0).floor() * 8.0;

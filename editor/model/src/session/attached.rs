@@ -13,7 +13,7 @@ use super::{Phase, Requests, RunProblem, Session, Shared, Wake};
 /// Between two looks at the machine.
 const LOOK: Duration = Duration::from_millis(100);
 /// Changes of this window that are remembered.
-const MOST_OWN: usize = 64;
+const MAX_OWN: usize = 64;
 
 impl Session {
     /// A session for the graph that runs on another machine. Changes are made there; `path` is where a copy of the graph would be saved.
@@ -62,7 +62,7 @@ impl Own {
             self.before.clear();
         }
         self.before.push_back(base);
-        if self.before.len() > MOST_OWN {
+        if self.before.len() > MAX_OWN {
             self.before.pop_front();
         }
         text.clone_into(&mut self.last);

@@ -36,7 +36,7 @@ use super::runner::{Outage, Runner};
 use super::{Opened, Refusal};
 
 /// How long a report may take.
-const LONGEST_REPORT: Duration = Duration::from_secs(3);
+const MAX_REPORT: Duration = Duration::from_secs(3);
 
 /// A graph that runs in a process of its own, guarded by this one.
 #[derive(Clone)]
@@ -234,7 +234,7 @@ impl Runner for Guard {
         let mut state = lock(&self.owner.shared.state);
         state.report = None;
         state.send(Command::Report);
-        let until = Instant::now() + LONGEST_REPORT;
+        let until = Instant::now() + MAX_REPORT;
         loop {
             if let Some(report) = state.report.take() {
                 return report;

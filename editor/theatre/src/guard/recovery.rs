@@ -18,7 +18,7 @@ const RESUME_AFTER: [Duration; 5] = [
 /// A process that lived so long is not in a row of crashes.
 const ROW: Duration = Duration::from_secs(60);
 /// Longest time between the start of two processes that show the cameras.
-const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+const MAX_PAUSE: Duration = Duration::from_secs(5);
 /// Time without a picture of the cameras after which they are started again.
 const CAMERAS_AGAIN: Duration = Duration::from_secs(5);
 
@@ -81,7 +81,7 @@ impl Recovery {
             Stage::Down(_) | Stage::Opening(_) => self.in_a_row.min(6) as u32,
             _ => 0,
         };
-        let pause = (Duration::from_millis(125) * 2_u32.pow(tries)).min(LONGEST_PAUSE);
+        let pause = (Duration::from_millis(125) * 2_u32.pow(tries)).min(MAX_PAUSE);
         let pause = if tries == 0 { Duration::ZERO } else { pause };
         self.set(Stage::Down(now + pause), now);
     }
@@ -257,7 +257,7 @@ mod tests {
             recovery.opening(now);
         }
         assert_eq!(pauses[0], Duration::ZERO);
-        assert!(pauses.is_sorted() && pauses[11] <= LONGEST_PAUSE + seconds(0.05), "{pauses:?}");
+        assert!(pauses.is_sorted() && pauses[11] <= MAX_PAUSE + seconds(0.05), "{pauses:?}");
     }
 
     #[test]

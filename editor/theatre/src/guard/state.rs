@@ -22,9 +22,9 @@ const STUCK: Duration = Duration::from_secs(5);
 /// How long a process may take to give its first sign of life.
 const BEGIN: Duration = Duration::from_secs(20);
 /// How long the end of a process may take: its files are finished.
-const LONGEST_END: Duration = Duration::from_secs(45);
+const MAX_END: Duration = Duration::from_secs(45);
 /// How long a switch may take to be set.
-const LONGEST_SET: Duration = Duration::from_millis(300);
+const MAX_SET: Duration = Duration::from_millis(300);
 
 /// A process that waits to take over.
 pub(super) struct Spare {
@@ -195,7 +195,7 @@ impl State {
 
     /// Counts switches that were not set in time as refused.
     pub(super) fn see_late_switches(&mut self) -> bool {
-        let late = self.setting.extract_if(.., |setting| setting.at.elapsed() > LONGEST_SET);
+        let late = self.setting.extract_if(.., |setting| setting.at.elapsed() > MAX_SET);
         let late: Vec<String> = late.map(|setting| setting.node).collect();
         self.refusals.extend(late.iter().cloned());
         !late.is_empty()
@@ -237,7 +237,7 @@ impl State {
         self.spare = None;
         self.has_taken = false;
         self.watch_silence(passed);
-        let is_late = since.elapsed() > LONGEST_END;
+        let is_late = since.elapsed() > MAX_END;
         if self.active.as_ref().is_none_or(|active| is_late || active.end().is_some()) {
             self.active = None;
             return true;

@@ -18,7 +18,7 @@ use crate::{OpenError, Refusal};
 /// Time between two looks at the processes.
 const LOOK: Duration = Duration::from_millis(25);
 /// Longest time that counts for one look: the window itself did not run for the rest.
-const LONGEST_LOOK: Duration = Duration::from_millis(100);
+const MAX_LOOK: Duration = Duration::from_millis(100);
 /// Time from the first pictures, or from the last try, to the start of the process that waits.
 pub(super) const SPARE_AFTER: Duration = Duration::from_secs(2);
 const SPARE_AGAIN: Duration = Duration::from_secs(20);
@@ -89,7 +89,7 @@ impl Shared {
         let mut state = lock(&self.state);
         loop {
             let now = Instant::now();
-            let passed = now.duration_since(state.looked_at).min(LONGEST_LOOK);
+            let passed = now.duration_since(state.looked_at).min(MAX_LOOK);
             state.looked_at = now;
             let closing_since = state.closing_since;
             let changed = match closing_since {

@@ -23,7 +23,7 @@ pub(crate) use memory::{Region, SLOTS};
 use super::{Opened, Refusal};
 
 /// Longest message. A graph's text is the longest part of one.
-const MOST_BYTES: usize = 64 << 20;
+const MAX_BYTES: usize = 64 << 20;
 
 /// What the window sends.
 #[derive(Debug, Serialize, Deserialize)]
@@ -221,7 +221,7 @@ pub(crate) fn send<T: Serialize>(to: &mut impl Write, message: &T) -> io::Result
     let mut bytes = vec![0; 4];
     serde_json::to_writer(&mut bytes, message)?;
     let len = bytes.len() - 4;
-    if len > MOST_BYTES {
+    if len > MAX_BYTES {
         return Err(io::Error::other("the message is too long"));
     }
     bytes[..4].copy_from_slice(&(len as u32).to_le_bytes());
@@ -241,7 +241,7 @@ pub(crate) fn receive<T: DeserializeOwned>(from: &mut impl Read) -> io::Result<O
         Err(error) => return Err(error),
     }
     let len = u32::from_le_bytes(len) as usize;
-    if len > MOST_BYTES {
+    if len > MAX_BYTES {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "the message is too long"));
     }
     let mut bytes = Vec::new();

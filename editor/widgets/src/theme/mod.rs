@@ -91,11 +91,11 @@ pub const SURFACE: Color32 = Color32::from_gray(18);
 pub const BLACK: Color32 = rgb(0x06080A);
 
 /// Size of the smallest text on a screen, px.
-const LEAST_TEXT_PX: f32 = 11.0;
+const MIN_TEXT_PX: f32 = 11.0;
 
 /// Size of a text in points, at least what is legible where the window is scaled down.
 pub fn legible(ctx: &Context, size: f32) -> f32 {
-    size.max(LEAST_TEXT_PX / ctx.pixels_per_point())
+    size.max(MIN_TEXT_PX / ctx.pixels_per_point())
 }
 
 /// Unit of all distances, in points.

@@ -12,7 +12,7 @@ use super::name::SourceName;
 /// Calls that have not returned yet, by the source's name.
 static RUNNING: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
 /// Most calls that may hang for one source; each abandoned call holds a thread.
-const MOST_RUNNING: usize = 3;
+const MAX_RUNNING: usize = 3;
 
 /// A call that opens a source.
 pub struct Opening<T> {
@@ -41,12 +41,12 @@ impl<T: Send + 'static> Opening<T> {
         let closed = |reason: String| CaptureError::Closed { name: key.clone(), reason };
         let is_free = running(|running| {
             let count = running.entry(key.clone()).or_default();
-            let is_free = *count < MOST_RUNNING;
+            let is_free = *count < MAX_RUNNING;
             *count += usize::from(is_free);
             is_free
         });
         if !is_free {
-            return Err(closed(format!("{MOST_RUNNING} earlier attempts have not returned yet")));
+            return Err(closed(format!("{MAX_RUNNING} earlier attempts have not returned yet")));
         }
         let (sender, result) = channel();
         let key_of_task = key.clone();

@@ -4,7 +4,7 @@ use super::error::PictureError;
 use super::picture::{Picture, Samples};
 
 /// Most columns or rows.
-const MOST_PX: usize = 1 << 16;
+const MAX_PX: usize = 1 << 16;
 
 fn unsupported(format: String) -> PictureError {
     PictureError::Unsupported { format }
@@ -31,7 +31,7 @@ pub fn bmp(bytes: &[u8]) -> Result<Picture, PictureError> {
         return Err(unsupported(format!("a bitmap of {bits} bits with compression {compression}")));
     }
     let (columns, rows) = (usize::try_from(width).unwrap_or(0), height.unsigned_abs() as usize);
-    if columns == 0 || rows == 0 || columns > MOST_PX || rows > MOST_PX {
+    if columns == 0 || rows == 0 || columns > MAX_PX || rows > MAX_PX {
         return Err(PictureError::Incomplete);
     }
     let pixel = bits / 8;
@@ -88,7 +88,7 @@ pub fn pnm(bytes: &[u8]) -> Result<Picture, PictureError> {
     };
     let (width, height, most) = (number()?, number()?, number()?);
     at += 1;
-    if width == 0 || height == 0 || width > MOST_PX || height > MOST_PX || most == 0 || most > 0xFFFF {
+    if width == 0 || height == 0 || width > MAX_PX || height > MAX_PX || most == 0 || most > 0xFFFF {
         return Err(PictureError::Incomplete);
     }
     let values = width * height * channels;

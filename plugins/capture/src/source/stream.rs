@@ -24,7 +24,7 @@ use crate::devices;
 /// Pause before the first attempt to open a lost source again.
 const FIRST_WAIT: Duration = Duration::from_millis(250);
 /// Longest pause between two attempts: a source that is back is shown within 2 s.
-const LONGEST_WAIT: Duration = Duration::from_secs(1);
+const MAX_WAIT: Duration = Duration::from_secs(1);
 /// Limit of the first attempt to open a lost source again. An attempt that is not answered is given up, and the next one may take twice as long.
 const FIRST_ATTEMPT: Duration = Duration::from_millis(1500);
 /// Shortest silence of a live source for which the other views do not wait: well below the time after which a screen calls images old.
@@ -605,7 +605,7 @@ impl Stream {
 
 /// The next attempt after twice the pause.
 fn again(wait: Duration, now_ns: i64) -> State {
-    waiting((wait * 2).min(LONGEST_WAIT), now_ns)
+    waiting((wait * 2).min(MAX_WAIT), now_ns)
 }
 
 /// The next attempt after a pause.

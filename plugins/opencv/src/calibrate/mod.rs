@@ -21,7 +21,7 @@ use neighbours::keep_fitting;
 use solve::{Model, Pair, Procedure, Solution, solve};
 
 /// Fewest common points of a usable view.
-const LEAST_POINTS: usize = 8;
+const MIN_POINTS: usize = 8;
 /// A view is an outlier when its error is this many times the median of all views.
 const STANDS_OUT: f64 = 3.0;
 /// Views with a smaller error are never outliers, px.
@@ -237,7 +237,7 @@ impl CalibrateStereo {
                 (true, true) => ViewState::NoBoard,
                 (true, false) => ViewState::NoBoardLeft,
                 (false, true) => ViewState::NoBoardRight,
-                _ if pair.board_mm.len() < LEAST_POINTS || is_one_line(&pair.board_mm) => ViewState::FewPoints,
+                _ if pair.board_mm.len() < MIN_POINTS || is_one_line(&pair.board_mm) => ViewState::FewPoints,
                 _ if self.is_alike(&pair, size, params.min_move) => ViewState::Alike,
                 _ => ViewState::Used,
             }

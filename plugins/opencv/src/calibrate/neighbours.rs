@@ -6,7 +6,7 @@ use super::detect::Points;
 /// Distance of neighbours, squares.
 const REACH_SQUARES: f64 = 2.9;
 /// Fewest neighbours that can confirm a point.
-const LEAST_NEIGHBOURS: usize = 4;
+const MIN_NEIGHBOURS: usize = 4;
 /// Largest distance of a point from its neighbours' prediction, squares.
 const TOLERANCE_SQUARES: f64 = 0.15;
 
@@ -47,7 +47,7 @@ fn misfit(points: &Points, index: usize, places_mm: &[[f64; 2]], square_mm: f64)
             sides[1][i] += row[i] * f64::from(px[1]);
         }
     }
-    if count < LEAST_NEIGHBOURS {
+    if count < MIN_NEIGHBOURS {
         return f64::INFINITY;
     }
     let (Some(u), Some(v)) = (solve3(m, sides[0]), solve3(m, sides[1])) else { return f64::INFINITY };

@@ -11,7 +11,7 @@ use super::peer::{Outgoing, Peer};
 use super::{Shared, lock, utc_ns};
 
 /// Answers of one kind that wait: a program that asks without reading gets the newest ones.
-const MOST_ANSWERS: usize = 16;
+const MAX_ANSWERS: usize = 16;
 
 /// Handles one message.
 ///
@@ -98,6 +98,6 @@ fn reply(peer: &Peer, asked: &Message<'_>, kind: &'static str, content: Content<
 }
 
 fn offer(peer: &Peer, kind: &'static str, device: String, bytes: Arc<Vec<u8>>) {
-    let message = Outgoing { kind, device, bytes, is_pushed: true, is_answer: true, most: MOST_ANSWERS };
+    let message = Outgoing { kind, device, bytes, is_pushed: true, is_answer: true, most: MAX_ANSWERS };
     peer.offer(&message, false);
 }

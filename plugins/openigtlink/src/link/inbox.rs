@@ -10,7 +10,7 @@ use panoscope_igtl::Raw;
 use super::lock;
 
 /// Large messages of one device that wait.
-const MOST_LARGE: usize = 2;
+const MAX_LARGE: usize = 2;
 /// From this size on a message is large.
 const LARGE_BYTES: usize = 64 << 10;
 
@@ -79,7 +79,7 @@ impl Inbox {
         if !is_wanted || !(self.filter.device.is_empty() || self.filter.device == header.device) {
             return;
         }
-        let most = if raw.bytes.len() >= LARGE_BYTES { self.most.min(MOST_LARGE) } else { self.most };
+        let most = if raw.bytes.len() >= LARGE_BYTES { self.most.min(MAX_LARGE) } else { self.most };
         let is_same = |message: &Received| message.kind == header.kind && message.device == header.device;
         let mut state = lock(&self.state);
         while state.messages.iter().filter(|message| is_same(message)).count() >= most {

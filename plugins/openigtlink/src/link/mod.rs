@@ -21,11 +21,11 @@ pub use peer::Outgoing;
 use peer::Peer;
 
 /// Programs that a server serves at a time.
-pub const MOST_PEERS: usize = 32;
+pub const MAX_PEERS: usize = 32;
 /// Remarks that wait for a node to log them.
-const MOST_REMARKS: usize = 32;
+const MAX_REMARKS: usize = 32;
 /// Messages kept for requests.
-const MOST_NEWEST: usize = 256;
+const MAX_NEWEST: usize = 256;
 
 /// Why there is no connection.
 #[derive(Debug, thiserror::Error)]
@@ -187,7 +187,7 @@ impl Shared {
 
     fn add_remark(&self, remark: Remark) {
         let mut remarks = lock(&self.remarks);
-        if remarks.len() < MOST_REMARKS {
+        if remarks.len() < MAX_REMARKS {
             remarks.push(remark);
         }
     }
@@ -274,7 +274,7 @@ impl Link {
             newest.clear();
             return;
         }
-        if newest.len() < MOST_NEWEST
+        if newest.len() < MAX_NEWEST
             || newest.keys().any(|(kind, device)| *kind == message.kind && *device == message.device)
         {
             newest.insert((message.kind, message.device.clone()), Arc::clone(&message.bytes));

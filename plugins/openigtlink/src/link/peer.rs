@@ -12,7 +12,7 @@ use super::{Shared, lock};
 /// A program that takes no byte for this long is given up.
 const WRITE_LIMIT: Duration = Duration::from_secs(5);
 /// Large messages of one device that wait: the newest matters, and each takes megabytes.
-const MOST_LARGE: usize = 2;
+const MAX_LARGE: usize = 2;
 /// From this size on a message is large.
 const LARGE_BYTES: usize = 64 << 10;
 
@@ -122,7 +122,7 @@ impl Peer {
             }
             queue.last.insert(key, now);
         }
-        let most = if message.bytes.len() >= LARGE_BYTES { message.most.min(MOST_LARGE) } else { message.most };
+        let most = if message.bytes.len() >= LARGE_BYTES { message.most.min(MAX_LARGE) } else { message.most };
         let is_same = |item: &Item| {
             (item.kind, item.is_answer) == (message.kind, message.is_answer) && item.device == message.device
         };

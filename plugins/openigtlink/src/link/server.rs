@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::{LinkError, MOST_PEERS, Shared, connected, lock};
+use super::{LinkError, MAX_PEERS, Shared, connected, lock};
 
 /// How often new connections are looked for.
 const STEP: Duration = Duration::from_millis(20);
@@ -43,8 +43,8 @@ fn accept(shared: &Arc<Shared>, listener: &TcpListener) {
             shared.pause(STEP);
             continue;
         };
-        if lock(&shared.peers).len() >= MOST_PEERS || threads.len() >= MOST_PEERS {
-            shared.remark(true, format!("{address} was turned away: {MOST_PEERS} programs are connected already"));
+        if lock(&shared.peers).len() >= MAX_PEERS || threads.len() >= MAX_PEERS {
+            shared.remark(true, format!("{address} was turned away: {MAX_PEERS} programs are connected already"));
             continue;
         }
         // A socket may inherit the listener's mode.

@@ -13,9 +13,9 @@ use super::Out;
 /// Columns of `points`.
 pub const COLUMNS: [&str; 4] = ["x_mm", "y_mm", "z_mm", "radius_mm"];
 /// Most devices whose pictures are kept for parts of later ones.
-const MOST_PICTURES: usize = 8;
+const MAX_PICTURES: usize = 8;
 /// Largest picture that is put together from parts, bytes.
-const MOST_PICTURE_BYTES: usize = 64 << 20;
+const MAX_PICTURE_BYTES: usize = 64 << 20;
 
 /// Names of the frames of a pose as the parameters have them.
 #[derive(Clone, Copy)]
@@ -72,14 +72,14 @@ impl Packets {
         }
         let pixel = usize::from(image.components) * image.scalar.bytes();
         let bytes = width * height * pixel;
-        if bytes > MOST_PICTURE_BYTES {
-            return Ok(Some(format!("it comes in parts and has {bytes} bytes, {MOST_PICTURE_BYTES} are the most")));
+        if bytes > MAX_PICTURE_BYTES {
+            return Ok(Some(format!("it comes in parts and has {bytes} bytes, {MAX_PICTURE_BYTES} are the most")));
         }
         let same = |whole: &Whole| {
             (whole.size, whole.components, whole.scalar) == (image.size, image.components, image.scalar)
         };
         if !self.wholes.get(device).is_some_and(same) {
-            if self.wholes.len() >= MOST_PICTURES && !self.wholes.contains_key(device) {
+            if self.wholes.len() >= MAX_PICTURES && !self.wholes.contains_key(device) {
                 self.wholes.clear();
             }
             let Image { size, components, scalar, .. } = *image;

@@ -7,7 +7,7 @@ mod ports;
 use panoscope_node::abi::{self, Calibration, Detection};
 use panoscope_node::{Context, Node, NodeInfo, Open, Result, Validation, ViewMut, detections, name16};
 
-use crate::render::canvas::MOST_WIDE_PX;
+use crate::render::canvas::MAX_WIDE_PX;
 use crate::render::lens::Lens;
 use crate::render::{self, Canvas, Phantom, Pose, ToolKind, ToolTruth, TruthMut};
 use calibration::calibration;
@@ -64,9 +64,9 @@ impl Node for PhantomNode {
         }
         let canvas = params.canvas();
         let is_read = ["wide", "footprint"].map(|port| check.is_read(port) == Some(true));
-        if is_read.contains(&true) && canvas.width.max(canvas.height) > MOST_WIDE_PX {
+        if is_read.contains(&true) && canvas.width.max(canvas.height) > MAX_WIDE_PX {
             let message = format!(
-                "the `wide` picture would have {}x{} px, {MOST_WIDE_PX} are the most",
+                "the `wide` picture would have {}x{} px, {MAX_WIDE_PX} are the most",
                 canvas.width, canvas.height
             );
             check.error("wide_factor", message, "lower `wide_factor`, or the size of the views");

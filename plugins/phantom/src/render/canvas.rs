@@ -3,7 +3,7 @@
 use super::params::PhantomError;
 
 /// Longest side of the wide picture, px.
-pub const MOST_WIDE_PX: usize = 8192;
+pub const MAX_WIDE_PX: usize = 8192;
 
 /// Size and place of a wide picture: pixel `(u, v)` of it is pixel `(u - offset_x, v - offset_y)` of the first camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,7 +22,7 @@ impl Canvas {
     /// Refuses sizes that cannot be drawn.
     pub(super) fn check(&self) -> Result<(), PhantomError> {
         for (name, value, low) in [("canvas width", self.width, 8.0), ("canvas height", self.height, 8.0)] {
-            let high = MOST_WIDE_PX as f64;
+            let high = MAX_WIDE_PX as f64;
             if !(low..=high).contains(&(value as f64)) {
                 return Err(PhantomError::OutOfRange { name, value: value as f64, low, high });
             }

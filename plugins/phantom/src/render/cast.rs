@@ -9,7 +9,7 @@ use super::solid::{Entry, Part, Solid};
 pub const FAR_MM: f32 = 2000.0;
 
 /// Shortest step towards a surface not yet reached, mm along the optical axis.
-const LEAST_STEP_MM: f32 = 0.04;
+const MIN_STEP_MM: f32 = 0.04;
 
 /// The height field of one frame.
 #[derive(Clone, Copy)]
@@ -208,7 +208,7 @@ impl Field<'_> {
         // Close to the surface a least step ends the approach, which would else take for ever where the ray
         // grazes it; it is far smaller than a node, and Newton mends what was overshot.
         let near = L::splat(2e-3);
-        let least = L::splat(LEAST_STEP_MM);
+        let least = L::splat(MIN_STEP_MM);
         let zero = L::splat(0.0);
         let mut t = start;
         let mut steps = 0;

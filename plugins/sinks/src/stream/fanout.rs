@@ -10,7 +10,7 @@ use panoscope_media::{MediaError, Packet, make};
 use super::codec::StreamCodec;
 
 /// Packets that may wait for a receiver. One that is farther behind gets no more until it has caught up, and then starts at a key frame.
-const MOST_WAITING: u64 = 8;
+const MAX_WAITING: u64 = 8;
 
 /// How packets travel in RTP.
 #[derive(Clone, Copy, Debug)]
@@ -118,13 +118,13 @@ impl Fanout {
 
     /// Whether a receiver waits for a key frame and could take it.
     pub fn wants_key(&self) -> bool {
-        self.lock().iter().any(|consumer| consumer.needs_key && consumer.source.current_level_buffers() < MOST_WAITING)
+        self.lock().iter().any(|consumer| consumer.needs_key && consumer.source.current_level_buffers() < MAX_WAITING)
     }
 
     /// Hands a packet to all who can take it.
     pub fn send(&self, caps: &Caps, packet: &Packet) {
         for consumer in self.lock().iter_mut() {
-            let is_behind = consumer.source.current_level_buffers() >= MOST_WAITING;
+            let is_behind = consumer.source.current_level_buffers() >= MAX_WAITING;
             if is_behind || consumer.needs_key && !packet.is_key() {
                 consumer.needs_key = true;
                 self.held_back.fetch_add(1, Ordering::Relaxed);

@@ -16,7 +16,7 @@ use super::fanout::{Fanout, Payload, SOURCE};
 /// Rest before the first new attempt; it doubles up to the longest.
 const FIRST_REST: Duration = Duration::from_millis(500);
 /// Longest rest between attempts.
-const LONGEST_REST: Duration = Duration::from_secs(8);
+const MAX_REST: Duration = Duration::from_secs(8);
 /// An attempt that lasted so long has worked: the next rest is a short one.
 const WORKED_AFTER: Duration = Duration::from_secs(5);
 /// How often a running attempt is looked at.
@@ -165,7 +165,7 @@ fn keep_sending(
         if stopped.recv_timeout(rest) != Err(RecvTimeoutError::Timeout) {
             return;
         }
-        rest = (rest * 2).min(LONGEST_REST);
+        rest = (rest * 2).min(MAX_REST);
     }
 }
 

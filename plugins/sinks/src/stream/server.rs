@@ -16,7 +16,7 @@ use super::fanout::{Fanout, Payload, SOURCE};
 use crate::serving::{ServeError, refused};
 
 /// Clients that a server takes at the same time.
-const MOST_SESSIONS: u32 = 32;
+const MAX_SESSIONS: u32 = 32;
 
 /// How often sessions of clients that left without a word are looked for.
 const CLEAN_UP_EVERY: Duration = Duration::from_secs(2);
@@ -55,7 +55,7 @@ impl Server {
         let port = u16::try_from(rtsp.bound_port()).map_err(|_| failed("it has no port".to_owned()))?;
         let mut sources = vec![attached];
         if let Some(sessions) = rtsp.session_pool() {
-            sessions.set_max_sessions(MOST_SESSIONS);
+            sessions.set_max_sessions(MAX_SESSIONS);
             let clean_up = gstreamer::glib::timeout_source_new(
                 CLEAN_UP_EVERY,
                 None,

@@ -1,7 +1,7 @@
 //! When each picture of a video is shown.
 
 /// A picture that comes so much later than the one before is shown for no longer than that, in files of a constant rate.
-const LONGEST_REPEAT_MS: u64 = 10_000;
+const MAX_REPEAT_MS: u64 = 10_000;
 
 /// File times out of the times at which pictures were taken.
 #[derive(Debug, Default)]
@@ -62,7 +62,7 @@ impl Pacing {
     /// How often the picture before is to be repeated before the one that was taken at `at_ns` is written.
     pub fn repeats(&mut self, at_ns: i64) -> u64 {
         let time_ms = self.timeline.next_ms(at_ns);
-        self.skipped_ms += (time_ms - self.last_ms).saturating_sub(LONGEST_REPEAT_MS);
+        self.skipped_ms += (time_ms - self.last_ms).saturating_sub(MAX_REPEAT_MS);
         self.last_ms = time_ms;
         let place = ((time_ms - self.skipped_ms) as f64 * self.rate_hz / 1000.0).round() as u64;
         let repeats = if self.written == 0 { 0 } else { place.saturating_sub(self.written) };

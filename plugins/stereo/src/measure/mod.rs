@@ -176,7 +176,7 @@ impl Measure {
             self.rows.extend(self.given[start..start + size].iter().flatten());
             let mut points =
                 [SurfacePoint { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN, confidence: 1.0 };
-                    length::MOST_POINTS];
+                    length::MAX_POINTS];
             for (point, place) in points.iter_mut().zip(&self.places[start..start + size]) {
                 *point = place.unwrap_or(*point);
             }

@@ -3,8 +3,8 @@
 use super::{LastMask, TipFinder};
 
 /// Fewest lines across the shaft, and its smallest length as a share of the jaws' length.
-const FEWEST_LINES: usize = 4;
-const LEAST_SHARE: f64 = 0.1;
+const MIN_LINES: usize = 4;
+const MIN_SHARE: f64 = 0.1;
 /// Thinnest part of a mask that is a shaft, px.
 const THIN_PX: f64 = 3.0;
 /// Share of the jaws' length that is left out beyond their joint.
@@ -87,7 +87,7 @@ impl TipFinder {
         }
         let mut axis = None;
         for _ in 0..3 {
-            if points.iter().filter(|(_, is_used)| *is_used).count() < FEWEST_LINES {
+            if points.iter().filter(|(_, is_used)| *is_used).count() < MIN_LINES {
                 return None;
             }
             let fitted = ShaftAxis::fit(points, lines.axis)?;
@@ -103,7 +103,7 @@ impl TipFinder {
             points.iter().filter(|(_, is_used)| *is_used).map(|([x, y], _)| x * axis.along[0] + y * axis.along[1]);
         let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
         let length_px = high - low;
-        (length_px >= LEAST_SHARE * jaws_px).then_some(ShaftAxis { length_px, ..axis })
+        (length_px >= MIN_SHARE * jaws_px).then_some(ShaftAxis { length_px, ..axis })
     }
 }
 

@@ -25,11 +25,11 @@ pub trait Nearness {
 const MARGIN: f32 = 0.15;
 const MARGIN_PX: f32 = 6.0;
 /// Most cells along the longer side of the region.
-const MOST_CELLS: f32 = 128.0;
+const MAX_CELLS: f32 = 128.0;
 /// Pixels of a large cell that are read, each way, at least.
 const SAMPLES: usize = 4;
 /// Fewest cells of a region that can be segmented.
-pub(super) const FEWEST_CELLS: usize = 64;
+pub(super) const MIN_CELLS: usize = 64;
 /// Brightness (sum of three channels) below which colour fades to gray.
 const DARK: f32 = 36.0;
 /// Number of classes of redness and of brightness for learned colours.
@@ -60,9 +60,9 @@ impl Region {
         let (dx, dy) = (((x1 - x0) * MARGIN).max(MARGIN_PX), ((y1 - y0) * MARGIN).max(MARGIN_PX));
         let (left, top) = (clip(x0 - dx, width), clip(y0 - dy, height));
         let (right, bottom) = (clip((x1 + dx).ceil(), width), clip((y1 + dy).ceil(), height));
-        let pitch = ((right - left).max(bottom - top) as f32 / MOST_CELLS).ceil().max(1.0) as usize;
+        let pitch = ((right - left).max(bottom - top) as f32 / MAX_CELLS).ceil().max(1.0) as usize;
         let (columns, rows) = ((right - left) / pitch, (bottom - top) / pitch);
-        if columns * rows < FEWEST_CELLS {
+        if columns * rows < MIN_CELLS {
             return None;
         }
         let cell =

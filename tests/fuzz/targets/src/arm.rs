@@ -2,7 +2,7 @@
 
 use panoscope_arm_core::interlock::{Cause, Event, Evidence, Settings};
 use panoscope_arm_core::line::Serial;
-use panoscope_arm_core::line::{LONGEST, Line, Reader, Received};
+use panoscope_arm_core::line::{Line, MAX_LEN, Reader, Received};
 use panoscope_arm_core::{Chain, JointVector};
 use panoscope_arm_guard::latch::{LatchStore, Record};
 use panoscope_arm_guard::message::{self, Report, Request, Status};
@@ -32,7 +32,7 @@ fn one_line(bytes: &[u8]) {
     let Some(line) = Line::read(bytes) else { return };
     let mut written = Vec::new();
     line.write(&mut written);
-    assert!(written.len() <= LONGEST, "{line:?}");
+    assert!(written.len() <= MAX_LEN, "{line:?}");
     let mut back = Vec::new();
     Reader::default().take(&written, |received| back.push(received));
     let [Received::Line(again)] = back.as_slice() else { panic!("{line:?} came back as {back:?}") };
@@ -76,7 +76,7 @@ pub fn message(bytes: &[u8]) {
 }
 
 fn one_message(bytes: &[u8]) {
-    let mut out = [0; message::LONGEST];
+    let mut out = [0; message::MAX_LEN];
     if let Some(request) = Request::decode(bytes) {
         let written = request.encode(&mut out).to_vec();
         let again = Request::decode(&written).expect("a request that was written");
@@ -106,7 +106,7 @@ pub fn message_seeds() -> Vec<Vec<u8>> {
         Report::Status(Box::new(status)),
         Report::Event(Event { at_ns: 5, stop: None, speed_rad_s: 0.4 }),
     ];
-    let mut out = [0; message::LONGEST];
+    let mut out = [0; message::MAX_LEN];
     let mut all = vec![request.encode(&mut out).to_vec()];
     all.extend(reports.iter().map(|report| report.encode(&mut out).to_vec()));
     // Without the CRC, which the target adds.

@@ -5,7 +5,7 @@ use panoscope_media::input::jpeg;
 use panoscope_truth::masks::{Code, MaskPicture};
 
 /// Masks with fewer pixels are divided into their parts, which takes time in proportion.
-const MOST_PARTED: usize = 1 << 20;
+const MAX_PARTED: usize = 1 << 20;
 
 pub fn run(bytes: &[u8]) {
     if let Ok(whole) = jpeg::whole(bytes) {
@@ -14,7 +14,7 @@ pub fn run(bytes: &[u8]) {
     }
     if let Ok(mask) = MaskPicture::decode(bytes) {
         assert_eq!(mask.colours.len(), mask.width * mask.height);
-        if mask.colours.len() < MOST_PARTED {
+        if mask.colours.len() < MAX_PARTED {
             let parts = mask.parts(&Code::Set, 0);
             let set = mask.colours.iter().filter(|colour| **colour != [0; 3]).count();
             assert_eq!(parts.iter().map(|part| part.pixels.len()).sum::<usize>(), set, "every pixel is in one part");

@@ -11,24 +11,24 @@ use panoscope_base::random::SplitMix64;
 use panoscope_fuzz_targets::{TARGETS, Target};
 
 /// Most files and bytes of a committed corpus.
-const MOST_FILES: usize = 60;
-const MOST_BYTES: usize = 100 << 10;
+const MAX_FILES: usize = 60;
+const MAX_BYTES: usize = 100 << 10;
 /// Longest time for one input, on a busy machine and without optimization. Inputs take milliseconds; those that this is for, hours.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Largest single allocation for an input; pictures may expand what they packed.
-const LARGEST: usize = 64 << 20;
-const LARGEST_PICTURE: usize = 512 << 20;
+const MAX_SIZE: usize = 64 << 20;
+const MAX_PICTURE: usize = 512 << 20;
 
 /// Remembers the largest allocation of each thread.
 struct Watched;
 
 thread_local! {
-    static LARGEST_REQUEST: Cell<usize> = const { Cell::new(0) };
+    static MAX_REQUEST: Cell<usize> = const { Cell::new(0) };
 }
 
 fn note(size: usize) {
     // A thread that ends has none any more.
-    let _ = LARGEST_REQUEST.try_with(|largest| largest.set(largest.get().max(size)));
+    let _ = MAX_REQUEST.try_with(|largest| largest.set(largest.get().max(size)));
 }
 
 // SAFETY: every call is passed on to the system's allocator, which upholds the contract.
@@ -79,11 +79,11 @@ fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
 
 /// Runs one input; what is wrong with it.
 fn fault(target: &Target, bytes: &[u8]) -> Option<String> {
-    LARGEST_REQUEST.set(0);
+    MAX_REQUEST.set(0);
     let begun = Instant::now();
     let ended = catch_unwind(AssertUnwindSafe(|| (target.run)(bytes)));
-    let (took, largest) = (begun.elapsed(), LARGEST_REQUEST.get());
-    let limit = if ["picture", "truth_file"].contains(&target.name) { LARGEST_PICTURE } else { LARGEST };
+    let (took, largest) = (begun.elapsed(), MAX_REQUEST.get());
+    let limit = if ["picture", "truth_file"].contains(&target.name) { MAX_PICTURE } else { MAX_SIZE };
     if let Err(panic) = ended {
         return Some(format!("it panicked: {}", panoscope_engine::panic_words(&*panic)));
     }
@@ -183,7 +183,7 @@ fn every_target_has_a_file_and_a_small_corpus() {
         let files = corpus(target);
         let bytes: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
         assert!(
-            files.len() <= MOST_FILES && bytes <= MOST_BYTES,
+            files.len() <= MAX_FILES && bytes <= MAX_BYTES,
             "{}: {} files, {bytes} bytes",
             target.name,
             files.len()
@@ -208,6 +208,6 @@ fn a_parser_that_panics_is_noticed() {
     assert_eq!(fault(&broken, b""), None);
     assert!(fault(&broken, b"x").is_some_and(|words| words.contains("panicked")));
     let greedy =
-        Target { name: "greedy", run: |_| drop(std::hint::black_box(vec![0u8; LARGEST + 1])), seeds: Vec::new };
+        Target { name: "greedy", run: |_| drop(std::hint::black_box(vec![0u8; MAX_SIZE + 1])), seeds: Vec::new };
     assert!(fault(&greedy, b"x").is_some_and(|words| words.contains("allocated")));
 }

@@ -4,10 +4,10 @@ use panoscope_tracking::skill::measures::Activity;
 use panoscope_tracking::skill::{CELL_S, Cell, Movement};
 
 /// Parts of time that are kept; when there are more, pairs become one.
-const MOST_PARTS: usize = 1200;
+const MAX_PARTS: usize = 1200;
 /// Positions of the path that are kept, and movements; so too.
-const MOST_PLACES: usize = 4000;
-const MOST_MOVEMENTS: usize = 4000;
+const MAX_PLACES: usize = 4000;
+const MAX_MOVEMENTS: usize = 4000;
 
 /// A part of time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -43,7 +43,7 @@ impl Trace {
             (self.per_part, self.per_place, self.first) = (1, 1, cell.index);
             (self.last_cell, self.was_broken) = (cell.index, true);
         }
-        while (cell.index - self.first) / self.per_part >= MOST_PARTS as i64 {
+        while (cell.index - self.first) / self.per_part >= MAX_PARTS as i64 {
             let pairs = self.parts.chunks(2).map(|two| {
                 two.iter().fold(Part::default(), |sum, part| Part {
                     cells: sum.cells + part.cells,
@@ -70,7 +70,7 @@ impl Trace {
             let [x, y, z, _] = cell.state.place;
             self.places.push(([x, y, z], !self.was_broken));
             self.was_broken = false;
-            if self.places.len() > MOST_PLACES {
+            if self.places.len() > MAX_PLACES {
                 let kept = self.places.chunks(2).map(|two| (two[0].0, two.iter().all(|(_, is_joined)| *is_joined)));
                 self.places = kept.collect();
                 self.per_place *= 2;
@@ -87,7 +87,7 @@ impl Trace {
         }
         self.skipped = 0;
         self.movements.push(*movement);
-        if self.movements.len() > MOST_MOVEMENTS {
+        if self.movements.len() > MAX_MOVEMENTS {
             let mut index = 0;
             self.movements.retain(|_| {
                 index += 1;
@@ -118,8 +118,8 @@ mod tests {
             let state = State { place: [index as f64, 0.0, 0.0, 0.0], velocity: [speed, 0.0, 0.0, 0.0] };
             trace.cell(&Cell { index, activity, state });
         }
-        assert!((MOST_PARTS / 2..=MOST_PARTS).contains(&trace.parts.len()), "{}", trace.parts.len());
-        assert!(trace.places.len() <= MOST_PLACES && trace.places.iter().skip(1).all(|(_, is_joined)| *is_joined));
+        assert!((MAX_PARTS / 2..=MAX_PARTS).contains(&trace.parts.len()), "{}", trace.parts.len());
+        assert!(trace.places.len() <= MAX_PLACES && trace.places.iter().skip(1).all(|(_, is_joined)| *is_joined));
         let peak = trace.parts.iter().map(|p| p.speed_max).fold(0.0, f64::max);
         let (cells, moving) = trace.parts.iter().fold((0, 0), |(c, m), p| (c + p.cells, m + p.moving));
         assert_eq!((peak, cells, moving), (90.0, 360_000, 270_000));

@@ -30,7 +30,7 @@ pub struct Tip {
 }
 
 /// Longest prediction that still counts as seen, ms.
-const MOST_GAP_MS: f64 = 150.0;
+const MAX_GAP_MS: f64 = 150.0;
 
 enum Form {
     Csv(Vec<String>),
@@ -77,7 +77,7 @@ fn row(at_s: f64, number: &dyn Fn(&str) -> f64, word: &dyn Fn(&str) -> Option<St
     let room = place("room_x_mm", "room_y_mm", "room_z_mm").or(camera);
     let either = |a: &str, b: &str| Some(number(a)).filter(|v| v.is_finite()).unwrap_or_else(|| number(b));
     let gap_ms = number("gap_ms");
-    let tip = room.filter(|_| gap_ms.is_nan() || gap_ms <= MOST_GAP_MS).map(|place_mm| {
+    let tip = room.filter(|_| gap_ms.is_nan() || gap_ms <= MAX_GAP_MS).map(|place_mm| {
         let (id, class) = (either("track_id", "tip.track_id"), either("class_index", "tip.class_index"));
         Tip {
             track_id: if id.is_finite() { id as i64 } else { -1 },

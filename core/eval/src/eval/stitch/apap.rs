@@ -11,13 +11,13 @@ use panoscope_imaging::stitch::{Lattice, Mesh};
 /// Distance at which the weight of a match has fallen to 1/e, px (the authors' `sigma`).
 const REACH_PX: f64 = 8.5;
 /// Least weight of a match (the authors' `gamma`): far from all matches the warp is that of all of them.
-const LEAST_WEIGHT: f64 = 0.01;
+const MIN_WEIGHT: f64 = 0.01;
 /// Cells of the grid along the panorama's longer side.
 const CELLS: f64 = 100.0;
 /// Largest error of a match that RANSAC keeps, in units in which the mean distance of the points from their centroid is the root of two.
 const RANSAC_UNITS: f64 = 0.1;
 /// Matches below which there is no warp.
-const LEAST_MATCHES: usize = 8;
+const MIN_MATCHES: usize = 8;
 /// Cells that the grid reaches beyond the view's corners.
 const MARGIN_CELLS: i32 = 3;
 /// Positions further from the other view than this many times its width and height follow the homography of all matches.
@@ -63,7 +63,7 @@ pub struct MovingDlt {
 impl MovingDlt {
     /// From matches without outliers: the same points in the reference view and in the other one, px. `None` when they determine no homography.
     pub fn new(reference: &[Point], other: &[Point]) -> Option<Self> {
-        if reference.len() != other.len() || reference.len() < LEAST_MATCHES {
+        if reference.len() != other.len() || reference.len() < MIN_MATCHES {
             return None;
         }
         let (from, to) = (Units::of(reference)?, Units::of(other)?);
@@ -105,7 +105,7 @@ impl MovingDlt {
     /// The homography from the reference view to the other one at a position of the reference plane.
     pub fn at(&self, [x, y]: Point) -> Option<Homography> {
         let square = REACH_PX * REACH_PX;
-        self.solve(|[a, b]| (-((x - a).powi(2) + (y - b).powi(2)) / square).exp().max(LEAST_WEIGHT))
+        self.solve(|[a, b]| (-((x - a).powi(2) + (y - b).powi(2)) / square).exp().max(MIN_WEIGHT))
     }
 
     /// The homography that minimises the weighted algebraic error: the eigenvector of the smallest eigenvalue.
@@ -154,7 +154,7 @@ pub fn inliers(reference: &[Point], other: &[Point]) -> Option<(Vec<Point>, Vec<
     Ransac::new().estimate(other, reference, &params, &mut mask).ok()?;
     let kept = reference.iter().zip(other).zip(&mask).filter(|(_, kept)| **kept).map(|((r, o), _)| (*r, *o));
     let kept: (Vec<Point>, Vec<Point>) = kept.unzip();
-    (kept.0.len() >= LEAST_MATCHES).then_some(kept)
+    (kept.0.len() >= MIN_MATCHES).then_some(kept)
 }
 
 #[cfg(test)]

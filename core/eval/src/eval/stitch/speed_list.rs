@@ -3,11 +3,11 @@
 use crate::error::Result;
 
 /// Fastest camera that the phantom plays, cm/s.
-pub const MOST_CM_S: f64 = 20.0;
+pub const MAX_CM_S: f64 = 20.0;
 /// Steps of a range are as round as possible and no more than this.
-const MOST_STEPS: f64 = 10.0;
+const MAX_STEPS: f64 = 10.0;
 /// Speeds of one list.
-const MOST_SPEEDS: usize = 100;
+const MAX_SPEEDS: usize = 100;
 
 /// Speeds of a sweep, cm/s, ascending.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,7 +23,7 @@ pub enum SpeedListError {
         text: String,
     },
     /// A speed or a step that the phantom's camera cannot have.
-    #[error("{speed_cm_s} cm/s is outside 0 to {MOST_CM_S}, which is what the phantom's camera can do")]
+    #[error("{speed_cm_s} cm/s is outside 0 to {MAX_CM_S}, which is what the phantom's camera can do")]
     OutOfRange {
         /// The speed.
         speed_cm_s: f64,
@@ -35,13 +35,13 @@ pub enum SpeedListError {
         range: String,
     },
     /// A range has too many speeds.
-    #[error("the range `{range}` has more than {MOST_SPEEDS} speeds; give a larger step")]
+    #[error("the range `{range}` has more than {MAX_SPEEDS} speeds; give a larger step")]
     StepTooSmall {
         /// The range.
         range: String,
     },
     /// The list has too many speeds.
-    #[error("{count} speeds are given, {MOST_SPEEDS} are the most")]
+    #[error("{count} speeds are given, {MAX_SPEEDS} are the most")]
     TooMany {
         /// Speeds given.
         count: usize,
@@ -52,17 +52,13 @@ pub enum SpeedListError {
 fn speed(text: &str) -> Result<f64, SpeedListError> {
     let text = text.trim();
     let speed_cm_s: f64 = text.parse().map_err(|_| SpeedListError::NoNumber { text: text.to_owned() })?;
-    if (0.0..=MOST_CM_S).contains(&speed_cm_s) {
-        Ok(speed_cm_s)
-    } else {
-        Err(SpeedListError::OutOfRange { speed_cm_s })
-    }
+    if (0.0..=MAX_CM_S).contains(&speed_cm_s) { Ok(speed_cm_s) } else { Err(SpeedListError::OutOfRange { speed_cm_s }) }
 }
 
 /// A round step that divides a range into at most ten parts.
 fn round_step(range: f64) -> f64 {
-    let magnitude = 10f64.powf((range / MOST_STEPS).log10().floor());
-    let fits = |step: &f64| range / step <= MOST_STEPS + 1e-9;
+    let magnitude = 10f64.powf((range / MAX_STEPS).log10().floor());
+    let fits = |step: &f64| range / step <= MAX_STEPS + 1e-9;
     [1.0, 2.0, 5.0, 10.0].map(|m| m * magnitude).into_iter().find(fits).unwrap_or(magnitude)
 }
 
@@ -77,7 +73,7 @@ fn range(text: &str, from: &str, rest: &str) -> Result<Vec<f64>, SpeedListError>
         return Err(SpeedListError::NotAscending { range: text.to_owned() });
     }
     let step = step.unwrap_or_else(|| round_step(to - from));
-    if step <= 0.0 || (to - from) / step > MOST_SPEEDS as f64 {
+    if step <= 0.0 || (to - from) / step > MAX_SPEEDS as f64 {
         return Err(SpeedListError::StepTooSmall { range: text.to_owned() });
     }
     let first = (from / step).floor() as i64 + 1;
@@ -98,7 +94,7 @@ impl std::str::FromStr for SpeedList {
         }
         all.sort_by(f64::total_cmp);
         all.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-        if all.len() > MOST_SPEEDS {
+        if all.len() > MAX_SPEEDS {
             return Err(SpeedListError::TooMany { count: all.len() });
         }
         Ok(Self(all))

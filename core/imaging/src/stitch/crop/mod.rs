@@ -24,7 +24,7 @@ const GROW_PERCENT: usize = 6;
 /// A bounding box changes when a side is off by this many cells.
 const OFF_CELLS: i32 = 3;
 /// A filled rectangle smaller than this share of the reference view, in percent, is not used.
-const LEAST_PERCENT: usize = 25;
+const MIN_PERCENT: usize = 25;
 /// Cells that a filled rectangle keeps from an edge that may move.
 const SPARE_CELLS: i32 = 1;
 /// Columns of a view per cell.
@@ -146,7 +146,7 @@ impl Crop {
         let best = largest.find(columns, rows, |cell| coverage.looks(cell) >= steady_looks);
         let best = keep_off(coverage.on_plane(best), size, coverage.cell_px());
         let cell_area = coverage.cell_px() * coverage.cell_px();
-        let is_usable = best.area() * cell_area * 100 >= size.0 * size.1 * LEAST_PERCENT;
+        let is_usable = best.area() * cell_area * 100 >= size.0 * size.1 * MIN_PERCENT;
         let is_better = match self.held {
             None => true,
             Some(_) if self.unfit_s > 0.0 => true,

@@ -3,7 +3,7 @@
 use crate::geometry::Homography;
 
 /// The changeover takes at most this share of what both views see.
-const MOST_SHARE: f64 = 0.15;
+const MAX_SHARE: f64 = 0.15;
 
 /// A side of the reference view beyond which the other view reaches.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,7 +21,7 @@ pub struct Border {
 impl Border {
     /// Width of the changeover before the border where at most `most_px` are wanted, px; 0 for none.
     pub fn zone_px(&self, most_px: f64) -> f64 {
-        most_px.min(MOST_SHARE * self.overlap_px).max(0.0)
+        most_px.min(MAX_SHARE * self.overlap_px).max(0.0)
     }
 }
 

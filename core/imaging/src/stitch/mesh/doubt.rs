@@ -5,7 +5,7 @@ use super::follow::length;
 /// Doubt of a place without an observation, px: it may match, but nothing says so.
 const UNKNOWN_PX: f32 = 1.0;
 /// Largest doubt, px.
-const MOST_PX: f64 = 16.0;
+const MAX_PX: f64 = 16.0;
 /// From this doubt on a place shows something else in each view, px.
 const WRONG_PX: f32 = 3.0;
 
@@ -54,7 +54,7 @@ impl Doubt {
     /// What the other view shows of it is drawn off by as much: all cells on the way there are in doubt.
     pub fn mark(&mut self, cell: usize, off: [f64; 2]) {
         let length = length(off);
-        let level = length.min(MOST_PX) as f32;
+        let level = length.min(MAX_PX) as f32;
         let own = &mut self.px[cell];
         *own = if *own <= UNKNOWN_PX { level } else { own.max(level) };
         if level < WRONG_PX {

@@ -1,7 +1,7 @@
 //! The inverse of the mesh that fits: which point of the reference view the other view shows at a position.
 
 use super::follow::length;
-use super::{LEAST_MOVE_PX, Lattice};
+use super::{Lattice, MIN_MOVE_PX};
 use crate::geometry::{Homography, Point};
 
 /// Steps of the search. Each leaves at most 0.6 of the error where the disparity changes by 0.6 px a px.
@@ -9,7 +9,7 @@ const STEPS: usize = 16;
 /// A search ends when a step is shorter, px.
 const DONE_PX: f64 = 0.01;
 /// A vertex is moved by at most this many cells: what lies further off has been folded over.
-const MOST_CELLS: f64 = 3.0;
+const MAX_CELLS: f64 = 3.0;
 
 /// The mesh that fits the observations: from the reference view to the other one.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +33,7 @@ impl Fitted<'_> {
         for (index, (wanted, (base, shift))) in drawn.iter().zip(self.base.iter().zip(self.shift)).enumerate() {
             let at = self.lattice.position(index % self.lattice.columns, index / self.lattice.columns);
             let off = length([wanted[0] - base[0] - shift[0], wanted[1] - base[1] - shift[1]]);
-            let shown = if off < LEAST_MOVE_PX { at } else { self.search(at, *wanted) };
+            let shown = if off < MIN_MOVE_PX { at } else { self.search(at, *wanted) };
             is_moved |= shown != at;
             out.push(shown);
         }
@@ -45,7 +45,7 @@ impl Fitted<'_> {
     /// Fixed-point iteration on the reference plane.
     fn search(&self, start: Point, wanted: Point) -> Point {
         let goal = self.there.map(wanted);
-        let most = MOST_CELLS * self.lattice.cell_px as f64;
+        let most = MAX_CELLS * self.lattice.cell_px as f64;
         let mut at = start;
         for _ in 0..STEPS {
             let Some(there) = self.at(at) else { break };

@@ -25,7 +25,7 @@ const MARGIN_CELLS: f64 = 2.5;
 /// Cells beyond those before the mesh is cut down.
 const SPARE_CELLS: i32 = 6;
 /// Vertices at most: a homography that needs more is no plausible one.
-const MOST_VERTICES: usize = 8192;
+const MAX_VERTICES: usize = 8192;
 /// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the sides towards which its camera
 /// stands, and on the others, where the perspective of far corners is no overlap.
 const BEYOND_CELLS: [f64; 2] = [1.0, 4.0];
@@ -46,7 +46,7 @@ const FIRST_PASSES: [(f64, f64); 9] = [
 ];
 /// Square of the multiple of the outlier limit from which on an observation does not count: nothing else holds the mesh where an instrument hides the
 /// tissue, so that even a weak pull would bring it there.
-const MOST_SQUARE: f64 = 4.0;
+const MAX_SQUARE: f64 = 4.0;
 /// What the multiples are of.
 const FIRST_STIFFNESS: Stiffness = Stiffness { bend: 0.05, slope: 0.02, place: 1e-4 };
 /// Passes after those, at most, until none moves the mesh by more than [`SETTLED_PX`]: what lies at the end of a slope counts only when the mesh has
@@ -366,7 +366,7 @@ impl MeshFollower {
         let ends = bounds.map(|(low, high)| ((low - MARGIN_CELLS).floor() as i32, (high + MARGIN_CELLS).ceil() as i32));
         let [columns, rows] = ends.map(|(low, high)| (high - low + 1).max(2) as usize);
         let lattice = Lattice { cell_px, first: ends.map(|(low, _)| low), columns, rows };
-        (columns.saturating_mul(rows) <= MOST_VERTICES).then_some(lattice)
+        (columns.saturating_mul(rows) <= MAX_VERTICES).then_some(lattice)
     }
 
     /// Puts the homography, and what the frame before knew, on the lattice of this frame.
@@ -472,7 +472,7 @@ impl MeshFollower {
                 self.instruments.was_at(seen.index)
                     && nearer([seen.shift[0] - at[0], seen.shift[1] - at[1]]) > FRONT_PX * limit_px
             };
-            if square > MOST_SQUARE || !is_solved || (has_instruments && is_instrument()) {
+            if square > MAX_SQUARE || !is_solved || (has_instruments && is_instrument()) {
                 continue;
             }
             let cell = (column - columns.start, row - rows.start);

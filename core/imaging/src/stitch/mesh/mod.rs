@@ -36,7 +36,7 @@ use doubt::Doubt;
 use kept::KeptCells;
 
 /// A vertex that differs from its own position by less is not moved, px.
-const LEAST_MOVE_PX: f64 = 1e-3;
+const MIN_MOVE_PX: f64 = 1e-3;
 
 /// Vertices at the multiples of `cell_px`, in a rectangle of the reference plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -175,7 +175,7 @@ impl Mesh {
     /// Whether a vertex does not lie at its own position in the view.
     fn is_moved(&self, column: usize, row: usize) -> bool {
         let (at, source) = (self.lattice.position(column, row), self.source[row * self.lattice.columns + column]);
-        (0..2).any(|k| (f64::from(source[k]) - at[k]).abs() >= LEAST_MOVE_PX)
+        (0..2).any(|k| (f64::from(source[k]) - at[k]).abs() >= MIN_MOVE_PX)
     }
 
     /// Bounds on the reference plane of the cells whose vertices do not lie at their own position in the view; `None` where all do.

@@ -7,13 +7,13 @@ use crate::{Parallel, SharedMut, View, pieces};
 /// Rows of cells per chunk.
 const ROWS: usize = 4;
 /// Samples of a cell, each way, at most.
-const MOST_SAMPLES: usize = 8;
+const MAX_SAMPLES: usize = 8;
 /// Share of a cell's samples that must agree on a disparity.
-const LEAST_SHARE: f32 = 0.3;
+const MIN_SHARE: f32 = 0.3;
 /// Spread of the agreeing disparities around their plane at which an observation counts half, px.
 const HALF_SPREAD_PX: f32 = 0.7;
 /// Disparities further from the median of their cell do not determine its plane, px: slopes steeper than this in a cell are edges.
-const MOST_CLIMB_PX: f32 = 8.0;
+const MAX_CLIMB_PX: f32 = 8.0;
 /// Keeps slopes small where samples lie in a line or a corner, px^2.
 const FLAT_PX2: f32 = 2.0;
 /// Disparities of neighbouring cells change by at most this much per px where they lie on one surface, and by [`ONE_STEP_PX`] more for their noise.
@@ -58,7 +58,7 @@ impl Observations {
         pool: &dyn Parallel,
     ) {
         let cell_px = sampling.cell_px.max(2);
-        let step_px = sampling.step_px.max(cell_px.div_ceil(MOST_SAMPLES));
+        let step_px = sampling.step_px.max(cell_px.div_ceil(MAX_SAMPLES));
         let sampling = Sampling { cell_px, step_px, ..*sampling };
         let (columns, rows) = (disparity.width.div_ceil(cell_px), disparity.height.div_ceil(cell_px));
         (self.cell_px, self.columns, self.rows) = (cell_px, columns, rows);
@@ -147,7 +147,7 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
     let along = along.map(|v| v as f32);
     let (x0, y0) = (column * cell_px, row * cell_px);
     let (x1, y1) = ((x0 + cell_px).min(map.width), (y0 + cell_px).min(map.height));
-    let mut samples = [[0.0f32; 3]; MOST_SAMPLES * MOST_SAMPLES];
+    let mut samples = [[0.0f32; 3]; MAX_SAMPLES * MAX_SAMPLES];
     let (mut count, mut total) = (0, 0usize);
     for y in (y0 + step / 2..y1).step_by(step) {
         let line = map.row(y);
@@ -163,7 +163,7 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
             }
         }
     }
-    if total == 0 || (count as f32) < LEAST_SHARE * total as f32 {
+    if total == 0 || (count as f32) < MIN_SHARE * total as f32 {
         return None;
     }
     let samples = &mut samples[..count];
@@ -182,7 +182,7 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
         agreed += counts;
     }
     let share = agreed / total as f32;
-    if share < LEAST_SHARE {
+    if share < MIN_SHARE {
         return None;
     }
     let mean = |sum: f32| f64::from(sum / agreed);
@@ -213,7 +213,7 @@ impl Plane {
         let (mut xx, mut xy, mut yy, mut xd, mut yd) = (0.0f32, 0.0, 0.0, 0.0, 0.0);
         for [value, column, row] in samples {
             let off = value - median;
-            let counts = f32::from(u8::from(off.abs() <= MOST_CLIMB_PX));
+            let counts = f32::from(u8::from(off.abs() <= MAX_CLIMB_PX));
             let (cx, cy, cd) = (counts * column, counts * row, counts * off);
             count += counts;
             (x, y, d) = (x + cx, y + cy, d + cd);

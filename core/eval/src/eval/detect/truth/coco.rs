@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{MOST_PIXELS, Picture, Truth, outlined};
+use super::{MAX_PIXELS, Picture, Truth, outlined};
 use crate::error::{Context, FileAction, OnFile, Result, bail};
 use panoscope_imaging::detect::Mask;
 use panoscope_imaging::detect::Object;
@@ -119,7 +119,7 @@ pub fn read(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
         else {
             bail!("{} names {}, which is not in {}", path.display(), image.file_name, folders[0].display());
         };
-        if image.width.checked_mul(image.height).is_none_or(|n| n == 0 || n as u64 > MOST_PIXELS) {
+        if image.width.checked_mul(image.height).is_none_or(|n| n == 0 || n as u64 > MAX_PIXELS) {
             bail!("{}: {} of {}x{} px", path.display(), image.file_name, image.width, image.height);
         }
         place.insert(image.id, truth.pictures.len());

@@ -96,14 +96,14 @@ impl Truth {
 /// Width and height of a picture file.
 fn size_of(path: &Path) -> Result<(usize, usize)> {
     let (w, h) = image::image_dimensions(path).on_file(FileAction::Read, path)?;
-    if u64::from(w) * u64::from(h) > MOST_PIXELS {
-        bail!("{}: {w}x{h} px are more than the {MOST_PIXELS} of the largest picture", path.display());
+    if u64::from(w) * u64::from(h) > MAX_PIXELS {
+        bail!("{}: {w}x{h} px are more than the {MAX_PIXELS} of the largest picture", path.display());
     }
     Ok((w as usize, h as usize))
 }
 
 /// Pixels of the largest picture: a mask has a bit for each.
-const MOST_PIXELS: u64 = 1 << 28;
+const MAX_PIXELS: u64 = 1 << 28;
 
 const PICTURES: [&str; 5] = ["jpg", "jpeg", "png", "JPG", "PNG"];
 

@@ -35,7 +35,7 @@ pub struct Material {
 }
 
 /// Shortest wavelength, in pixels, that a texture shows: shorter ones would alias.
-const LEAST_WAVE_PX: f64 = 2.0;
+const MIN_WAVE_PX: f64 = 2.0;
 
 /// Smooth noise of about unit wavelength, -1 to 1.
 fn noise(x: f64, y: f64, seed: u64) -> f64 {
@@ -51,7 +51,7 @@ fn noise(x: f64, y: f64, seed: u64) -> f64 {
 
 /// Part of a wave's contrast that pixels of this size keep.
 fn kept(wave_mm: f64, pixel_mm: f64) -> f64 {
-    (wave_mm / (LEAST_WAVE_PX * pixel_mm) - 1.0).clamp(0.0, 1.0)
+    (wave_mm / (MIN_WAVE_PX * pixel_mm) - 1.0).clamp(0.0, 1.0)
 }
 
 /// Sum of noises of wavelengths `wave_mm`, half of it, and so on.

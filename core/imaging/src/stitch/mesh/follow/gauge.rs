@@ -9,7 +9,7 @@ use crate::geometry::Point;
 /// Cells of observations per block, each way, in which motion is separated from noise.
 const BLOCK_CELLS: usize = 4;
 /// Observations of a block that tells of motion.
-const LEAST_BLOCK: f64 = 4.0;
+const MIN_BLOCK: f64 = 4.0;
 
 impl MeshFollower {
     /// See [`MeshReport::blind`].
@@ -48,7 +48,7 @@ impl MeshFollower {
         }
         let mut of_full = |value: fn([f64; 2]) -> f64| {
             self.sorted.clear();
-            let full = self.blocks.iter().filter(|block| block[2] >= LEAST_BLOCK);
+            let full = self.blocks.iter().filter(|block| block[2] >= MIN_BLOCK);
             self.sorted.extend(full.map(|[x, y, count]| value([x / count, y / count])));
             median(&mut self.sorted)
         };
