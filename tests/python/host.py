@@ -292,7 +292,7 @@ class RunTest(HostCase):
             return len(os.listdir("/proc/self/fd")), memory_mb
 
         # Heaps and pools of threads reach their size in the first runs. The least of many: what a run has just left may still be going.
-        runs = int(os.environ.get("PANOSCOPE_LEAK_RUNS", 30))
+        runs = int(os.environ.get("PANOSCOPE_LEAK_RUNS", 12))
         levels = [once(number) for number in range(10 + runs)][10:]
         half = runs // 2
         first, last = (min(part) for part in zip(*levels[:half])), (min(part) for part in zip(*levels[half:]))

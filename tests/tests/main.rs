@@ -35,6 +35,7 @@ mod recovery;
 mod samples;
 mod service;
 mod shipped;
+mod soak;
 mod sources;
 #[path = "../support/video.rs"]
 mod video;

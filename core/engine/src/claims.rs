@@ -39,6 +39,9 @@ struct File {
     holders: Vec<(u64, String)>,
     /// Against other runs; kept after the last holder has closed, because the run may go on with the next part.
     lock: Option<OutputLock>,
+    /// Whether it is a later part of another file. The lock of that file keeps other runs from the name, so that the lock of the part ends with
+    /// its holder: a run of many parts would run out of descriptors.
+    is_part: bool,
 }
 
 /// The claims of an instance, released when it closes.
@@ -63,6 +66,9 @@ impl Holds {
             let mut state = lock(&claims.state);
             for file in state.files.values_mut() {
                 file.holders.retain(|(token, _)| *token != self.token);
+                if file.is_part && file.holders.is_empty() {
+                    file.lock = None;
+                }
             }
             // The number of parts stays known until the run ends.
             state.files.retain(|_, file| file.begun > 0 || file.series > 0 || !file.holders.is_empty());
@@ -173,7 +179,7 @@ impl Claims {
         if part > 1 {
             files.insert(
                 self::key(&answer),
-                File { begun: 1, series: 0, holders: vec![(token, node.to_owned())], lock },
+                File { begun: 1, series: 0, holders: vec![(token, node.to_owned())], lock, is_part: true },
             );
         }
         Ok(answer)
@@ -289,6 +295,27 @@ mod tests {
         other.claim(1, "a", &path, abi::CLAIM_HOLD).expect_err("the run may go on with it");
         run.unlock();
         other.claim(1, "a", &path, abi::CLAIM_HOLD).unwrap();
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_part_is_locked_while_it_is_written() {
+        let folder = folder("part_locks");
+        let (claims, path) = (Arc::new(Claims::default()), folder.join("v.mkv"));
+        let other = Claims::default();
+        let locks = || {
+            let names =
+                std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+            names.filter(|name| name.ends_with(".lock")).count()
+        };
+        for part in 1..5 {
+            let mut holds = Holds::new(&claims);
+            let file = claims.claim(holds.token, "a", &path, abi::CLAIM_BEGIN).unwrap();
+            other.claim(1, "b", &file, abi::CLAIM_HOLD).expect_err("it is being written");
+            assert_eq!(locks(), part.min(2));
+            holds.release();
+            assert_eq!(locks(), 1, "of the file whose next part the run may begin");
+        }
         std::fs::remove_dir_all(folder).unwrap();
     }
 

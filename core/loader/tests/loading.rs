@@ -282,10 +282,11 @@ fn without_note() -> Vec<u8> {
 
 #[test]
 fn a_folder_of_the_search_path_that_is_not_there_is_named() {
+    // Before the variable changes: it names the built plugins.
+    let good = folder_with("with_absent", "libflow.so", &flow_bytes());
     let absent = scratch("absent_plugins");
     // SAFETY: this test is the only one of its process, and no other thread runs.
     unsafe { std::env::set_var(panoscope_loader::PLUGIN_PATH_VARIABLE, &absent) };
-    let good = folder_with("with_absent", "libflow.so", &flow_bytes());
     let catalog = Loader::search(&panoscope_loader::search_path(&[good])).catalog(&["flow"]);
     let [problem] = &catalog.passed_over[..] else { panic!("{:?}", catalog.passed_over) };
     assert!(problem.message.contains(&absent.display().to_string()), "{problem:?}");

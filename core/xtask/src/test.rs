@@ -127,6 +127,8 @@ static CAMPAIGNS: &[Suite] = &[
         "test(/^(edit_campaign|deaths|losses)::/)",
         &[("PANOSCOPE_EDIT_CASES", "300"), ("PANOSCOPE_DEATH_CASES", "300"), ("PANOSCOPE_LOSS_CASES", "400")],
     ),
+    // Ticks of more than twelve hours.
+    campaign("soak", &["panoscope-tests"], "test(/^soak::/)", &[("PANOSCOPE_SOAK_MINUTES", "10")]),
     // Many runs in one process of Python.
     campaign("leaks", &["panoscope-tests"], "test(/^python_host::runs_and/)", &[("PANOSCOPE_LEAK_RUNS", "500")]),
     // Faults of the network between two machines.
@@ -395,7 +397,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, asan, tsan, faults, hostile-models, disk, damaged-streams, losses, leaks, network, kill, arm, sim, campaign"
+            "there is no test suite `fualts`; there are: all, lint, code, asan, tsan, faults, hostile-models, disk, damaged-streams, losses, soak, leaks, network, kill, arm, sim, campaign"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));

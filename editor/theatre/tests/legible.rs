@@ -26,7 +26,7 @@ const SURGERY: &str = r#"name = "surgery"
 plugins = ["phantom", "stereo", "flow", "fixtures"]
 [nodes.scope]
 type = "phantom"
-params = { scene = "box", width = 320, height = 240, speed_mm_s = 0.0, breathing_mm = 0.0 }
+params = { scene = "box", width = 320, height = 240, rate_hz = 8, speed_mm_s = 0.0, breathing_mm = 0.0 }
 [nodes.points]
 type = "reproject"
 inputs = { image = "scope.left", disparity = "scope.disparity", calibration = "scope.calibration" }
