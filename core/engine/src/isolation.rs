@@ -9,8 +9,6 @@ use panoscope_graph::Node;
 pub use panoscope_graph::{Deny, Machine, Pixels};
 use serde::Serialize;
 
-use crate::host::{call_context, place_made};
-use crate::memory::FrameRef;
 pub use crate::outputs::fits;
 use crate::sync::lock;
 
@@ -113,28 +111,6 @@ pub struct LinkReport {
     pub sent_bytes: u64,
     /// Bytes received from there.
     pub received_bytes: u64,
-}
-
-/// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call, as [`abi::Host::alloc`]
-/// does with a new one. Of the frame only buffer and description count. With `is_copy` it is a copy of the output, as [`abi::Host::make_mut`]
-/// makes one: only the buffer counts.
-///
-/// # Safety
-/// `call` is the handle of the running call; `frame` is large enough for its description.
-pub unsafe fn place(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bool) -> abi::Status {
-    // SAFETY: the caller's promise.
-    unsafe { place_made(call, output, frame, is_copy) }
-}
-
-/// Keeps the position of a source after the tick of the running call: if its process dies, its next instance continues there.
-///
-/// # Safety
-/// `call` is the handle of the running call.
-pub unsafe fn keep_position(call: *mut c_void, state: &[u8]) {
-    // SAFETY: the caller's promise.
-    if let Some(call) = unsafe { call_context(call) } {
-        call.runtime.recovery.keep_position(state);
-    }
 }
 
 /// A group that exists, what its process may not do, and where it runs.

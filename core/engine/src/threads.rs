@@ -8,10 +8,11 @@ use std::time::Duration;
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
+use crate::call::{CallOutcome, Ports};
 use crate::clock;
 use crate::fault::{Action, Cause};
 use crate::memory::FrameRef;
-use crate::node::{CallOutcome, NodeRuntime, Ports};
+use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::own_thread::OwnThread;
 use crate::region::Region;

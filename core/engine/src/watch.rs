@@ -10,12 +10,12 @@ use std::time::Duration;
 use panoscope_graph::OnFault;
 
 use crate::busy::{ABANDONED, CallKind};
+use crate::call::failures::backoff_ms;
 use crate::clock;
 use crate::fault::{Action, Cause};
 use crate::guard::{CallError, OpenError};
 use crate::log::Level;
 use crate::node::NodeRuntime;
-use crate::node::failures::backoff_ms;
 use crate::outbox::panic_words;
 use crate::plan::Plan;
 use crate::retained;

@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use panoscope_graph::{Catalog, Edge, Graph};
 
-use super::ApplyError;
+use crate::applied::ApplyError;
 use crate::engine::{Current, type_name};
 use crate::instance::Instance;
-use crate::node::{NodeRuntime, RunContext};
+use crate::node::NodeRuntime;
 use crate::params::Snapshot;
 use crate::plan::{self, Extent, Plan};
 use crate::region::Region;
+use crate::run_context::RunContext;
 
 /// When a change is to be made.
 pub(super) enum When<'a> {

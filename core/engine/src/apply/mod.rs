@@ -5,8 +5,6 @@
 //! are not affected. A failure before the switch leaves everything as it was.
 
 mod change;
-mod change_lock;
-mod outcome;
 mod switch;
 
 use std::ops::ControlFlow;
@@ -16,9 +14,8 @@ use std::time::{Duration, Instant};
 use panoscope_graph::{Catalog, Graph, Mode};
 
 use self::change::{Change, NodeChange, Opened, Opens, When};
-pub(crate) use self::change_lock::ChangeLock;
-pub use self::outcome::{Applied, ApplyError};
 use self::switch::Switch;
+use crate::applied::{Applied, ApplyError};
 use crate::busy::CallKind;
 use crate::engine::{Engine, type_name};
 use crate::guard::{CallError, Limit};

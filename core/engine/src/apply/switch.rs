@@ -7,8 +7,8 @@ use std::time::Instant;
 use panoscope_graph::{Catalog, Graph};
 
 use super::change::{Change, NodeChange, Opened, Opens, When, connections, inherited};
-use super::outcome::Applied;
 use super::resume_inputs;
+use crate::applied::Applied;
 use crate::engine::{Current, Engine, type_name};
 use crate::instance::Instance;
 use crate::node::NodeRuntime;

@@ -16,7 +16,7 @@ use panoscope_abi as abi;
 use panoscope_graph::{Catalog, Graph, Mode, Param, Validator};
 
 pub use self::options::{Options, Outcome, SetError, StartError};
-use crate::apply::ChangeLock;
+use crate::change_lock::ChangeLock;
 use crate::claims::Claims;
 use crate::clock;
 use crate::ending;
@@ -26,12 +26,13 @@ use crate::host;
 use crate::isolation::Groups;
 use crate::light::Sources;
 use crate::log::{Level, Log};
-use crate::node::{MAX_BUDGET_NS, NodeRuntime, RunContext};
+use crate::node::{MAX_BUDGET_NS, NodeRuntime};
 use crate::plan;
 use crate::plugins::Plugins;
 use crate::pool::{self, Pool, Task};
 use crate::preview::{Listener, Preview};
 use crate::report::{NodeWindow, Report, Window};
+use crate::run_context::RunContext;
 use crate::schedule::{AllocationMeter, Ready, Shared};
 use crate::sync::lock;
 

@@ -6,8 +6,9 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use panoscope_abi as abi;
 
 use super::open::NotOpened;
-use super::{NodeRuntime, RunContext};
+use crate::node::NodeRuntime;
 use crate::params::Snapshot;
+use crate::run_context::RunContext;
 use crate::vet::{Opening, TrialLimits, Vet};
 
 impl NodeRuntime {

@@ -1,30 +1,69 @@
 //! One call of a node: its inputs, its outputs, and what is recorded about it.
 
+mod decided;
+pub(crate) mod failures;
+mod finish;
+pub(crate) mod open;
+mod trial;
+
 use std::sync::atomic::Ordering;
 
 use panoscope_abi::{self as abi, Frame, PortRange, Tick};
 
-use super::{
-    CallOutcome, MAX_RETAINED_FRAMES, NodeRuntime, ONE_INPUT, Ports, Refused, RunContext, SILENT_CALLS, SizeChange,
-};
 use crate::busy::{Abandoned, CallKind};
 use crate::clock;
-use crate::ending::current_node;
+use crate::current_node;
 use crate::exec::{Exec, Port};
 use crate::fault::{Action, Cause};
-use crate::host::{CallContext, output_bit};
+use crate::host::{CallContext, Refused, output_bit};
 use crate::instance::Instance;
 use crate::isolation::STATUS_DIED;
-use crate::light::later;
+use crate::light::{Sources, later};
 use crate::log::Level;
 use crate::memory::{FrameRef, Memory, memory};
+use crate::node::{NodeRuntime, SizeChange};
 use crate::observe::Event;
 use crate::outputs::is_same;
 use crate::params::Snapshot;
 use crate::retained::attention;
+use crate::run_context::RunContext;
 use crate::scratch::{CallOutputs, clear};
 use crate::stats::bump;
 use crate::trace::Call;
+
+/// Frames that a node may retain between calls.
+pub(crate) const MAX_RETAINED_FRAMES: usize = 128;
+/// Calls in a row without output after which a node counts as silent.
+const SILENT_CALLS: u32 = 30;
+
+/// Readers that run inline have one input.
+const ONE_INPUT: &[PortRange] = &[PortRange { first: 0, count: 1 }];
+
+/// How a call ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CallOutcome {
+    Ok,
+    /// A source has ended.
+    End,
+    /// Not called: an input was empty, or the node is down.
+    Skipped,
+    /// It failed; the graph continues.
+    Fault,
+    /// It failed, and the graph has to stop.
+    Stop,
+    /// The watchdog abandoned this call; the thread must return without touching anything.
+    Abandoned,
+}
+
+/// Inputs and outputs of a call.
+pub(crate) struct Ports<'w> {
+    pub inputs: &'w mut [FrameRef],
+    /// Whether the node has one input port with one connection.
+    pub lone: bool,
+    pub made: &'w mut CallOutputs,
+    /// The sources of the graph.
+    pub sources: &'w dyn Sources,
+}
 
 /// Whether to call a node for a tick.
 enum Due {
@@ -330,7 +369,7 @@ impl NodeRuntime {
             params,
             params_len,
             params_version: exec.params_version,
-            outputs_read: self.outputs_read.load(Ordering::Relaxed),
+            outputs_read: self.outputs_read(),
         };
         let raw = exec.instance.raw;
         current_node::begin_call(self);
@@ -494,10 +533,7 @@ impl NodeRuntime {
         if silent {
             exec.silent_calls = exec.silent_calls.saturating_add(1);
             let silent = exec.silent_calls;
-            if silent >= SILENT_CALLS
-                && silent.is_multiple_of(SILENT_CALLS)
-                && self.outputs_read.load(Ordering::Relaxed) != 0
-            {
+            if silent >= SILENT_CALLS && silent.is_multiple_of(SILENT_CALLS) && self.outputs_read() != 0 {
                 let words = || format!("its inputs are complete, but it made nothing for {silent} ticks");
                 self.report_repeated_fault(context, Cause::Silent, Action::Note, Some(tick.seq), words);
             }
