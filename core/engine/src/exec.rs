@@ -212,6 +212,14 @@ impl ExecPlace {
         self.0.store(Box::into_raw(exec), Ordering::Release);
     }
 
+    /// Changes the `Exec`; `None` if a thread runs the node.
+    pub fn with<R>(&self, change: impl FnOnce(&mut Exec) -> R) -> Option<R> {
+        let mut exec = self.take()?;
+        let result = change(&mut exec);
+        self.put(exec);
+        Some(result)
+    }
+
     /// Its address, for [`Exec::prefetch`].
     #[inline]
     pub fn address(&self) -> *const Exec {

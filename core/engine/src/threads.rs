@@ -8,7 +8,7 @@ use std::time::Duration;
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
-use crate::call::{CallOutcome, Ports};
+use crate::call::{CallOutcome, Called, NoOutcome, Ports};
 use crate::clock;
 use crate::fault::{Action, Cause};
 use crate::memory::FrameRef;
@@ -176,19 +176,20 @@ impl Shared {
             runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
-        let Some(mut exec) = runtime.exec.take() else { return Step::End };
         scratch.inputs.append(&mut lock(&runtime.join).staged);
         let start_ns = clock::now_ns();
         let (inputs, made) = (&mut scratch.inputs, &mut scratch.made[0]);
         let mut ports = Ports { inputs, lone: false, made, sources: self };
-        let (outcome, mut now_ns) = runtime.run(&mut exec, &self.context, &mut tick, true, start_ns, &mut ports);
-        if outcome == CallOutcome::Abandoned {
-            Self::discard_abandoned(runtime, exec, scratch);
-            return Step::GivenUp;
-        }
+        let called = match runtime.call_node(&self.context, &mut tick, true, start_ns, &mut ports) {
+            Ok(called) => called,
+            Err(NoOutcome::Closed) => return Step::End,
+            Err(NoOutcome::Abandoned) => {
+                runtime.abandoned_call_returned(scratch);
+                return Step::GivenUp;
+            }
+        };
         scratch.inputs.clear();
-        let (bypassed, declared_ns) = (exec.bypassed, exec.times.take_arrived_ns());
-        runtime.exec.put(exec);
+        let Called { outcome, end_ns: mut now_ns, bypassed, arrived_ns: declared_ns } = called;
         let made = &mut scratch.made[0];
         if outcome != CallOutcome::Ok {
             if outcome == CallOutcome::End {

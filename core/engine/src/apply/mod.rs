@@ -247,10 +247,8 @@ impl Engine {
     /// The node did not return: its instance is lost, and the node restarts.
     fn save(&self, runtime: &Arc<NodeRuntime>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
         let shared = &self.shared;
-        let Some(mut exec) = runtime.exec.take() else { return Ok(None) };
         let limit = Limit::until_stop(shared.context.close_limit);
-        let mut instance = std::mem::replace(&mut exec.instance, Instance::none(runtime.node_type));
-        runtime.exec.put(exec);
+        let Some(mut instance) = runtime.take_instance() else { return Ok(None) };
         let lost = |error: CallError| {
             shared.report_no_return(runtime, &error);
             shared.start_restart(runtime);
@@ -269,9 +267,8 @@ impl Engine {
             let (me, mine) = (Arc::clone(shared), Arc::clone(runtime));
             let end = move || mine.end(&me.context, instance);
             shared.call_guarded(limit, runtime, CallKind::Close, end).map_err(lost)?;
-        } else if let Some(mut exec) = runtime.exec.take() {
-            exec.instance = instance;
-            runtime.exec.put(exec);
+        } else {
+            runtime.exec.with(|exec| exec.instance = instance);
         }
         Ok(state)
     }
@@ -406,12 +403,7 @@ impl Engine {
             let loaded = opened
                 .and_then(|instance| self.load(runtime, instance, state.as_ref()).map_err(|error| error.to_string()));
             match loaded {
-                Ok(instance) => {
-                    if let Some(mut exec) = runtime.exec.take() {
-                        exec.instance = instance.begun();
-                        runtime.exec.put(exec);
-                    }
-                }
+                Ok(instance) => _ = runtime.exec.with(|exec| exec.instance = instance.begun()),
                 Err(words) => {
                     runtime.open_failed(&self.shared.context, &words, None);
                     self.shared.start_restart(runtime);

@@ -27,7 +27,7 @@ use crate::outputs::is_same;
 use crate::params::Snapshot;
 use crate::retained::attention;
 use crate::run_context::RunContext;
-use crate::scratch::{CallOutputs, clear};
+use crate::scratch::{CallOutputs, Scratch, clear};
 use crate::stats::bump;
 use crate::trace::Call;
 
@@ -65,6 +65,24 @@ pub(crate) struct Ports<'w> {
     pub sources: &'w dyn Sources,
 }
 
+/// A call that ended on the thread that made it.
+pub(crate) struct Called {
+    pub outcome: CallOutcome,
+    pub end_ns: u64,
+    pub bypassed: bool,
+    /// For a source: the arrival that it declared for the tick, ns of the host's clock.
+    pub arrived_ns: Option<i64>,
+}
+
+/// Why a call has no outcome.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum NoOutcome {
+    /// The engine closed the node, which does not run again.
+    Closed,
+    /// The watchdog abandoned the call, see [`NodeRuntime::abandoned_call_returned`].
+    Abandoned,
+}
+
 /// Whether to call a node for a tick.
 enum Due {
     /// Call it; the time counts from `start_ns`.
@@ -82,8 +100,36 @@ fn bytes<'f>(frames: impl Iterator<Item = &'f Frame>) -> u64 {
 }
 
 impl NodeRuntime {
-    /// Calls the node for one tick. Returns the outcome and the time at its end. The caller releases the inputs.
-    pub fn run(
+    /// Takes the node's [`Exec`], calls the node for one tick, and puts the `Exec` back. The caller releases the inputs.
+    #[inline]
+    pub fn call_node(
+        &self,
+        context: &RunContext,
+        tick: &mut Tick,
+        complete: bool,
+        start_ns: u64,
+        ports: &mut Ports<'_>,
+    ) -> Result<Called, NoOutcome> {
+        let Some(mut exec) = self.exec.take() else { return Err(NoOutcome::Closed) };
+        let (outcome, end_ns) = self.run(&mut exec, context, tick, complete, start_ns, ports);
+        if outcome == CallOutcome::Abandoned {
+            return Err(NoOutcome::Abandoned);
+        }
+        let arrived_ns = if exec.source { exec.times.take_arrived_ns() } else { None };
+        let bypassed = exec.bypassed;
+        self.exec.put(exec);
+        Ok(Called { outcome, end_ns, bypassed, arrived_ns })
+    }
+
+    /// An abandoned call returned: releases what its thread still holds. The watchdog has done everything else.
+    #[cold]
+    pub fn abandoned_call_returned(&self, scratch: &mut Scratch) {
+        scratch.clear();
+        self.recovery.remove_stuck();
+    }
+
+    /// Calls the node for one tick. Returns the outcome and the time at its end.
+    fn run(
         &self,
         exec: &mut Exec,
         context: &RunContext,

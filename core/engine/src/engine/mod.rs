@@ -411,15 +411,8 @@ fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
     let mut failed = None;
     shared.guarded(Limit::until_stop(shared.context.open_limit), Result::is_ok, calls, |runtime, answer| {
         match answer.map_err(|error| error.to_string()).and_then(|opened| opened.map_err(|refusal| refusal.message)) {
-            Ok(instance) => {
-                if let Some(mut exec) = runtime.exec.take() {
-                    exec.instance = instance.begun();
-                    runtime.exec.put(exec);
-                }
-            }
-            Err(reason) => {
-                failed = Some((runtime.id.clone(), type_name(runtime.node_type), reason));
-            }
+            Ok(instance) => _ = runtime.exec.with(|exec| exec.instance = instance.begun()),
+            Err(reason) => failed = Some((runtime.id.clone(), type_name(runtime.node_type), reason)),
         }
         if failed.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });

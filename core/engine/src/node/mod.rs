@@ -251,10 +251,15 @@ impl NodeRuntime {
     pub fn take_instances(&self) -> (Vec<Instance>, bool) {
         let mut all = self.recovery.take_broken();
         all.extend(self.take_replacement());
-        let Some(mut exec) = self.exec.take() else { return (all, false) };
-        all.push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
-        self.exec.put(exec);
-        (all, true)
+        let running = self.take_instance();
+        let is_at_rest = running.is_some();
+        all.extend(running);
+        (all, is_at_rest)
+    }
+
+    /// Takes the instance that ticks run on; `None` if a thread runs the node.
+    pub fn take_instance(&self) -> Option<Instance> {
+        self.exec.with(|exec| std::mem::replace(&mut exec.instance, Instance::none(self.node_type)))
     }
 
     /// Whether the node writes files: it has a parameter that names one.
