@@ -20,7 +20,7 @@ use crate::change_lock::ChangeLock;
 use crate::claims::Claims;
 use crate::clock;
 use crate::ending;
-use crate::fault::{Fault, FaultLog};
+use crate::fault::{Fault, FaultCursor, FaultLog};
 use crate::guard::Limit;
 use crate::host;
 use crate::isolation::Groups;
@@ -340,6 +340,12 @@ impl Engine {
     /// Newest faults, oldest first.
     pub fn recent_faults(&self) -> Vec<Fault> {
         self.shared.context.faults.recent()
+    }
+
+    /// Moves `cursor` past the newest fault; a cursor of another run starts at the first fault. Returns whether its faults changed. Cheap where
+    /// there are no new ones, for displays.
+    pub fn faults_since(&self, cursor: &mut FaultCursor) -> bool {
+        self.shared.context.faults.advance(cursor)
     }
 
     /// Ticks that the busiest source has made.
