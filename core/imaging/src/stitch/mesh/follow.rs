@@ -5,7 +5,7 @@ mod whole;
 
 use std::ops::Range;
 
-use super::super::grid::RectifiedView;
+use super::super::rectified_view::RectifiedView;
 use super::border::{Border, borders};
 use super::energy::{Energy, Stiffness};
 use super::hints::InstrumentHints;
@@ -15,7 +15,7 @@ use super::relax::{Continuation, Relax};
 use super::rigid::Rigid;
 use super::scaled::Scaled;
 use super::{Lattice, Mesh};
-use crate::geometry::{Homography, Point, median, overlap_roi};
+use crate::geometry::{Homography, Point, length, overlap_roi};
 use crate::{Parallel, Simd, View};
 
 /// Columns of a view that lengths of [`MeshParams`] refer to.
@@ -564,9 +564,4 @@ impl MeshFollower {
         self.reference.source.clear();
         self.reference.source.extend(self.shown.iter().map(|at| at.map(|v| v as f32)));
     }
-}
-
-/// Length of a vector whose square does not overflow, faster than `hypot`.
-pub(in crate::stitch) fn length([x, y]: Point) -> f64 {
-    (x * x + y * y).sqrt()
 }
