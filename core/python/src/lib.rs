@@ -7,6 +7,7 @@
 #![allow(unsafe_code)]
 
 mod call;
+mod classes;
 mod describe;
 mod host;
 mod instance;

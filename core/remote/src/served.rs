@@ -23,20 +23,13 @@ use crate::files::{self, Folders};
 use crate::h264::{self, Decoders, Encoders};
 use crate::mirror::{self, Pool, Pools};
 use crate::network;
-use crate::serve::Shared;
+use crate::sessions::{Delivered, Shared};
 use panoscope_isolate::relay::messages::{self as message, Message, Turn};
 
 /// A host that was silent for so many times the time that it gives this machine is gone.
 const PATIENCE: u32 = 2;
 /// Most lanes of a group.
 const MAX_LANES: usize = 1024;
-
-/// A message of the host; the bytes of its frames begin at `begin`.
-pub(crate) struct Delivered {
-    pub message: Message,
-    pub payload: ZBytes,
-    pub begin: u64,
-}
 
 /// What the threads of a group share.
 struct Group {
