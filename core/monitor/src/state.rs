@@ -12,7 +12,7 @@ use panoscope_graph::{Catalog, Graph};
 use serde::Serialize;
 
 use crate::paint::Range;
-use crate::pictures::{self, Shown};
+use crate::pictures::{self, PictureError, Shown};
 
 /// A picture that nobody asked for in this time is no longer taken from the graph.
 const MAX_UNSEEN: Duration = Duration::from_secs(3);
@@ -182,7 +182,7 @@ impl Shared {
 
     /// The newest picture of an output; `None` for names that are not shown. The picture is `Err` with a reason as long as
     /// there is none.
-    pub fn picture(&self, name: &str) -> Option<Result<Encoded, String>> {
+    pub fn picture(&self, name: &str) -> Option<Result<Encoded, PictureError>> {
         let mut known = lock(&self.known);
         let packet = known.shown.iter().find(|shown| shown.name() == name)?.packet.clone();
         known.asked.insert(name.to_owned(), Instant::now());
@@ -194,7 +194,7 @@ impl Shared {
             lock(&self.known).ranges.insert(name.to_owned(), range);
             Ok(Encoded { jpeg, tick: picture.frame.tick().seq, age_ms: picture.age_ms() })
         };
-        Some(picture.map_or_else(|| Err("there is no picture yet".to_owned()), encode))
+        Some(picture.map_or_else(|| Err(PictureError::None), encode))
     }
 
     /// The counters; `None` before the first update.
