@@ -9,19 +9,31 @@ use panoscope_graph::Node;
 pub use panoscope_graph::{Deny, Machine, Pixels};
 use serde::Serialize;
 
+use crate::memory::DomainError;
 pub use crate::outputs::fits;
 use crate::sync::lock;
 
 /// A call of a node that ended because the node's process did. The words come through [`abi::Host::fail`]. No plugin returns this status.
 pub const STATUS_DIED: abi::Status = abi::Status::MIN;
 
+/// Why there can be no group of isolated nodes.
+#[derive(Debug, thiserror::Error)]
+pub enum GroupError {
+    /// The program that runs the graph has no [`Isolator`].
+    #[error("this program runs no processes for nodes")]
+    NoIsolator,
+    /// There is no memory that it could share with its process.
+    #[error(transparent)]
+    Memory(#[from] DomainError),
+}
+
 /// Makes the processes of isolated nodes.
 pub trait Isolator: Send + Sync {
     /// A group of nodes that share a process. The process starts when the first of them opens.
     ///
     /// # Errors
-    /// Why there can be no such group on this machine.
-    fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, String>;
+    /// There can be no such group on this machine.
+    fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, GroupError>;
 }
 
 /// What a group is to be like.
@@ -131,7 +143,7 @@ pub(crate) struct Groups {
 pub(crate) struct NotIsolated {
     node: String,
     group: String,
-    reason: String,
+    reason: GroupError,
 }
 
 impl Groups {
@@ -147,7 +159,7 @@ impl Groups {
     }
 
     /// A group for one node that is tried in a process of its own.
-    pub fn for_trial(&self, node: &str, memory_bytes: u64) -> Result<Arc<dyn Group>, String> {
+    pub fn for_trial(&self, node: &str, memory_bytes: u64) -> Result<Arc<dyn Group>, GroupError> {
         let settings = GroupSettings {
             name: format!("trial of {node}"),
             threads: self.threads,
@@ -158,7 +170,7 @@ impl Groups {
         };
         match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
-            None => Err("this program runs no processes for nodes".to_owned()),
+            None => Err(GroupError::NoIsolator),
         }
     }
 
@@ -192,7 +204,7 @@ impl Groups {
         };
         let made = match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
-            None => Err("this program runs no processes for nodes".to_owned()),
+            None => Err(GroupError::NoIsolator),
         };
         let group = made.map_err(|reason| NotIsolated { node: node.id.clone(), group: name.clone(), reason })?;
         known.insert(name.clone(), (deny, node.machine.clone(), Arc::downgrade(&group)));

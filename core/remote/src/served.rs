@@ -80,7 +80,7 @@ fn serve(
     h264::check(pixels).map_err(|words| format!("{words} on `{}`", shared.options.name))?;
     let (network, new_files) = deny;
     let settings = Settings { threads: threads.clamp(1, 1024), memory_bytes, deny: Deny { network, new_files } };
-    let process = Served::start(&group, settings)?;
+    let process = Served::start(&group, settings).map_err(|error| error.to_string())?;
     let up = network::publisher(&shared.session, shared.key(host, id, "up"), false).map_err(|e| e.to_string())?;
     let this = Arc::new(Group {
         shared: Arc::clone(shared),
