@@ -46,7 +46,7 @@ pub(crate) struct Exec {
     /// Capture time of the last tick that was run, `i64::MIN` for none.
     pub last_fired_ns: i64,
     pub time: Arc<Histogram>,
-    pub longest_ns: u64,
+    pub max_ns: u64,
     first: Port,
     pub outputs_len: u32,
     pub source: bool,
@@ -120,7 +120,7 @@ impl Exec {
             config_epoch: 0,
             last_fired_ns: i64::MIN,
             time,
-            longest_ns: 0,
+            max_ns: 0,
             first: rules.first().map_or(first, port),
             outputs_len: rules.len() as u32,
             source: node_type.flags & abi::NODE_SOURCE != 0,

@@ -70,7 +70,7 @@ pub trait Group: Send + Sync {
     ) -> abi::Status;
 
     /// Longest pause before a failed node is opened again, ms: short where only a connection has to come back.
-    fn longest_pause_ms(&self) -> u64 {
+    fn max_pause_ms(&self) -> u64 {
         u64::MAX
     }
 

@@ -298,8 +298,8 @@ impl Shared {
             return;
         }
         loop {
-            let longest_ms = runtime.group.as_ref().map_or(u64::MAX, |group| group.longest_pause_ms());
-            let mut rest_ms = backoff_ms(runtime.recovery.failures()).min(longest_ms);
+            let max_ms = runtime.group.as_ref().map_or(u64::MAX, |group| group.max_pause_ms());
+            let mut rest_ms = backoff_ms(runtime.recovery.failures()).min(max_ms);
             while rest_ms > 0 && !outdated() && !self.is_stopping() {
                 let step = rest_ms.min(20);
                 std::thread::sleep(Duration::from_millis(step));

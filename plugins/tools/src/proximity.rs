@@ -310,7 +310,7 @@ impl Node for Proximity {
                 count += 1;
             }
         }
-        let rule = |on_mm: f64| Rule { on_mm, off_mm: on_mm + params.release_mm, least_s: params.min_ms * 1e-3 };
+        let rule = |on_mm: f64| Rule { on_mm, off_mm: on_mm + params.release_mm, min_s: params.min_ms * 1e-3 };
         let now_s = real_ns as f64 * 1e-9;
         self.watches.retain(|watch| now_ns - watch.seen_ns <= MEMORY_NS);
         self.rows.clear();

@@ -251,7 +251,7 @@ impl TipPosition {
     /// Depth of the middle of open jaws of which one end is seen at `z_mm`, mm. Jaws that open along the viewing direction hide each other, and the
     /// tip would jump to the nearer one. Returns the depth nearer to the last tip's.
     fn middle_mm(&self, z_mm: f64, now_ns: i64) -> f64 {
-        let is_recent = |at_ns: i64, longest_ns: i64| (0..=longest_ns).contains(&now_ns.saturating_sub(at_ns));
+        let is_recent = |at_ns: i64, max_ns: i64| (0..=max_ns).contains(&now_ns.saturating_sub(at_ns));
         let half = self.half.filter(|(_, at_ns)| is_recent(*at_ns, HALF_NS));
         let last = self.last.filter(|(_, at_ns)| is_recent(*at_ns, LAST_NS));
         match (half, last) {

@@ -412,8 +412,8 @@ impl Node for ToolTip {
         let age_ns = now_ns.saturating_sub(found.tick().capture_ns).max(0);
         // Masks cannot be moved to another picture, and boxes only by a limited distance.
         self.time.step(now_ns, cx.tick_arrived_ns());
-        let longest_ns = params.max_age_ms * 1e6;
-        if age_ns > 0 && (masks.is_some() || self.time.real(age_ns) as f64 > longest_ns) {
+        let max_ns = params.max_age_ms * 1e6;
+        if age_ns > 0 && (masks.is_some() || self.time.real(age_ns) as f64 > max_ns) {
             return Ok(());
         }
         let tools = Tools { found: &found, masks, size: found.image_size(), class: &params.class };
@@ -427,10 +427,8 @@ impl Node for ToolTip {
         let has_depth = space.size() == Some(tools.size);
         let cues = Cues { size: tools.size, picture, nearness: has_depth.then_some(&space as &dyn Nearness) };
         let leading = self.leading.take().filter(|leading| leading.missed <= MEMORY_TICKS);
-        let kept = self
-            .kept
-            .take()
-            .filter(|kept| (0.0..=longest_ns).contains(&(self.time.real(now_ns - kept.found_ns) as f64)));
+        let kept =
+            self.kept.take().filter(|kept| (0.0..=max_ns).contains(&(self.time.real(now_ns - kept.found_ns) as f64)));
         let now = Now { now_ns, age_ns, params };
         let best = self.candidate(&tools, &cues, leading.as_ref(), kept.is_some(), &now);
         let best = best.or_else(|| self.missed(&tools, &cues, leading.as_ref(), kept.as_ref()?, now_ns));

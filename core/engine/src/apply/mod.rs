@@ -224,10 +224,10 @@ impl Engine {
     fn wait_for(&self, until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
         let before_bytes = memory().in_use_bytes();
         // Sources go on meanwhile, and so do other regions: they need frames, too.
-        let most_bytes = (memory().limit_bytes() - before_bytes) / 4 * 3;
+        let max_bytes = (memory().limit_bytes() - before_bytes) / 4 * 3;
         while let Some(node) = busy() {
             let waiting_bytes = memory().in_use_bytes() - before_bytes;
-            if waiting_bytes > most_bytes {
+            if waiting_bytes > max_bytes {
                 return Err(ApplyError::Memory { node, waiting_mb: waiting_bytes >> 20 });
             }
             if self.shared.is_stopping() {

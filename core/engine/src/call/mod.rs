@@ -190,8 +190,8 @@ impl NodeRuntime {
         }
         let spent_ns = end_ns.saturating_sub(start_ns);
         exec.time.count_one(spent_ns);
-        if spent_ns > exec.longest_ns {
-            exec.longest_ns = spent_ns;
+        if spent_ns > exec.max_ns {
+            exec.max_ns = spent_ns;
             exec.time.raise(spent_ns);
         }
         if exec.limited && exec.budget_ns != 0 && spent_ns > exec.budget_ns {

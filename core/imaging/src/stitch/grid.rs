@@ -37,7 +37,7 @@ pub struct GridParams {
     /// Spacing of the pixels of a cell that are used.
     pub step_px: usize,
     /// Share of a cell's used pixels that must have a disparity.
-    pub least_valid: f32,
+    pub min_valid: f32,
     /// Robust estimation; the threshold is in pixels of the left picture.
     pub ransac: RansacParams,
     /// Inliers below which a homography is rejected; at least 4.
@@ -63,7 +63,7 @@ impl Default for GridParams {
             columns: 24,
             point: CellPoint::default(),
             step_px: 3,
-            least_valid: 0.3,
+            min_valid: 0.3,
             ransac: RansacParams { threshold_px: 4.0, ..RansacParams::default() },
             min_inliers: 12,
             plausibility: Plausibility::default(),
@@ -426,7 +426,7 @@ impl RegisterGrid {
             }
         }
         let valid = self.cell.len();
-        if valid == 0 || (valid as f32) < self.scaled.least_valid * looked as f32 {
+        if valid == 0 || (valid as f32) < self.scaled.min_valid * looked as f32 {
             return None;
         }
         match self.scaled.point {

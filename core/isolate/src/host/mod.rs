@@ -195,7 +195,7 @@ impl Group for Isolated {
         unsafe { remote::open(process, &image, Some(entry), index, call, instance) }
     }
 
-    fn longest_pause_ms(&self) -> u64 {
+    fn max_pause_ms(&self) -> u64 {
         if self.settings.machine.is_some() { 100 } else { u64::MAX }
     }
 
