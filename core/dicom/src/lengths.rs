@@ -25,6 +25,7 @@ pub enum Encoding {
 
 /// A length or a head that does not fit the bytes around it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum LengthError {
     /// A value is longer than the rest of the bytes.
     #[error("at byte {at}: {announced} bytes are announced, {left} are there")]

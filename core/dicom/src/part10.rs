@@ -42,6 +42,7 @@ pub struct Head {
 
 /// Why a file has no usable head.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum HeadError {
     /// The file is of another kind.
     #[error("it is no DICOM file: `DICM` is not at byte 128")]

@@ -228,6 +228,7 @@ impl Association {
 
 /// A command set of a server cannot be read.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum CommandError {
     /// A length inside it is wrong.
     #[error("a command set that cannot be read: {0}")]

@@ -30,6 +30,7 @@ pub struct Film {
 
 /// Why a file is not an MP4 file with one track of H.264.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum Mp4Error {
     /// The operating system's error.
     #[error(transparent)]

@@ -110,6 +110,7 @@ impl Row {
 
 /// Why a table of measurements cannot be read.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum TableError {
     /// The operating system's error.
     #[error(transparent)]
