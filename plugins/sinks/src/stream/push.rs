@@ -38,6 +38,7 @@ pub enum Target {
 
 /// What is wrong with the address of a [`Target`]; `shown` is the address without its password.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum TargetError {
     /// It would end the text of a pipeline.
     #[error("`{shown}` is no address: it has a space or a quote")]
