@@ -77,7 +77,7 @@ fn serve(
         let name = &shared.options.name;
         return Err(format!("the versions differ: {version} on the host, {own} on `{name}`; install the same on both"));
     }
-    h264::check(pixels).map_err(|words| format!("{words} on `{}`", shared.options.name))?;
+    h264::check(pixels).map_err(|error| format!("{error} on `{}`", shared.options.name))?;
     let (network, new_files) = deny;
     let settings = Settings { threads: threads.clamp(1, 1024), memory_bytes, deny: Deny { network, new_files } };
     let process = Served::start(&group, settings).map_err(|error| error.to_string())?;
@@ -285,7 +285,7 @@ impl Group {
                 lock(&self.folders).add(Path::new(&open.graph_dir), &self.shared.options.graph_dir);
                 let folders = lock(&self.folders).clone();
                 files::compare(&turn.files, &folders, &self.shared.hashes, &self.shared.options.name)
-                    .map_err(|words| NotHere::Refused(format!("node `{}`: {words}", open.node)))?;
+                    .map_err(|error| NotHere::Refused(format!("node `{}`: {error}", open.node)))?;
                 Ok(relay::with_paths(turn.kind, message, &graph_dir, path)?)
             }
             kind::PROCESS => {
