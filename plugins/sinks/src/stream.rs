@@ -142,7 +142,7 @@ impl Node for Stream {
         }
         let mut push = None;
         if !params.push.is_empty() {
-            let target = Target::parse(&params.push).map_err(NodeError::new)?;
+            let target = Target::parse(&params.push)?;
             push = Some(Push::start(target, payload, worker.fanout())?);
             open.info(&format!("sends to {}", params.push));
         }
