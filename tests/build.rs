@@ -154,7 +154,6 @@ fn path_of(source: &str) -> &str {
         "memory_pool" => "memory/pool",
         "join_slot" => "join/slot",
         "runner" => "node/runner",
-        "change_lock" => "apply/change_lock",
         source => source,
     }
 }

@@ -40,13 +40,13 @@ fn surgeon(folder: &Folder, left: &Path, right: &Path, more: &[&str]) -> Option<
 }
 
 /// What the screen shows in the end: a main picture on three fifths of it, a surface without false holes, colours that cover the depths.
-fn looks_right(run: &Run, most_dead_pct: f64) {
+fn looks_right(run: &Run, max_dead_pct: f64) {
     let metric = |node: &str, name: &str| {
         let of = &run.report.nodes[node].metrics;
         *of.get(name).unwrap_or_else(|| panic!("`{node}` has no metric {name}: {of:?}"))
     };
     let (main, dead) = (metric("screen/screen", "main_pct"), metric("screen/screen", "dead_pct"));
-    assert!(main >= 60.0 && dead <= most_dead_pct, "main picture {main:.1} %, dead area {dead:.1} %");
+    assert!(main >= 60.0 && dead <= max_dead_pct, "main picture {main:.1} %, dead area {dead:.1} %");
     let (cut, beyond) = (metric("screen/turn", "cut_pct"), metric("screen/colours", "beyond_pct"));
     assert!(cut <= 4.0 && beyond <= 5.0, "{cut:.1} % of the surface cut, {beyond:.1} % beyond the colours of depth");
 }

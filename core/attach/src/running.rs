@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use panoscope_engine::fault::Fault;
+use panoscope_engine::fault::FaultCursor;
 use panoscope_engine::sync::lock;
 use panoscope_engine::{ApplyError, Engine, NodeWindow, Preview, Window, clock};
 use panoscope_graph::ParamValue;
@@ -131,7 +131,7 @@ struct Known {
     window: Window,
     read_at: Option<Instant>,
     nodes: BTreeMap<String, NodeWindow>,
-    faults: Vec<Fault>,
+    faults: FaultCursor,
     values: BTreeMap<String, Vec<ParamValue>>,
 }
 
@@ -188,7 +188,7 @@ impl Attachable {
             window: Window::default(),
             read_at: None,
             nodes: BTreeMap::new(),
-            faults: Vec::new(),
+            faults: FaultCursor::new(MAX_FAULTS),
             values: BTreeMap::new(),
         };
         Ok(Self { shared, known: Mutex::new(known), name })
@@ -270,16 +270,10 @@ impl Attachable {
         }
         known.read_at = Some(now);
         let nodes = message::finite(engine.window(&mut known.window));
-        let mut faults = engine.recent_faults();
-        faults.drain(..faults.len().saturating_sub(MAX_FAULTS));
         let of = |node: &String| Some((node.clone(), engine.param_values(node)?));
         let values: BTreeMap<_, _> = nodes.keys().filter_map(of).collect();
-        let is_newer = |new: &[Fault], old: &[Fault]| {
-            let last = |faults: &[Fault]| faults.last().map(|fault| (fault.unix_ms, fault.node.clone(), fault.count));
-            new.len() != old.len() || last(new) != last(old)
-        };
-        let changed = (nodes != known.nodes, is_newer(&faults, &known.faults), values != known.values);
-        (known.nodes, known.faults, known.values) = (nodes, faults, values);
+        let changed = (nodes != known.nodes, engine.faults_since(&mut known.faults), values != known.values);
+        (known.nodes, known.values) = (nodes, values);
         let mut state = lock(&self.shared.state);
         for (id, session) in &mut state.sessions {
             let lacks = std::mem::take(&mut session.lacks_counters);
@@ -287,7 +281,7 @@ impl Attachable {
                 self.shared.send(*id, &Message::Counters(known.nodes.clone()));
             }
             if changed.1 || lacks {
-                self.shared.send(*id, &Message::Faults(known.faults.clone()));
+                self.shared.send(*id, &Message::Faults(known.faults.newest().cloned().collect()));
             }
             if changed.2 || lacks {
                 self.shared.send(*id, &Message::Values(known.values.clone()));

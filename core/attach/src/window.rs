@@ -15,7 +15,7 @@ use panoscope_engine::{NodeWindow, clock};
 use panoscope_graph::ParamValue;
 use panoscope_isolate::system_ns;
 
-use crate::message::{self, Command, Incoming, Message, Opened, Refused, Wanted};
+use crate::message::{self, BadMessage, Command, Incoming, Message, Opened, Refused, Wanted};
 use crate::packet::Packet;
 use crate::program;
 use crate::target::Target;
@@ -232,6 +232,20 @@ impl Inner {
     }
 }
 
+/// Why the connection to a machine ends.
+#[derive(Debug, thiserror::Error)]
+enum LinkEnd {
+    /// A measurement of the clock is malformed.
+    #[error("a measurement of the clock makes no sense")]
+    Clock,
+    /// A message is malformed.
+    #[error(transparent)]
+    Message(#[from] BadMessage),
+    /// The program that holds the connection closed it.
+    #[error("{words}")]
+    Closed { words: String },
+}
+
 impl Shared {
     fn act<T>(&self, act: impl FnOnce(&mut Inner) -> T) -> T {
         let result = act(&mut lock(&self.inner));
@@ -294,7 +308,7 @@ impl Shared {
         let mut words = None;
         while let Ok(Some(frame)) = tunnel::receive(&mut from) {
             if let Err(error) = self.take(frame, &out) {
-                words = Some(error);
+                words = Some(error.to_string());
                 break;
             }
         }
@@ -308,7 +322,7 @@ impl Shared {
         words.unwrap_or(last)
     }
 
-    fn take(&self, frame: Frame, out: &Sender<Frame>) -> Result<(), String> {
+    fn take(&self, frame: Frame, out: &Sender<Frame>) -> Result<(), LinkEnd> {
         match frame.kind {
             Kind::Ready => self.act(|inner| {
                 inner.out = Some(out.clone());
@@ -316,14 +330,14 @@ impl Shared {
             }),
             Kind::Clock => {
                 let ClockFrame { offset_ns, error_ns, round_trip_ns } =
-                    ClockFrame::read(&frame.bytes).ok_or("a measurement of the clock makes no sense")?;
+                    ClockFrame::read(&frame.bytes).ok_or(LinkEnd::Clock)?;
                 self.act(|inner| inner.state.clock = Some(Clock { offset_ns, error_ns, round_trip_ns }));
             }
-            Kind::Data => match message::read_incoming(&frame.bytes).map_err(|error| error.to_string())? {
+            Kind::Data => match message::read_incoming(&frame.bytes)? {
                 Incoming::Message(message) => self.act(|inner| inner.take_message(message)),
                 Incoming::Packet(packet) => self.act(|inner| inner.take_packet(*packet)),
             },
-            Kind::Close => return Err(frame.text()),
+            Kind::Close => return Err(LinkEnd::Closed { words: frame.text() }),
             Kind::Open => {}
         }
         Ok(())

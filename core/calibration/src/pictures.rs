@@ -60,12 +60,46 @@ pub fn is_pattern(text: &str) -> bool {
     text.contains(['*', '?']) || counter(text).is_some()
 }
 
+/// Why no file matches a pattern.
+#[derive(Debug, thiserror::Error)]
+pub enum PatternError {
+    /// Its last part is not a name.
+    #[error("the pattern names no file")]
+    NoName,
+    /// Its folder cannot be read.
+    #[error("the folder {} cannot be read: {cause}", folder.display())]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// The operating system's error.
+        cause: std::io::Error,
+    },
+    /// The folder holds files of the kind under other names.
+    #[error("the folder holds {count} {what}s, {} among them", example.display())]
+    OtherNames {
+        /// Number of these files.
+        count: usize,
+        /// Their kind, such as `image`.
+        what: String,
+        /// The name of one.
+        example: OsString,
+    },
+    /// The folder holds no file of the kind.
+    #[error("the folder holds {count} files and no {what}")]
+    OtherKinds {
+        /// Number of all files.
+        count: usize,
+        /// The kind that was wanted.
+        what: String,
+    },
+}
+
 /// Image files that match `dir/*.png` or `dir/img_%04d.png`, in the order of their numbers. Only the last part of the path
 /// is a pattern.
 ///
 /// # Errors
 /// When no file matches; the message lists what the folder holds instead.
-pub fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, String> {
+pub fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, PatternError> {
     numbered_files(pattern, "image", is_image)
 }
 
@@ -73,13 +107,12 @@ pub fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, String> {
 ///
 /// # Errors
 /// When no file matches; the message lists what the folder holds instead.
-pub fn numbered_files(pattern: &Path, what: &str, fits: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>, String> {
+pub fn numbered_files(pattern: &Path, what: &str, fits: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>, PatternError> {
     let folder = pattern.parent().unwrap_or(Path::new("."));
     let Some(last) = pattern.file_name().and_then(|n| n.to_str()) else {
-        return Err("the pattern names no file".into());
+        return Err(PatternError::NoName);
     };
-    let entries =
-        fs::read_dir(folder).map_err(|error| format!("the folder {} cannot be read: {error}", folder.display()))?;
+    let entries = fs::read_dir(folder).map_err(|cause| PatternError::Folder { folder: folder.to_owned(), cause })?;
     // Names need not be UTF-8.
     let names: Vec<OsString> = entries.flatten().map(|e| e.file_name()).collect();
     let by_counter = counter(last).is_some();
@@ -92,10 +125,11 @@ pub fn numbered_files(pattern: &Path, what: &str, fits: impl Fn(&Path) -> bool) 
     };
     let mut found: Vec<&OsString> = names.iter().filter(matches).collect();
     if found.is_empty() {
-        let others = names.iter().filter(|n| fits(Path::new(n))).count();
-        return Err(match names.iter().find(|n| fits(Path::new(n))) {
-            Some(one) => format!("the folder holds {others} {what}s, {} among them", one.display()),
-            None => format!("the folder holds {} files and no {what}", names.len()),
+        let others: Vec<&OsString> = names.iter().filter(|name| fits(Path::new(name))).collect();
+        let (what, count) = (what.to_owned(), others.len());
+        return Err(match others.first() {
+            Some(example) => PatternError::OtherNames { count, what, example: (*example).clone() },
+            None => PatternError::OtherKinds { count: names.len(), what },
         });
     }
     found.sort_by_cached_key(|name| (natural_order(&name.to_string_lossy()), (*name).clone()));
@@ -129,7 +163,7 @@ mod tests {
         let in_order = [files[1].clone(), files[0].clone()];
         assert_eq!(image_files(&folder.join("*")).unwrap(), in_order);
         assert_eq!(image_files(&folder.join("?_*.png")).unwrap(), in_order);
-        assert!(image_files(&folder.join("*.jpg")).unwrap_err().contains("2 images"));
+        assert!(image_files(&folder.join("*.jpg")).unwrap_err().to_string().contains("2 images"));
         fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -99,7 +99,7 @@ impl Entry {
         if bytes.len() > MAX_ENTRY_BYTES {
             return Err(malformed(format!("{} bytes; {MAX_ENTRY_BYTES} are the most", bytes.len())));
         }
-        lengths::check(bytes, encoding).map_err(malformed)?;
+        lengths::check(bytes, encoding).map_err(|error| malformed(error.to_string()))?;
         let syntax = match encoding {
             Encoding::Implicit => IMPLICIT_VR_LITTLE_ENDIAN.erased(),
             Encoding::Explicit => EXPLICIT_VR_LITTLE_ENDIAN.erased(),
@@ -115,7 +115,7 @@ impl Entry {
     pub fn open(file: &Path) -> Result<Self> {
         let bytes = part10::read_small(file)?;
         let head = part10::Head::parse(&bytes)
-            .map_err(|problem| DicomError::Malformed { what: file.display().to_string(), problem })?;
+            .map_err(|error| DicomError::Malformed { what: file.display().to_string(), problem: error.to_string() })?;
         let encoding = head.encoding().ok_or_else(|| DicomError::Malformed {
             what: file.display().to_string(),
             problem: format!("a worklist entry in the transfer syntax {} is not read", head.transfer_syntax),

@@ -23,6 +23,39 @@ pub enum Encoding {
     Explicit,
 }
 
+/// A length or a head that does not fit the bytes around it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
+pub enum LengthError {
+    /// A value is longer than the rest of the bytes.
+    #[error("at byte {at}: {announced} bytes are announced, {left} are there")]
+    Announced { at: usize, announced: usize, left: usize },
+    /// The head of an element begins inside an item and ends outside of it.
+    #[error("at byte {at}: an element reaches beyond its item")]
+    BeyondItem { at: usize },
+    /// More than [`MAX_DEPTH`] sequences inside each other.
+    #[error("at byte {at}: sequences are nested more than {MAX_DEPTH} deep")]
+    TooDeep { at: usize },
+    /// An item where an element belongs.
+    #[error("at byte {at}: an item outside a sequence")]
+    LoneItem { at: usize },
+    /// Two bytes that are not capital letters.
+    #[error("at byte {at}: {vr:02x?} is no value representation")]
+    Representation { at: usize, vr: [u8; 2] },
+    /// An item of undefined length without a delimiter.
+    #[error("at byte {at}: an item does not end")]
+    OpenItem { at: usize },
+    /// An item is longer than the rest of its sequence.
+    #[error("at byte {at}: an item of {length} bytes, {left} are there")]
+    LongItem { at: usize, length: u32, left: usize },
+    /// An element where an item belongs.
+    #[error("at byte {at}: an item was expected")]
+    NoItem { at: usize },
+    /// A sequence of undefined length without a delimiter.
+    #[error("at byte {at}: a sequence does not end")]
+    OpenSequence { at: usize },
+}
+
 struct Walk<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -33,38 +66,37 @@ struct Walk<'a> {
 ///
 /// # Errors
 /// What is wrong, and at which byte.
-pub fn check(bytes: &[u8], encoding: Encoding) -> Result<(), String> {
+pub fn check(bytes: &[u8], encoding: Encoding) -> Result<(), LengthError> {
     let mut walk = Walk { bytes, at: 0, encoding };
     walk.elements(bytes.len(), false, 0)
 }
 
 impl Walk<'_> {
-    fn take(&mut self, count: usize) -> Result<&[u8], String> {
+    fn take(&mut self, count: usize) -> Result<&[u8], LengthError> {
         let at = self.at;
         let end = at.checked_add(count).filter(|end| *end <= self.bytes.len());
-        let end = end
-            .ok_or_else(|| format!("at byte {at}: {count} bytes are announced, {} are there", self.bytes.len() - at))?;
+        let end = end.ok_or_else(|| LengthError::Announced { at, announced: count, left: self.bytes.len() - at })?;
         self.at = end;
         Ok(&self.bytes[at..end])
     }
 
     /// A head that was read does not reach beyond the item around it.
-    fn inside(&self, end: usize) -> Result<(), String> {
-        if self.at <= end { Ok(()) } else { Err(format!("at byte {end}: an element reaches beyond its item")) }
+    fn inside(&self, end: usize) -> Result<(), LengthError> {
+        if self.at <= end { Ok(()) } else { Err(LengthError::BeyondItem { at: end }) }
     }
 
-    fn u16(&mut self) -> Result<u16, String> {
+    fn u16(&mut self) -> Result<u16, LengthError> {
         self.take(2).map(|b| u16::from_le_bytes([b[0], b[1]]))
     }
 
-    fn u32(&mut self) -> Result<u32, String> {
+    fn u32(&mut self) -> Result<u32, LengthError> {
         self.take(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
 
     /// Elements up to `end`, or up to the delimiter of an item.
-    fn elements(&mut self, end: usize, delimited: bool, depth: usize) -> Result<(), String> {
+    fn elements(&mut self, end: usize, delimited: bool, depth: usize) -> Result<(), LengthError> {
         if depth > MAX_DEPTH {
-            return Err(format!("at byte {}: sequences are nested more than {MAX_DEPTH} deep", self.at));
+            return Err(LengthError::TooDeep { at: self.at });
         }
         while self.at < end {
             let start = self.at;
@@ -74,14 +106,14 @@ impl Walk<'_> {
                 return self.inside(end);
             }
             if tag.0 == 0xFFFE {
-                return Err(format!("at byte {start}: an item outside a sequence"));
+                return Err(LengthError::LoneItem { at: start });
             }
             let (is_sequence, length) = match self.encoding {
                 Encoding::Implicit => (None, self.u32()?),
                 Encoding::Explicit => {
                     let vr: [u8; 2] = self.take(2)?.try_into().unwrap_or_default();
                     if !vr.iter().all(u8::is_ascii_uppercase) {
-                        return Err(format!("at byte {start}: {vr:02x?} is no value representation"));
+                        return Err(LengthError::Representation { at: start, vr });
                     }
                     let length = if LONG_VRS.contains(&&vr) {
                         self.take(2)?;
@@ -99,7 +131,7 @@ impl Walk<'_> {
             }
             let value_end = self.at.saturating_add(length as usize);
             if value_end > end {
-                return Err(format!("at byte {start}: {length} bytes are announced, {} are there", end - self.at));
+                return Err(LengthError::Announced { at: start, announced: length as usize, left: end - self.at });
             }
             // Without value representations the dictionary says what is a sequence; one looks like an item.
             let looks_like_item = length >= 8 && self.bytes[self.at..].starts_with(&[0xFE, 0xFF, 0x00, 0xE0]);
@@ -109,13 +141,13 @@ impl Walk<'_> {
             self.at = value_end;
         }
         if delimited {
-            return Err(format!("at byte {}: an item does not end", self.at));
+            return Err(LengthError::OpenItem { at: self.at });
         }
         Ok(())
     }
 
     /// Items up to `end`, or up to the delimiter of a sequence.
-    fn items(&mut self, end: usize, delimited: bool, depth: usize) -> Result<(), String> {
+    fn items(&mut self, end: usize, delimited: bool, depth: usize) -> Result<(), LengthError> {
         while self.at < end {
             let start = self.at;
             let tag = (self.u16()?, self.u16()?);
@@ -127,14 +159,14 @@ impl Walk<'_> {
                 ITEM => {
                     let item_end = self.at.saturating_add(length as usize);
                     if item_end > end {
-                        return Err(format!("at byte {start}: an item of {length} bytes, {} are there", end - self.at));
+                        return Err(LengthError::LongItem { at: start, length, left: end - self.at });
                     }
                     self.elements(item_end, false, depth + 1)?;
                 }
-                _ => return Err(format!("at byte {start}: an item was expected")),
+                _ => return Err(LengthError::NoItem { at: start }),
             }
         }
-        if delimited { Err(format!("at byte {}: a sequence does not end", self.at)) } else { Ok(()) }
+        if delimited { Err(LengthError::OpenSequence { at: self.at }) } else { Ok(()) }
     }
 }
 
@@ -173,7 +205,7 @@ mod tests {
             ),
             (implicit((0x40, 0x100), 16, &implicit(ITEM, 8, &implicit((8, 0x96), UNDEFINED, b""))), "does not end"),
         ] {
-            let error = check(&bytes, Encoding::Implicit).unwrap_err();
+            let error = check(&bytes, Encoding::Implicit).unwrap_err().to_string();
             assert!(error.contains(words) && error.contains("at byte"), "{error}");
         }
         assert!(check(b"\x10\x00\x10\x00OB\x00\x00\xF0\xFF\xFF\xFF", Encoding::Explicit).is_err());
@@ -186,6 +218,6 @@ mod tests {
         for _ in 0..1000 {
             bytes.extend(implicit((0x40, 0x100), UNDEFINED, &implicit(ITEM, UNDEFINED, b"")));
         }
-        assert!(check(&bytes, Encoding::Implicit).unwrap_err().contains("nested"));
+        assert!(check(&bytes, Encoding::Implicit).unwrap_err().to_string().contains("nested"));
     }
 }

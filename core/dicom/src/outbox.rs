@@ -106,8 +106,8 @@ pub fn send(folder: &Path, peer: &Peer, keep: bool) -> Result<Sent> {
 fn open(path: &Path) -> Result<Object> {
     let failed = |cause| DicomError::Read { file: path.to_owned(), cause };
     let mut file = File::open(path).map_err(failed)?;
-    let head =
-        Head::read(&mut file).map_err(|problem| DicomError::Malformed { what: path.display().to_string(), problem })?;
+    let head = Head::read(&mut file)
+        .map_err(|error| DicomError::Malformed { what: path.display().to_string(), problem: error.to_string() })?;
     let bytes = file.metadata().map_err(failed)?.len().saturating_sub(head.length as u64);
     Ok(Object { head, file, bytes })
 }

@@ -11,7 +11,7 @@ use dicom_transfer_syntax_registry::entries::EXPLICIT_VR_LITTLE_ENDIAN;
 
 use crate::element::{Set, read};
 use crate::error::{DicomError, Result, chain};
-use crate::lengths::{self, Encoding};
+use crate::lengths::{self, Encoding, LengthError};
 use crate::uid;
 
 /// Explicit VR little endian, not compressed.
@@ -40,30 +40,61 @@ pub struct Head {
     pub length: usize,
 }
 
+/// Why a file has no usable head.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
+pub enum HeadError {
+    /// The file is of another kind.
+    #[error("it is no DICOM file: `DICM` is not at byte 128")]
+    NotDicom,
+    /// The file is cut off.
+    #[error("it ends in its head")]
+    Cut,
+    /// The head begins with another element.
+    #[error("its head does not begin with its length")]
+    NoLength,
+    /// The head is longer than any that is read.
+    #[error("its head is said to have {length} bytes; {MAX_HEAD_BYTES} are the most")]
+    TooLong { length: usize },
+    /// A length inside it is wrong.
+    #[error(transparent)]
+    Length(#[from] LengthError),
+    /// The head cannot be decoded.
+    #[error("{reason}")]
+    Decode { reason: String },
+    /// An identifier is missing or malformed.
+    #[error("its head has no valid {what}")]
+    NoUid { what: &'static str },
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(#[from] io::Error),
+}
+
 impl Head {
     /// The head at the start of a file's bytes.
     ///
     /// # Errors
     /// What is wrong.
-    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
+    pub fn parse(bytes: &[u8]) -> Result<Self, HeadError> {
         if bytes.get(PREAMBLE - 4..PREAMBLE) != Some(b"DICM") {
-            return Err("it is no DICOM file: `DICM` is not at byte 128".to_owned());
+            return Err(HeadError::NotDicom);
         }
         let start = PREAMBLE + GROUP_LENGTH.len() + 4;
-        let group = bytes.get(PREAMBLE..start).ok_or("it ends in its head")?;
-        let length = group.strip_prefix(&GROUP_LENGTH[..]).ok_or("its head does not begin with its length")?;
+        let group = bytes.get(PREAMBLE..start).ok_or(HeadError::Cut)?;
+        let length = group.strip_prefix(&GROUP_LENGTH[..]).ok_or(HeadError::NoLength)?;
         let length = u32::from_le_bytes(length.try_into().unwrap_or_default()) as usize;
         if length > MAX_HEAD_BYTES {
-            return Err(format!("its head is said to have {length} bytes; {MAX_HEAD_BYTES} are the most"));
+            return Err(HeadError::TooLong { length });
         }
         let end = start + length;
-        let head = bytes.get(start..end).ok_or("it ends in its head")?;
+        let head = bytes.get(start..end).ok_or(HeadError::Cut)?;
         lengths::check(head, Encoding::Explicit)?;
         let syntax = EXPLICIT_VR_LITTLE_ENDIAN.erased();
-        let head = Set::read_dataset_with_ts(head, &syntax).map_err(|error| chain(&error))?;
-        let uid_of = |tag, what: &str| {
+        let head =
+            Set::read_dataset_with_ts(head, &syntax).map_err(|error| HeadError::Decode { reason: chain(&error) })?;
+        let uid_of = |tag, what| {
             let text = read(&head, tag);
-            if uid::is_valid(&text) { Ok(text) } else { Err(format!("its head has no valid {what}")) }
+            if uid::is_valid(&text) { Ok(text) } else { Err(HeadError::NoUid { what }) }
         };
         Ok(Self {
             class: uid_of(tags::MEDIA_STORAGE_SOP_CLASS_UID, "SOP class")?,
@@ -77,12 +108,11 @@ impl Head {
     ///
     /// # Errors
     /// What is wrong.
-    pub fn read(file: &mut File) -> Result<Self, String> {
-        let words = |error: io::Error| error.to_string();
+    pub fn read(file: &mut File) -> Result<Self, HeadError> {
         let mut bytes = Vec::new();
-        Read::by_ref(file).take((PREAMBLE + MAX_HEAD_BYTES) as u64).read_to_end(&mut bytes).map_err(words)?;
+        Read::by_ref(file).take((PREAMBLE + MAX_HEAD_BYTES) as u64).read_to_end(&mut bytes)?;
         let head = Self::parse(&bytes)?;
-        io::Seek::seek(file, io::SeekFrom::Start(head.length as u64)).map_err(words)?;
+        io::Seek::seek(file, io::SeekFrom::Start(head.length as u64))?;
         Ok(head)
     }
 
@@ -220,7 +250,7 @@ mod tests {
             let cut = Head::parse(&bytes[..end]);
             assert!(cut.is_err() || end >= head.length, "cut at {end}");
         }
-        let error = Head::parse(&[&[0; 128][..], b"DICM", &GROUP_LENGTH, &[0xFF; 4]].concat()).unwrap_err();
+        let error = Head::parse(&[&[0; 128][..], b"DICM", &GROUP_LENGTH, &[0xFF; 4]].concat()).unwrap_err().to_string();
         assert!(error.contains("are the most"), "{error}");
     }
 }

@@ -55,6 +55,29 @@ pub enum Turn {
     },
 }
 
+/// Why a tick of a source cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub enum FramesError {
+    /// The source has lost an output since.
+    #[error(
+        "tick {seq} of the recording has a packet of `{node}.{port}`, and the source has no such output here: it cannot be replayed; record again"
+    )]
+    NoOutput {
+        /// Number of the tick.
+        seq: u64,
+        /// The source.
+        node: String,
+        /// The output.
+        port: String,
+    },
+    /// A packet cannot be read.
+    #[error("{reason}")]
+    Read {
+        /// Why.
+        reason: String,
+    },
+}
+
 /// Makes the decisions that otherwise depend on time. Edits are numbered from 0 in the order in which they were made.
 pub trait Decider: Send + Sync {
     /// Whether a node never opens: its ticks are known, or it would act on the world.
@@ -75,8 +98,8 @@ pub trait Decider: Send + Sync {
     /// The packets of the source's next tick by the names of `ports`; `None` where there was none.
     ///
     /// # Errors
-    /// Why the packets cannot be read.
-    fn source_frames(&self, node: &str, ports: &[String]) -> Result<Vec<Option<FrameRef>>, String>;
+    /// The packets cannot be read, or are not those of this source.
+    fn source_frames(&self, node: &str, ports: &[String]) -> Result<Vec<Option<FrameRef>>, FramesError>;
 
     /// The packets that a node takes next.
     fn took(&self, node: &str) -> Option<&Mutex<VecDeque<Wanted>>>;

@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicPtr, Ordering};
 
 use panoscope_abi::{self as abi, PortRange};
 
+use crate::decide::Ages;
 use crate::instance::Instance;
 use crate::outputs::OutputRule;
 use crate::params::Snapshot;
 use crate::stats::Histogram;
-use crate::times::CallTimes;
 
 /// An output, for the checks after a call.
 #[derive(Clone, Copy)]
@@ -46,7 +46,7 @@ pub(crate) struct Exec {
     /// Capture time of the last tick that was run, `i64::MIN` for none.
     pub last_fired_ns: i64,
     pub time: Arc<Histogram>,
-    pub longest_ns: u64,
+    pub max_ns: u64,
     first: Port,
     pub outputs_len: u32,
     pub source: bool,
@@ -70,6 +70,28 @@ pub(crate) struct Exec {
     pub times: CallTimes,
     /// Time of the last failure, until a call succeeds; 0 for none.
     pub failed_at_ns: u64,
+}
+
+/// The times of one call. Between two calls only the arrival that a source declared is kept.
+#[derive(Default)]
+pub(crate) struct CallTimes {
+    /// The moment for which ages are given, once one was asked for.
+    pub now_ns: Option<i64>,
+    /// Inputs whose time was asked for, one bit each.
+    pub asked: u64,
+    /// What the recorded run returned, in a replay.
+    pub recorded: Option<Box<Ages>>,
+    /// Lag that the node declared for its outputs, as [`Tick::flags`].
+    pub lag: u32,
+    /// For a source: arrival of the tick, ns of the host's clock.
+    pub arrived_ns: Option<i64>,
+}
+
+impl CallTimes {
+    /// Takes the arrival that a source declared for the tick of its last call, ns of the host's clock.
+    pub fn take_arrived_ns(&mut self) -> Option<i64> {
+        self.arrived_ns.take()
+    }
 }
 
 type ProcessFn = Option<unsafe extern "C" fn(instance: *mut c_void, call: *mut abi::Call) -> abi::Status>;
@@ -98,7 +120,7 @@ impl Exec {
             config_epoch: 0,
             last_fired_ns: i64::MIN,
             time,
-            longest_ns: 0,
+            max_ns: 0,
             first: rules.first().map_or(first, port),
             outputs_len: rules.len() as u32,
             source: node_type.flags & abi::NODE_SOURCE != 0,
@@ -188,6 +210,14 @@ impl ExecPlace {
     /// Puts back the `Exec` that was taken, or its replacement. Only the thread that took it, or the watchdog for it, may do so.
     pub fn put(&self, exec: Box<Exec>) {
         self.0.store(Box::into_raw(exec), Ordering::Release);
+    }
+
+    /// Changes the `Exec`; `None` if a thread runs the node.
+    pub fn with<R>(&self, change: impl FnOnce(&mut Exec) -> R) -> Option<R> {
+        let mut exec = self.take()?;
+        let result = change(&mut exec);
+        self.put(exec);
+        Some(result)
     }
 
     /// Its address, for [`Exec::prefetch`].

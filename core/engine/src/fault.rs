@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
@@ -109,10 +109,50 @@ pub struct Fault {
 
 const REMEMBERED: usize = 4096;
 
+/// The newest faults of a run, oldest first.
+#[derive(Default)]
+struct Recent {
+    faults: VecDeque<Fault>,
+    /// Faults so far, also those that are no longer kept.
+    count: u64,
+}
+
+impl Recent {
+    fn push(&mut self, fault: Fault) {
+        if self.faults.len() >= REMEMBERED {
+            self.faults.pop_front();
+        }
+        self.faults.push_back(fault);
+        self.count += 1;
+    }
+}
+
+/// A position in the faults of a run, with the newest faults before it; see [`Engine::faults_since`](crate::Engine::faults_since).
+pub struct FaultCursor {
+    /// The log that it was moved in last.
+    log: Weak<Mutex<Recent>>,
+    /// Faults of the run before it.
+    count: u64,
+    newest: VecDeque<Fault>,
+    max: usize,
+}
+
+impl FaultCursor {
+    /// Before the first fault. It keeps at most `max` faults, and never more than 4,096.
+    pub fn new(max: usize) -> Self {
+        Self { log: Weak::new(), count: 0, newest: VecDeque::new(), max }
+    }
+
+    /// The newest faults before it, oldest first.
+    pub fn newest(&self) -> impl DoubleEndedIterator<Item = &Fault> {
+        self.newest.iter()
+    }
+}
+
 /// Passes faults on, on its own thread, and keeps the newest.
 pub(crate) struct FaultLog {
     out: Option<Outbox<Fault>>,
-    recent: Arc<Mutex<VecDeque<Fault>>>,
+    recent: Arc<Mutex<Recent>>,
 }
 
 /// Name in place of a node's in faults of the log itself.
@@ -130,12 +170,12 @@ fn skipped_tick(count: u64) -> Fault {
 
 impl FaultLog {
     pub fn new(sink: Option<Box<FaultFn>>) -> Self {
-        let recent: Arc<Mutex<VecDeque<Fault>>> = Arc::default();
+        let recent: Arc<Mutex<Recent>> = Arc::default();
         let told = Arc::clone(&recent);
         let out = sink.map(|sink| {
             let panicked = move |words: &str| {
                 let words = format!("thread `{NAME}` panicked on a fault, which is lost: {words}");
-                lock(&told).push_back(own_fault(words, 1));
+                lock(&told).push(own_fault(words, 1));
             };
             Outbox::new(NAME, skipped_tick, move |fault| sink(&fault), panicked)
         });
@@ -149,10 +189,7 @@ impl FaultLog {
         if let Some(out) = &self.out {
             out.put(fault.clone());
         }
-        if recent.len() >= REMEMBERED {
-            recent.pop_front();
-        }
-        recent.push_back(fault);
+        recent.push(fault);
     }
 
     /// Waits at most `limit` until all faults are passed on; `false` if they are not.
@@ -162,7 +199,24 @@ impl FaultLog {
 
     /// The newest faults, oldest first.
     pub fn recent(&self) -> Vec<Fault> {
-        lock(&self.recent).iter().cloned().collect()
+        lock(&self.recent).faults.iter().cloned().collect()
+    }
+
+    /// Moves a cursor past the newest fault; one of another log starts at the first fault. Returns whether its faults changed.
+    pub fn advance(&self, cursor: &mut FaultCursor) -> bool {
+        let this = Arc::downgrade(&self.recent);
+        let mut changed = false;
+        if !Weak::ptr_eq(&cursor.log, &this) {
+            changed = !cursor.newest.is_empty();
+            *cursor = FaultCursor { log: this, ..FaultCursor::new(cursor.max) };
+        }
+        let recent = lock(&self.recent);
+        let new = usize::try_from(recent.count - cursor.count).unwrap_or(usize::MAX).min(recent.faults.len());
+        cursor.count = recent.count;
+        cursor.newest.extend(recent.faults.range(recent.faults.len() - new..).cloned());
+        let excess = cursor.newest.len().saturating_sub(cursor.max.min(REMEMBERED));
+        cursor.newest.drain(..excess);
+        changed || new > 0
     }
 }
 
@@ -202,4 +256,43 @@ pub fn json_lines(path: &Path) -> std::io::Result<Box<FaultFn>> {
             lock(&file).append(&line);
         }
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn put(log: &FaultLog, words: &str) {
+        log.put(own_fault(words.to_owned(), 1));
+    }
+
+    fn words(cursor: &FaultCursor) -> Vec<&str> {
+        cursor.newest().map(|fault| fault.words.as_str()).collect()
+    }
+
+    #[test]
+    fn a_cursor_meets_each_fault_once_and_starts_again_in_another_run() {
+        let (log, other) = (FaultLog::new(None), FaultLog::new(None));
+        let mut cursor = FaultCursor::new(2);
+        assert!(!log.advance(&mut cursor));
+        ["a", "b", "c"].iter().for_each(|name| put(&log, name));
+        assert!(log.advance(&mut cursor) && !log.advance(&mut cursor));
+        assert_eq!(words(&cursor), ["b", "c"]);
+        put(&log, "d");
+        assert!(log.advance(&mut cursor));
+        assert_eq!(words(&cursor), ["c", "d"]);
+        assert!(other.advance(&mut cursor) && !other.advance(&mut cursor));
+        assert_eq!(words(&cursor), [""; 0]);
+    }
+
+    #[test]
+    fn faults_beyond_those_kept_are_new_to_a_cursor() {
+        let (log, mut cursor) = (FaultLog::new(None), FaultCursor::new(usize::MAX));
+        for round in 0..2 {
+            (0..REMEMBERED + 3).for_each(|k| put(&log, &format!("{round} {k}")));
+            assert!(log.advance(&mut cursor));
+            assert_eq!(words(&cursor).len(), REMEMBERED);
+            assert_eq!(words(&cursor)[0], format!("{round} 3"));
+        }
+    }
 }

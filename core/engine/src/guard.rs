@@ -11,11 +11,11 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::busy::CallKind;
+use crate::call::open::NotOpened;
 use crate::clock;
 use crate::instance::Instance;
 use crate::log::Level;
 use crate::node::NodeRuntime;
-use crate::node::open::NotOpened;
 use crate::outbox::panic_words;
 use crate::params::Snapshot;
 use crate::schedule::Shared;

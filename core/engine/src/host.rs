@@ -1,5 +1,7 @@
 //! The functions that the host offers to plugins.
 
+mod times;
+
 use std::ffi::c_void;
 use std::path::Path;
 
@@ -8,17 +10,21 @@ use panoscope_base::random::SplitMix64;
 
 use crate::claims::{Claimed, Holds};
 use crate::clock;
+use crate::exec::CallTimes;
 use crate::fault::Cause;
 use crate::light::{Sources, is_same, later};
 use crate::log::Level;
 use crate::memory::{FrameRef, Memory, MemoryError, memory};
-use crate::node::{NodeRuntime, Refused, RunContext};
+use crate::node::NodeRuntime;
 use crate::outputs;
 use crate::pool;
 use crate::retained;
+use crate::run_context::RunContext;
 use crate::stats::bump;
 use crate::sync::lock;
-use crate::times::{self, CallTimes};
+
+/// A request of a node that the host refused.
+pub(crate) type Refused = Box<(Cause, String)>;
 
 /// The target of a `call` handle.
 pub(crate) struct CallContext<'a> {
@@ -231,11 +237,13 @@ unsafe extern "C" fn alloc(
     }
 }
 
-/// See [`crate::isolation::place`].
+/// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call, as [`abi::Host::alloc`]
+/// does with a new one. Of the frame only buffer and description count. With `is_copy` it is a copy of the output, as [`abi::Host::make_mut`]
+/// makes one: only the buffer counts.
 ///
 /// # Safety
-/// As there.
-pub(crate) unsafe fn place_made(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bool) -> Status {
+/// `call` is the handle of the running call; `frame` is large enough for its description.
+pub unsafe fn place(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bool) -> Status {
     // SAFETY: the caller's promise.
     let Some(call_context) = (unsafe { call_context(call) }) else { return abi::STATUS_INVALID };
     let Some(&mut current) = call_context.output(output) else { return abi::STATUS_INVALID };
@@ -253,6 +261,17 @@ pub(crate) unsafe fn place_made(call: *mut c_void, output: u32, frame: FrameRef,
     std::mem::forget(frame);
     call_context.written |= output_bit(output);
     call_context.place(output, &made)
+}
+
+/// Keeps the position of a source after the tick of the running call: if its process dies, its next instance continues there.
+///
+/// # Safety
+/// `call` is the handle of the running call.
+pub unsafe fn keep_position(call: *mut c_void, state: &[u8]) {
+    // SAFETY: the caller's promise.
+    if let Some(call) = unsafe { call_context(call) } {
+        call.runtime.recovery.keep_position(state);
+    }
 }
 
 unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame) -> Status {

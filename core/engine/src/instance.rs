@@ -6,7 +6,7 @@ use panoscope_abi as abi;
 
 use crate::busy::CallKind;
 use crate::claims::Holds;
-use crate::ending::current_node;
+use crate::current_node;
 use crate::retained::RetainedFrames;
 
 /// An open instance of a node type, closed when dropped.

@@ -9,21 +9,31 @@ use panoscope_graph::Node;
 pub use panoscope_graph::{Deny, Machine, Pixels};
 use serde::Serialize;
 
-use crate::host::{call_context, place_made};
-use crate::memory::FrameRef;
+use crate::memory::DomainError;
 pub use crate::outputs::fits;
 use crate::sync::lock;
 
 /// A call of a node that ended because the node's process did. The words come through [`abi::Host::fail`]. No plugin returns this status.
 pub const STATUS_DIED: abi::Status = abi::Status::MIN;
 
+/// Why there can be no group of isolated nodes.
+#[derive(Debug, thiserror::Error)]
+pub enum GroupError {
+    /// The program that runs the graph has no [`Isolator`].
+    #[error("this program runs no processes for nodes")]
+    NoIsolator,
+    /// There is no memory that it could share with its process.
+    #[error(transparent)]
+    Memory(#[from] DomainError),
+}
+
 /// Makes the processes of isolated nodes.
 pub trait Isolator: Send + Sync {
     /// A group of nodes that share a process. The process starts when the first of them opens.
     ///
     /// # Errors
-    /// Why there can be no such group on this machine.
-    fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, String>;
+    /// There can be no such group on this machine.
+    fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, GroupError>;
 }
 
 /// What a group is to be like.
@@ -60,7 +70,7 @@ pub trait Group: Send + Sync {
     ) -> abi::Status;
 
     /// Longest pause before a failed node is opened again, ms: short where only a connection has to come back.
-    fn longest_pause_ms(&self) -> u64 {
+    fn max_pause_ms(&self) -> u64 {
         u64::MAX
     }
 
@@ -115,28 +125,6 @@ pub struct LinkReport {
     pub received_bytes: u64,
 }
 
-/// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call, as [`abi::Host::alloc`]
-/// does with a new one. Of the frame only buffer and description count. With `is_copy` it is a copy of the output, as [`abi::Host::make_mut`]
-/// makes one: only the buffer counts.
-///
-/// # Safety
-/// `call` is the handle of the running call; `frame` is large enough for its description.
-pub unsafe fn place(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bool) -> abi::Status {
-    // SAFETY: the caller's promise.
-    unsafe { place_made(call, output, frame, is_copy) }
-}
-
-/// Keeps the position of a source after the tick of the running call: if its process dies, its next instance continues there.
-///
-/// # Safety
-/// `call` is the handle of the running call.
-pub unsafe fn keep_position(call: *mut c_void, state: &[u8]) {
-    // SAFETY: the caller's promise.
-    if let Some(call) = unsafe { call_context(call) } {
-        call.runtime.recovery.keep_position(state);
-    }
-}
-
 /// A group that exists, what its process may not do, and where it runs.
 type Known = (Deny, Option<Machine>, Weak<dyn Group>);
 
@@ -155,7 +143,7 @@ pub(crate) struct Groups {
 pub(crate) struct NotIsolated {
     node: String,
     group: String,
-    reason: String,
+    reason: GroupError,
 }
 
 impl Groups {
@@ -171,7 +159,7 @@ impl Groups {
     }
 
     /// A group for one node that is tried in a process of its own.
-    pub fn for_trial(&self, node: &str, memory_bytes: u64) -> Result<Arc<dyn Group>, String> {
+    pub fn for_trial(&self, node: &str, memory_bytes: u64) -> Result<Arc<dyn Group>, GroupError> {
         let settings = GroupSettings {
             name: format!("trial of {node}"),
             threads: self.threads,
@@ -182,7 +170,7 @@ impl Groups {
         };
         match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
-            None => Err("this program runs no processes for nodes".to_owned()),
+            None => Err(GroupError::NoIsolator),
         }
     }
 
@@ -216,7 +204,7 @@ impl Groups {
         };
         let made = match &*lock(&self.isolator) {
             Some(isolator) => isolator.group(&settings),
-            None => Err("this program runs no processes for nodes".to_owned()),
+            None => Err(GroupError::NoIsolator),
         };
         let group = made.map_err(|reason| NotIsolated { node: node.id.clone(), group: name.clone(), reason })?;
         known.insert(name.clone(), (deny, node.machine.clone(), Arc::downgrade(&group)));

@@ -3,11 +3,15 @@
 //! [`Engine`] opens the nodes of a checked graph and runs ticks through them. It does not know what a node does, where its code comes
 //! from ([`Plugins`]), who records the run ([`observe::Observer`]) or who replaces the clock in a replay ([`decide::Decider`]).
 
+mod applied;
 mod apply;
 mod busy;
+mod call;
+mod change_lock;
 mod claims;
 pub mod clock;
 mod convert;
+mod current_node;
 pub mod decide;
 pub mod ending;
 mod engine;
@@ -16,7 +20,7 @@ pub mod fault;
 pub mod files;
 mod guard;
 pub mod heap;
-mod host;
+pub mod host;
 pub mod inbox;
 mod instance;
 pub mod isolation;
@@ -40,6 +44,7 @@ mod preview;
 mod region;
 mod report;
 mod retained;
+mod run_context;
 mod schedule;
 mod scratch;
 mod sleeps;
@@ -48,12 +53,11 @@ pub mod sync;
 pub mod text_table;
 mod thread_id;
 mod threads;
-mod times;
 pub mod trace;
 pub mod vet;
 mod watch;
 
-pub use apply::{Applied, ApplyError};
+pub use applied::{Applied, ApplyError};
 pub use engine::{Engine, Options, Outcome, SetError, StartError};
 pub use host::random_seed;
 pub use outbox::panic_words;

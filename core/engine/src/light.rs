@@ -201,9 +201,9 @@ mod tests {
         for shift in 0..62 {
             for ns in [(1_i64 << shift) - 1, 1 << shift, (1 << shift) + (1 << shift >> 1)] {
                 let lag = carried(Lag { oldest_ns: ns, newest_ns: 0 });
-                let most_ns = ns.saturating_add(ns / 20_000).saturating_add(10_000);
+                let max_ns = ns.saturating_add(ns / 20_000).saturating_add(10_000);
                 // 22 years are the end of the scale.
-                assert!(lag.oldest_ns >= ns.min(1 << 59) && lag.oldest_ns <= most_ns, "{ns}: {lag:?}");
+                assert!(lag.oldest_ns >= ns.min(1 << 59) && lag.oldest_ns <= max_ns, "{ns}: {lag:?}");
                 assert!(lag.oldest_ns >= last && lag.newest_ns == 0, "{ns}: {lag:?} after {last}");
                 last = lag.oldest_ns;
             }
@@ -239,7 +239,7 @@ mod tests {
         let lights = lights(0);
         // The producer makes a packet at every `every`-th tick, from the state before and from an input that was 5 s old once.
         for every in [1, 3, 7] {
-            let (mut state, mut most_ns) = (None::<Tick>, 0);
+            let (mut state, mut max_ns) = (None::<Tick>, 0);
             for seq in 0..2_000_u64 {
                 let own = tick(seq, Lag::default());
                 let previous = seq.checked_sub(1).map(|seq| tick(seq, Lag::default()));
@@ -247,7 +247,7 @@ mod tests {
                 let fed_back = state.and_then(|state| lights.lag_of_state(&own, &state, previous));
                 let flags = inherited([old].into_iter().chain(fed_back));
                 if seq >= 500 {
-                    most_ns = most_ns.max(Lag::carried(&Tick { flags, ..own }).oldest_ns);
+                    max_ns = max_ns.max(Lag::carried(&Tick { flags, ..own }).oldest_ns);
                 } else if every == 1 && seq == 11 {
                     let lag_ns = Lag::carried(&Tick { flags, ..own }).oldest_ns;
                     assert!(lag_ns >= 4_900 * MS, "the state still rests on the old light: {lag_ns}");
@@ -256,7 +256,7 @@ mod tests {
                     state = Some(Tick { flags, ..own });
                 }
             }
-            assert!(most_ns <= (every as i64 - 1) * PERIOD_NS, "{every}: {most_ns}");
+            assert!(max_ns <= (every as i64 - 1) * PERIOD_NS, "{every}: {max_ns}");
         }
     }
 

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use panoscope_abi as abi;
 use panoscope_graph::Validator;
 
-use crate::ending::current_node;
+use crate::current_node;
 use crate::host;
 
 /// The table of host functions for a plugin; valid until the process ends.

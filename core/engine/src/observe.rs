@@ -7,7 +7,7 @@ use std::time::Instant;
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{Graph, ParamValue};
 
-use crate::apply::Applied;
+use crate::applied::Applied;
 use crate::decide::Ages;
 use crate::fault::Fault;
 

@@ -49,9 +49,9 @@ impl Shared {
             let tick = Tick { source: node as u32, flags: 0, seq, capture_ns: known.capture_ns };
             let outputs = match decider.source_frames(&runtime.id, &runtime.output_names) {
                 Ok(frames) => self.admit_frames(runtime, tick, frames),
-                Err(words) => {
-                    decider.fail(words.clone());
-                    self.fail(words);
+                Err(error) => {
+                    decider.fail(error.to_string());
+                    self.fail(error.to_string());
                     return false;
                 }
             };

@@ -13,7 +13,7 @@ use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
 
 use crate::clock;
-use crate::ending::current_node::{self, CurrentWork};
+use crate::current_node::{self, CurrentWork};
 use crate::outbox::panic_words;
 use crate::retained;
 use crate::scratch::Scratch;

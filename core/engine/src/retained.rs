@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};
 
 use panoscope_abi::BufferId;
 
-use crate::ending::current_node::NodeNames;
+use crate::current_node::NodeNames;
 use crate::memory::memory;
 use crate::sync::lock;
 

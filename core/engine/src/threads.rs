@@ -8,10 +8,11 @@ use std::time::Duration;
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
+use crate::call::{CallOutcome, Called, NoOutcome, Ports};
 use crate::clock;
 use crate::fault::{Action, Cause};
 use crate::memory::FrameRef;
-use crate::node::{CallOutcome, NodeRuntime, Ports};
+use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::own_thread::OwnThread;
 use crate::region::Region;
@@ -153,6 +154,21 @@ impl Shared {
         false
     }
 
+    /// In batch and unpaced runs: waits for room in the source's region and for slow readers, at most 100 ms. Returns whether it waited.
+    fn wait_for_room(&self, node: usize, runtime: &NodeRuntime) -> bool {
+        if self.paced && !self.context.batch {
+            return false;
+        }
+        let has_room = self.plan.load().region_of(node).has_room();
+        let waits = !has_room || self.readers_lag(node);
+        if waits {
+            // A reader of another region does not wake this thread when it catches up.
+            runtime.runner.park_at_most(Some(Duration::from_millis(if has_room { 1 } else { 100 })));
+        }
+        waits
+    }
+
+    /// Makes the next tick of a source and delivers it.
     fn source_tick(
         &self,
         node: usize,
@@ -161,13 +177,8 @@ impl Shared {
         pace: &mut Pace,
         scratch: &mut Scratch,
     ) -> Step {
-        if self.context.batch || !self.paced {
-            let has_room = self.plan.load().region_of(node).has_room();
-            if !has_room || self.readers_lag(node) {
-                // A reader of another region does not wake this thread when it catches up.
-                runtime.runner.park_at_most(Some(Duration::from_millis(if has_room { 1 } else { 100 })));
-                return Step::Next;
-            }
+        if self.wait_for_room(node, runtime) {
+            return Step::Next;
         }
         let capture_ns = pace.last_capture_ns.map_or(0, |last| last.saturating_add(DEFAULT_FRAME_NS));
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
@@ -175,39 +186,24 @@ impl Shared {
             runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
-        let Some(mut exec) = runtime.exec.take() else { return Step::End };
         scratch.inputs.append(&mut lock(&runtime.join).staged);
         let start_ns = clock::now_ns();
         let (inputs, made) = (&mut scratch.inputs, &mut scratch.made[0]);
         let mut ports = Ports { inputs, lone: false, made, sources: self };
-        let (outcome, mut now_ns) = runtime.run(&mut exec, &self.context, &mut tick, true, start_ns, &mut ports);
-        if outcome == CallOutcome::Abandoned {
-            Self::discard_abandoned(runtime, exec, scratch);
-            return Step::GivenUp;
-        }
+        let called = match runtime.call_node(&self.context, &mut tick, true, start_ns, &mut ports) {
+            Ok(called) => called,
+            Err(NoOutcome::Closed) => return Step::End,
+            Err(NoOutcome::Abandoned) => {
+                runtime.abandoned_call_returned(scratch);
+                return Step::GivenUp;
+            }
+        };
         scratch.inputs.clear();
-        let (bypassed, declared_ns) = (exec.bypassed, exec.times.take_arrived_ns());
-        runtime.exec.put(exec);
-        let made = &mut scratch.made[0];
-        if outcome != CallOutcome::Ok {
-            if outcome == CallOutcome::End {
-                runtime.ticks.end();
-                return Step::End;
-            }
-            self.after(&self.plan.load(), node, false, outcome, &tick, now_ns);
-            if outcome == CallOutcome::Stop || bypassed || runtime.on_fault() == OnFault::Bypass {
-                return Step::End;
-            }
-            if outcome == CallOutcome::Fault {
-                // The call was made, so the next one is another tick.
-                runtime.ticks.set_made(seq + 1);
-                self.wait_for_next_frame(runtime, start_ns);
-            } else if !self.context.batch {
-                // The restart thread wakes this thread.
-                runtime.runner.park_at_most(Some(Duration::from_millis(100)));
-            }
-            return Step::Next;
+        if called.outcome != CallOutcome::Ok {
+            return self.after_no_tick(node, runtime, &called, &tick, start_ns);
         }
+        let Called { end_ns: mut now_ns, arrived_ns: declared_ns, .. } = called;
+        let made = &mut scratch.made[0];
         if !capture_fits(tick.capture_ns, pace.last_capture_ns) {
             made.clear();
             self.capture_fault(runtime, &tick, pace.last_capture_ns);
@@ -249,12 +245,54 @@ impl Shared {
         }
         runtime.ticks.enter(seq);
         self.meter_allocations(seq + 1);
+        self.admit(node, runtime, &region, outputs, allowance_ns, scratch)
+    }
+
+    /// The call of a source made no tick: it ended, failed or was skipped.
+    #[cold]
+    fn after_no_tick(
+        &self,
+        node: usize,
+        runtime: &NodeRuntime,
+        &Called { outcome, end_ns, bypassed, .. }: &Called,
+        tick: &Tick,
+        start_ns: u64,
+    ) -> Step {
+        if outcome == CallOutcome::End {
+            runtime.ticks.end();
+            return Step::End;
+        }
+        self.after(&self.plan.load(), node, false, outcome, tick, end_ns);
+        if outcome == CallOutcome::Stop || bypassed || runtime.on_fault() == OnFault::Bypass {
+            return Step::End;
+        }
+        if outcome == CallOutcome::Fault {
+            // The call was made, so the next one is another tick.
+            runtime.ticks.set_made(tick.seq + 1);
+            self.wait_for_next_frame(runtime, start_ns);
+        } else if !self.context.batch {
+            // The restart thread wakes this thread.
+            runtime.runner.park_at_most(Some(Duration::from_millis(100)));
+        }
+        Step::Next
+    }
+
+    /// Admits a tick of a source to its region, now or when there is room, and runs what follows for at most `allowance_ns`.
+    fn admit(
+        &self,
+        node: usize,
+        runtime: &NodeRuntime,
+        region: &Region,
+        outputs: Vec<FrameRef>,
+        allowance_ns: u64,
+        scratch: &mut Scratch,
+    ) -> Step {
         let (enter, dropped) = region.admit_or_keep(outputs);
         if let Some(old) = dropped {
             if let Some(seq) = old.first().map(|f| f.tick().seq) {
                 self.count_lacking(node, seq);
             }
-            self.drop_tick(runtime, &region, old);
+            self.drop_tick(runtime, region, old);
         }
         if let Some(outputs) = enter {
             // The tick is admitted, so the wiring of its region does not change: deliver by this plan.

@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use panoscope_graph::ParamValue;
 
+use crate::isolation::GroupError;
+
 /// A node that is about to open: at the start of a run, in a change, with new values, or again after a fault.
 #[derive(Clone, Debug)]
 pub struct Opening<'a> {
@@ -24,16 +26,50 @@ pub struct TrialLimits {
     pub time: Duration,
 }
 
+/// Why a node did not open on trial.
+#[derive(Debug, thiserror::Error)]
+pub enum TrialError {
+    /// It has no process.
+    #[error(transparent)]
+    Group(#[from] GroupError),
+    /// The system gave no thread.
+    #[error("no thread could be started to watch its trial: {cause}")]
+    Thread {
+        /// The system's error.
+        cause: std::io::Error,
+    },
+    /// The node refused, or its process ended.
+    #[error("{message}")]
+    Node {
+        /// The node's message.
+        message: String,
+    },
+}
+
+/// Why a node must not open in the process of the graph.
+#[derive(Debug, thiserror::Error)]
+pub enum VetError {
+    /// Its trial failed with a message that names what is wrong.
+    #[error(transparent)]
+    Trial(#[from] TrialError),
+    /// Its trial failed because of these files.
+    #[error("{} cannot be used: {cause}", files.join(", "))]
+    Files {
+        /// The files.
+        files: Vec<String>,
+        /// How the trial failed.
+        cause: TrialError,
+    },
+}
+
+/// Opens the node of an [`Opening`] in a process of its own within limits, closes it there and ends the process.
+pub type TrialFn<'a> = dyn FnMut(&TrialLimits) -> Result<(), TrialError> + 'a;
+
 /// Decides which nodes are tried. See [`crate::Plugins::vet`].
 pub trait Vet: Send + Sync {
-    /// Returns when the node may open. `trial` opens the node with the same values in a process of its own, closes it there and ends the process.
-    /// Called off the hot path, on the thread that opens the node and within the time limit of opening.
+    /// Returns when the node may open. Called off the hot path, on the thread that opens the node and within the time limit of opening.
     ///
     /// # Errors
-    /// Why the node must not open here, for the user.
-    fn vet(
-        &self,
-        opening: &Opening<'_>,
-        trial: &mut dyn FnMut(&TrialLimits) -> Result<(), String>,
-    ) -> Result<(), String>;
+    /// The node must not open here.
+    fn vet(&self, opening: &Opening<'_>, trial: &mut TrialFn<'_>) -> Result<(), VetError>;
 }

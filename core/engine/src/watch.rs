@@ -10,12 +10,12 @@ use std::time::Duration;
 use panoscope_graph::OnFault;
 
 use crate::busy::{ABANDONED, CallKind};
+use crate::call::failures::backoff_ms;
 use crate::clock;
 use crate::fault::{Action, Cause};
 use crate::guard::{CallError, OpenError};
 use crate::log::Level;
 use crate::node::NodeRuntime;
-use crate::node::failures::backoff_ms;
 use crate::outbox::panic_words;
 use crate::plan::Plan;
 use crate::retained;
@@ -298,8 +298,8 @@ impl Shared {
             return;
         }
         loop {
-            let longest_ms = runtime.group.as_ref().map_or(u64::MAX, |group| group.longest_pause_ms());
-            let mut rest_ms = backoff_ms(runtime.recovery.failures()).min(longest_ms);
+            let max_ms = runtime.group.as_ref().map_or(u64::MAX, |group| group.max_pause_ms());
+            let mut rest_ms = backoff_ms(runtime.recovery.failures()).min(max_ms);
             while rest_ms > 0 && !outdated() && !self.is_stopping() {
                 let step = rest_ms.min(20);
                 std::thread::sleep(Duration::from_millis(step));

@@ -10,12 +10,11 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use panoscope_base::web::is_own_host;
+use panoscope_engine::sync::lock;
 use socket2::{SockRef, TcpKeepalive};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, copy_bidirectional};
 use tokio::net::TcpStream;
 use tokio::sync::{Semaphore, oneshot};
-
-use crate::server::lock;
 
 /// Longest head of a request.
 const MAX_HEAD_BYTES: usize = 16 << 10;

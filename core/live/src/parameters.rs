@@ -6,7 +6,7 @@ use std::ops::Deref;
 use foxglove::websocket::{AnyClient, Parameter, ParameterValue, SetParametersResponder};
 use panoscope_base::secret::redact;
 use panoscope_engine::Engine;
-use panoscope_graph::{Catalog, Graph, ParamKind, ParamValue};
+use panoscope_graph::{Catalog, Graph, ParamKind, ParamValue, ValueError};
 use panoscope_loader::Live;
 
 /// A request to set parameters.
@@ -44,8 +44,61 @@ fn shown(name: String, value: ParamValue) -> Parameter {
     }
 }
 
+/// Why a parameter is not set.
+#[derive(Debug, thiserror::Error)]
+pub enum ParameterError {
+    /// No such parameter.
+    #[error("there is no parameter `{name}`")]
+    Unknown {
+        /// The start of what the client asked for.
+        name: String,
+    },
+    /// The parameter exists and stays as it was.
+    #[error("`{name}` is not set: {why}")]
+    Refused {
+        /// The parameter, as `node.param`.
+        name: String,
+        /// Why.
+        why: Refusal,
+    },
+}
+
+/// Why an existing parameter is not set.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// The preset of the graph leaves it out.
+    #[error("the graph has a `[preset]`, which does not pin it")]
+    NotPinned,
+    /// Its node has side effects and no preset allows it.
+    #[error("its node acts on the world; pin it in `[preset]` to allow it")]
+    SideEffects,
+    /// The request names no value.
+    #[error("it has no value")]
+    NoValue,
+    /// Texts and paths can name any file or address.
+    #[error("texts and paths, which name files, addresses and pipelines, are not set from here")]
+    Text,
+    /// The value is of another type.
+    #[error("the value has another type")]
+    Type,
+    /// The value does not fit the declaration.
+    #[error(transparent)]
+    Value(#[from] ValueError),
+    /// The value is outside of the range of its pin.
+    #[error("the value is outside {low} to {high}, which `[preset]` allows")]
+    Range {
+        /// The lowest value.
+        low: f64,
+        /// The highest value.
+        high: f64,
+    },
+    /// The running graph refuses it.
+    #[error("{0}")]
+    Live(String),
+}
+
 /// A value for a graph file and for the engine; or why it is none for this parameter.
-fn value_of(kind: &ParamKind, value: &ParameterValue) -> Result<(toml::Value, ParamValue), String> {
+fn value_of(kind: &ParamKind, value: &ParameterValue) -> Result<(toml::Value, ParamValue), Refusal> {
     let whole = |value: &ParameterValue| match value {
         ParameterValue::Integer(number) => Some(*number),
         // JSON of JavaScript does not tell them apart. The cast is exact for these.
@@ -61,7 +114,7 @@ fn value_of(kind: &ParamKind, value: &ParameterValue) -> Result<(toml::Value, Pa
     };
     let both = match (kind, value) {
         (ParamKind::Text { .. } | ParamKind::Path { .. }, _) => {
-            return Err("texts and paths, which name files, addresses and pipelines, are not set from here".to_owned());
+            return Err(Refusal::Text);
         }
         (ParamKind::Bool { .. }, ParameterValue::Bool(on)) => Some((toml::Value::Boolean(*on), ParamValue::Bool(*on))),
         (ParamKind::Int { .. }, value) => {
@@ -84,57 +137,53 @@ fn value_of(kind: &ParamKind, value: &ParameterValue) -> Result<(toml::Value, Pa
         }
         _ => None,
     };
-    let (text, value) = both.ok_or_else(|| "the value has another type".to_owned())?;
-    kind.accepts(&value).map_err(|error| error.to_string())?;
+    let (text, value) = both.ok_or(Refusal::Type)?;
+    kind.accepts(&value)?;
     Ok((text, value))
 }
 
 /// Whether a number is within the range of a pin.
-fn is_within(value: &ParamValue, range: Option<(f64, f64)>) -> Result<(), String> {
+fn is_within(value: &ParamValue, range: Option<(f64, f64)>) -> Result<(), Refusal> {
     let Some((low, high)) = range else { return Ok(()) };
     let number = match value {
         ParamValue::Int(number) => *number as f64,
         ParamValue::Float(number) => *number,
         _ => return Ok(()),
     };
-    if (low..=high).contains(&number) {
-        Ok(())
-    } else {
-        Err(format!("the value is outside {low} to {high}, which `[preset]` allows"))
-    }
+    if (low..=high).contains(&number) { Ok(()) } else { Err(Refusal::Range { low, high }) }
 }
 
 /// Sets one parameter. `Ok(false)`: it has this value already.
 ///
 /// # Errors
-/// Why it is refused, in words.
+/// There is no such parameter, or it is refused.
 pub fn set<E: Deref<Target = Engine>>(
     live: &mut Live<E>,
     graph: &Graph,
     catalog: &Catalog,
     parameter: &Parameter,
-) -> Result<bool, String> {
+) -> Result<bool, ParameterError> {
     let name = &parameter.name;
-    let unknown = || format!("there is no parameter `{}`", name.chars().take(200).collect::<String>());
-    let refused = |why: String| format!("`{name}` is not set: {why}");
+    let unknown = || ParameterError::Unknown { name: name.chars().take(200).collect() };
+    let refused = |why: Refusal| ParameterError::Refused { name: name.clone(), why };
     let (id, param) = name.rsplit_once('.').ok_or_else(unknown)?;
     let index = graph.node(id).ok_or_else(unknown)?;
     let node_type = graph.nodes[index].node_type(catalog);
     let position = node_type.param(param).ok_or_else(unknown)?;
     let pin = graph.preset.pinned.iter().find(|pin| (pin.node, pin.param) == (index, position));
     if pin.is_none() && !graph.preset.pinned.is_empty() {
-        return Err(refused("the graph has a `[preset]`, which does not pin it".to_owned()));
+        return Err(refused(Refusal::NotPinned));
     }
     if pin.is_none() && node_type.side_effects {
-        return Err(refused("its node acts on the world; pin it in `[preset]` to allow it".to_owned()));
+        return Err(refused(Refusal::SideEffects));
     }
-    let value = parameter.value.as_ref().ok_or_else(|| refused("it has no value".to_owned()))?;
+    let value = parameter.value.as_ref().ok_or_else(|| refused(Refusal::NoValue))?;
     let (text, value) = value_of(&node_type.params[position].kind, value).map_err(refused)?;
     is_within(&value, pin.and_then(|pin| pin.range)).map_err(refused)?;
     if live.engine().param_values(id).is_some_and(|values| values.get(position) == Some(&value)) {
         return Ok(false);
     }
-    live.set_param(id, param, &text).map(|_| true).map_err(|error| refused(error.to_string()))
+    live.set_param(id, param, &text).map(|_| true).map_err(|error| refused(Refusal::Live(error.to_string())))
 }
 
 #[cfg(test)]
@@ -151,12 +200,14 @@ mod tests {
             (ParameterValue::Integer(10), "outside 0 to 9"),
             (ParameterValue::String("3".to_owned()), "another type"),
         ] {
-            let error = value_of(&int, &value).unwrap_err();
+            let error = value_of(&int, &value).unwrap_err().to_string();
             assert!(error.contains(words), "{error}");
         }
         let float = ParamKind::Float { default: 1.0, min: Some(0.0), max: None, step: None };
         assert_eq!(value_of(&float, &ParameterValue::Integer(3)).unwrap().1, ParamValue::Float(3.0));
-        assert!(value_of(&float, &ParameterValue::Float64(f64::INFINITY)).unwrap_err().contains("not finite"));
+        assert!(
+            value_of(&float, &ParameterValue::Float64(f64::INFINITY)).unwrap_err().to_string().contains("not finite")
+        );
     }
 
     #[test]
@@ -164,7 +215,7 @@ mod tests {
         let path = ParamKind::Path { default: String::new(), must_exist: false };
         let text = ParamKind::Text { default: String::new() };
         for kind in [path, text] {
-            let error = value_of(&kind, &ParameterValue::String("/etc/passwd".to_owned())).unwrap_err();
+            let error = value_of(&kind, &ParameterValue::String("/etc/passwd".to_owned())).unwrap_err().to_string();
             assert!(error.contains("are not set from here"), "{error}");
         }
     }
@@ -178,7 +229,7 @@ mod tests {
 
     #[test]
     fn pins_narrow_ranges() {
-        assert!(is_within(&ParamValue::Int(5), Some((0.0, 4.0))).unwrap_err().contains("0 to 4"));
+        assert!(is_within(&ParamValue::Int(5), Some((0.0, 4.0))).unwrap_err().to_string().contains("0 to 4"));
         assert_eq!(is_within(&ParamValue::Float(4.0), Some((0.0, 4.0))), Ok(()));
         assert_eq!(is_within(&ParamValue::Bool(true), Some((0.0, 4.0))), Ok(()));
     }

@@ -1,16 +1,17 @@
 //! The thread that turns previews into messages.
 
 use std::io;
-use std::sync::atomic::Ordering;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use foxglove::PartialMetadata;
 use panoscope_engine::memory::FrameRef;
+use panoscope_engine::sync::lock;
 use panoscope_export::foxglove::{Message, Messages, Origin, Pictures, encode};
 use panoscope_export::{Kind, Value};
 
 use crate::outputs::Output;
-use crate::server::{Shared, lock};
 
 /// Between two looks at previews: pictures of up to 200 a second pass.
 const STEP: Duration = Duration::from_millis(5);
@@ -38,11 +39,11 @@ impl Messages for ToChannels<'_> {
     }
 }
 
-/// Publishes until the server ends.
-pub fn run(shared: &Shared) {
-    while !shared.ends.load(Ordering::Relaxed) {
+/// Publishes until `ends` is set.
+pub fn run(outputs: &Mutex<Vec<Output>>, ends: &AtomicBool) {
+    while !ends.load(Ordering::Relaxed) {
         let mut is_idle = true;
-        let outputs = lock(&shared.outputs);
+        let outputs = lock(outputs);
         for output in outputs.iter() {
             let Some(preview) = &output.preview else { continue };
             is_idle = false;

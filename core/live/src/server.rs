@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener};
 use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use foxglove::websocket::{AnyClient, GetParametersResponder, Parameter, ParameterHandler, SetParametersResponder};
 use foxglove::{Context, WebSocketServer, WebSocketServerHandle};
 use panoscope_engine::Engine;
+use panoscope_engine::sync::lock;
 use panoscope_graph::{Catalog, Graph};
 use panoscope_loader::Live;
 use panoscope_monitor::Address;
@@ -28,10 +29,6 @@ const BACKLOG: usize = 64;
 /// Requests to set parameters that wait for the run.
 const MAX_REQUESTS: usize = 64;
 
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// What a server offers.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
@@ -43,11 +40,11 @@ pub struct Options {
 
 /// Shared by the thread of the run, the publisher and the server.
 #[derive(Default)]
-pub struct Shared {
+struct Shared {
     /// Outputs with their topics.
-    pub outputs: Mutex<Vec<Output>>,
+    outputs: Mutex<Vec<Output>>,
     /// The server ends.
-    pub ends: AtomicBool,
+    ends: AtomicBool,
     parameters: Mutex<BTreeMap<String, Parameter>>,
     requests: Mutex<Vec<Request>>,
     may_set: bool,
@@ -141,7 +138,7 @@ impl FoxgloveServer {
         let publishes = Arc::clone(&shared);
         let publisher = std::thread::Builder::new()
             .name("foxglove-out".to_owned())
-            .spawn(move || publisher::run(&publishes))
+            .spawn(move || publisher::run(&publishes.outputs, &publishes.ends))
             .map_err(thread)?;
         Ok(Self {
             address,
@@ -223,7 +220,8 @@ impl FoxgloveServer {
                 match parameters::set(live, graph, catalog, parameter) {
                     Ok(false) => {}
                     Ok(true) => lines.push(format!("foxglove: `{}` was set", parameter.name)),
-                    Err(words) => {
+                    Err(error) => {
+                        let words = error.to_string();
                         client.send_error(words.clone());
                         lines.push(format!("foxglove: {words}"));
                     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 
-use panoscope_engine::vet::{Opening, TrialLimits, Vet};
+use panoscope_engine::vet::{Opening, TrialError, TrialFn, TrialLimits, Vet, VetError};
 use panoscope_graph::ParamValue;
 
 use crate::depends::weights_of;
@@ -65,11 +65,7 @@ struct ForeignModels {
 }
 
 impl Vet for ForeignModels {
-    fn vet(
-        &self,
-        opening: &Opening<'_>,
-        trial: &mut dyn FnMut(&TrialLimits) -> Result<(), String>,
-    ) -> Result<(), String> {
+    fn vet(&self, opening: &Opening<'_>, trial: &mut TrialFn<'_>) -> Result<(), VetError> {
         let plugin_file = Path::new(opening.plugin_file);
         let mut models = Vec::new();
         for (name, value) in &opening.params {
@@ -97,17 +93,18 @@ impl Vet for ForeignModels {
                 self.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(key);
                 Ok(())
             }
-            Err(reason) => Err(about(&models, reason)),
+            Err(cause) => Err(about(&models, cause)),
         }
     }
 }
 
 /// A refusal that names the models.
-fn about(models: &[&Path], reason: String) -> String {
-    let names: Vec<String> = models.iter().map(|model| model.display().to_string()).collect();
-    match names.iter().any(|name| reason.contains(name)) {
-        true => reason,
-        false => format!("{} cannot be used: {reason}", names.join(", ")),
+fn about(models: &[&Path], cause: TrialError) -> VetError {
+    let files: Vec<String> = models.iter().map(|model| model.display().to_string()).collect();
+    let message = cause.to_string();
+    match files.iter().any(|name| message.contains(name)) {
+        true => VetError::Trial(cause),
+        false => VetError::Files { files, cause },
     }
 }
 

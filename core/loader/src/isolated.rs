@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use panoscope_abi::NodeType;
+use panoscope_isolate::child::LoadError;
 pub use panoscope_isolate::{COMMAND, Kernel, MACHINE_PROGRAM, kernel};
 
 use crate::map::load_image;
@@ -16,7 +17,7 @@ pub fn serve() -> ! {
 /// Loads a plugin in the process of a group: a path to its bytes, and its file for messages. Returns its node types in order.
 ///
 /// # Errors
-/// Why it cannot be loaded, in words.
-pub fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, String> {
-    load_image(image, file).map(|loaded| loaded.entries).map_err(|error| error.to_string())
+/// It cannot be loaded.
+pub fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, LoadError> {
+    load_image(image, file).map(|loaded| loaded.entries).map_err(|error| LoadError { message: error.to_string() })
 }

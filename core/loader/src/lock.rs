@@ -22,6 +22,23 @@ const VERSION: u32 = 2;
 /// Begins what is signed, so that a signature of something else cannot be taken for that of a lock.
 const SIGNED_AS: &[u8] = b"panoscope lock 2\n";
 
+/// Why a text is not a lock.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LockTextError {
+    /// It is not TOML, or lacks a key.
+    #[error("{message}")]
+    Toml {
+        /// The parser's message.
+        message: String,
+    },
+    /// It has another layout.
+    #[error("its layout is version {version}, known is {VERSION}")]
+    Version {
+        /// The version that it states.
+        version: u32,
+    },
+}
+
 /// Why a lock was not written, read or believed.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
@@ -158,24 +175,25 @@ impl Lock {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(cause) => return Err(LockError::File { file, cause }),
         };
-        Self::parse(&text).map(Some).map_err(|reason| LockError::Damaged { file, reason })
+        Self::parse(&text).map(Some).map_err(|error| LockError::Damaged { file, reason: error.to_string() })
     }
 
     /// A lock from the text of its file.
     ///
     /// # Errors
-    /// What is wrong with the text.
-    pub fn parse(text: &str) -> Result<Self, String> {
+    /// The text is not a lock of this version.
+    pub fn parse(text: &str) -> Result<Self, LockTextError> {
         #[derive(Deserialize)]
         struct Head {
             version: u32,
         }
         // Another layout may lack what this one has, so its number is read first.
-        let head: Head = toml::from_str(text).map_err(|e| e.message().to_owned())?;
+        let head: Head =
+            toml::from_str(text).map_err(|error| LockTextError::Toml { message: error.message().to_owned() })?;
         if head.version != VERSION {
-            return Err(format!("its layout is version {}, known is {VERSION}", head.version));
+            return Err(LockTextError::Version { version: head.version });
         }
-        toml::from_str(text).map_err(|e| e.message().to_owned())
+        toml::from_str(text).map_err(|error| LockTextError::Toml { message: error.message().to_owned() })
     }
 
     /// What a signature covers: everything but itself, with the lengths of all texts, so that no two locks have the same bytes.

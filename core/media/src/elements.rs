@@ -67,11 +67,8 @@ const PACKAGES: &[(&str, &[&str])] = &[
 /// # Errors
 /// GStreamer cannot be initialized.
 pub fn init() -> Result<(), MediaError> {
-    static STARTED: OnceLock<Result<(), String>> = OnceLock::new();
-    STARTED
-        .get_or_init(|| gstreamer::init().map_err(|error| error.to_string()))
-        .clone()
-        .map_err(|reason| MediaError::Init { reason })
+    static STARTED: OnceLock<Result<(), gstreamer::glib::Error>> = OnceLock::new();
+    STARTED.get_or_init(gstreamer::init).clone().map_err(|error| MediaError::Init { reason: error.to_string() })
 }
 
 /// Makes the element `name`.

@@ -60,11 +60,41 @@ pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
     all
 }
 
-/// A packet of a type as JPEG; or why there is none. `range`: of the colours of a map, from picture to picture.
-pub fn jpeg(frame: &FrameRef, packet: &str, range: &mut Range) -> Result<Vec<u8>, String> {
+/// Why there is no picture of an output.
+#[derive(Debug, thiserror::Error)]
+pub enum PictureError {
+    /// The output made no packet yet.
+    #[error("there is no picture yet")]
+    None,
+    /// Its description needs more bytes than the packet has.
+    #[error("a picture of {width} x {height} {format} does not fit its bytes")]
+    Bytes {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Name of the format.
+        format: &'static str,
+    },
+    /// Packets of its format have no picture.
+    #[error("{format} has no picture")]
+    Format {
+        /// Name of the format.
+        format: &'static str,
+    },
+    /// It could not be encoded.
+    #[error("{reason}")]
+    Encode {
+        /// The encoder's reason.
+        reason: String,
+    },
+}
+
+/// A packet of a type as JPEG. `range`: of the colours of a map, from picture to picture.
+pub fn jpeg(frame: &FrameRef, packet: &str, range: &mut Range) -> Result<Vec<u8>, PictureError> {
     let head = frame.frame();
     let name = format::name(head.format);
-    let wrong = || format!("a picture of {} x {} {name} does not fit its bytes", head.width, head.height);
+    let wrong = || PictureError::Bytes { width: head.width, height: head.height, format: name };
     let (width, height, stride) = (head.width as usize, head.height as usize, head.stride_bytes as usize);
     let need = format::image_bytes(width, height, stride, format::pixel_bytes(head.format)).ok_or_else(wrong)?;
     let bytes = frame.bytes().get(..need).ok_or_else(wrong)?;
@@ -75,10 +105,11 @@ pub fn jpeg(frame: &FrameRef, packet: &str, range: &mut Range) -> Result<Vec<u8>
         "gray8" => Pixels::Gray8(view(1)),
         "bgr8" => Pixels::Bgr8(view(3)),
         "rgba8" => Pixels::Rgba8(view(4)),
-        _ => return Err(format!("{name} has no picture")),
+        _ => return Err(PictureError::Format { format: name }),
     };
     let mut out = Vec::new();
-    still::encode(&mut out, "jpg", &pixels, QUALITY, &mut Vec::new()).map_err(|error| error.to_string())?;
+    still::encode(&mut out, "jpg", &pixels, QUALITY, &mut Vec::new())
+        .map_err(|error| PictureError::Encode { reason: error.to_string() })?;
     Ok(out)
 }
 

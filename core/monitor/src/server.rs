@@ -179,7 +179,7 @@ async fn picture(shared: Arc<Shared>, name: String) -> Answer {
             }
             answer
         }
-        Ok(Some(Err(message))) => refuse(StatusCode::SERVICE_UNAVAILABLE, &message),
+        Ok(Some(Err(error))) => refuse(StatusCode::SERVICE_UNAVAILABLE, &error.to_string()),
         Ok(None) => refuse(StatusCode::NOT_FOUND, "no picture has this name; `/state` lists them"),
         Err(error) => refuse(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }

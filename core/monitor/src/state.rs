@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use panoscope_engine::fault::FaultCursor;
 use panoscope_engine::isolation::LinkReport;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, Preview, Report, WireTooOld, clock};
@@ -11,7 +12,7 @@ use panoscope_graph::{Catalog, Graph};
 use serde::Serialize;
 
 use crate::paint::Range;
-use crate::pictures::{self, Shown};
+use crate::pictures::{self, PictureError, Shown};
 
 /// A picture that nobody asked for in this time is no longer taken from the graph.
 const MAX_UNSEEN: Duration = Duration::from_secs(3);
@@ -55,12 +56,19 @@ pub struct Encoded {
 }
 
 /// Used by the thread of the graph alone.
-#[derive(Default)]
 struct Source {
     previews: HashMap<String, (String, Preview)>,
     looked: Option<Instant>,
     /// The graph that was looked at last.
     graph: Option<Graph>,
+    faults: FaultCursor,
+}
+
+impl Default for Source {
+    fn default() -> Self {
+        let faults = FaultCursor::new(MAX_FAULTS);
+        Self { previews: HashMap::new(), looked: None, graph: None, faults }
+    }
 }
 
 /// Shared by the thread that watches the graph and the one that serves.
@@ -144,14 +152,15 @@ impl Shared {
             let graph = engine.graph();
             let shown = (source.graph.as_ref() != Some(&graph)).then(|| pictures::of_graph(&graph, &catalog(&graph)));
             source.graph = Some(graph);
-            let faults = engine.recent_faults();
-            let lines = faults.iter().rev().take(MAX_FAULTS).map(|fault| FaultLine {
-                unix_ms: fault.unix_ms,
-                node: fault.node.clone(),
-                words: fault.words.clone(),
-            });
             let mut known = lock(&self.known);
-            known.faults = lines.collect();
+            if engine.faults_since(&mut source.faults) {
+                let lines = source.faults.newest().rev().map(|fault| FaultLine {
+                    unix_ms: fault.unix_ms,
+                    node: fault.node.clone(),
+                    words: fault.words.clone(),
+                });
+                known.faults = lines.collect();
+            }
             known.shown = shown.unwrap_or_else(|| std::mem::take(&mut known.shown));
             known.report = Some(engine.report());
         }
@@ -173,7 +182,7 @@ impl Shared {
 
     /// The newest picture of an output; `None` for names that are not shown. The picture is `Err` with a reason as long as
     /// there is none.
-    pub fn picture(&self, name: &str) -> Option<Result<Encoded, String>> {
+    pub fn picture(&self, name: &str) -> Option<Result<Encoded, PictureError>> {
         let mut known = lock(&self.known);
         let packet = known.shown.iter().find(|shown| shown.name() == name)?.packet.clone();
         known.asked.insert(name.to_owned(), Instant::now());
@@ -185,7 +194,7 @@ impl Shared {
             lock(&self.known).ranges.insert(name.to_owned(), range);
             Ok(Encoded { jpeg, tick: picture.frame.tick().seq, age_ms: picture.age_ms() })
         };
-        Some(picture.map_or_else(|| Err("there is no picture yet".to_owned()), encode))
+        Some(picture.map_or_else(|| Err(PictureError::None), encode))
     }
 
     /// The counters; `None` before the first update.

@@ -1,23 +1,11 @@
 //! Node classes as descriptors of the plugin interface. They live until the process ends, as those of a library do.
 
-use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
-
 use panoscope_abi::{self as abi, NodeType, Param, Port, Str};
 use panoscope_node::Packet;
 use pyo3::prelude::*;
 use pyo3::types::PyAny;
 
-use crate::instance;
-
-/// The classes of the descriptors, by address.
-static CLASSES: Mutex<Option<HashMap<usize, Py<PyAny>>>> = Mutex::new(None);
-
-/// The `panoscope.nodes.NodeType` that a descriptor was made of.
-pub fn class_of(py: Python<'_>, node_type: &'static NodeType) -> Option<Py<PyAny>> {
-    let classes = CLASSES.lock().unwrap_or_else(PoisonError::into_inner);
-    Some(classes.as_ref()?.get(&std::ptr::from_ref(node_type).addr())?.clone_ref(py))
-}
+use crate::{classes, instance};
 
 fn leak(text: String) -> Str {
     Str::new(Box::leak(text.into_boxed_str()))
@@ -66,8 +54,7 @@ pub fn node_type(of: &Bound<'_, PyAny>) -> PyResult<&'static NodeType> {
         validate: None,
         finish: None,
     }));
-    let mut classes = CLASSES.lock().unwrap_or_else(PoisonError::into_inner);
-    classes.get_or_insert_default().insert(std::ptr::from_ref(descriptor).addr(), of.clone().unbind());
+    classes::remember(descriptor, of);
     Ok(descriptor)
 }
 

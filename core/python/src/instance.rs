@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyList, PyTuple};
 
 use crate::call::Call;
-use crate::{RUNNER, describe, explain};
+use crate::{RUNNER, classes, explain};
 
 /// An instance of a node class.
 struct Instance {
@@ -103,7 +103,7 @@ pub unsafe extern "C" fn open(call: *mut abi::OpenCall, instance: *mut *mut c_vo
         return abi::STATUS_INVALID;
     };
     guarded(host, call.call, |py| {
-        let class = describe::class_of(py, node_type);
+        let class = classes::class_of(py, node_type);
         // SAFETY: the contract, for the texts and the values.
         let (node, graph_dir, values) = unsafe {
             (

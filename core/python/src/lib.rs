@@ -7,6 +7,7 @@
 #![allow(unsafe_code)]
 
 mod call;
+mod classes;
 mod describe;
 mod host;
 mod instance;
@@ -16,6 +17,7 @@ use std::convert::Infallible;
 use std::path::Path;
 
 use panoscope_abi::NodeType;
+use panoscope_isolate::child::LoadError;
 use panoscope_loader::isolated;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -30,17 +32,17 @@ fn serve(py: Python<'_>) {
 }
 
 /// Loads a plugin: a Python file, or a library whose nodes share the process.
-fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, String> {
+fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, LoadError> {
     if file.extension().is_none_or(|extension| extension != "py") {
         return isolated::load(image, file);
     }
-    let source = std::fs::read(image).map_err(|cause| cause.to_string())?;
+    let source = std::fs::read(image).map_err(|cause| LoadError { message: cause.to_string() })?;
     instance::attach(|py| {
         let load = || -> PyResult<Vec<&'static NodeType>> {
             let types = py.import(RUNNER)?.call_method1("load", (PyBytes::new(py, &source), file.as_os_str()))?;
             types.try_iter()?.map(|node_type| describe::node_type(&node_type?)).collect()
         };
-        load().map_err(|error| explain(py, &error))
+        load().map_err(|error| LoadError { message: explain(py, &error) })
     })
 }
 

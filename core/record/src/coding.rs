@@ -24,32 +24,6 @@ const SUM_BYTES: usize = 8;
 /// Bytes of a reference: the place of the stored bytes.
 pub(crate) const REFERENCE_BYTES: u64 = 8;
 
-/// How the bytes of a packet are stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Coding {
-    /// As they were in memory.
-    Plain,
-    /// Differences, compressed by zstd.
-    Packed,
-    /// The place in the file where the same bytes are stored.
-    Reference,
-}
-
-impl Coding {
-    /// As the head of a packet has it.
-    pub(crate) fn number(self) -> u32 {
-        match self {
-            Self::Plain => 0,
-            Self::Packed => 1,
-            Self::Reference => 2,
-        }
-    }
-
-    pub(crate) fn of(number: u32) -> Option<Self> {
-        [Self::Plain, Self::Packed, Self::Reference].into_iter().find(|coding| coding.number() == number)
-    }
-}
-
 /// The numbers of a format: bytes of each, and how many numbers a pixel has. Packets without pixels are bytes.
 fn numbers(format: u32) -> (usize, usize) {
     match format::of(format) {
@@ -174,6 +148,7 @@ mod tests {
     use panoscope_base::random::SplitMix64;
 
     use super::*;
+    use crate::format::Coding;
 
     #[test]
     fn packed_bytes_come_back_and_smooth_pictures_are_short() {

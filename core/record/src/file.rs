@@ -12,9 +12,9 @@ use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 
 use crate::check;
-use crate::coding::{Coding, Packer};
+use crate::coding::Packer;
 use crate::digest::padded_hash;
-use crate::format::{EVENTS, Event, PACKET_ENCODING, PacketHead};
+use crate::format::{Coding, EVENTS, Event, PACKET_ENCODING, PacketHead};
 use panoscope_base::secret::redact;
 use panoscope_engine::memory::FrameRef;
 

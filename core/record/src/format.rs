@@ -16,7 +16,6 @@ use panoscope_engine::decide::Ages;
 use panoscope_engine::fault::Fault;
 use panoscope_engine::observe;
 
-use crate::coding::Coding;
 use crate::file_hash::{FileHash, hashes};
 
 /// Topic of the events.
@@ -206,6 +205,32 @@ pub(crate) const PLAIN_HEAD_BYTES: usize = 56;
 pub(crate) const PACKET_HEAD_BYTES: usize = 72;
 /// The bytes of it that the message's checksum covers.
 pub(crate) const SUMMED_HEAD_BYTES: usize = 64;
+
+/// How the bytes of a packet are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coding {
+    /// As they were in memory.
+    Plain,
+    /// Differences, compressed by zstd.
+    Packed,
+    /// The place in the file where the same bytes are stored.
+    Reference,
+}
+
+impl Coding {
+    /// As the head of a packet has it.
+    pub(crate) fn number(self) -> u32 {
+        match self {
+            Self::Plain => 0,
+            Self::Packed => 1,
+            Self::Reference => 2,
+        }
+    }
+
+    pub(crate) fn of(number: u32) -> Option<Self> {
+        [Self::Plain, Self::Packed, Self::Reference].into_iter().find(|coding| coding.number() == number)
+    }
+}
 
 /// Description of a packet, before its bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

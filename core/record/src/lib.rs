@@ -22,11 +22,10 @@ mod replay;
 mod script;
 pub mod timeline;
 
-pub use coding::Coding;
 pub use digest::Digests;
 pub use file::Output;
 pub use file_hash::{FileHash, hash as hash_file};
-pub use format::{Event, Head};
+pub use format::{Coding, Event, Head};
 pub use head::head;
 pub use port_types::{PortTypeError, PortTypes, own_folders};
 pub use recorder::{RecordError, RecordOptions, Recorded, Recorder};

@@ -12,11 +12,11 @@ use mcap::records::op;
 use panoscope_abi::Frame;
 
 use crate::check::{self, MESSAGE_HEAD_BYTES, Seal};
-use crate::coding::{self, Coding, REFERENCE_BYTES};
+use crate::coding::{self, REFERENCE_BYTES};
 use crate::digest::{Digests, PacketDigest, packet_hash, padded_hash};
 use crate::format::{
-    CHECKED_FORMAT, EVENTS, Event, FORMAT, Head, OLDEST_FORMAT, PACKET_ENCODING, PACKET_HEAD_BYTES, PLAIN_HEAD_BYTES,
-    PacketHead, SUMMED_HEAD_BYTES,
+    CHECKED_FORMAT, Coding, EVENTS, Event, FORMAT, Head, OLDEST_FORMAT, PACKET_ENCODING, PACKET_HEAD_BYTES,
+    PLAIN_HEAD_BYTES, PacketHead, SUMMED_HEAD_BYTES,
 };
 use crate::mcap_texts;
 use panoscope_engine::memory::{FrameRef, memory};

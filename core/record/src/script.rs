@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use panoscope_abi::Tick;
 use panoscope_engine::Applied;
-use panoscope_engine::decide::{self, Ages, Decider, Turn, Wanted};
+use panoscope_engine::decide::{self, Ages, Decider, FramesError, Turn, Wanted};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::sync::lock;
 use panoscope_graph::{Graph, ParamValue};
@@ -210,22 +210,19 @@ impl Decider for Script {
         }
     }
 
-    fn source_frames(&self, node: &str, ports: &[String]) -> Result<Vec<Option<FrameRef>>, String> {
+    fn source_frames(&self, node: &str, ports: &[String]) -> Result<Vec<Option<FrameRef>>, FramesError> {
         let Some(tick) = self.sources.get(node).and_then(SourceScript::next) else { return Ok(Vec::new()) };
         // Ticks that were dropped may belong to a successor of the source that plays them.
         let is_unknown = |(port, _): &&(String, Packet)| !self.sources_only && tick.admitted && !ports.contains(port);
         if let Some((port, _)) = tick.packets.iter().find(is_unknown) {
-            return Err(format!(
-                "tick {} of the recording has a packet of `{node}.{port}`, and the source has no such output here: it \
-                 cannot be replayed; record again",
-                tick.seq
-            ));
+            return Err(FramesError::NoOutput { seq: tick.seq, node: node.to_owned(), port: port.clone() });
         }
         let frame = |name: &String| {
             let packet = tick.packets.iter().find(|(port, _)| port == name);
             packet.map(|(port, packet)| self.recording.frame(&format!("{node}.{port}"), packet)).transpose()
         };
-        ports.iter().map(frame).collect::<Result<_, _>>().map_err(|error| error.to_string())
+        let frames: Result<_, _> = ports.iter().map(frame).collect();
+        frames.map_err(|error| FramesError::Read { reason: error.to_string() })
     }
 
     fn took(&self, node: &str) -> Option<&Mutex<VecDeque<Wanted>>> {

@@ -15,6 +15,7 @@ use zenoh::sample::Sample;
 
 use crate::attachable::{BYE, DATA, HELLO, message, parent, split};
 use crate::clock::Offset;
+use crate::keys;
 use crate::link::{leave, lose, reach};
 use crate::network;
 
@@ -39,7 +40,7 @@ pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Resu
     let parent = parent()?;
     let timeout_ms: u32 = timeout_ms.parse().map_err(|error| format!("{timeout_ms}: {error}"))?;
     let timeout = Duration::from_millis(timeout_ms.clamp(100, 60_000).into());
-    if !network::is_name(name) {
+    if !keys::is_name(name) {
         lose(&format!("`{name}` cannot name a machine: a name has letters, digits, _ and -"));
     }
     let (session, host) = match reach(address, timeout, plaintext, "panoscope run --attachable") {

@@ -16,7 +16,7 @@ use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
-use crate::keys::Identity;
+use crate::keys::{self, Identity};
 use crate::network::{self, Address, UNNAMED};
 
 /// Most windows at a time.
@@ -93,7 +93,7 @@ pub fn run(
     let address = Address::parse(address, plaintext).map_err(words)?;
     let own = identity.as_ref().map(|identity| identity.name.clone());
     let name = if name.is_empty() { own.unwrap_or_else(|| NO_NAME.to_owned()) } else { name.to_owned() };
-    if let Some(bad) = [name.as_str()].iter().chain(hosts).find(|name| !network::is_name(name)) {
+    if let Some(bad) = [name.as_str()].iter().chain(hosts).find(|name| !keys::is_name(name)) {
         return Err(format!("`{bad}` cannot name a machine: a name has letters, digits, _ and -"));
     }
     if address.is_tls && hosts.is_empty() {

@@ -51,26 +51,54 @@ impl Folders {
     }
 }
 
+/// Why a file of the host cannot be used here.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FileError {
+    /// The file here has other bytes.
+    #[error(
+        "{path} differs: SHA-256 {sha256} on the host, {own} on `{machine}` ({}); copy the file there", here.display()
+    )]
+    Differs {
+        /// The file on the host.
+        path: String,
+        /// Its hash there.
+        sha256: String,
+        /// Its hash here.
+        own: String,
+        /// Name of this machine.
+        machine: String,
+        /// The file here.
+        here: PathBuf,
+    },
+    /// There is no such file here.
+    #[error("{path} (SHA-256 {sha256}) is missing on `{machine}`: copy it to {} there", here.display())]
+    Missing {
+        /// The file on the host.
+        path: String,
+        /// Its hash there.
+        sha256: String,
+        /// Name of this machine.
+        machine: String,
+        /// Where it should be here.
+        here: PathBuf,
+    },
+}
+
 /// Compares files of the host with those here.
 ///
 /// # Errors
-/// The first that differs or is missing, with both hashes and the remedy.
-pub fn compare(files: &[FileHash], folders: &Folders, hashes: &Hashes, machine: &str) -> Result<(), String> {
+/// The first that differs or is missing.
+pub fn compare(files: &[FileHash], folders: &Folders, hashes: &Hashes, machine: &str) -> Result<(), FileError> {
     for FileHash { path, sha256 } in files {
         let here = folders.here(path);
         match hashes.of(&here) {
             Some(own) if own == *sha256 => {}
-            Some(own) => {
-                return Err(format!(
-                    "{path} differs: SHA-256 {sha256} on the host, {own} on `{machine}` ({here}); copy the file there",
-                    here = here.display()
-                ));
-            }
-            None => {
-                return Err(format!(
-                    "{path} (SHA-256 {sha256}) is missing on `{machine}`: copy it to {here} there",
-                    here = here.display()
-                ));
+            own => {
+                let (path, sha256, machine) = (path.clone(), sha256.clone(), machine.to_owned());
+                return Err(match own {
+                    Some(own) => FileError::Differs { path, sha256, own, machine, here },
+                    None => FileError::Missing { path, sha256, machine, here },
+                });
             }
         }
     }
@@ -103,12 +131,13 @@ mod tests {
         let hash = |sha256: String| [FileHash { path: path.clone(), sha256 }];
         let right = hashes.of(&file).expect("a file");
         assert_eq!(compare(&hash(right.clone()), &folders, &hashes, "rack"), Ok(()));
-        let wrong = compare(&hash("00ff".to_owned()), &folders, &hashes, "rack").expect_err("it differs");
+        let wrong = compare(&hash("00ff".to_owned()), &folders, &hashes, "rack").expect_err("it differs").to_string();
         assert!(wrong.contains("00ff") && wrong.contains(&right) && wrong.contains("copy the file there"), "{wrong}");
         std::fs::write(&file, b"other").expect("a file");
         assert!(compare(&hash(right), &folders, &hashes, "rack").is_err(), "a file that changed is read again");
         std::fs::remove_file(&file).expect("a file");
-        let missing = compare(&hash("00ff".to_owned()), &folders, &hashes, "rack").expect_err("it is missing");
+        let missing =
+            compare(&hash("00ff".to_owned()), &folders, &hashes, "rack").expect_err("it is missing").to_string();
         assert!(missing.contains("missing"), "{missing}");
         let _ = std::fs::remove_dir_all(&folder);
     }

@@ -22,16 +22,37 @@ const MAX_STREAMS: usize = 1024;
 /// Lane and stream.
 type Key = (u32, u32);
 
+/// This machine cannot code pixels as H.264.
+#[derive(Debug, thiserror::Error)]
+#[error("pixels = \"h264\" cannot be used: {0}")]
+pub struct Unusable(#[from] MediaError);
+
+/// Why a picture of the other machine is not decoded.
+#[derive(Debug, thiserror::Error)]
+pub enum DecodeError {
+    /// It has more or fewer pixels than the frame.
+    #[error("a picture of the other machine does not fit its frame")]
+    Size,
+    /// A new stream beyond [`MAX_STREAMS`].
+    #[error("the other machine begins too many streams")]
+    TooManyStreams,
+    /// Its stream never began.
+    #[error("a picture of the other machine belongs to no stream")]
+    NoStream,
+    /// The decoder refuses.
+    #[error("a picture of the other machine cannot be decoded: {0}")]
+    Media(#[from] MediaError),
+}
+
 /// Whether this machine can code pixels so.
 ///
 /// # Errors
-/// What is missing, with its package.
-pub fn check(pixels: Pixels) -> Result<(), String> {
+/// Something is missing; the error names its package.
+pub fn check(pixels: Pixels) -> Result<(), Unusable> {
     if pixels != Pixels::H264 {
         return Ok(());
     }
-    let checked = CODEC.check().and_then(|()| Decoder::check());
-    checked.map_err(|error| format!("pixels = \"h264\" cannot be used: {error}"))
+    Ok(CODEC.check().and_then(|()| Decoder::check())?)
 }
 
 /// Streams to the other machine.
@@ -99,22 +120,21 @@ impl Decoders {
     /// Decodes the next picture of a stream into a frame.
     ///
     /// # Errors
-    /// It is no picture of this stream, in words.
-    pub fn decode(&mut self, lane: u32, picture: &Picture, coded: Vec<u8>, to: &mut [u8]) -> Result<(), String> {
-        let words = |error: MediaError| format!("a picture of the other machine cannot be decoded: {error}");
+    /// It is not a picture of this stream.
+    pub fn decode(&mut self, lane: u32, picture: &Picture, coded: Vec<u8>, to: &mut [u8]) -> Result<(), DecodeError> {
         let key = (lane, picture.stream);
         if !picture.fits(to.len() as u64) {
-            return Err("a picture of the other machine does not fit its frame".to_owned());
+            return Err(DecodeError::Size);
         }
         if picture.begins {
             if self.0.len() >= MAX_STREAMS && !self.0.contains_key(&key) {
-                return Err("the other machine begins too many streams".to_owned());
+                return Err(DecodeError::TooManyStreams);
             }
-            self.0.insert(key, Decoder::new().map_err(words)?);
+            self.0.insert(key, Decoder::new()?);
         }
-        let decoder = self.0.get_mut(&key).ok_or("a picture of the other machine belongs to no stream")?;
+        let decoder = self.0.get_mut(&key).ok_or(DecodeError::NoStream)?;
         let size_px = (picture.width as usize, picture.height as usize);
-        decoder.decode(coded, size_px, picture.stride_bytes as usize, to).map_err(words)
+        Ok(decoder.decode(coded, size_px, picture.stride_bytes as usize, to)?)
     }
 }
 

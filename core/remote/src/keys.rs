@@ -14,8 +14,6 @@ use rcgen::{
     KeyUsagePurpose, SanType,
 };
 
-use crate::network::is_name;
-
 pub use panoscope_attach::KEYS_VARIABLE;
 
 const AUTHORITY: &str = "authority.pem";
@@ -49,6 +47,12 @@ pub enum KeysError {
     /// Cryptography failed.
     #[error("certificates could not be made: {0}")]
     Crypto(#[from] rcgen::Error),
+}
+
+/// Whether a name can be part of a key, and of a certificate: letters, digits, `_` and `-`.
+pub fn is_name(name: &str) -> bool {
+    let fits = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    !name.is_empty() && name.len() <= 64 && name.chars().all(fits)
 }
 
 /// The keys of this machine.
@@ -195,6 +199,12 @@ fn write(file: &Path, text: &str, mode: u32) -> Result<(), KeysError> {
 mod tests {
     use super::*;
     use std::os::unix::fs::PermissionsExt;
+
+    #[test]
+    fn names_fit_keys() {
+        assert!(is_name("rack") && is_name("theatre_2-b"));
+        assert!(!is_name("") && !is_name("a/b") && !is_name("*") && !is_name("a b") && !is_name(&"x".repeat(65)));
+    }
 
     #[test]
     fn keys_are_made_once_and_more_later() {

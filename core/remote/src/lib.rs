@@ -25,6 +25,7 @@ pub mod raw;
 pub mod refused;
 pub mod serve;
 mod served;
+mod sessions;
 
 /// What both machines must agree on: the version of Panoscope, of the ABI, and of the messages.
 pub fn version() -> String {

@@ -119,8 +119,8 @@ pub fn run(words: &[OsString]) -> ! {
         Err(cause) => lose(&format!("its link cannot start: {cause}")),
     };
     let Arguments { address, timeout, plaintext, .. } = &arguments;
-    if let Err(words) = h264::check(arguments.pixels) {
-        lose(&words);
+    if let Err(error) = h264::check(arguments.pixels) {
+        lose(&error.to_string());
     }
     let (session, host) = match reach(address, *timeout, *plaintext, "panoscope serve") {
         Ok(reached) => reached,

@@ -217,12 +217,6 @@ pub fn answer_probe(session: &Session, key: String, probe: &Sample, now_ns: i64)
     true
 }
 
-/// Whether a name can be part of a key, and of a certificate: letters, digits, `_` and `-`.
-pub fn is_name(name: &str) -> bool {
-    let fits = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
-    !name.is_empty() && name.len() <= 64 && name.chars().all(fits)
-}
-
 /// A publisher of messages: nothing is dropped, the caller waits while the network is slow. `is_urgent` messages overtake others.
 pub fn publisher(
     session: &Session,
@@ -278,11 +272,5 @@ mod tests {
         let shown = "Unable to connect to any of [tcp/127.0.0.1:7] at noon! - Caused by link closed";
         assert_eq!(without_places(message), shown);
         assert_eq!(without_places("refused"), "refused");
-    }
-
-    #[test]
-    fn names_fit_keys() {
-        assert!(is_name("rack") && is_name("theatre_2-b"));
-        assert!(!is_name("") && !is_name("a/b") && !is_name("*") && !is_name("a b") && !is_name(&"x".repeat(65)));
     }
 }

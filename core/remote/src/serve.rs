@@ -1,63 +1,23 @@
 //! `panoscope serve`: takes groups of nodes for other machines.
 
-use std::collections::HashMap;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 
 use panoscope_engine::sync::lock;
 use panoscope_isolate::system_ns;
+use zenoh::Wait;
 use zenoh::sample::Sample;
-use zenoh::{Session, Wait};
 
 use crate::files::Hashes;
-use crate::keys::Identity;
 use crate::network::{self, Address, NetworkError, UNNAMED};
-use crate::served::{self, Delivered};
+use crate::served;
+use crate::sessions::{Delivered, Open, Shared};
+pub use crate::sessions::{LogFn, Options};
 use panoscope_isolate::relay::messages::{self as message, Message};
 
 /// Most groups at a time.
 const MAX_SESSIONS: usize = 32;
-
-/// How a server is to be.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Name of this machine in graphs.
-    pub name: String,
-    /// Where to listen.
-    pub address: String,
-    /// Whether an address without encryption may be one that other machines reach.
-    pub plaintext: bool,
-    /// The keys of this machine.
-    pub identity: Option<Identity>,
-    /// Hosts that may use it, by the names in their certificates.
-    pub hosts: Vec<String>,
-    /// The folder here that stands for the folder of a host's graph.
-    pub graph_dir: PathBuf,
-    /// Folders of plugins besides those of the installation.
-    pub plugins: Vec<PathBuf>,
-}
-
-/// A line for the log.
-pub type LogFn = dyn Fn(&str) + Send + Sync;
-
-/// What all groups share.
-pub(crate) struct Shared {
-    pub options: Options,
-    pub session: Session,
-    pub hashes: Hashes,
-    log: Box<LogFn>,
-    open: Mutex<HashMap<(String, String), Open>>,
-}
-
-/// A group that is served.
-struct Open {
-    deliver: Sender<Delivered>,
-    heard_ns: Arc<AtomicI64>,
-    /// Its name, as the host gave it.
-    group: String,
-}
 
 /// A server. It ends when this is dropped.
 pub struct Server {
@@ -110,21 +70,6 @@ impl Drop for Server {
 }
 
 impl Shared {
-    /// Writes a line to the log.
-    pub fn log(&self, words: &str) {
-        (self.log)(words);
-    }
-
-    /// The key of a session, for what goes to its host.
-    pub fn key(&self, host: &str, id: &str, what: &str) -> String {
-        format!("{}/{what}", network::prefix(&self.options.name, host, id))
-    }
-
-    /// A session has ended.
-    pub fn end(&self, host: &str, id: &str) {
-        lock(&self.open).remove(&(host.to_owned(), id.to_owned()));
-    }
-
     fn answer_probe(&self, host: &str, id: String, sample: &Sample) {
         let now_ns = system_ns();
         let key = self.key(host, &id, "pong");

@@ -23,20 +23,13 @@ use crate::files::{self, Folders};
 use crate::h264::{self, Decoders, Encoders};
 use crate::mirror::{self, Pool, Pools};
 use crate::network;
-use crate::serve::Shared;
+use crate::sessions::{Delivered, Shared};
 use panoscope_isolate::relay::messages::{self as message, Message, Turn};
 
 /// A host that was silent for so many times the time that it gives this machine is gone.
 const PATIENCE: u32 = 2;
 /// Most lanes of a group.
 const MAX_LANES: usize = 1024;
-
-/// A message of the host; the bytes of its frames begin at `begin`.
-pub(crate) struct Delivered {
-    pub message: Message,
-    pub payload: ZBytes,
-    pub begin: u64,
-}
 
 /// What the threads of a group share.
 struct Group {
@@ -84,10 +77,10 @@ fn serve(
         let name = &shared.options.name;
         return Err(format!("the versions differ: {version} on the host, {own} on `{name}`; install the same on both"));
     }
-    h264::check(pixels).map_err(|words| format!("{words} on `{}`", shared.options.name))?;
+    h264::check(pixels).map_err(|error| format!("{error} on `{}`", shared.options.name))?;
     let (network, new_files) = deny;
     let settings = Settings { threads: threads.clamp(1, 1024), memory_bytes, deny: Deny { network, new_files } };
-    let process = Served::start(&group, settings)?;
+    let process = Served::start(&group, settings).map_err(|error| error.to_string())?;
     let up = network::publisher(&shared.session, shared.key(host, id, "up"), false).map_err(|e| e.to_string())?;
     let this = Arc::new(Group {
         shared: Arc::clone(shared),
@@ -292,7 +285,7 @@ impl Group {
                 lock(&self.folders).add(Path::new(&open.graph_dir), &self.shared.options.graph_dir);
                 let folders = lock(&self.folders).clone();
                 files::compare(&turn.files, &folders, &self.shared.hashes, &self.shared.options.name)
-                    .map_err(|words| NotHere::Refused(format!("node `{}`: {words}", open.node)))?;
+                    .map_err(|error| NotHere::Refused(format!("node `{}`: {error}", open.node)))?;
                 Ok(relay::with_paths(turn.kind, message, &graph_dir, path)?)
             }
             kind::PROCESS => {

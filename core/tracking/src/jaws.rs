@@ -69,9 +69,9 @@ pub struct Jaws {
     last: Option<(Vector3<f64>, i64)>,
 }
 
-/// Whether at most `longest_ns` passed since a time.
-fn is_recent(at_ns: i64, now_ns: i64, longest_ns: i64) -> bool {
-    (0..=longest_ns).contains(&now_ns.saturating_sub(at_ns))
+/// Whether at most `max_ns` passed since a time.
+fn is_recent(at_ns: i64, now_ns: i64, max_ns: i64) -> bool {
+    (0..=max_ns).contains(&now_ns.saturating_sub(at_ns))
 }
 
 impl Jaws {

@@ -8,24 +8,6 @@ use serde_json::Value;
 use crate::process;
 use crate::workspace::Workspace;
 
-/// Circles that are left: crate and module whose children import each other. A circle that is gone must leave this list.
-const KNOWN_CIRCLES: [&str; 14] = [
-    "core/engine",
-    "core/eval sweep",
-    "core/imaging draw",
-    "core/imaging stitch",
-    "core/imaging stitch::mesh",
-    "core/live",
-    "core/python",
-    "core/python host",
-    "core/record",
-    "core/remote keys",
-    "core/remote serve",
-    "plugins/capture",
-    "tests/firmware",
-    "tests/sim",
-];
-
 /// Crates of the host, which plugins never import.
 const HOST: [&str; 9] = ["engine", "isolate", "loader", "attach", "remote", "monitor", "record", "eval", "cli"];
 
@@ -279,26 +261,18 @@ fn circles_of(src: &Path) -> Vec<(String, BTreeSet<String>)> {
 #[test]
 fn sibling_modules_do_not_import_each_other_in_a_circle() {
     let workspace = Workspace::locate().expect("a workspace");
-    let mut known: BTreeSet<&str> = KNOWN_CIRCLES.into_iter().collect();
-    let mut new = Vec::new();
+    let mut found = Vec::new();
     for package in packages(&workspace) {
-        let found = circles_of(&workspace.root.join(&package.folder).join("src"));
-        for (index, (parent, circle)) in found.iter().enumerate() {
+        let circles = circles_of(&workspace.root.join(&package.folder).join("src"));
+        found.extend(circles.iter().map(|(parent, circle)| {
             let crate_and_module = format!("{} {parent}", package.folder.display());
-            let several = found.iter().filter(|(other, _)| other == parent).count() > 1;
-            // Where a module has several circles, the first name of each tells them apart.
-            let first = circle.first().filter(|_| several).map(String::as_str).unwrap_or_default();
-            let name = format!("{crate_and_module} {first}");
-            if !known.remove(name.split_whitespace().collect::<Vec<_>>().join(" ").as_str()) {
-                new.push(format!("{} ({index}): {circle:?}", crate_and_module.trim()));
-            }
-        }
+            format!("{}: {circle:?}", crate_and_module.trim())
+        }));
     }
     assert!(
-        new.is_empty(),
-        "modules import each other in a circle; move what they share into a file of its own: {new:#?}"
+        found.is_empty(),
+        "modules import each other in a circle; move what they share into a file of its own: {found:#?}"
     );
-    assert!(known.is_empty(), "these circles are gone, take them off the list: {known:?}");
 }
 
 #[test]

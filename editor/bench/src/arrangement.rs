@@ -26,7 +26,7 @@ pub struct Arrangement {
     /// Scale of the graph.
     pub scale: f32,
     /// Size of the smallest text on the canvas, in points; `None` without any text.
-    pub least_text: Option<f32>,
+    pub min_text: Option<f32>,
     /// Share of nodes with their name written on them, also where it is shortened.
     pub named: f32,
     /// Share of the canvas inside the bounding box of the nodes.
@@ -70,7 +70,7 @@ impl Arrangement {
         Self {
             nodes: rects.len(),
             scale: canvas.zoom_factor(),
-            least_text: texts.iter().map(|(_, size)| *size).reduce(f32::min),
+            min_text: texts.iter().map(|(_, size)| *size).reduce(f32::min),
             named: named.count() as f32 / rects.len().max(1) as f32,
             used: rects.iter().copied().reduce(|a, b| a.union(b)).map_or(0.0, area),
             covered: rects.iter().map(|rect| area(*rect)).sum(),
@@ -83,7 +83,7 @@ impl Arrangement {
         json!({
             "nodes": self.nodes,
             "scale": self.scale,
-            "text_px": self.least_text,
+            "text_px": self.min_text,
             "named_pct": self.named * 100.0,
             "used_pct": self.used * 100.0,
             "covered_pct": self.covered * 100.0,

@@ -99,13 +99,13 @@ fn graphs_are_legible_and_use_the_window() {
                 size.y,
                 seen.nodes,
                 seen.scale,
-                seen.least_text.unwrap_or_default(),
+                seen.min_text.unwrap_or_default(),
                 seen.named * 100.0,
                 seen.used * 100.0,
                 seen.covered * 100.0
             );
             println!("{line}");
-            let small = seen.least_text.is_some_and(|text| text < TEXT) || seen.least_text.is_none();
+            let small = seen.min_text.is_some_and(|text| text < TEXT) || seen.min_text.is_none();
             // A few nodes that are larger than designed need no more of the window.
             let empty = seen.used < USED && seen.scale < 1.2;
             if small || empty || seen.overlaps > 0 || seen.nodes == 0 {

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_attach::Attachment;
 use panoscope_attach::message::Wanted;
-use panoscope_engine::fault::{Action, Fault};
+use panoscope_engine::fault::{Action, Fault, FaultCursor};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, NodeWindow, Preview, Window};
 use serde::{Deserialize, Serialize};
@@ -117,7 +117,7 @@ impl Observer {
             generation: 0,
             window: Window::default(),
             start: Instant::now(),
-            faults_seen: 0,
+            faults: FaultCursor::new(usize::MAX),
         };
         let thread = std::thread::Builder::new().name("observer".to_owned()).spawn(move || worker.run())?;
         Ok(Self { mailbox, quit, rounds, thread: Some(thread) })
@@ -287,7 +287,7 @@ struct Worker {
     generation: u64,
     window: Window,
     start: Instant,
-    faults_seen: u64,
+    faults: FaultCursor,
 }
 
 impl Worker {
@@ -370,12 +370,13 @@ impl Worker {
         }
     }
 
-    /// The newest faults, oldest first.
-    fn faults(&self) -> Vec<Fault> {
-        match self.handle.attachment() {
-            Some(machine) => Vec::clone(&machine.faults()),
-            None => self.handle.engine().map(|engine| engine.recent_faults()).unwrap_or_default(),
+    /// The newest faults, oldest first; `None` if there are no new ones.
+    fn new_faults(&mut self) -> Option<Vec<Fault>> {
+        if let Some(machine) = self.handle.attachment() {
+            return Some(Vec::clone(&machine.faults()));
         }
+        let engine = self.handle.engine()?;
+        engine.faults_since(&mut self.faults).then(|| self.faults.newest().cloned().collect())
     }
 
     /// Reads the counters; returns whether they changed.
@@ -385,12 +386,9 @@ impl Worker {
         if old.nodes == nodes {
             return false;
         }
-        let faults: u64 = nodes.values().map(|n| n.faults + n.restarts).sum();
         let mut new = Counters { nodes, ..Counters::clone(&old) };
-        // A withheld packet is a fault that no counter shows, so faults are also read every fourth time.
-        if faults != self.faults_seen || new.history.values().next().is_none_or(|h| h.len() % 4 == 0) {
-            self.faults_seen = faults;
-            new.fault_list = self.faults();
+        if let Some(faults) = self.new_faults() {
+            new.fault_list = faults;
             new.faults = new.fault_list.iter().map(|f| (f.node.clone(), f.clone())).collect();
         }
         let at_s = self.start.elapsed().as_secs_f64();

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::edit::EditError;
-use panoscope_graph::{Param, ParamKind, ParamValue};
+use panoscope_graph::{Param, ParamKind, ParamValue, ValueError};
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
@@ -97,8 +97,8 @@ pub fn file_of(graph: &Path) -> PathBuf {
 ///
 /// # Errors
 /// What is wrong, with the line.
-pub fn parse(text: &str) -> Result<Vec<Preset>, String> {
-    let contents: Contents = toml::from_str(text).map_err(|error| error.to_string().trim().to_owned())?;
+pub fn parse(text: &str) -> Result<Vec<Preset>, toml::de::Error> {
+    let contents: Contents = toml::from_str(text)?;
     Ok(contents.preset)
 }
 
@@ -125,7 +125,7 @@ impl Presets {
         };
         match parse(&text) {
             Ok(list) => Ok(Self { path, list }),
-            Err(reason) => Err(PresetError::Contents { path, reason }),
+            Err(error) => Err(PresetError::Contents { path, reason: error.to_string().trim().to_owned() }),
         }
     }
 
@@ -212,29 +212,50 @@ pub fn changes_to(view: &GraphView, values: &BTreeMap<String, Value>) -> Changes
     for (address, value) in values {
         match change_to(view, address, value) {
             Ok(change) => all.changes.extend(change),
-            Err(reason) => all.skipped.push(format!("{address}: {reason}")),
+            Err(error) => all.skipped.push(format!("{address}: {error}")),
         }
     }
     all
 }
 
-fn change_to(view: &GraphView, address: &str, value: &Value) -> Result<Option<(String, String, Value)>, String> {
+/// Why a value of a preset is left out.
+#[derive(Debug, thiserror::Error)]
+enum ChangeError {
+    /// Its name is not `node.param`.
+    #[error("a node and a parameter are expected")]
+    Address,
+    /// The node was removed or renamed.
+    #[error("the graph has no such node")]
+    NoNode,
+    /// The node has another type now, or the parameter is a text or path.
+    #[error("the node has no such parameter")]
+    NoParam,
+    /// The value has another type than the parameter.
+    #[error("{expected} is expected")]
+    Type { expected: &'static str },
+    /// The parameter does not take the value.
+    #[error(transparent)]
+    Value(#[from] ValueError),
+}
+
+fn change_to(view: &GraphView, address: &str, value: &Value) -> Result<Option<(String, String, Value)>, ChangeError> {
     let (node, param, declared) = find(view, address)?;
-    let wanted = typed(&declared.kind, value).ok_or_else(|| format!("{} is expected", declared.kind.expected()))?;
-    declared.kind.accepts(&wanted).map_err(|error| error.to_string())?;
+    let expected = || ChangeError::Type { expected: declared.kind.expected() };
+    let wanted = typed(&declared.kind, value).ok_or_else(expected)?;
+    declared.kind.accepts(&wanted)?;
     let given = view.flat().node(node).and_then(|n| view.flat().nodes[n].outline.params.get(param));
     let now = given.cloned().unwrap_or_else(|| default_value(&declared.kind));
     let same = typed(&declared.kind, &now).is_some_and(|now| now == wanted);
     Ok((!same).then(|| (node.to_owned(), param.to_owned(), value.clone())))
 }
 
-fn find<'a>(view: &'a GraphView, address: &'a str) -> Result<(&'a str, &'a str, &'a Param), String> {
-    let (node, param) = address.split_once('.').ok_or("a node and a parameter are expected")?;
+fn find<'a>(view: &'a GraphView, address: &'a str) -> Result<(&'a str, &'a str, &'a Param), ChangeError> {
+    let (node, param) = address.split_once('.').ok_or(ChangeError::Address)?;
     let flat = view.flat();
-    let this = flat.node(node).map(|n| &flat.nodes[n]).ok_or("the graph has no such node")?;
+    let this = flat.node(node).map(|n| &flat.nodes[n]).ok_or(ChangeError::NoNode)?;
     let params = this.node_type.iter().flat_map(|t| &t.params);
     let declared = params.into_iter().find(|p| p.name == param && is_held(&p.kind));
-    Ok((node, param, declared.ok_or("the node has no such parameter")?))
+    Ok((node, param, declared.ok_or(ChangeError::NoParam)?))
 }
 
 /// A value of a file as a value of a parameter; `None` for another type.

@@ -150,17 +150,31 @@ fn base_of(graph: &Path) -> PathBuf {
     std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned())
 }
 
-fn read(path: &Path) -> Result<Snapshot, String> {
-    let text = disk::read_text(path, MAX_BYTES).map_err(|error| error.to_string())?;
-    parse(&text.ok_or("it has more than 16 MiB")?)
+/// Why a snapshot cannot be read.
+#[derive(Debug, thiserror::Error)]
+enum ReadError {
+    /// The operating system's error.
+    #[error(transparent)]
+    File(#[from] std::io::Error),
+    /// It is larger than [`MAX_BYTES`].
+    #[error("it has more than 16 MiB")]
+    Large,
+    /// Its text is not a snapshot.
+    #[error("{}", .0.to_string().trim())]
+    Contents(#[from] toml::de::Error),
+}
+
+fn read(path: &Path) -> Result<Snapshot, ReadError> {
+    let text = disk::read_text(path, MAX_BYTES)?;
+    Ok(parse(&text.ok_or(ReadError::Large)?)?)
 }
 
 /// Reads the text of a snapshot; its number is that of its file.
 ///
 /// # Errors
 /// What is wrong, with the line.
-pub fn parse(text: &str) -> Result<Snapshot, String> {
-    toml::from_str(text).map_err(|error| error.to_string().trim().to_owned())
+pub fn parse(text: &str) -> Result<Snapshot, toml::de::Error> {
+    toml::from_str(text)
 }
 
 /// Gives a document the texts of a snapshot, as one step that can be undone. Returns whether anything differed.

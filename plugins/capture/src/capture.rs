@@ -12,11 +12,12 @@ use panoscope_node::{
 use crate::crop::{self, Halves};
 use crate::depth::Depth;
 use crate::kept_frames::KeptFrames;
+use crate::pairing::Grabbed;
 use crate::position::{Position, ViewPosition};
 use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings};
 use crate::source::{Clock, Demands, Lock, SourceName, Stream};
 use crate::timing::{Time, Timing};
-use crate::views::{Grabbed, View, Views, pair_by_numbers, same_files};
+use crate::views::{View, Views, pair_by_numbers, same_files};
 
 /// Rate of images, which have no times.
 const IMAGE_FPS: f64 = 30.0;

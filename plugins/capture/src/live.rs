@@ -5,9 +5,8 @@ use std::time::{Duration, Instant};
 
 use panoscope_media::input::Signal;
 
-use crate::pairing::{Pairing, pair};
+use crate::pairing::{Grabbed, Pairing, pair};
 use crate::source::{Clock, Grab, Stream};
-use crate::views::Grabbed;
 
 /// Longest wait of one step: connections are looked after in between.
 const STEP: Duration = Duration::from_millis(50);

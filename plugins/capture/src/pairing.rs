@@ -19,6 +19,20 @@ pub enum Pairing {
     Wait,
 }
 
+/// Result of grabbing one picture of every view.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Grabbed {
+    /// No view is lost. A live one that is silent may have no picture.
+    Ready,
+    /// A view has no more pictures.
+    End,
+    /// A view has no more pictures although more were promised.
+    Failed(String),
+    /// Devices or streams are gone, or no pictures of all views belong together; what happened. Views with `is_there` have a picture
+    /// nevertheless.
+    Lost(String),
+}
+
 /// Pairs pictures by their arrival. `arrivals` holds the times of each view's waiting pictures, oldest first, ns; pictures that are further apart
 /// than `tolerance_ns` do not belong together.
 pub fn pair(arrivals: &[Vec<i64>], tolerance_ns: i64) -> Pairing {

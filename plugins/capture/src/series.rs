@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use panoscope_calibration::pictures::{is_image, is_pattern, numbered_files};
+use panoscope_calibration::pictures::{PatternError, is_image, is_pattern, numbered_files};
 use panoscope_calibration::views::{gap, matched};
 use panoscope_node::Context;
 
@@ -27,7 +27,7 @@ pub enum SeriesError {
         /// Absolute pattern.
         pattern: PathBuf,
         /// What the folder holds instead.
-        hint: String,
+        hint: PatternError,
     },
     /// Numbers are missing between two files.
     #[error(

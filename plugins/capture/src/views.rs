@@ -8,6 +8,7 @@ use panoscope_media::input::Signal;
 use panoscope_node::Context;
 
 use crate::live::Live;
+use crate::pairing::Grabbed;
 use crate::source::{CaptureError, Clock, Demands, Grab, Picture, Source, SourceName, Stream};
 
 /// Rates that differ by no more than this share are meant to be one.
@@ -35,20 +36,6 @@ pub struct View {
     pub text: String,
     /// A picture was grabbed that belongs to no tick, because another view ended.
     is_ahead: bool,
-}
-
-/// Result of grabbing one picture of every view.
-#[derive(Debug, PartialEq, Eq)]
-pub enum Grabbed {
-    /// No view is lost. A live one that is silent may have no picture.
-    Ready,
-    /// A view has no more pictures.
-    End,
-    /// A view has no more pictures although more were promised.
-    Failed(String),
-    /// Devices or streams are gone, or no pictures of all views belong together; what happened. Views with [`View::is_there`] have a picture
-    /// nevertheless.
-    Lost(String),
 }
 
 /// All views of a node. They are behind locks because images are decoded on several threads at a time.

@@ -195,7 +195,7 @@ fn a_picture_in_a_queue_is_as_old_as_its_light() {
     let folder = Folder::new("age");
     let source = "videotestsrc is-live=true ! video/x-raw,width=64,height=48,framerate=30/1";
     let queue = "queue max-size-buffers=0 max-size-bytes=0 max-size-time=0 min-threshold-time=700000000";
-    for (text, least_ms, most_ms) in [(source.to_owned(), 0.0, 500.0), (format!("{source} ! {queue}"), 600.0, 1500.0)] {
+    for (text, min_ms, max_ms) in [(source.to_owned(), 0.0, 500.0), (format!("{source} ! {queue}"), 600.0, 1500.0)] {
         let mut node = live(&folder, &format!(r#"left = "{text}", timeout_s = 5.0"#));
         let mut times = Vec::new();
         for _ in 0..20 {
@@ -205,7 +205,7 @@ fn a_picture_in_a_queue_is_as_old_as_its_light() {
             }
         }
         let age_ms = node.metric("latency_ms").unwrap();
-        assert!(age_ms >= least_ms && age_ms < most_ms, "{text}: {age_ms} ms");
+        assert!(age_ms >= min_ms && age_ms < max_ms, "{text}: {age_ms} ms");
         // Media time of a live source is its arrival.
         for pair in times.windows(2) {
             assert_eq!(pair[1].0 - pair[0].0, pair[1].1 - pair[0].1, "{pair:?}");

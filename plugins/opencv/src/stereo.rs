@@ -86,12 +86,12 @@ fn check_window(check: &mut Validation<'_>, method: Method, block_px: i32) {
 }
 
 /// Writes sixteenths as px; what is below `least` is unknown.
-fn write(mat: &Mat, sign: f32, least_px: f32, out: &mut ViewMut<'_, f32>) -> Result<()> {
+fn write(mat: &Mat, sign: f32, min_px: f32, out: &mut ViewMut<'_, f32>) -> Result<()> {
     let values = mat.data_typed::<i16>().map_err(failed)?;
     for (y, row) in values.chunks_exact(out.width.max(1)).enumerate() {
         for (out, value) in out.row_mut(y).iter_mut().zip(row) {
             let px = sign * f32::from(*value) / STEPS_PER_PX;
-            *out = if px >= least_px { px } else { f32::NAN };
+            *out = if px >= min_px { px } else { f32::NAN };
         }
     }
     Ok(())

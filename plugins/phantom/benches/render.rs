@@ -15,7 +15,7 @@ fn core_ns() -> Option<f64> {
     std::fs::read_to_string("/proc/thread-self/schedstat").ok()?.split(' ').next()?.parse().ok()
 }
 
-fn least_core_ms(runs: u64, mut body: impl FnMut(u64)) -> f64 {
+fn min_core_ms(runs: u64, mut body: impl FnMut(u64)) -> f64 {
     let mut least = f64::MAX;
     for run in 0..runs {
         let (clock, start) = (Instant::now(), core_ns());
@@ -27,7 +27,7 @@ fn least_core_ms(runs: u64, mut body: impl FnMut(u64)) -> f64 {
     least
 }
 
-fn least_ms(runs: u64, mut body: impl FnMut(u64)) -> f64 {
+fn min_ms(runs: u64, mut body: impl FnMut(u64)) -> f64 {
     let mut least = f64::MAX;
     for run in 0..runs {
         let start = Instant::now();
@@ -51,10 +51,10 @@ fn main() {
         let open = start.elapsed().as_secs_f64() * 1e3;
         let (mut left, mut right) = (vec![0; width * height * 3], vec![0; width * height * 3]);
         let mut views = [ViewMut::new(&mut left, width, height, 3), ViewMut::new(&mut right, width, height, 3)];
-        let one = least_core_ms(25, |f| phantom.render(f, None, &Serial, &mut views).expect("fixed sizes"));
-        let two = least_ms(25, |f| phantom.render(f, None, &pair, &mut views).expect("fixed sizes"));
+        let one = min_core_ms(25, |f| phantom.render(f, None, &Serial, &mut views).expect("fixed sizes"));
+        let two = min_ms(25, |f| phantom.render(f, None, &pair, &mut views).expect("fixed sizes"));
         let mut plane = vec![0.0; width * height];
-        let truth = least_ms(10, |f| {
+        let truth = min_ms(10, |f| {
             let disparity_px = Some(ViewMut::new(&mut plane, width, height, 1));
             phantom.truth(f, None, &pair, TruthMut { disparity_px, ..TruthMut::default() }).expect("fixed sizes");
         });

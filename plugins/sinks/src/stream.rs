@@ -88,7 +88,7 @@ impl Settings {
         if !self.push.is_empty()
             && let Err(problem) = Target::parse(&self.push)
         {
-            mistakes.push(("push", problem, "write rtsp://HOST:PORT/PATH or udp://HOST:PORT"));
+            mistakes.push(("push", problem.to_string(), "write rtsp://HOST:PORT/PATH or udp://HOST:PORT"));
         }
         if !self.serve && self.push.is_empty() {
             let help = "set `serve = true`, or give an address in `push`";
@@ -142,7 +142,7 @@ impl Node for Stream {
         }
         let mut push = None;
         if !params.push.is_empty() {
-            let target = Target::parse(&params.push).map_err(NodeError::new)?;
+            let target = Target::parse(&params.push)?;
             push = Some(Push::start(target, payload, worker.fanout())?);
             open.info(&format!("sends to {}", params.push));
         }

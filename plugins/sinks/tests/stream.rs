@@ -28,7 +28,7 @@ fn open(params: &str) -> Harness<Stream> {
 struct Source {
     node: Harness<Stream>,
     number: u64,
-    longest_call: Duration,
+    max_call: Duration,
     faults: Vec<String>,
 }
 
@@ -38,7 +38,7 @@ impl Source {
     }
 
     fn of(node: Harness<Stream>, number: u64) -> Self {
-        Self { node, number, longest_call: Duration::ZERO, faults: Vec::new() }
+        Self { node, number, max_call: Duration::ZERO, faults: Vec::new() }
     }
 
     fn show(&mut self) {
@@ -49,7 +49,7 @@ impl Source {
         let outputs = self.node.process().unwrap();
         self.faults.extend(outputs.fault().map(str::to_owned));
         drop(outputs);
-        self.longest_call = self.longest_call.max(begin.elapsed());
+        self.max_call = self.max_call.max(begin.elapsed());
         self.number += 1;
     }
 
@@ -227,14 +227,14 @@ fn a_stalled_client_holds_up_neither_the_graph_nor_others() {
         good.look() >= 10 && consumers == 2
     });
     stalled.pipeline.set_state(State::Paused).unwrap();
-    source.longest_call = Duration::ZERO;
+    source.max_call = Duration::ZERO;
     let before = good.look();
     source.show_until("the other goes on, with new pictures", |source| {
         good.look() >= before + 100 && good.is_current(source)
     });
     assert!(grow(&good.numbers), "{:?}", good.numbers);
     // One that waited for the stalled client would not return: it reads nothing more.
-    assert!(source.longest_call < Duration::from_secs(5), "a call took {:?}", source.longest_call);
+    assert!(source.max_call < Duration::from_secs(5), "a call took {:?}", source.max_call);
 }
 
 #[test]

@@ -38,7 +38,7 @@ fn open_as(id: &str, params: &str) -> Result<Harness<WebRtc>, String> {
 struct Source {
     node: Harness<WebRtc>,
     number: u64,
-    longest_call: Duration,
+    max_call: Duration,
 }
 
 impl Source {
@@ -47,7 +47,7 @@ impl Source {
     }
 
     fn of(node: Harness<WebRtc>, number: u64) -> Self {
-        let mut source = Self { node, number, longest_call: Duration::ZERO };
+        let mut source = Self { node, number, max_call: Duration::ZERO };
         source.show();
         source
     }
@@ -58,7 +58,7 @@ impl Source {
         self.node.input_image::<Bgr8>("image", SIZE_PX.0, SIZE_PX.1, &picture);
         let begin = Instant::now();
         self.node.process().unwrap();
-        self.longest_call = self.longest_call.max(begin.elapsed());
+        self.max_call = self.max_call.max(begin.elapsed());
         self.number += 1;
     }
 
@@ -179,7 +179,7 @@ fn browsers_show_the_pictures_and_one_that_is_killed_leaves_the_others_alone() {
         assert!(player.worst_colour < 30, "a colour is {} off", player.worst_colour);
     }
     second.browser.kill();
-    source.longest_call = Duration::ZERO;
+    source.max_call = Duration::ZERO;
     source.show_until("the killed one is removed", |source| {
         first.look();
         (source.metric("viewers") == 1).then_some(())
@@ -187,7 +187,7 @@ fn browsers_show_the_pictures_and_one_that_is_killed_leaves_the_others_alone() {
     let before = first.look();
     source.show_until("the other goes on", |_| (first.look() >= before + 15).then_some(()));
     assert!(grow(&first.numbers), "{:?}", first.numbers);
-    assert!(source.longest_call < Duration::from_millis(500), "a call took {:?}", source.longest_call);
+    assert!(source.max_call < Duration::from_millis(500), "a call took {:?}", source.max_call);
     // Pictures of another size begin with a key frame; H.264 has even sizes.
     let end = Instant::now() + PATIENCE;
     while first.browser.evaluate(&first.page, READ)["width"] != 642 {

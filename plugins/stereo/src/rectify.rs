@@ -6,7 +6,7 @@ use panoscope_imaging::shrink::shrink;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
 use panoscope_imaging::{Rect, View, ViewMut};
-use panoscope_node::abi::Calibration;
+use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{
     Bgr8, Choice, Context, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Retained, Slot, Validation, Value,
     error,
@@ -258,6 +258,57 @@ fn make(
     Ok(())
 }
 
+/// Whether a view has the size that the calibration was made for.
+fn check_size(side: &str, (width, height): (usize, usize), camera: &Camera) -> Result<()> {
+    if (width, height) == (camera.width as usize, camera.height as usize) {
+        return Ok(());
+    }
+    Err(error!("the {side} view is {width}x{height}, the calibration was made for {}x{}", camera.width, camera.height))
+}
+
+impl Rectify {
+    /// Passes both views on, smaller by `factor`, without the rectification.
+    fn pass(
+        &mut self,
+        cx: &Context<'_>,
+        input: &In<'_>,
+        out: &mut Out<'_>,
+        factor: usize,
+        params: &RectifyNodeParams,
+    ) -> Result<()> {
+        make(&input.left, &mut out.left, (factor, None), &mut self.small, cx)?;
+        make(&input.right, &mut out.right, (factor, None), &mut self.small, cx)?;
+        make_masks(&mut self.masks, out, None, params)
+    }
+
+    /// Makes new maps where the calibration, the factor or the device has changed.
+    fn renew_maps(
+        &mut self,
+        cx: &Context<'_>,
+        given: Option<&Calibration>,
+        factor: usize,
+        params: &RectifyNodeParams,
+    ) -> Result<()> {
+        let given = given.or(self.maps.as_ref().map(|maps| &maps.source)).copied();
+        if let Some(given) = given
+            && self.maps.as_ref().is_none_or(|maps| {
+                maps.factor != factor || maps.device != params.device || !calibration::same(&maps.source, &given)
+            })
+        {
+            if self.maps.as_ref().is_some_and(|maps| !calibration::same(&maps.source, &given)) {
+                cx.info("the calibration has changed: new maps");
+            }
+            self.maps = None;
+            self.masks = Default::default();
+            self.maps = Some(Maps::new(&given, factor, params.device, cx)?);
+            if std::mem::replace(&mut self.is_passing, false) {
+                cx.info("a calibration has arrived: the views are rectified from now on");
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Node for Rectify {
     const INFO: NodeInfo =
         NodeInfo::compute("rectify", "stereo", "Turns both views so that a point lies on one row in both.");
@@ -305,7 +356,6 @@ impl Node for Rectify {
             let (width, height) = (input.left.width(), input.left.height());
             return Err(error!("views of {width}x{height} cannot be shrunk by {factor}: set a smaller `scale`"));
         }
-        let as_they_are = (factor, None);
         let views = [input.left.view(), input.right.view()];
         let same_size = (views[0].width, views[0].height) == (views[1].width, views[1].height);
         if params.bypass {
@@ -319,52 +369,22 @@ impl Node for Rectify {
                         .set(Calibration { is_rectified: 1, ..calibration::shrunk(given, factor as u32) })?;
                 }
             }
-            make(&input.left, &mut out.left, as_they_are, &mut self.small, cx)?;
-            make(&input.right, &mut out.right, as_they_are, &mut self.small, cx)?;
-            return make_masks(&mut self.masks, &mut out, None, params);
+            return self.pass(cx, &input, &mut out, factor, params);
         }
-        let given = input.calibration.as_deref().or(self.maps.as_ref().map(|maps| &maps.source)).copied();
-        if let Some(given) = given
-            && self.maps.as_ref().is_none_or(|maps| {
-                maps.factor != factor || maps.device != params.device || !calibration::same(&maps.source, &given)
-            })
-        {
-            if self.maps.as_ref().is_some_and(|maps| !calibration::same(&maps.source, &given)) {
-                cx.info("the calibration has changed: new maps");
-            }
-            self.maps = None;
-            self.masks = Default::default();
-            self.maps = Some(Maps::new(&given, factor, params.device, cx)?);
-            if std::mem::replace(&mut self.is_passing, false) {
-                cx.info("a calibration has arrived: the views are rectified from now on");
-            }
-        }
+        self.renew_maps(cx, input.calibration.as_deref(), factor, params)?;
         let Some(maps) = &mut self.maps else {
             if params.uncalibrated == Uncalibrated::Pass {
                 if !std::mem::replace(&mut self.is_passing, true) {
                     cx.warn("no calibration has arrived: the views stay as they are, and nothing is known of their depth. Connect `calibration`");
                 }
-                make(&input.left, &mut out.left, as_they_are, &mut self.small, cx)?;
-                make(&input.right, &mut out.right, as_they_are, &mut self.small, cx)?;
-                return make_masks(&mut self.masks, &mut out, None, params);
+                return self.pass(cx, &input, &mut out, factor, params);
             }
             return Err(error!(
                 "no calibration has arrived: connect `calibration`, or set `bypass` when the views are rectified already"
             ));
         };
-        for (side, view, camera) in
-            [("left", &input.left, &maps.source.left), ("right", &input.right, &maps.source.right)]
-        {
-            if (view.width(), view.height()) != (camera.width as usize, camera.height as usize) {
-                return Err(error!(
-                    "the {side} view is {}x{}, the calibration was made for {}x{}",
-                    view.width(),
-                    view.height(),
-                    camera.width,
-                    camera.height
-                ));
-            }
-        }
+        check_size("left", (input.left.width(), input.left.height()), &maps.source.left)?;
+        check_size("right", (input.right.width(), input.right.height()), &maps.source.right)?;
         match self.order.look(cx, views, &maps.source, maps.source.is_rectified != 0) {
             PairState::Fits => out.calibration.set(maps.target)?,
             PairState::Late => {}

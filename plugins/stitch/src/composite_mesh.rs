@@ -60,7 +60,7 @@ impl CompositeMeshParams {
         MeshParams {
             along,
             moves_reference: is_pair,
-            most_stretch: self.most_stretch / 100.0,
+            max_stretch: self.most_stretch / 100.0,
             zone_px: self.zone_px,
             cell_px: f64::from(self.cell),
             bend: self.bend,

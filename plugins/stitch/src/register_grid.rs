@@ -60,7 +60,7 @@ impl RegisterGridParams {
                 Point::Peak => CellPoint::Peak,
             },
             step_px: self.scale as usize,
-            least_valid: self.least_valid,
+            min_valid: self.least_valid,
             ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
             min_inliers: self.min_inliers as usize,
             stability_px: self.keep.stability_px,

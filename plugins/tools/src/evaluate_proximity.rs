@@ -116,7 +116,7 @@ impl Node for EvaluateProximity {
             Some(table) => Some((table, columns(table, "table", names)?)),
             None => None,
         };
-        let rule = |on_mm: f64| Rule { on_mm, off_mm: on_mm + params.release_mm, least_s: params.min_ms * 1e-3 };
+        let rule = |on_mm: f64| Rule { on_mm, off_mm: on_mm + params.release_mm, min_s: params.min_ms * 1e-3 };
         for truth in input.truth.rows().filter(|row| row[seen] > 0.5) {
             let index = match self.tips.iter().position(|known| known.track_id == truth[id]) {
                 Some(index) => index,

@@ -24,6 +24,7 @@ pub mod second_view;
 pub mod shaft;
 pub mod silhouette;
 pub mod skill;
+pub mod tip_position;
 pub mod tip_track;
 pub mod tool_tip;
 pub mod track;

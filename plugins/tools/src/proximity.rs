@@ -231,6 +231,44 @@ impl Proximity {
         }
     }
 
+    /// Forgets what a step back in time makes invalid, and takes the names of new labels.
+    fn begin_tick(&mut self, now_ns: i64, input: &In<'_>) {
+        if self.surface_ns.is_some_and(|made| made > now_ns) || self.watches.iter().any(|watch| watch.seen_ns > now_ns)
+        {
+            // Time went backwards.
+            self.surface_ns = None;
+            self.watches.clear();
+        }
+        self.watches.retain(|watch| now_ns - watch.seen_ns <= MEMORY_NS);
+        self.rows.clear();
+        self.words.clear();
+        if let Some(found) = input.instances.as_ref().map(|i| i.detections()).or(input.detections) {
+            self.names.clear();
+            for label in found.labels() {
+                self.names.push_str(label);
+                self.names.push('\n');
+            }
+        }
+    }
+
+    /// Adds what is to be said about a tip: its state at the tissue, and another tip that is near.
+    fn describe(&mut self, Known { tip, .. }: &Known, state: f64, tissue_mm: f64, near: Option<(&Tip, f64)>) {
+        if state != 0.0 {
+            call(&mut self.words, &self.names, tip);
+            let _ = match state {
+                2.0 => writeln!(self.words, " touches tissue"),
+                1.0 => writeln!(self.words, " is {tissue_mm:.1} mm from tissue"),
+                _ => writeln!(self.words, ": distance to tissue not known"),
+            };
+        }
+        if let Some((other, tip_mm)) = near {
+            call(&mut self.words, &self.names, tip);
+            self.words.push_str(" and ");
+            call(&mut self.words, &self.names, other);
+            let _ = writeln!(self.words, " are {tip_mm:.1} mm apart");
+        }
+    }
+
     fn watch(&mut self, key: i64, now_ns: i64) -> &mut Watch {
         let index = match self.watches.iter().position(|watch| watch.key == key) {
             Some(index) => index,
@@ -242,6 +280,23 @@ impl Proximity {
         };
         &mut self.watches[index]
     }
+}
+
+/// The tips of a tick that have a position and are new enough, one for each number.
+fn known_tips(cx: &Context<'_>, input: &In<'_>, max_age_ns: i64) -> [Option<Known>; MAX_TIPS] {
+    let mut known: [Option<Known>; MAX_TIPS] = [None; MAX_TIPS];
+    let mut count = 0;
+    for (index, tip) in input.tip.iter().enumerate().filter_map(|(index, tip)| Some((index, tip?))) {
+        let age_ns = nanoseconds(cx.age(&tip));
+        let is_place = tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()) && tip.xyz_mm[2] > 0.0;
+        let key = if tip.track_id >= 0 { tip.track_id } else { -2 - index as i64 };
+        let is_known = known[..count].iter().flatten().any(|other| other.key == key);
+        if is_place && age_ns <= max_age_ns && !is_known && count < MAX_TIPS {
+            known[count] = Some(Known { tip: *tip, key });
+            count += 1;
+        }
+    }
+    known
 }
 
 /// Name of a tip: its class where that has a name, and its number.
@@ -278,45 +333,20 @@ impl Node for Proximity {
     ) -> Result<()> {
         let now_ns = cx.tick().capture_ns;
         let max_age_ns = (params.max_age_ms * 1e6) as i64;
-        if self.surface_ns.is_some_and(|made| made > now_ns) || self.watches.iter().any(|watch| watch.seen_ns > now_ns)
-        {
-            // Time went backwards.
-            self.surface_ns = None;
-            self.watches.clear();
-        }
+        self.begin_tick(now_ns, &input);
         self.renew(&input, params.rim_px)?;
-        if let Some(found) = input.instances.map(|i| i.detections()).or(input.detections) {
-            self.names.clear();
-            for label in found.labels() {
-                self.names.push_str(label);
-                self.names.push('\n');
-            }
-        }
         let real_ns = self.time.step(now_ns, cx.tick_arrived_ns());
         let tick_age_ns = nanoseconds(cx.tick_age());
         let age_of = |made_ns: i64| self.time.real(now_ns.saturating_sub(made_ns)).saturating_add(tick_age_ns);
         let age_ns = self.surface_ns.map_or(i64::MAX, age_of);
         let is_surface_known = age_ns <= max_age_ns;
         let age_ms = if self.surface_ns.is_some() { age_ns as f64 * 1e-6 } else { f64::NAN };
-        let mut known: [Option<Known>; MAX_TIPS] = [None; MAX_TIPS];
-        let mut count = 0;
-        for (index, tip) in input.tip.iter().enumerate().filter_map(|(index, tip)| Some((index, tip?))) {
-            let age_ns = nanoseconds(cx.age(&tip));
-            let is_place = tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()) && tip.xyz_mm[2] > 0.0;
-            let key = if tip.track_id >= 0 { tip.track_id } else { -2 - index as i64 };
-            let is_known = known[..count].iter().flatten().any(|other| other.key == key);
-            if is_place && age_ns <= max_age_ns && !is_known && count < MAX_TIPS {
-                known[count] = Some(Known { tip: *tip, key });
-                count += 1;
-            }
-        }
-        let rule = |on_mm: f64| Rule { on_mm, off_mm: on_mm + params.release_mm, least_s: params.min_ms * 1e-3 };
+        let known = known_tips(cx, &input, max_age_ns);
+        let rule = |on_mm: f64| Rule { on_mm, off_mm: on_mm + params.release_mm, min_s: params.min_ms * 1e-3 };
         let now_s = real_ns as f64 * 1e-9;
-        self.watches.retain(|watch| now_ns - watch.seen_ns <= MEMORY_NS);
-        self.rows.clear();
-        self.words.clear();
         let (mut nearest_mm, mut warnings) = (f64::NAN, 0);
-        for Known { tip, key } in known.iter().flatten() {
+        for this in known.iter().flatten() {
+            let Known { tip, key } = this;
             let nearest = if is_surface_known { self.surface.nearest(tip.xyz_mm) } else { None };
             // Where the surface ahead of the tip is unknown, the known surface gives only an upper bound of the distance.
             let nearest = nearest.filter(|nearest| nearest.is_known_ahead || nearest.distance_mm <= params.warn_mm);
@@ -338,20 +368,8 @@ impl Node for Proximity {
             };
             nearest_mm = f64::min(nearest_mm, tissue_mm);
             warnings += usize::from(state != 0.0) + usize::from(is_close);
-            if state != 0.0 {
-                call(&mut self.words, &self.names, tip);
-                let _ = match state {
-                    2.0 => writeln!(self.words, " touches tissue"),
-                    1.0 => writeln!(self.words, " is {tissue_mm:.1} mm from tissue"),
-                    _ => writeln!(self.words, ": distance to tissue not known"),
-                };
-            }
-            if let Some(other) = other.filter(|other| is_close && *key < other.key) {
-                call(&mut self.words, &self.names, tip);
-                self.words.push_str(" and ");
-                call(&mut self.words, &self.names, &other.tip);
-                let _ = writeln!(self.words, " are {tip_mm:.1} mm apart");
-            }
+            let near = other.filter(|other| is_close && *key < other.key).map(|other| (&other.tip, tip_mm));
+            self.describe(this, state, tissue_mm, near);
             let [u, v] = nearest.map_or([f64::NAN; 2], |nearest| nearest.pixel);
             let seen = nearest.map_or(f64::NAN, |nearest| f64::from(u8::from(nearest.is_seen)));
             let other_id = other.map_or(f64::NAN, |other| other.tip.track_id as f64);

@@ -162,6 +162,74 @@ impl Skill {
     }
 }
 
+impl Skill {
+    /// Adds what a tip shows to the session of its tool.
+    fn observe(
+        &mut self,
+        cx: &Context<'_>,
+        input: &In<'_>,
+        index: usize,
+        tip: &Value<'_, Tip>,
+        params: &SkillParams,
+    ) -> Result<()> {
+        let key = match params.tools {
+            Tools::Input => index as u64,
+            Tools::Track => tip.track_id as u64,
+            Tools::Class => u64::from(tip.class_index),
+        };
+        let Some(tool) = self.session.tool(key, String::new) else {
+            if !std::mem::replace(&mut self.refused, true) {
+                cx.warn("there are more tools than 16: the last ones are not measured; `tools = \"class\"` has fewer");
+            }
+            return Ok(());
+        };
+        self.classes.resize(self.classes.len().max(tool + 1), 0);
+        self.classes[tool] = tip.class_index;
+        let seen_ns = tip.tick().capture_ns;
+        let then = self.poses.iter().min_by_key(|(pose_ns, _)| pose_ns.abs_diff(seen_ns));
+        let room = then.map_or_else(Isometry3::identity, |(_, room)| *room) * Point3::from(tip.xyz_mm);
+        let tissue_mm = match &input.proximity {
+            Some(table) => tissue_mm(table, tip.track_id)?,
+            None => f64::NAN,
+        };
+        let sample = Sample {
+            at_s: seen_ns as f64 * 1e-9,
+            place_mm: [room.x, room.y, room.z],
+            depth_mm: tip.xyz_mm[2],
+            tissue_mm,
+        };
+        self.session.observe(tool, sample);
+        Ok(())
+    }
+
+    /// Fills the rows with the figures of each tool, in all and in each phase.
+    fn set_tool_rows(&mut self) {
+        self.rows.clear();
+        for (tool, class) in self.session.tools().zip(&self.classes) {
+            let rows = &mut self.rows;
+            let mut add = |phase: f64, measures: &Measures| {
+                rows.extend([tool.key as f64, f64::from(*class), phase]);
+                rows.extend(FIGURES.iter().map(|figure| (figure.of)(measures)));
+            };
+            add(-1.0, tool.total);
+            for (phase, measures) in tool.phases.iter().enumerate().filter(|(_, measures)| !measures.is_empty()) {
+                add(phase as f64, measures);
+            }
+        }
+    }
+
+    /// Fills the rows with the figures of each pair of tools.
+    fn set_pair_rows(&mut self) {
+        self.rows.clear();
+        let keys = |number: usize| self.session.tools().nth(number).map_or(f64::NAN, |tool| tool.key as f64);
+        for (a, b, both, _) in self.session.pairs() {
+            let figures = [both.seen_s(), both.both_s(), both.overlap(), both.correlation()];
+            self.rows.extend([keys(a), keys(b)]);
+            self.rows.extend(figures);
+        }
+    }
+}
+
 impl Node for Skill {
     const INFO: NodeInfo = NodeInfo::compute(
         "skill",
@@ -205,61 +273,17 @@ impl Node for Skill {
             if !is_new || tip.xyz_valid != 1 || tip.score < params.min_score {
                 continue;
             }
-            let key = match params.tools {
-                Tools::Input => index as u64,
-                Tools::Track => tip.track_id as u64,
-                Tools::Class => u64::from(tip.class_index),
-            };
-            let Some(tool) = self.session.tool(key, String::new) else {
-                if !std::mem::replace(&mut self.refused, true) {
-                    cx.warn(
-                        "there are more tools than 16: the last ones are not measured; `tools = \"class\"` has fewer",
-                    );
-                }
-                continue;
-            };
-            self.classes.resize(self.classes.len().max(tool + 1), 0);
-            self.classes[tool] = tip.class_index;
-            let then = self.poses.iter().min_by_key(|(pose_ns, _)| pose_ns.abs_diff(seen_ns));
-            let room = then.map_or(room_from_camera, |(_, room)| *room) * Point3::from(tip.xyz_mm);
-            let tissue_mm = match &input.proximity {
-                Some(table) => tissue_mm(table, tip.track_id)?,
-                None => f64::NAN,
-            };
-            let sample = Sample {
-                at_s: seen_ns as f64 * 1e-9,
-                place_mm: [room.x, room.y, room.z],
-                depth_mm: tip.xyz_mm[2],
-                tissue_mm,
-            };
-            self.session.observe(tool, sample);
+            self.observe(cx, &input, index, &tip, params)?;
         }
         self.session.advance(now_ns as f64 * 1e-9);
         if out.table.is_read() {
-            self.rows.clear();
-            for (tool, class) in self.session.tools().zip(&self.classes) {
-                let rows = &mut self.rows;
-                let mut add = |phase: f64, measures: &Measures| {
-                    rows.extend([tool.key as f64, f64::from(*class), phase]);
-                    rows.extend(FIGURES.iter().map(|figure| (figure.of)(measures)));
-                };
-                add(-1.0, tool.total);
-                for (phase, measures) in tool.phases.iter().enumerate().filter(|(_, measures)| !measures.is_empty()) {
-                    add(phase as f64, measures);
-                }
-            }
+            self.set_tool_rows();
             if !self.rows.is_empty() {
                 out.table.set_table(&COLUMNS, &self.rows)?;
             }
         }
         if out.pairs.is_read() {
-            self.rows.clear();
-            let keys = |number: usize| self.session.tools().nth(number).map_or(f64::NAN, |tool| tool.key as f64);
-            for (a, b, both, _) in self.session.pairs() {
-                let figures = [both.seen_s(), both.both_s(), both.overlap(), both.correlation()];
-                self.rows.extend([keys(a), keys(b)]);
-                self.rows.extend(figures);
-            }
+            self.set_pair_rows();
             if !self.rows.is_empty() {
                 out.pairs.set_table(&PAIRS, &self.rows)?;
             }

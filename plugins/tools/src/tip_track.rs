@@ -104,6 +104,51 @@ fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
     all.iter().all(|v| v.is_finite()).then(|| Isometry3::from_parts(Translation3::new(tx, ty, tz), turn))
 }
 
+/// What the tracker is to do, and the projection of the left view where a calibration is connected.
+fn rules_of(params: &TrackParams, calibration: Option<&Calibration>) -> Result<(Rules, Option<[f64; 12]>)> {
+    let mut rules = Rules {
+        model: Model { acceleration_mm_s2: params.acceleration, gate: params.gate },
+        lateral_px: params.lateral_px,
+        disparity_px: params.disparity_px,
+        focal_px: 750.0,
+        baseline_mm: 15.0,
+        min_score: params.min_score,
+        max_gap_s: params.max_gap_ms * 1e-3,
+        switch_s: params.switch_ms * 1e-3,
+    };
+    let Some(c) = calibration else { return Ok((rules, None)) };
+    let p = &c.left_projection;
+    if !(p[0] > 0.0 && p[5] > 0.0 && c.baseline_mm > 0.0 && (p[0] + p[5] + c.baseline_mm).is_finite()) {
+        return Err(error!(
+            "the calibration has focal lengths {}, {} px and baseline {} mm",
+            p[0], p[5], c.baseline_mm
+        ));
+    }
+    (rules.focal_px, rules.baseline_mm) = (p[0], c.baseline_mm);
+    Ok((rules, Some(*p)))
+}
+
+impl TipTrack {
+    /// Stores the pose of the camera at a tick, and forgets what a new frame of reference or a step back in time makes invalid.
+    fn begin_tick(&mut self, now_ns: i64, pose: Option<Isometry3<f64>>, detectors: usize) {
+        if pose.is_some() != self.had_pose {
+            // The frame has changed, so positions of the filter are invalid.
+            self.had_pose = pose.is_some();
+            self.tracker = Tracker::default();
+        }
+        if self.poses.back().is_some_and(|(newest, _)| *newest >= now_ns) {
+            // Time went backwards.
+            self.poses.clear();
+            self.used_ns.fill(i64::MIN);
+        }
+        if self.poses.len() == MAX_POSES {
+            self.poses.pop_front();
+        }
+        self.poses.push_back((now_ns, pose.unwrap_or_default()));
+        self.used_ns.resize(detectors, i64::MIN);
+    }
+}
+
 impl Node for TipTrack {
     const INFO: NodeInfo = NodeInfo::compute(
         "tip_track",
@@ -127,51 +172,15 @@ impl Node for TipTrack {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &TrackParams) -> Result<()> {
-        let mut rules = Rules {
-            model: Model { acceleration_mm_s2: params.acceleration, gate: params.gate },
-            lateral_px: params.lateral_px,
-            disparity_px: params.disparity_px,
-            focal_px: 750.0,
-            baseline_mm: 15.0,
-            min_score: params.min_score,
-            max_gap_s: params.max_gap_ms * 1e-3,
-            switch_s: params.switch_ms * 1e-3,
-        };
-        let mut lens = None;
-        if let Some(c) = &input.calibration {
-            let p = &c.left_projection;
-            if !(p[0] > 0.0 && p[5] > 0.0 && c.baseline_mm > 0.0 && (p[0] + p[5] + c.baseline_mm).is_finite()) {
-                return Err(error!(
-                    "the calibration has focal lengths {}, {} px and baseline {} mm",
-                    p[0], p[5], c.baseline_mm
-                ));
-            }
-            (rules.focal_px, rules.baseline_mm) = (p[0], c.baseline_mm);
-            lens = Some(*p);
-        }
-        let room_from_camera = match &input.camera_pose {
-            Some(pose) => pose_of(pose).ok_or_else(|| error!("the camera pose holds numbers that are no pose"))?,
-            None => Isometry3::identity(),
-        };
-        if input.camera_pose.is_some() != self.had_pose {
-            // The frame has changed, so positions of the filter are invalid.
-            self.had_pose = input.camera_pose.is_some();
-            self.tracker = Tracker::default();
-        }
+        let (rules, lens) = rules_of(params, input.calibration.as_deref())?;
+        let no_pose = || error!("the camera pose holds numbers that are no pose");
+        let pose = input.camera_pose.as_ref().map(|pose| pose_of(pose).ok_or_else(no_pose)).transpose()?;
+        let room_from_camera = pose.unwrap_or_default();
         let now_ns = cx.tick().capture_ns;
         let real_ns = self.time.step(now_ns, cx.tick_arrived_ns());
+        self.begin_tick(now_ns, pose, input.tip.len());
         let time = &self.time;
         let age_ns = |tip: &Value<'_, Tip>| time.real(now_ns.saturating_sub(tip.tick().capture_ns));
-        if self.poses.back().is_some_and(|(newest, _)| *newest >= now_ns) {
-            // Time went backwards.
-            self.poses.clear();
-            self.used_ns.fill(i64::MIN);
-        }
-        if self.poses.len() == MAX_POSES {
-            self.poses.pop_front();
-        }
-        self.poses.push_back((now_ns, room_from_camera));
-        self.used_ns.resize(input.tip.len(), i64::MIN);
         let (poses, used_ns) = (&self.poses, &mut self.used_ns);
         let tips = || {
             let all = input.tip.iter().enumerate().filter_map(|(index, tip)| Some((index, tip?)));

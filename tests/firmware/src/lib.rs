@@ -3,6 +3,7 @@
 
 mod rtde_server;
 pub mod ur;
+mod ur_behaviour;
 pub mod urscript;
 
 use std::collections::VecDeque;

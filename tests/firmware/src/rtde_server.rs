@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use panoscope_arm_core::JointVector;
 use panoscope_arm_core::campaign::Random;
 
-use crate::ur::UrBehaviour;
+use crate::ur_behaviour::UrBehaviour;
 
 /// Registers of each kind.
 const REGISTERS: usize = 48;

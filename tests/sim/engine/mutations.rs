@@ -109,7 +109,7 @@ pub(crate) const MUTATIONS: &[(&str, Change)] = &[
     (
         "go-on-after-abandon",
         Change {
-            file: "node/call.rs",
+            file: "call/mod.rs",
             from: "        if !self.busy.end(start_ns) {\n",
             to: "        if !self.busy.end(start_ns) && !panoscope_sim_world::is_mutated(\"go-on-after-abandon\") {\n",
         },
@@ -117,7 +117,7 @@ pub(crate) const MUTATIONS: &[(&str, Change)] = &[
     (
         "keep-old-values",
         Change {
-            file: "node/call.rs",
+            file: "call/mod.rs",
             from: "        if let Some(snapshot) = self.config.newer_values(exec.snapshot()) {\n",
             to: "        let newer = self.config.newer_values(exec.snapshot());\n\
                  \x20       if let Some(snapshot) = newer.filter(|_| !panoscope_sim_world::is_mutated(\"keep-old-values\")) {\n",
@@ -126,7 +126,7 @@ pub(crate) const MUTATIONS: &[(&str, Change)] = &[
     (
         "close-without-completing",
         Change {
-            file: "node/finish.rs",
+            file: "call/finish.rs",
             from: "        self.finish(context, &mut instance);\n",
             to: "        if !panoscope_sim_world::is_mutated(\"close-without-completing\") {\n\
                  \x20           self.finish(context, &mut instance);\n        }\n",

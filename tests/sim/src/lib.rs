@@ -13,4 +13,5 @@ pub mod graphs;
 pub mod harm;
 pub mod nodes;
 pub mod observe;
+pub mod plan;
 pub mod plugins;

@@ -8,8 +8,9 @@ use panoscope_node::{
 use panoscope_sim_world::{disk, point};
 
 use crate::content::{Content, name_hash};
-use crate::harm::{Begin, Harm, Plan, wait_ms};
+use crate::harm::Harm;
 use crate::observe::{Seen, disk, next_instance, observe};
+use crate::plan::{Begin, Plan, wait_ms};
 
 /// One picture of the call's tick.
 #[derive(Ports)]

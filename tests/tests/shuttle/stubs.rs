@@ -7,6 +7,20 @@ pub mod clock {
     }
 }
 
+/// No crash is reported.
+pub mod current_node {
+    #[derive(Clone, Copy)]
+    pub struct CurrentWork;
+
+    pub fn current_work() -> CurrentWork {
+        CurrentWork
+    }
+
+    pub fn help<R>(_: CurrentWork, work: impl FnOnce() -> R) -> R {
+        work()
+    }
+}
+
 /// Nothing is replayed.
 pub mod decide {
     use panoscope_abi::Tick;
@@ -14,22 +28,6 @@ pub mod decide {
     pub struct Wanted {
         pub tick: Tick,
         pub inputs: Vec<Option<(u32, u64)>>,
-    }
-}
-
-/// No crash is reported.
-pub mod ending {
-    pub mod current_node {
-        #[derive(Clone, Copy)]
-        pub struct CurrentWork;
-
-        pub fn current_work() -> CurrentWork {
-            CurrentWork
-        }
-
-        pub fn help<R>(_: CurrentWork, work: impl FnOnce() -> R) -> R {
-            work()
-        }
     }
 }
 

@@ -58,13 +58,13 @@ impl Brake {
             brake.then = brake.releasing(release);
             brake.then.acceleration = JointVector::zeros();
         }
-        let most_acceleration = share(&brake.then.velocity, &caps.acceleration);
-        let most_jerk = share(&brake.then.velocity, &caps.jerk);
+        let max_acceleration = share(&brake.then.velocity, &caps.acceleration);
+        let max_jerk = share(&brake.then.velocity, &caps.jerk);
         // Speeds below an encoder's resolution are dropped, so that the last step does not divide by 0.
-        if most_jerk <= 1e-15 {
+        if max_jerk <= 1e-15 {
             return brake;
         }
-        let (acceleration, jerk) = (1.0 / most_acceleration, 1.0 / most_jerk);
+        let (acceleration, jerk) = (1.0 / max_acceleration, 1.0 / max_jerk);
         (brake.ramp, brake.hold) = if acceleration * acceleration >= jerk {
             ((1.0 / (jerk * STEP_S * STEP_S)).sqrt().ceil() as u32, 0)
         } else {

@@ -247,14 +247,14 @@ impl Interlock {
 
     /// Advances to `now_ns` and calls `each` with every set-point (one per ms). Time that goes backwards makes no step, a jump at most 250 steps.
     pub fn advance(&mut self, now_ns: i64, each: &mut dyn FnMut(&SetPoint)) {
-        let longest_ns = caps::MAX_CALL.as_nanos() as i64;
+        let max_ns = caps::MAX_CALL.as_nanos() as i64;
         let passed_ns = now_ns.saturating_sub(self.now_ns);
-        if passed_ns < 0 || passed_ns > longest_ns {
+        if passed_ns < 0 || passed_ns > max_ns {
             // Tips and demands are of another time.
             self.clock_jumped = true;
             self.tip = None;
             self.demand = None;
-            self.now_ns = now_ns.saturating_sub(passed_ns.clamp(0, longest_ns));
+            self.now_ns = now_ns.saturating_sub(passed_ns.clamp(0, max_ns));
         }
         let mut steps = (now_ns.saturating_sub(self.now_ns) / STEP_NS).max(0) as u32;
         while steps > 0 {

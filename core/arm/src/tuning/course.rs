@@ -159,7 +159,7 @@ impl Course {
             Channel::Picture => (0, 15.0 * self.cameras.focal_px.0 / goals.distance_mm),
             Channel::Distance => (2, 15.0),
         };
-        let relay = Relay { amplitude, hysteresis: 0.0, step_s: 1.0 / self.rate_hz, longest_s: SECONDS };
+        let relay = Relay { amplitude, hysteresis: 0.0, step_s: 1.0 / self.rate_hz, max_s: SECONDS };
         let mut loop_ = Loop::new(self, goals.distance_mm);
         let up = self.chain.stance(&JointVector::zeros()).base_from_camera * -Vector3::y();
         let rest = |_: f64| Vector3::zeros();

@@ -15,7 +15,7 @@ pub struct Relay {
     /// Time from one sample to the next, s.
     pub step_s: f64,
     /// Time limit for a steady oscillation, s.
-    pub longest_s: f64,
+    pub max_s: f64,
 }
 
 /// The limit of stability of a loop under proportional control.
@@ -44,14 +44,14 @@ impl Relay {
     /// [`TuneError::BadRelay`] for an amplitude, step or time that is not above 0; [`TuneError::NoSwing`] where the error does not cross 0 often
     /// enough, or not steadily; [`TuneError::NotFinite`] where the plant returns no finite number.
     pub fn swing(&self, plant: &mut dyn FnMut(f64) -> f64) -> Result<Ultimate, TuneError> {
-        for (what, value) in [("amplitude", self.amplitude), ("step", self.step_s), ("longest time", self.longest_s)] {
+        for (what, value) in [("amplitude", self.amplitude), ("step", self.step_s), ("longest time", self.max_s)] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(TuneError::BadRelay { what, value });
             }
         }
         let (mut output, mut error) = (self.amplitude, f64::INFINITY);
         let (mut outputs, mut errors, mut rises) = (Vec::new(), Vec::new(), Vec::new());
-        while (errors.len() as f64) * self.step_s < self.longest_s && rises.len() <= 2 * PERIODS {
+        while (errors.len() as f64) * self.step_s < self.max_s && rises.len() <= 2 * PERIODS {
             let next = plant(output);
             if !next.is_finite() {
                 return Err(TuneError::NotFinite { at_s: errors.len() as f64 * self.step_s });
@@ -184,7 +184,7 @@ impl Rule {
 mod tests {
     use super::*;
 
-    const RELAY: Relay = Relay { amplitude: 2.0, hysteresis: 0.0, step_s: 1e-3, longest_s: 60.0 };
+    const RELAY: Relay = Relay { amplitude: 2.0, hysteresis: 0.0, step_s: 1e-3, max_s: 60.0 };
 
     /// A plant behind a dead time, in steps of 1 ms: `answer` takes one input and returns one output.
     fn late(dead_s: f64, mut answer: impl FnMut(f64) -> f64) -> impl FnMut(f64) -> f64 {

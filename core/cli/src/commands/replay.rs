@@ -60,15 +60,76 @@ pub struct Arguments {
     verbose: bool,
 }
 
-/// Plays a recording.
-pub fn run(arguments: &Arguments) -> Result<End> {
+/// What is wrong with the arguments, if anything.
+fn mistake(arguments: &Arguments) -> Option<String> {
     if arguments.ports.all_ports && arguments.output.is_none() {
-        log!("error: --all-ports says what the recording of the replay holds: name one with -o FILE.mcap");
-        return Ok(End::Wrong);
+        return Some("--all-ports says what the recording of the replay holds: name one with -o FILE.mcap".to_owned());
     }
     let same = |a: &PathBuf, b: &PathBuf| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-    if arguments.output.as_ref().is_some_and(|out| same(out, &arguments.recording)) {
-        log!("error: -o {} is the recording that is played; name another file", arguments.recording.display());
+    let is_played = arguments.output.as_ref().is_some_and(|out| same(out, &arguments.recording));
+    let recording = arguments.recording.display();
+    is_played.then(|| format!("-o {recording} is the recording that is played; name another file"))
+}
+
+/// How the replay runs; `graph` replaces the recorded one.
+fn options(
+    arguments: &Arguments,
+    graph: Option<(PathBuf, String)>,
+    settings: Vec<String>,
+    recording: &Recording,
+    progress: &Progress,
+) -> ReplayOptions {
+    let own_folders = match &graph {
+        Some((path, text)) => GraphText::parse(path, text).plugin_paths(),
+        None => panoscope_record::own_folders(&recording.head),
+    };
+    let loader = arguments.own_plugins.loader(&own_folders);
+    ReplayOptions {
+        graph,
+        settings,
+        act: arguments.act,
+        loader: Some(Arc::new(loader)),
+        record: (arguments.output.is_some() || arguments.ports.digests.is_some()).then(|| RecordOptions {
+            file: arguments.output.clone(),
+            digests: arguments.ports.digests.is_some(),
+            all_ports: arguments.ports.all_ports,
+            all_source_ports: false,
+            // The replay waits for nobody: no packet may be missing.
+            max_queued_bytes: usize::MAX,
+            ..RecordOptions::default()
+        }),
+        engine: Options {
+            threads: arguments.threads.map_or(0, usize::from),
+            frames: arguments.frames,
+            log: Some(log_lines::sink(arguments.verbose, LogFormat::Text, stderr_color(), progress.line_writer())),
+            ..Options::default()
+        },
+    }
+}
+
+/// Says why a replay did not start.
+fn not_started(error: &ReplayError) -> End {
+    match error {
+        ReplayError::Check(diagnostics) => {
+            log!("{}", diagnostics.render(stderr_color()).trim_end());
+            End::Wrong
+        }
+        ReplayError::Start(_) => {
+            log!("error: {error}");
+            out!("failed: the graph did not start");
+            End::Failed
+        }
+        _ => {
+            log!("error: {error}");
+            End::Wrong
+        }
+    }
+}
+
+/// Plays a recording.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    if let Some(mistake) = mistake(arguments) {
+        log!("error: {mistake}");
         return Ok(End::Wrong);
     }
     let on_duty = signals::opening();
@@ -99,51 +160,16 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             return Ok(End::Wrong);
         }
     };
-    let own_folders = match &graph {
-        Some((path, text)) => GraphText::parse(path, text).plugin_paths(),
-        None => panoscope_record::own_folders(&recording.head),
-    };
-    let loader = arguments.own_plugins.loader(&own_folders);
     let longest = recording.sources.values().map(Vec::len).max().unwrap_or(0) as u64;
     let wanted = arguments.frames.map_or(longest, |n| n.min(longest));
     let name = arguments.recording.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let mut progress = Progress::new(&name, Some(wanted), !arguments.headless);
-    let options = ReplayOptions {
-        graph,
-        settings,
-        act: arguments.act,
-        loader: Some(Arc::new(loader)),
-        record: (arguments.output.is_some() || arguments.ports.digests.is_some()).then(|| RecordOptions {
-            file: arguments.output.clone(),
-            digests: arguments.ports.digests.is_some(),
-            all_ports: arguments.ports.all_ports,
-            all_source_ports: false,
-            // The replay waits for nobody: no packet may be missing.
-            max_queued_bytes: usize::MAX,
-            ..RecordOptions::default()
-        }),
-        engine: Options {
-            threads: arguments.threads.map_or(0, usize::from),
-            frames: arguments.frames,
-            log: Some(log_lines::sink(arguments.verbose, LogFormat::Text, stderr_color(), progress.line_writer())),
-            ..Options::default()
-        },
-    };
+    let options = options(arguments, graph, settings, &recording, &progress);
     let replay = match Replay::start(&recording, options) {
         Ok(replay) => replay,
-        Err(ReplayError::Check(diagnostics)) => {
-            progress.finish();
-            log!("{}", diagnostics.render(stderr_color()).trim_end());
-            return Ok(End::Wrong);
-        }
         Err(error) => {
             progress.finish();
-            log!("error: {error}");
-            if !matches!(error, ReplayError::Start(_)) {
-                return Ok(End::Wrong);
-            }
-            out!("failed: the graph did not start");
-            return Ok(End::Failed);
+            return Ok(not_started(&error));
         }
     };
     let on_duty = on_duty.watching();

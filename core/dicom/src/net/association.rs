@@ -14,7 +14,7 @@ use dicom_ul::pdu::{PDataValue, PDataValueType, Pdu};
 use super::Peer;
 use crate::element::{Set, read_number};
 use crate::error::{DicomError, Result, chain};
-use crate::lengths::{self, Encoding};
+use crate::lengths::{self, Encoding, LengthError};
 use crate::part10::MAX_ENTRY_BYTES;
 
 const CONNECT_WAIT: Duration = Duration::from_secs(10);
@@ -194,7 +194,7 @@ impl Association {
                     continue;
                 }
                 if is_command {
-                    let parsed = parse_command(&command_bytes).map_err(|problem| self.broken(problem))?;
+                    let parsed = parse_command(&command_bytes).map_err(|error| self.broken(error.to_string()))?;
                     if read_number(&parsed, tags::COMMAND_FIELD) != Some(field)
                         || read_number(&parsed, tags::MESSAGE_ID_BEING_RESPONDED_TO) != Some(id)
                     {
@@ -226,12 +226,23 @@ impl Association {
     }
 }
 
+/// A command set of a server cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
+pub enum CommandError {
+    /// A length inside it is wrong.
+    #[error("a command set that cannot be read: {0}")]
+    Length(#[from] LengthError),
+    /// It cannot be decoded.
+    #[error("a command set that cannot be read: {reason}")]
+    Decode { reason: String },
+}
+
 /// A command set, which is always implicit VR little endian.
-pub fn parse_command(bytes: &[u8]) -> Result<Set, String> {
-    let wrong = |problem: String| format!("a command set that cannot be read: {problem}");
-    lengths::check(bytes, Encoding::Implicit).map_err(wrong)?;
+pub fn parse_command(bytes: &[u8]) -> Result<Set, CommandError> {
+    lengths::check(bytes, Encoding::Implicit)?;
     let read = InMemDicomObject::read_dataset_with_ts(bytes, &IMPLICIT_VR_LITTLE_ENDIAN.erased());
-    read.map_err(|error| wrong(chain(&error)))
+    read.map_err(|error| CommandError::Decode { reason: chain(&error) })
 }
 
 fn refusal(peer: &Peer, error: &UlError) -> DicomError {

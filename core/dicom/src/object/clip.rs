@@ -52,8 +52,8 @@ impl Clip {
         if bytes > MAX_BYTES {
             return Err(wrong(format!("{bytes} bytes of video; an object holds at most 4 GiB: record shorter clips")));
         }
-        let film = mp4::parse(&mut file).map_err(wrong)?;
-        let transfer_syntax = transfer_syntax(&film).map_err(wrong)?;
+        let film = mp4::parse(&mut file).map_err(|error| wrong(error.to_string()))?;
+        let transfer_syntax = transfer_syntax(&film).map_err(|error| wrong(error.to_string()))?;
         let original_file =
             File::open(original).map_err(|cause| DicomError::Read { file: original.to_owned(), cause })?;
         let moment = original_file.metadata().and_then(|about| about.modified());
@@ -128,24 +128,30 @@ fn digest(mut file: File) -> std::io::Result<[u8; 32]> {
     }
 }
 
+/// Why no transfer syntax allows a video.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+enum SyntaxError {
+    /// Its H.264 is of another profile.
+    #[error(
+        "its H.264 has the profile {profile}, chroma format {chroma_format}, {bits} bits; DICOM allows the high profile (100), 4:2:0 (1), 8 bits"
+    )]
+    Profile { profile: u8, chroma_format: u8, bits: u8 },
+    /// It has too many pixels a second.
+    #[error(
+        "{width} x {height} px at {per_s:.0} pictures a second need H.264 of level {level:.1}; DICOM allows 4.2, which is 1920 x 1088 px at 60 a second: record a smaller view"
+    )]
+    Level { width: u16, height: u16, per_s: f64, level: f64 },
+}
+
 /// The transfer syntax that allows a video.
-fn transfer_syntax(film: &Film) -> Result<&'static str, String> {
-    if film.profile != HIGH || film.chroma_format != 1 || film.bits != (8, 8) {
-        return Err(format!(
-            "its H.264 has the profile {}, chroma format {}, {} bits; DICOM allows the high profile (100), 4:2:0 (1), 8 bits",
-            film.profile, film.chroma_format, film.bits.0
-        ));
+fn transfer_syntax(film: &Film) -> Result<&'static str, SyntaxError> {
+    let Film { profile, chroma_format, bits, size: (width, height), .. } = *film;
+    if profile != HIGH || chroma_format != 1 || bits != (8, 8) {
+        return Err(SyntaxError::Profile { profile, chroma_format, bits: bits.0 });
     }
     let syntax = LEVELS.iter().find(|(level, _)| film.level <= *level).map(|(_, syntax)| *syntax);
-    syntax.ok_or_else(|| {
-        format!(
-            "{} x {} px at {:.0} pictures a second need H.264 of level {:.1}; DICOM allows 4.2, which is 1920 x 1088 px at 60 a second: record a smaller view",
-            film.size.0,
-            film.size.1,
-            f64::from(film.frames) / film.seconds,
-            f64::from(film.level) / 10.0
-        )
-    })
+    let (per_s, level) = (f64::from(film.frames) / film.seconds, f64::from(film.level) / 10.0);
+    syntax.ok_or(SyntaxError::Level { width, height, per_s, level })
 }
 
 #[cfg(test)]
@@ -171,7 +177,7 @@ mod tests {
             (Film { chroma_format: 3, ..film }, "4:2:0"),
             (Film { bits: (10, 10), ..film }, "8 bits"),
         ] {
-            let error = transfer_syntax(&film).unwrap_err();
+            let error = transfer_syntax(&film).unwrap_err().to_string();
             assert!(error.contains(words), "{error}");
         }
     }

@@ -28,48 +28,105 @@ pub struct Film {
     pub bits: (u8, u8),
 }
 
+/// Why a file is not an MP4 file with one track of H.264.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
+pub enum Mp4Error {
+    /// The operating system's error.
+    #[error(transparent)]
+    Read(#[from] std::io::Error),
+    /// A box inside the index is longer than what contains it.
+    #[error("a box `{kind}` of {size} bytes, {left} are there")]
+    LongBox { kind: String, size: usize, left: usize },
+    /// A box of the file is longer than the file.
+    #[error("at byte {at}: a box of {size} bytes, {left} are there")]
+    LongBoxAt { at: u64, size: u64, left: u64 },
+    /// More boxes side by side than are read.
+    #[error("more than {MAX_BOXES} boxes")]
+    ManyBoxes,
+    /// A box is missing.
+    #[error("there is no box `{kind}`")]
+    NoBox { kind: String },
+    /// A box ends before its fields do.
+    #[error("{what} is cut off")]
+    Cut { what: &'static str },
+    /// A track of sound, for example.
+    #[error("it has a track that is no video")]
+    OtherTrack,
+    /// No video track, or several.
+    #[error("it has {count} video tracks, not one")]
+    Tracks { count: usize },
+    /// The index is longer than any that is read.
+    #[error("its index has {size} bytes; {MAX_INDEX_BYTES} are the most")]
+    LongIndex { size: u64 },
+    /// The box `moov` is missing.
+    #[error("it has no index: no MP4 file, or one that was not completed")]
+    NoIndex,
+    /// Neither version 0 nor 1.
+    #[error("a version of `mdhd` that is not known")]
+    Version,
+    /// Several descriptions.
+    #[error("its pictures are coded in more than one way")]
+    Codings,
+    /// No description.
+    #[error("its pictures are not described")]
+    NoCoding,
+    /// Another codec.
+    #[error("its pictures are `{kind}`, not H.264 (`avc1`)")]
+    OtherCoding { kind: String },
+    /// No pictures, or pictures without pixels or time.
+    #[error("it holds no pictures")]
+    Empty,
+    /// More than 2^31 pictures.
+    #[error("too many pictures")]
+    TooMany,
+    /// More than 2^64 ticks.
+    #[error("too long")]
+    TooLong,
+}
+
 /// A box: its type, and where its content lies.
 type Box_<'a> = ([u8; 4], &'a [u8]);
 
 /// The boxes in some bytes.
-fn boxes(bytes: &[u8]) -> Result<Vec<Box_<'_>>, String> {
+fn boxes(bytes: &[u8]) -> Result<Vec<Box_<'_>>, Mp4Error> {
     let mut found = Vec::new();
     let mut rest = bytes;
     while rest.len() >= 8 {
         let (size, kind) = (be32(rest, 0)? as usize, [rest[4], rest[5], rest[6], rest[7]]);
         let size = if size == 0 { rest.len() } else { size };
         if size < 8 || size > rest.len() {
-            return Err(format!("a box `{}` of {size} bytes, {} are there", kind.escape_ascii(), rest.len()));
+            return Err(Mp4Error::LongBox { kind: kind.escape_ascii().to_string(), size, left: rest.len() });
         }
         found.push((kind, &rest[8..size]));
         if found.len() > MAX_BOXES {
-            return Err(format!("more than {MAX_BOXES} boxes"));
+            return Err(Mp4Error::ManyBoxes);
         }
         rest = &rest[size..];
     }
     Ok(found)
 }
 
-fn inner<'a>(bytes: &'a [u8], kind: &[u8; 4]) -> Result<&'a [u8], String> {
+fn inner<'a>(bytes: &'a [u8], kind: &[u8; 4]) -> Result<&'a [u8], Mp4Error> {
     let found = boxes(bytes)?.into_iter().find(|(own, _)| own == kind);
-    found.map(|(_, content)| content).ok_or_else(|| format!("there is no box `{}`", kind.escape_ascii()))
+    found.map(|(_, content)| content).ok_or_else(|| Mp4Error::NoBox { kind: kind.escape_ascii().to_string() })
 }
 
-fn be32(bytes: &[u8], at: usize) -> Result<u32, String> {
+fn be32(bytes: &[u8], at: usize) -> Result<u32, Mp4Error> {
     let four = bytes.get(at..at + 4).and_then(|four| <[u8; 4]>::try_from(four).ok());
-    four.map(u32::from_be_bytes).ok_or_else(|| "a box is cut off".to_owned())
+    four.map(u32::from_be_bytes).ok_or(Mp4Error::Cut { what: "a box" })
 }
 
-fn be16(bytes: &[u8], at: usize) -> Result<u16, String> {
+fn be16(bytes: &[u8], at: usize) -> Result<u16, Mp4Error> {
     let two = bytes.get(at..at + 2).and_then(|two| <[u8; 2]>::try_from(two).ok());
-    two.map(u16::from_be_bytes).ok_or_else(|| "a box is cut off".to_owned())
+    two.map(u16::from_be_bytes).ok_or(Mp4Error::Cut { what: "a box" })
 }
 
 /// Reads what the one video track of a file holds.
 ///
 /// # Errors
 /// It is no MP4 file with one track of H.264, or damaged; or it cannot be read.
-pub fn parse(file: &mut (impl Read + Seek)) -> Result<Film, String> {
+pub fn parse(file: &mut (impl Read + Seek)) -> Result<Film, Mp4Error> {
     let index = index(file)?;
     let mut films = Vec::new();
     for (_, track) in boxes(&index)?.into_iter().filter(|(kind, _)| kind == b"trak") {
@@ -77,101 +134,100 @@ pub fn parse(file: &mut (impl Read + Seek)) -> Result<Film, String> {
         if inner(media, b"hdlr")?.get(8..12) == Some(b"vide") {
             films.push(film(media)?);
         } else {
-            return Err("it has a track that is no video".to_owned());
+            return Err(Mp4Error::OtherTrack);
         }
     }
     match films[..] {
         [film] => Ok(film),
-        _ => Err(format!("it has {} video tracks, not one", films.len())),
+        _ => Err(Mp4Error::Tracks { count: films.len() }),
     }
 }
 
 /// The content of the box `moov`.
-fn index(file: &mut (impl Read + Seek)) -> Result<Vec<u8>, String> {
-    let words = |error: std::io::Error| error.to_string();
-    let end = file.seek(SeekFrom::End(0)).map_err(words)?;
+fn index(file: &mut (impl Read + Seek)) -> Result<Vec<u8>, Mp4Error> {
+    let end = file.seek(SeekFrom::End(0))?;
     let mut at = 0;
     for _ in 0..MAX_BOXES {
         if at + 8 > end {
             break;
         }
-        file.seek(SeekFrom::Start(at)).map_err(words)?;
+        file.seek(SeekFrom::Start(at))?;
         let mut head = [0; 16];
-        file.read_exact(&mut head[..8]).map_err(words)?;
+        file.read_exact(&mut head[..8])?;
         let (mut size, mut head_bytes) = (u64::from(be32(&head, 0)?), 8);
         if size == 1 {
-            file.read_exact(&mut head[8..]).map_err(words)?;
+            file.read_exact(&mut head[8..])?;
             (size, head_bytes) = (u64::from(be32(&head, 8)?) << 32 | u64::from(be32(&head, 12)?), 16);
         } else if size == 0 {
             size = end - at;
         }
         let next = at.checked_add(size).filter(|next| *next <= end && size >= head_bytes);
-        let next = next.ok_or_else(|| format!("at byte {at}: a box of {size} bytes, {} are there", end - at))?;
+        let next = next.ok_or(Mp4Error::LongBoxAt { at, size, left: end - at })?;
         if &head[4..8] == b"moov" {
             if size > MAX_INDEX_BYTES {
-                return Err(format!("its index has {size} bytes; {MAX_INDEX_BYTES} are the most"));
+                return Err(Mp4Error::LongIndex { size });
             }
             let mut index = vec![0; (size - head_bytes) as usize];
-            file.read_exact(&mut index).map_err(words)?;
+            file.read_exact(&mut index)?;
             return Ok(index);
         }
         at = next;
     }
-    Err("it has no index: no MP4 file, or one that was not completed".to_owned())
+    Err(Mp4Error::NoIndex)
 }
 
-fn film(media: &[u8]) -> Result<Film, String> {
+fn film(media: &[u8]) -> Result<Film, Mp4Error> {
     let header = inner(media, b"mdhd")?;
     let scale = match header.first() {
         Some(0) => be32(header, 12)?,
         Some(1) => be32(header, 20)?,
-        _ => return Err("a version of `mdhd` that is not known".to_owned()),
+        _ => return Err(Mp4Error::Version),
     };
     let table = inner(inner(media, b"minf")?, b"stbl")?;
     let (frames, ticks) = times(inner(table, b"stts")?)?;
     let descriptions = inner(table, b"stsd")?;
     if be32(descriptions, 4)? != 1 {
-        return Err("its pictures are coded in more than one way".to_owned());
+        return Err(Mp4Error::Codings);
     }
     let entries = boxes(descriptions.get(8..).unwrap_or_default())?;
-    let [(kind, entry)] = entries[..] else { return Err("its pictures are not described".to_owned()) };
+    let [(kind, entry)] = entries[..] else { return Err(Mp4Error::NoCoding) };
     if &kind != b"avc1" {
-        return Err(format!("its pictures are `{}`, not H.264 (`avc1`)", kind.escape_ascii()));
+        return Err(Mp4Error::OtherCoding { kind: kind.escape_ascii().to_string() });
     }
     // A sample entry, then the fields of a visual one, then boxes.
     let size = (be16(entry, 24)?, be16(entry, 26)?);
     let coding = inner(entry.get(78..).unwrap_or_default(), b"avcC")?;
-    let &[1, profile, _, level, ..] = coding else { return Err("`avcC` is cut off".to_owned()) };
+    let &[1, profile, _, level, ..] = coding else { return Err(Mp4Error::Cut { what: "`avcC`" }) };
     let (chroma_format, bits) = colours(coding, profile)?;
     if size.0 == 0 || size.1 == 0 || frames == 0 || scale == 0 || ticks == 0 {
-        return Err("it holds no pictures".to_owned());
+        return Err(Mp4Error::Empty);
     }
     let seconds = ticks as f64 / f64::from(scale);
     Ok(Film { size, frames, seconds, profile, level, chroma_format, bits })
 }
 
 /// Number of pictures and their time in ticks.
-fn times(stts: &[u8]) -> Result<(u32, u64), String> {
+fn times(stts: &[u8]) -> Result<(u32, u64), Mp4Error> {
     let runs = be32(stts, 4)? as usize;
     let body = stts.get(8..).unwrap_or_default();
     if body.len() / 8 < runs {
-        return Err("`stts` is cut off".to_owned());
+        return Err(Mp4Error::Cut { what: "`stts`" });
     }
     let (mut frames, mut ticks) = (0u32, 0u64);
     for run in body.chunks_exact(8).take(runs) {
         let (count, each) = (be32(run, 0)?, be32(run, 4)?);
-        frames = frames.checked_add(count).filter(|n| *n <= i32::MAX as u32).ok_or("too many pictures")?;
-        ticks = ticks.checked_add(u64::from(count) * u64::from(each)).ok_or("too long")?;
+        frames = frames.checked_add(count).filter(|n| *n <= i32::MAX as u32).ok_or(Mp4Error::TooMany)?;
+        ticks = ticks.checked_add(u64::from(count) * u64::from(each)).ok_or(Mp4Error::TooLong)?;
     }
     Ok((frames, ticks))
 }
 
 /// Chroma format and bits; for profiles up to main they are 4:2:0 and 8.
-fn colours(coding: &[u8], profile: u8) -> Result<(u8, (u8, u8)), String> {
+fn colours(coding: &[u8], profile: u8) -> Result<(u8, (u8, u8)), Mp4Error> {
     if [66, 77, 88].contains(&profile) {
         return Ok((1, (8, 8)));
     }
-    let cut = || "`avcC` is cut off".to_owned();
+    let cut = || Mp4Error::Cut { what: "`avcC`" };
     let mut at = 5;
     // Parameter sets of sequences (the count has 5 bits), then of pictures.
     for mask in [0x1F, 0xFF] {

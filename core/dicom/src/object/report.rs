@@ -108,6 +108,21 @@ impl Row {
     }
 }
 
+/// Why a table of measurements cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
+pub enum TableError {
+    /// The operating system's error.
+    #[error(transparent)]
+    Read(#[from] std::io::Error),
+    /// A line is longer than any that is written.
+    #[error("line {number} has more than {MAX_LINE_BYTES} bytes")]
+    LongLine { number: usize },
+    /// A line is not a row of such a table.
+    #[error("line {number}: {cause}")]
+    Line { number: usize, cause: serde_json::Error },
+}
+
 impl Lengths {
     /// Whether a table holds a measurement.
     ///
@@ -116,7 +131,7 @@ impl Lengths {
     pub fn has_any(file: &Path) -> Result<bool> {
         let read = File::open(file).map_err(|cause| DicomError::Read { file: file.to_owned(), cause })?;
         let lengths = Self::read(BufReader::new(read));
-        let wrong = |problem| DicomError::Input { file: file.to_owned(), problem };
+        let wrong = |error: TableError| DicomError::Input { file: file.to_owned(), problem: error.to_string() };
         Ok(!lengths.map_err(wrong)?.rows.is_empty())
     }
 
@@ -127,7 +142,8 @@ impl Lengths {
     pub fn open(file: &Path) -> Result<Self> {
         let failed = |cause| DicomError::Read { file: file.to_owned(), cause };
         let wrong = |problem: String| DicomError::Input { file: file.to_owned(), problem };
-        let lengths = Self::read(BufReader::new(File::open(file).map_err(failed)?)).map_err(wrong)?;
+        let lengths = Self::read(BufReader::new(File::open(file).map_err(failed)?));
+        let lengths = lengths.map_err(|error| wrong(error.to_string()))?;
         if lengths.rows.is_empty() {
             return Err(wrong("it holds no measurement: it needs the `table` of a node `measure`".to_owned()));
         }
@@ -138,20 +154,20 @@ impl Lengths {
     ///
     /// # Errors
     /// What is wrong.
-    pub fn read(mut lines: impl BufRead) -> Result<Self, String> {
+    pub fn read(mut lines: impl BufRead) -> Result<Self, TableError> {
         let mut last = Self::default();
         let mut bytes = Vec::new();
         for number in 1..=MAX_LINES {
             bytes.clear();
             let limited = &mut std::io::Read::take(&mut lines, MAX_LINE_BYTES);
-            let count = limited.read_until(b'\n', &mut bytes).map_err(|error| error.to_string())?;
+            let count = limited.read_until(b'\n', &mut bytes)?;
             if count == 0 {
                 break;
             }
             // A line without its end is one that a crash cut off, unless it is whole JSON.
             let is_whole = bytes.ends_with(b"\n");
             if !is_whole && count as u64 == MAX_LINE_BYTES {
-                return Err(format!("line {number} has more than {MAX_LINE_BYTES} bytes"));
+                return Err(TableError::LongLine { number });
             }
             if bytes.trim_ascii().is_empty() {
                 continue;
@@ -159,7 +175,7 @@ impl Lengths {
             let line: Line = match serde_json::from_slice(&bytes) {
                 Ok(line) => line,
                 Err(_) if !is_whole => break,
-                Err(error) => return Err(format!("line {number}: {error}")),
+                Err(cause) => return Err(TableError::Line { number, cause }),
             };
             let rows: Vec<Length> = line.table.iter().take(MAX_ROWS).filter_map(Row::length).collect();
             if !rows.is_empty() {
@@ -363,10 +379,10 @@ mod tests {
     #[test]
     fn tables_without_measurements_have_no_rows_and_damaged_ones_are_errors() {
         for table in ["", "{\"seq\":0}\n", "{\"table\":[{\"distance_mm\":null}]}\n"] {
-            assert_eq!(Lengths::read(table.as_bytes()), Ok(Lengths::default()), "{table}");
+            assert_eq!(Lengths::read(table.as_bytes()).unwrap(), Lengths::default(), "{table}");
         }
         for table in ["nonsense\n", "{\"table\":[{\"distance_mm\":\"9\"}]}\n"] {
-            let error = Lengths::read(table.as_bytes()).unwrap_err();
+            let error = Lengths::read(table.as_bytes()).unwrap_err().to_string();
             assert!(error.contains("line 1"), "{error}");
         }
     }

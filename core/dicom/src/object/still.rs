@@ -57,7 +57,7 @@ impl Still {
         let bytes = std::fs::read(file).map_err(failed)?;
         let sha256: [u8; 32] = Sha256::digest(&bytes).into();
         let moment = Moment::of(about.modified().map_err(failed)?);
-        let (size, pixels) = pixels(bytes).map_err(wrong)?;
+        let (size, pixels) = pixels(bytes).map_err(|error| wrong(error.to_string()))?;
         Ok(Self { size, pixels, sha256, moment, number: number_in_name(file) })
     }
 
@@ -162,7 +162,24 @@ pub(super) fn encapsulated_end(out: &mut dyn Write, length: u64) -> std::io::Res
     out.write_all(&[0xFE, 0xFF, 0xDD, 0xE0, 0, 0, 0, 0])
 }
 
-fn pixels(bytes: Vec<u8>) -> Result<((u16, u16), Pixels), String> {
+/// Why a picture cannot be a still.
+#[derive(Debug, thiserror::Error)]
+enum StillError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Read(#[from] std::io::Error),
+    /// It cannot be decoded.
+    #[error(transparent)]
+    Decode(#[from] image::ImageError),
+    /// It is empty or too large.
+    #[error("{width} x {height} px; DICOM holds at most 65535 in each direction")]
+    Size { width: u32, height: u32 },
+    /// Its pixels are of another kind.
+    #[error("its pixels are {color:?}; stills have 8 bits, gray or RGB")]
+    Color { color: image::ColorType },
+}
+
+fn pixels(bytes: Vec<u8>) -> Result<((u16, u16), Pixels), StillError> {
     if let Some(found) = jpeg::parse(&bytes).filter(|found| found.is_baseline && found.size.0 > 0 && found.size.1 > 0) {
         let photometric = match (found.components, found.is_rgb) {
             (1, _) => Some("MONOCHROME2"),
@@ -176,22 +193,21 @@ fn pixels(bytes: Vec<u8>) -> Result<((u16, u16), Pixels), String> {
             return Ok((found.size, Pixels::Jpeg(u16::from(found.components), photometric, bytes)));
         }
     }
-    let mut reader =
-        ImageReader::new(std::io::Cursor::new(&bytes)).with_guessed_format().map_err(|error| error.to_string())?;
+    let mut reader = ImageReader::new(std::io::Cursor::new(&bytes)).with_guessed_format()?;
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(MAX_PIXELS * 8);
     reader.limits(limits);
-    let picture = reader.decode().map_err(|error| error.to_string())?;
+    let picture = reader.decode()?;
     let size = |width: u32, height: u32| match (u16::try_from(width), u16::try_from(height)) {
         (Ok(width), Ok(height)) if width > 0 && height > 0 => Ok((width, height)),
-        _ => Err(format!("{width} x {height} px; DICOM holds at most 65535 in each direction")),
+        _ => Err(StillError::Size { width, height }),
     };
     let size = size(picture.width(), picture.height())?;
     let (samples, pixels) = match picture {
         DynamicImage::ImageLuma8(gray) => (1, gray.into_raw()),
         DynamicImage::ImageRgb8(rgb) => (3, rgb.into_raw()),
         DynamicImage::ImageRgba8(_) => (3, picture.into_rgb8().into_raw()),
-        other => return Err(format!("its pixels are {:?}; stills have 8 bits, gray or RGB", other.color())),
+        other => return Err(StillError::Color { color: other.color() }),
     };
     Ok((size, Pixels::Plain(samples, pixels)))
 }

@@ -2,15 +2,18 @@
 
 use std::sync::Arc;
 
-use panoscope_graph::{Catalog, Edge, Graph};
+use panoscope_abi as abi;
+use panoscope_graph::{Catalog, Edge, Graph, Node, NodeType};
 
-use super::ApplyError;
+use crate::applied::ApplyError;
+use crate::claims::Claims;
 use crate::engine::{Current, type_name};
 use crate::instance::Instance;
-use crate::node::{NodeRuntime, RunContext};
+use crate::node::NodeRuntime;
 use crate::params::Snapshot;
 use crate::plan::{self, Extent, Plan};
 use crate::region::Region;
+use crate::run_context::RunContext;
 
 /// When a change is to be made.
 pub(super) enum When<'a> {
@@ -145,6 +148,45 @@ pub(super) fn inherited(old: &[Edge], new: &[Edge]) -> Vec<Option<usize>> {
         .collect()
 }
 
+/// Whether a node of the running graph gets a new runtime: it is of another type or a rebuilt plugin, or runs elsewhere.
+fn is_replaced(
+    runtime: &NodeRuntime,
+    node_type: &'static abi::NodeType,
+    was: &Node,
+    is: &Node,
+    as_once: &[String],
+) -> bool {
+    !std::ptr::eq(runtime.declared, node_type)
+        || was.isolate != is.isolate
+        || was.deny != is.deny
+        || was.machine != is.machine
+        || runtime.cpu != is.cpu
+        || as_once.contains(&is.id)
+}
+
+/// How the values of a node differ that keeps its runtime.
+fn changed_values(description: &NodeType, was: &Node, is: &Node) -> Values {
+    let differs = |i: &usize| was.params.get(*i) != is.params.get(*i);
+    let changed: Vec<usize> = (0..description.params.len()).filter(differs).collect();
+    if changed.iter().any(|&i| description.params[i].reopen) {
+        Values::Reopen(Opens::Beside)
+    } else if changed.is_empty() {
+        Values::Same
+    } else {
+        Values::Live
+    }
+}
+
+/// Whether a node opens only after its predecessor, or one of the nodes in `freed`, has closed.
+fn opens_after_close(change: NodeChange, runtime: &NodeRuntime, freed: &[&NodeRuntime], claims: &Claims) -> bool {
+    if change.is_added() {
+        let has_same_device = |old: &&NodeRuntime| type_name(old.node_type) == type_name(runtime.node_type);
+        return runtime.exclusive && freed.iter().filter(|old| old.exclusive).any(has_same_device);
+    }
+    // A node that claims its files can write beside its predecessor, so that a refused change leaves that one as it is.
+    runtime.exclusive || (runtime.side_effects && !claims.are_used_by(&runtime.id))
+}
+
 impl Change {
     pub(super) fn between(
         old: &Plan,
@@ -155,7 +197,6 @@ impl Change {
         as_once: &[String],
         context: &RunContext,
     ) -> Result<Self, ApplyError> {
-        let claims = &context.claims;
         let stale = |error: &dyn std::fmt::Display| ApplyError::Stale { reason: error.to_string() };
         let mut runtimes = old.runtimes.clone();
         let mut free: Vec<usize> = (0..runtimes.len()).filter(|&s| !old.alive[s]).rev().collect();
@@ -169,26 +210,11 @@ impl Change {
                 Some(before) => {
                     let slot = current.slots[before];
                     slots.push(slot);
-                    let runtime = &old.runtimes[slot];
-                    let is_replaced = !std::ptr::eq(runtime.declared, node_type)
-                        || current.graph.nodes[before].isolate != graph.nodes[node].isolate
-                        || current.graph.nodes[before].deny != graph.nodes[node].deny
-                        || current.graph.nodes[before].machine != graph.nodes[node].machine
-                        || runtime.cpu != graph.nodes[node].cpu
-                        || as_once.contains(&graph.nodes[node].id);
-                    if is_replaced {
+                    let (was, is) = (&current.graph.nodes[before], &graph.nodes[node]);
+                    if is_replaced(&old.runtimes[slot], node_type, was, is, as_once) {
                         NodeChange::Replaced(Opens::Beside)
                     } else {
-                        let values = &current.graph.nodes[before].params;
-                        let differs = |i: &usize| values.get(*i) != graph.nodes[node].params.get(*i);
-                        let changed: Vec<usize> = (0..description.params.len()).filter(differs).collect();
-                        let values = if changed.iter().any(|&i| description.params[i].reopen) {
-                            Values::Reopen(Opens::Beside)
-                        } else if changed.is_empty() {
-                            Values::Same
-                        } else {
-                            Values::Live
-                        };
+                        let values = changed_values(description, was, is);
                         NodeChange::RetainedFrames { values, rewired: false }
                     }
                 }
@@ -218,30 +244,13 @@ impl Change {
                 *rewired = was != connections(graph, &slots, node);
             }
         }
-        let gives_device_back = |runtime: &NodeRuntime| {
-            let freed = removed
-                .iter()
-                .copied()
-                .chain((0..slots.len()).filter(|&n| node_changes[n].is_replaced()).map(|n| slots[n]));
-            freed.into_iter().any(|s| {
-                old.runtimes[s].exclusive && type_name(old.runtimes[s].node_type) == type_name(runtime.node_type)
-            })
-        };
-        let opens_after_close: Vec<bool> = (0..slots.len())
-            .map(|node| {
-                let runtime = &runtimes[slots[node]];
-                let change = node_changes[node];
-                // A node that claims its files can write beside its predecessor, so that a refused change leaves that one as it is.
-                let acts = runtime.side_effects && !claims.are_used_by(&runtime.id);
-                if change.is_added() {
-                    runtime.exclusive && gives_device_back(runtime)
-                } else {
-                    runtime.exclusive || acts
-                }
-            })
-            .collect();
-        for (change, _) in node_changes.iter_mut().zip(opens_after_close).filter(|(_, after)| *after) {
-            change.set_opens(Opens::AfterClose);
+        let replaced = (0..slots.len()).filter(|&n| node_changes[n].is_replaced()).map(|n| slots[n]);
+        let freed: Vec<&NodeRuntime> =
+            removed.iter().copied().chain(replaced).map(|slot| &*old.runtimes[slot]).collect();
+        for (change, &slot) in node_changes.iter_mut().zip(&slots) {
+            if opens_after_close(*change, &runtimes[slot], &freed, &context.claims) {
+                change.set_opens(Opens::AfterClose);
+            }
         }
         let plan = plan::lay_out(graph, catalog, runtimes, slots, old.ticks_at_once, Some(old));
         let mut change = Self { plan, node_changes, removed, held: Vec::new(), quiet: Vec::new() };

@@ -5,8 +5,6 @@
 //! are not affected. A failure before the switch leaves everything as it was.
 
 mod change;
-mod change_lock;
-mod outcome;
 mod switch;
 
 use std::ops::ControlFlow;
@@ -16,9 +14,8 @@ use std::time::{Duration, Instant};
 use panoscope_graph::{Catalog, Graph, Mode};
 
 use self::change::{Change, NodeChange, Opened, Opens, When};
-pub(crate) use self::change_lock::ChangeLock;
-pub use self::outcome::{Applied, ApplyError};
 use self::switch::Switch;
+use crate::applied::{Applied, ApplyError};
 use crate::busy::CallKind;
 use crate::engine::{Engine, type_name};
 use crate::guard::{CallError, Limit};
@@ -227,10 +224,10 @@ impl Engine {
     fn wait_for(&self, until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
         let before_bytes = memory().in_use_bytes();
         // Sources go on meanwhile, and so do other regions: they need frames, too.
-        let most_bytes = (memory().limit_bytes() - before_bytes) / 4 * 3;
+        let max_bytes = (memory().limit_bytes() - before_bytes) / 4 * 3;
         while let Some(node) = busy() {
             let waiting_bytes = memory().in_use_bytes() - before_bytes;
-            if waiting_bytes > most_bytes {
+            if waiting_bytes > max_bytes {
                 return Err(ApplyError::Memory { node, waiting_mb: waiting_bytes >> 20 });
             }
             if self.shared.is_stopping() {
@@ -250,10 +247,8 @@ impl Engine {
     /// The node did not return: its instance is lost, and the node restarts.
     fn save(&self, runtime: &Arc<NodeRuntime>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
         let shared = &self.shared;
-        let Some(mut exec) = runtime.exec.take() else { return Ok(None) };
         let limit = Limit::until_stop(shared.context.close_limit);
-        let mut instance = std::mem::replace(&mut exec.instance, Instance::none(runtime.node_type));
-        runtime.exec.put(exec);
+        let Some(mut instance) = runtime.take_instance() else { return Ok(None) };
         let lost = |error: CallError| {
             shared.report_no_return(runtime, &error);
             shared.start_restart(runtime);
@@ -272,9 +267,8 @@ impl Engine {
             let (me, mine) = (Arc::clone(shared), Arc::clone(runtime));
             let end = move || mine.end(&me.context, instance);
             shared.call_guarded(limit, runtime, CallKind::Close, end).map_err(lost)?;
-        } else if let Some(mut exec) = runtime.exec.take() {
-            exec.instance = instance;
-            runtime.exec.put(exec);
+        } else {
+            runtime.exec.with(|exec| exec.instance = instance);
         }
         Ok(state)
     }
@@ -409,12 +403,7 @@ impl Engine {
             let loaded = opened
                 .and_then(|instance| self.load(runtime, instance, state.as_ref()).map_err(|error| error.to_string()));
             match loaded {
-                Ok(instance) => {
-                    if let Some(mut exec) = runtime.exec.take() {
-                        exec.instance = instance.begun();
-                        runtime.exec.put(exec);
-                    }
-                }
+                Ok(instance) => _ = runtime.exec.with(|exec| exec.instance = instance.begun()),
                 Err(words) => {
                     runtime.open_failed(&self.shared.context, &words, None);
                     self.shared.start_restart(runtime);

@@ -7,8 +7,8 @@ use std::time::Instant;
 use panoscope_graph::{Catalog, Graph};
 
 use super::change::{Change, NodeChange, Opened, Opens, When, connections, inherited};
-use super::outcome::Applied;
 use super::resume_inputs;
+use crate::applied::Applied;
 use crate::engine::{Current, Engine, type_name};
 use crate::instance::Instance;
 use crate::node::NodeRuntime;
@@ -188,13 +188,12 @@ impl Switch<'_> {
             runtime.recovery.begin_restart();
             return runtime.replace_instance(instance, Some(snapshot)).map(|unused| (slot, unused));
         }
-        if let Some(mut exec) = runtime.exec.take() {
+        runtime.exec.with(|exec| {
             exec.instance = instance.begun();
             // A node that was bypassed after a fault runs again.
             exec.bypassed = false;
             exec.bad_in_a_row = 0;
-            runtime.exec.put(exec);
-        }
+        });
         runtime.recovery.set_permanent(false);
         if change.is_reopened() {
             runtime.recovery.begin_restart();
@@ -252,10 +251,7 @@ impl Switch<'_> {
             finished = inputs.unfinish();
             drop(inputs);
             runtime.set_ranges(ranges.clone());
-            if let Some(mut exec) = runtime.exec.take() {
-                exec.ranges = ranges;
-                runtime.exec.put(exec);
-            }
+            runtime.exec.with(|exec| exec.ranges = ranges);
         }
         for index in ended {
             lock(&runtime.join).end(index);

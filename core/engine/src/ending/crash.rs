@@ -10,7 +10,8 @@ use std::mem::MaybeUninit;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
 use super::line::Line;
-use super::{current_node, rescue};
+use super::rescue;
+use crate::current_node;
 use crate::log;
 
 const SIGNALS: [c_int; 5] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGABRT];

@@ -6,7 +6,8 @@
 use std::ffi::c_int;
 
 use super::line::Line;
-use super::{crash, current_node, rescue};
+use super::{crash, rescue};
+use crate::current_node;
 use crate::log;
 
 /// Which of C's functions was called.

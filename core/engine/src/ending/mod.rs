@@ -8,7 +8,6 @@
 //! [`guard_exits!`](crate::guard_exits).
 
 mod crash;
-pub(crate) mod current_node;
 mod exit;
 mod line;
 mod rescue;

@@ -4,10 +4,9 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicPtr, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
-use super::current_node::NodeNames;
-use super::current_node::thread_id;
 use super::line::Line;
 use crate::clock;
+use crate::current_node::{NodeNames, thread_id};
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::log;
 use crate::node::NodeRuntime;

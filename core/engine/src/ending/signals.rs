@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 use super::exit::leave;
 use super::line::Line;
-use super::{crash, current_node, finish_files};
-
+use super::{crash, finish_files};
+use crate::current_node;
 use crate::sync::lock;
 
 const SIGNALS: [c_int; 6] = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGUSR1, libc::SIGUSR2, libc::SIGXCPU];

@@ -16,22 +16,23 @@ use panoscope_abi as abi;
 use panoscope_graph::{Catalog, Graph, Mode, Param, Validator};
 
 pub use self::options::{Options, Outcome, SetError, StartError};
-use crate::apply::ChangeLock;
+use crate::change_lock::ChangeLock;
 use crate::claims::Claims;
 use crate::clock;
 use crate::ending;
-use crate::fault::{Fault, FaultLog};
+use crate::fault::{Fault, FaultCursor, FaultLog};
 use crate::guard::Limit;
 use crate::host;
 use crate::isolation::Groups;
 use crate::light::Sources;
 use crate::log::{Level, Log};
-use crate::node::{MAX_BUDGET_NS, NodeRuntime, RunContext};
-use crate::plan;
+use crate::node::{MAX_BUDGET_NS, NodeRuntime};
+use crate::plan::{self, Plan};
 use crate::plugins::Plugins;
 use crate::pool::{self, Pool, Task};
 use crate::preview::{Listener, Preview};
 use crate::report::{NodeWindow, Report, Window};
+use crate::run_context::RunContext;
 use crate::schedule::{AllocationMeter, Ready, Shared};
 use crate::sync::lock;
 
@@ -85,16 +86,8 @@ impl Engine {
             0 => std::thread::available_parallelism().map_or(1, usize::from),
             n => n,
         };
-        let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
         let groups = Groups::new(plugins.isolator(), threads, options.group_memory_bytes, options.keep_group_stderr);
-        let mut runtimes = Vec::with_capacity(graph.nodes.len());
-        for node in 0..graph.nodes.len() {
-            let node_type = plan::entry_of(&graph, node, &entry)
-                .map_err(|error| StartError::Stale { reason: error.to_string() })?;
-            let group =
-                groups.of(&graph.nodes[node]).map_err(|error| StartError::Stale { reason: error.to_string() })?;
-            runtimes.push(plan::runtime(&graph, catalog, node, node_type, group));
-        }
+        let runtimes = runtimes(&graph, catalog, plugins, &groups)?;
         let slots: Vec<usize> = (0..runtimes.len()).collect();
         let plan = plan::lay_out(&graph, catalog, runtimes, slots.clone(), options.ticks_at_once, None);
         for numbers in &options.numbers {
@@ -104,12 +97,11 @@ impl Engine {
         }
         let listening = listen(&graph, catalog, &plan.runtimes, &options.listen)?;
         let batch = graph.mode == Mode::Batch;
-        let start_ns = clock::now_ns();
         let context = RunContext {
             host: host::table(threads),
             log: Log::new(options.log),
             faults: FaultLog::new(options.faults),
-            start_ns,
+            start_ns: clock::now_ns(),
             graph_dir: absolute(&options.graph_dir),
             batch,
             observer: options.observer,
@@ -123,35 +115,8 @@ impl Engine {
             vet: plugins.vet(),
             stopped: Mutex::default(),
         };
-        let hurried = !context.ignores_wall_clock();
-        let pool = Pool::new(threads);
-        let count = plan.runtimes.len();
-        let warm_up_ticks = options.frames.map_or(30, |n| (n / 4).min(30)).max(1);
-        let patience = u64::try_from(options.hang.as_nanos()).map_or(MAX_BUDGET_NS, |ns| ns.min(MAX_BUDGET_NS));
-        let shared = Arc::new_cyclic(|me| Shared {
-            me: me.clone(),
-            plan: ArcSwap::from_pointee(plan),
-            pool,
-            context,
-            paced: options.paced,
-            frames: options.frames,
-            stopping: AtomicBool::new(false),
-            failed: Mutex::new(None),
-            broken: AtomicBool::new(false),
-            unfinished: AtomicUsize::new(count),
-            finished: Condvar::new(),
-            finished_lock: Mutex::new(()),
-            finishing: Mutex::new(()),
-            start_ns,
-            end_ns: AtomicU64::new(0),
-            allocations: AllocationMeter { count: options.process_allocations, warm_up_ticks, ..Default::default() },
-            waiting_nearest: AtomicI64::new(0),
-            own_threads: Mutex::default(),
-            hang_ns: if hurried { patience } else { patience.saturating_mul(30) },
-            stop_ns: AtomicU64::new(0),
-            stop_limit_ns: patience,
-            frame_ns: AtomicU64::new(33_333_333),
-        });
+        let Options { paced, frames, hang, process_allocations, .. } = options;
+        let shared = new_shared(plan, context, threads, (paced, frames), hang, process_allocations);
         // Nodes run parallel loops while they open.
         let pool_started = start_pool(&shared).map_err(|cause| StartError::Thread { cause });
         if let Err(error) = pool_started.and_then(|()| open_all(&shared)) {
@@ -341,6 +306,12 @@ impl Engine {
         self.shared.context.faults.recent()
     }
 
+    /// Moves `cursor` past the newest fault; a cursor of another run starts at the first fault. Returns whether its faults changed. Cheap where
+    /// there are no new ones, for displays.
+    pub fn faults_since(&self, cursor: &mut FaultCursor) -> bool {
+        self.shared.context.faults.advance(cursor)
+    }
+
     /// Ticks that the busiest source has made.
     pub fn ticks(&self) -> u64 {
         let plan = self.shared.plan.load();
@@ -362,6 +333,61 @@ impl Drop for Engine {
     fn drop(&mut self) {
         self.close(Duration::from_secs(5));
     }
+}
+
+/// A runtime without an instance for each node of a graph.
+fn runtimes(
+    graph: &Graph,
+    catalog: &Catalog,
+    plugins: &dyn Plugins,
+    groups: &Groups,
+) -> Result<Vec<Arc<NodeRuntime>>, StartError> {
+    let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
+    let stale = |error: &dyn std::fmt::Display| StartError::Stale { reason: error.to_string() };
+    let one = |node: usize| {
+        let node_type = plan::entry_of(graph, node, &entry).map_err(|error| stale(&error))?;
+        let group = groups.of(&graph.nodes[node]).map_err(|error| stale(&error))?;
+        Ok(plan::runtime(graph, catalog, node, node_type, group))
+    };
+    (0..graph.nodes.len()).map(one).collect()
+}
+
+/// The state of a run whose nodes are not open yet.
+fn new_shared(
+    plan: Plan,
+    context: RunContext,
+    threads: usize,
+    (paced, frames): (bool, Option<u64>),
+    hang: Duration,
+    process_allocations: Option<fn() -> u64>,
+) -> Arc<Shared> {
+    let hurried = !context.ignores_wall_clock();
+    let warm_up_ticks = frames.map_or(30, |n| (n / 4).min(30)).max(1);
+    let patience = u64::try_from(hang.as_nanos()).map_or(MAX_BUDGET_NS, |ns| ns.min(MAX_BUDGET_NS));
+    Arc::new_cyclic(|me| Shared {
+        me: me.clone(),
+        pool: Pool::new(threads),
+        paced,
+        frames,
+        stopping: AtomicBool::new(false),
+        failed: Mutex::new(None),
+        broken: AtomicBool::new(false),
+        unfinished: AtomicUsize::new(plan.runtimes.len()),
+        plan: ArcSwap::from_pointee(plan),
+        finished: Condvar::new(),
+        finished_lock: Mutex::new(()),
+        finishing: Mutex::new(()),
+        start_ns: context.start_ns,
+        context,
+        end_ns: AtomicU64::new(0),
+        allocations: AllocationMeter { count: process_allocations, warm_up_ticks, ..Default::default() },
+        waiting_nearest: AtomicI64::new(0),
+        own_threads: Mutex::default(),
+        hang_ns: if hurried { patience } else { patience.saturating_mul(30) },
+        stop_ns: AtomicU64::new(0),
+        stop_limit_ns: patience,
+        frame_ns: AtomicU64::new(33_333_333),
+    })
 }
 
 /// Adds listeners to ports of nodes that are not open yet. At this time slots equal positions in the graph.
@@ -410,15 +436,8 @@ fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
     let mut failed = None;
     shared.guarded(Limit::until_stop(shared.context.open_limit), Result::is_ok, calls, |runtime, answer| {
         match answer.map_err(|error| error.to_string()).and_then(|opened| opened.map_err(|refusal| refusal.message)) {
-            Ok(instance) => {
-                if let Some(mut exec) = runtime.exec.take() {
-                    exec.instance = instance.begun();
-                    runtime.exec.put(exec);
-                }
-            }
-            Err(reason) => {
-                failed = Some((runtime.id.clone(), type_name(runtime.node_type), reason));
-            }
+            Ok(instance) => _ = runtime.exec.with(|exec| exec.instance = instance.begun()),
+            Err(reason) => failed = Some((runtime.id.clone(), type_name(runtime.node_type), reason)),
         }
         if failed.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });

@@ -15,7 +15,7 @@ use crate::sync::lock;
 pub(crate) const MAX_BUDGET_NS: u64 = 100 * 24 * 3600 * 1_000_000_000;
 
 /// Incremented when parameters, instance or policy change. A call that sees the same epoch skips all three checks.
-pub(super) struct ConfigEpoch(AtomicU64);
+pub(crate) struct ConfigEpoch(AtomicU64);
 
 impl ConfigEpoch {
     /// A new `Exec` has epoch 0, so its first call reads everything.
@@ -37,7 +37,7 @@ impl ConfigEpoch {
 type Replacement = (Instance, Option<Arc<Snapshot>>);
 
 /// See the module.
-pub(super) struct Config {
+pub(crate) struct Config {
     on_fault: AtomicU8,
     /// 0 for none.
     budget_ns: AtomicU64,

@@ -1,21 +1,13 @@
 //! A node of a running graph: its instance, its inputs, its counters.
 
-mod call;
 mod config;
-mod decided;
-pub(crate) mod failures;
-mod finish;
-pub(crate) mod open;
 mod progress;
 mod recovery;
 mod runner;
 mod ticks;
-mod trial;
 
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
-use std::time::Duration;
 
 use panoscope_abi::{self as abi, PortRange, Tick};
 use panoscope_graph::{NodeKind, OnFault};
@@ -28,116 +20,16 @@ use self::recovery::Recovery;
 use self::runner::Runner;
 use self::ticks::SourceTicks;
 use crate::busy::Busy;
-use crate::claims::Claims;
-use crate::clock;
-use crate::decide::Decider;
-use crate::ending::current_node::{NodeNames, Running};
+use crate::current_node::{NodeNames, Running};
 use crate::exec::{Exec, ExecPlace};
-use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
 use crate::instance::Instance;
-use crate::isolation::{Group, Groups};
+use crate::isolation::Group;
 use crate::join::Join;
-use crate::light::Sources;
-use crate::log::{Level, Log};
-use crate::memory::FrameRef;
-use crate::observe::Observer;
 use crate::outputs::OutputRule;
 use crate::params::Snapshot;
 use crate::preview::{HearNumberFn, Subscribers};
-use crate::scratch::CallOutputs;
 use crate::stats::NodeStats;
 use crate::sync::lock;
-use crate::trace::Tracer;
-use crate::vet::Vet;
-
-/// Frames that a node may retain between calls.
-pub(crate) const MAX_RETAINED_FRAMES: usize = 128;
-/// Longest wait for the reader of the log, and for the fault log.
-const MAX_FLUSH: Duration = Duration::from_secs(1);
-/// Calls in a row without output after which a node counts as silent.
-const SILENT_CALLS: u32 = 30;
-
-/// What all calls of an engine share.
-pub(crate) struct RunContext {
-    pub host: abi::Host,
-    pub log: Log,
-    pub faults: FaultLog,
-    pub start_ns: u64,
-    pub graph_dir: String,
-    pub batch: bool,
-    /// Receives everything that happens.
-    pub observer: Option<Arc<dyn Observer>>,
-    /// Receives the times of every call.
-    pub tracer: Option<Arc<dyn Tracer>>,
-    /// Makes the decisions that otherwise depend on time.
-    pub decider: Option<Arc<dyn Decider>>,
-    /// Heap allocations of the calling thread so far.
-    pub thread_allocations: Option<fn() -> u64>,
-    /// Time limits for opening a node, and for closing it, saving or loading its state.
-    pub open_limit: Duration,
-    pub close_limit: Duration,
-    /// Files that nodes of this run write.
-    pub claims: Arc<Claims>,
-    /// Groups of isolated nodes.
-    pub groups: Groups,
-    /// Decides which nodes are tried in a process of their own before they open.
-    pub vet: Option<Arc<dyn Vet>>,
-    /// Nodes that lost data for good, with the reason.
-    pub stopped: Mutex<BTreeMap<String, String>>,
-}
-
-impl RunContext {
-    /// Reports that the recording has a gap or ends; the run continues.
-    pub fn recording_trouble(&self, words: &str) {
-        self.log.write(Level::Warn, "record", words);
-        self.faults.put(Fault {
-            unix_ms: unix_ms(),
-            run_ms: clock::now_ns().saturating_sub(self.start_ns) as f64 / 1e6,
-            node: "record".to_owned(),
-            cause: Cause::Recording,
-            words: words.to_owned(),
-            done: Action::Note,
-            seq: None,
-            late_ms: None,
-            count: 1,
-        });
-    }
-
-    /// Makes a recorded node produce all its outputs, if the observer wants them.
-    pub fn make_all_recorded_outputs(&self, runtime: &NodeRuntime) {
-        let wants = |o: &Arc<dyn Observer>| o.wants_all_outputs() || runtime.source && o.wants_all_source_outputs();
-        if self.observer.as_ref().is_some_and(wants) {
-            runtime.outputs_read.store(u64::MAX, Ordering::Relaxed);
-        }
-    }
-
-    /// Waits until log lines and faults are passed on, but no longer than [`MAX_FLUSH`] for a reader that does not read.
-    pub fn flush(&self) {
-        self.log.flush(MAX_FLUSH);
-        self.faults.flush(MAX_FLUSH);
-    }
-
-    /// Whether results must not depend on the wall clock (batch, replay): a tick waits instead of being dropped.
-    pub fn ignores_wall_clock(&self) -> bool {
-        self.batch || self.decider.is_some()
-    }
-}
-
-/// How a call ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum CallOutcome {
-    Ok,
-    /// A source has ended.
-    End,
-    /// Not called: an input was empty, or the node is down.
-    Skipped,
-    /// It failed; the graph continues.
-    Fault,
-    /// It failed, and the graph has to stop.
-    Stop,
-    /// The watchdog abandoned this call; the thread must return without touching anything.
-    Abandoned,
-}
 
 /// A node of a running graph. The fields that every call touches lie in the first cache line.
 #[repr(C, align(64))]
@@ -145,7 +37,7 @@ pub(crate) struct NodeRuntime {
     pub exec: ExecPlace,
     /// The running call.
     pub busy: Busy,
-    config_epoch: ConfigEpoch,
+    pub config_epoch: ConfigEpoch,
     outputs_read: AtomicU64,
     pub subscribers: Subscribers,
     pub id: String,
@@ -164,7 +56,7 @@ pub(crate) struct NodeRuntime {
     /// Names of the outputs.
     pub output_names: Arc<[String]>,
     pub join: Mutex<Join>,
-    config: Config,
+    pub config: Config,
     /// Failures and restarts.
     pub recovery: Recovery,
     /// The thread of a node that has one.
@@ -185,22 +77,6 @@ pub(crate) struct NodeRuntime {
 
 // The last field that every call touches is the count of readers at the start of `subscribers`.
 const _: () = assert!(std::mem::offset_of!(NodeRuntime, subscribers) + size_of::<usize>() <= 64);
-
-/// A request of a node that the host refused.
-pub(crate) type Refused = Box<(Cause, String)>;
-
-/// Readers that run inline have one input.
-const ONE_INPUT: &[PortRange] = &[PortRange { first: 0, count: 1 }];
-
-/// Inputs and outputs of a call.
-pub(crate) struct Ports<'w> {
-    pub inputs: &'w mut [FrameRef],
-    /// Whether the node has one input port with one connection.
-    pub lone: bool,
-    pub made: &'w mut CallOutputs,
-    /// The sources of the graph.
-    pub sources: &'w dyn Sources,
-}
 
 /// The fixed settings of a node.
 pub(crate) struct NodeSpec {
@@ -279,9 +155,14 @@ impl NodeRuntime {
         self.outputs_read.store(bits, Ordering::Relaxed);
     }
 
+    /// Outputs with a reader, one bit each; all beyond the 64th are made.
+    pub fn outputs_read(&self) -> u64 {
+        self.outputs_read.load(Ordering::Relaxed)
+    }
+
     /// Whether an output has a reader.
     pub fn is_read(&self) -> bool {
-        self.outputs_read.load(Ordering::Relaxed) != 0
+        self.outputs_read() != 0
     }
 
     /// Somebody reads an output from the next tick on.
@@ -370,10 +251,15 @@ impl NodeRuntime {
     pub fn take_instances(&self) -> (Vec<Instance>, bool) {
         let mut all = self.recovery.take_broken();
         all.extend(self.take_replacement());
-        let Some(mut exec) = self.exec.take() else { return (all, false) };
-        all.push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
-        self.exec.put(exec);
-        (all, true)
+        let running = self.take_instance();
+        let is_at_rest = running.is_some();
+        all.extend(running);
+        (all, is_at_rest)
+    }
+
+    /// Takes the instance that ticks run on; `None` if a thread runs the node.
+    pub fn take_instance(&self) -> Option<Instance> {
+        self.exec.with(|exec| std::mem::replace(&mut exec.instance, Instance::none(self.node_type)))
     }
 
     /// Whether the node writes files: it has a parameter that names one.

@@ -13,6 +13,7 @@ use arc_swap::ArcSwap;
 use panoscope_abi::{Frame, Tick};
 use panoscope_base::format;
 
+use crate::call::{CallOutcome, NoOutcome, Ports};
 use crate::clock;
 use crate::convert;
 use crate::exec::{Exec, prefetch};
@@ -20,11 +21,12 @@ use crate::fault::{Action, Cause};
 use crate::light::{Lag, Sources};
 use crate::log::Level;
 use crate::memory::FrameRef;
-use crate::node::{CallOutcome, NodeRuntime, Ports, RunContext, SizeChange};
+use crate::node::{NodeRuntime, SizeChange};
 use crate::own_thread::OwnThread;
 use crate::plan::{Link, Plan, Reader};
 use crate::pool::{self, Pool, Urgency};
 use crate::region::Freed;
+use crate::run_context::RunContext;
 use crate::scratch::{Scratch, clear};
 use crate::stats::bump;
 use crate::sync::lock;
@@ -173,11 +175,6 @@ impl Shared {
     /// Runs one staged tick of a node and its inline chain. Returns whether the next tick is staged, `None` if a call was abandoned.
     fn run_tick(&self, plan: &Plan, node: usize, scratch: &mut Scratch, ready: &mut Ready) -> Option<bool> {
         let runtime = &plan.runtimes[node];
-        let Some(mut exec) = runtime.exec.take() else {
-            // The engine closed it; it does not run again.
-            lock(&runtime.join).set_running(false);
-            return Some(false);
-        };
         let staged = {
             let mut join = lock(&runtime.join);
             scratch.inputs.append(&mut join.staged);
@@ -188,27 +185,24 @@ impl Shared {
             let start_ns = clock::now_ns();
             let (inputs, made) = (&mut scratch.inputs, &mut scratch.made[0]);
             let mut ports = Ports { inputs, lone: false, made, sources: plan };
-            let (outcome, now_ns) = runtime.run(&mut exec, &self.context, &mut tick, complete, start_ns, &mut ports);
-            if outcome == CallOutcome::Abandoned {
-                Self::discard_abandoned(runtime, exec, scratch);
-                return None;
-            }
+            let called = match runtime.call_node(&self.context, &mut tick, complete, start_ns, &mut ports) {
+                Ok(called) => called,
+                Err(NoOutcome::Closed) => {
+                    scratch.inputs.clear();
+                    lock(&runtime.join).set_running(false);
+                    return Some(false);
+                }
+                Err(NoOutcome::Abandoned) => {
+                    runtime.abandoned_call_returned(scratch);
+                    return None;
+                }
+            };
             scratch.inputs.clear();
-            runtime.exec.put(exec);
-            self.after(plan, node, plan.wiring[node].sink, outcome, &tick, now_ns);
-            let end_ns = self.chain(plan, node, tick, now_ns, scratch, ready)?;
+            self.after(plan, node, plan.wiring[node].sink, called.outcome, &tick, called.end_ns);
+            let end_ns = self.chain(plan, node, tick, called.end_ns, scratch, ready)?;
             runtime.runner.record_chain_time(end_ns.saturating_sub(start_ns));
-        } else {
-            runtime.exec.put(exec);
         }
         Some(self.take_next(plan, node, ready))
-    }
-
-    /// An abandoned call returned. The watchdog has done everything else.
-    pub fn discard_abandoned(runtime: &NodeRuntime, exec: Box<Exec>, scratch: &mut Scratch) {
-        drop(exec);
-        scratch.clear();
-        runtime.recovery.remove_stuck();
     }
 
     /// Passes a node's outputs to its subscribers and to the observer.
@@ -290,12 +284,6 @@ impl Shared {
                 unsafe { clear(std::slice::from_mut(frame)) };
             }
             let runtime = &*link.runtime;
-            let Some(mut exec) = runtime.exec.take() else {
-                // The engine closed it at the end of a run, after the time limit.
-                made.clear();
-                self.skip_from(plan, link.node as usize, tick, ready);
-                return Some(now_ns);
-            };
             let complete = link.optional || !frame.is_empty();
             // Outputs of a call carry the tick already; writing it again would delay the next reader.
             if frame.is_empty() {
@@ -305,17 +293,24 @@ impl Shared {
             // SAFETY: an output of a call that has ended is empty or holds its reference, and `made` keeps holding it.
             let inputs = std::slice::from_mut(unsafe { FrameRef::adopt_in_place(frame) });
             let mut ports = Ports { inputs, lone: link.lone, made: next, sources: plan };
-            let (outcome, end_ns) = runtime.run(&mut exec, &self.context, &mut tick, complete, now_ns, &mut ports);
-            if outcome == CallOutcome::Abandoned {
-                Self::discard_abandoned(runtime, exec, scratch);
-                return None;
-            }
+            let called = match runtime.call_node(&self.context, &mut tick, complete, now_ns, &mut ports) {
+                Ok(called) => called,
+                Err(NoOutcome::Closed) => {
+                    // At the end of a run, after the time limit.
+                    made.clear();
+                    self.skip_from(plan, link.node as usize, tick, ready);
+                    return Some(now_ns);
+                }
+                Err(NoOutcome::Abandoned) => {
+                    runtime.abandoned_call_returned(scratch);
+                    return None;
+                }
+            };
             made.clear();
-            runtime.exec.put(exec);
-            if link.sink || outcome != CallOutcome::Ok {
-                self.after(plan, link.node as usize, link.sink, outcome, &tick, end_ns);
+            if link.sink || called.outcome != CallOutcome::Ok {
+                self.after(plan, link.node as usize, link.sink, called.outcome, &tick, called.end_ns);
             }
-            now_ns = end_ns;
+            now_ns = called.end_ns;
             (last, last_cell) = (link.node as usize, runtime);
             std::mem::swap(&mut made, &mut next);
         }

@@ -87,9 +87,9 @@ impl Shared {
         runtime.report_repeated_fault(&self.context, Cause::TooOld, Action::Withhold, seq, || {
             let name = runtime.port_of_slot(slot).map_or("?", |port| runtime.input_name(port));
             let slot = &join.slots[slot];
-            let (count, most_ms) = (slot.too_old, slot.max_age_ns.unwrap_or(0) as f64 / 1e6);
+            let (count, max_ms) = (slot.too_old, slot.max_age_ns.unwrap_or(0) as f64 / 1e6);
             let message = format!(
-                "input `{name}` was older than `max_age_ms = {most_ms}` at {count} ticks so far: they went on without it"
+                "input `{name}` was older than `max_age_ms = {max_ms}` at {count} ticks so far: they went on without it"
             );
             self.context.log.write(crate::log::Level::Warn, &runtime.id, &message);
             message

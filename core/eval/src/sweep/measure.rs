@@ -118,10 +118,10 @@ impl Measure {
             let others: Vec<&str> = others.iter().map(String::as_str).collect();
             return Some(format!("there is no column `{column}`; columns are {}", part::list(&others)));
         }
-        (*rows == Rows::Only && received.most_rows > 1).then(|| {
+        (*rows == Rows::Only && received.max_rows > 1).then(|| {
             format!(
                 "the table has {} rows, which may be different measures: name one, {self}[1] to {self}[{}], or take all as one with {self}[*]",
-                received.most_rows, received.most_rows
+                received.max_rows, received.max_rows
             )
         })
     }
@@ -134,10 +134,10 @@ impl Measure {
         match self {
             Self::Port { rows, .. } => {
                 if let Rows::Nth(row) = rows
-                    && received.most_rows > 0
-                    && *row > received.most_rows
+                    && received.max_rows > 0
+                    && *row > received.max_rows
                 {
-                    let most = received.most_rows;
+                    let most = received.max_rows;
                     return Err(NoSummary::Run(format!("there is no row {row}: the table has up to {most}")));
                 }
                 if received.values.is_empty() && received.missing == 0 {
@@ -199,7 +199,7 @@ pub(super) struct Received {
     /// Columns of a table that does not have the wanted one.
     others: Option<Vec<String>>,
     /// The most rows that a table had.
-    most_rows: usize,
+    max_rows: usize,
     /// Numbers that the node reported: tick and value.
     numbers: Vec<((u32, u64), f64)>,
 }
@@ -219,7 +219,7 @@ impl Received {
             },
         };
         let count = numbers.rows().count();
-        self.most_rows = self.most_rows.max(count);
+        self.max_rows = self.max_rows.max(count);
         let wanted = |index: usize| match rows {
             Rows::Nth(row) => index + 1 == row,
             Rows::Only | Rows::All => true,

@@ -11,6 +11,7 @@ mod measure;
 mod part;
 mod report;
 mod run;
+mod run_measure;
 mod search;
 mod study;
 mod study_files;
@@ -22,8 +23,7 @@ pub use error::{MAX_STEPS, PointError, SweepError};
 pub use measure::{COUNTERS, Measure, Rows, Summary};
 pub use report::{chart, csv, json, line, table};
 pub use run::{Point, Request, Sweep, can_sweep};
+pub use run_measure::{RunMeasure, Statistic};
 pub use study::{MAX_RUNS, Plan, RunResult, Study, StudyRequest};
-pub use study_files::{
-    RESULTS, RunFile, RunMeasure, RunParam, Statistic, StudyFolder, study_csv, study_line, study_table,
-};
+pub use study_files::{RESULTS, RunFile, RunParam, StudyFolder, study_csv, study_line, study_table};
 pub use values::shown;

@@ -16,8 +16,8 @@ use super::axis::{Axis, AxisRequest, AxisValue, AxisValues, TYPE};
 use super::error::{PointError, SweepError};
 use super::measure::{Measure, NoSummary, Summary};
 use super::part;
+use super::run_measure::{RunMeasure, Statistic};
 use super::search::Search;
-use super::study_files::{RunMeasure, Statistic};
 use super::trial::Trial;
 
 /// Most runs of a study.

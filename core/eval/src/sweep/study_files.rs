@@ -10,8 +10,8 @@ use panoscope_record::{FileHash, hash_file};
 use serde::{Deserialize, Serialize};
 
 use super::error::PointError;
-use super::measure::Summary;
 use super::report::{failures, number};
+use super::run_measure::RunMeasure;
 use super::study::{RunResult, Study};
 use crate::error::{Context, EvalError, FileAction, OnFile, Result};
 
@@ -33,106 +33,6 @@ pub struct RunParam {
     pub unit: String,
     /// The value is a word.
     pub is_word: bool,
-}
-
-/// A measure of a run. JSON has no NaN: what is unknown is null.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RunMeasure {
-    /// As it was asked for.
-    pub name: String,
-    /// Mean of the finite values, as are the following.
-    pub mean: Option<f64>,
-    /// Median.
-    pub median: Option<f64>,
-    /// The smallest.
-    pub min: Option<f64>,
-    /// The largest.
-    pub max: Option<f64>,
-    /// Standard deviation.
-    pub deviation: Option<f64>,
-    /// The last one.
-    pub last: Option<f64>,
-    /// Number of finite values.
-    pub count: u64,
-    /// Number of values that were not finite.
-    pub missing: u64,
-    /// Calls of any node that failed in the run.
-    #[serde(default)]
-    pub failed_calls: u64,
-    /// Why there is nothing.
-    pub failed: Option<String>,
-}
-
-impl RunMeasure {
-    pub(super) fn of(name: &str, result: &Result<Summary, PointError>) -> Self {
-        let of = |value: fn(&Summary) -> f64| result.as_ref().ok().map(value).filter(|v| v.is_finite());
-        Self {
-            name: name.to_owned(),
-            mean: of(|s| s.mean),
-            median: of(|s| s.median),
-            min: of(|s| s.min),
-            max: of(|s| s.max),
-            deviation: of(|s| s.deviation),
-            last: of(|s| s.last),
-            count: result.as_ref().map_or(0, |s| s.count),
-            missing: result.as_ref().map_or(0, |s| s.missing),
-            failed_calls: result.as_ref().map_or(0, |s| s.failed_calls),
-            failed: result.as_ref().err().map(|why| why.reason.clone()),
-        }
-    }
-
-    /// Columns of a table, with the names that they have behind the measure's.
-    pub fn columns(&self) -> [(&'static str, Option<f64>); 6] {
-        [
-            ("mean", self.mean),
-            ("median", self.median),
-            ("min", self.min),
-            ("max", self.max),
-            ("deviation", self.deviation),
-            ("last", self.last),
-        ]
-    }
-}
-
-/// Statistic of a measure that runs are compared by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Statistic {
-    /// Mean over the run.
-    Mean,
-    /// Median.
-    Median,
-    /// The smallest.
-    Min,
-    /// The largest.
-    Max,
-    /// The last one, of measures that count since the start.
-    Last,
-}
-
-impl Statistic {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::Mean, Self::Median, Self::Min, Self::Max, Self::Last];
-
-    /// The one with a name.
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|statistic| statistic.name() == name)
-    }
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mean => "mean",
-            Self::Median => "median",
-            Self::Min => "min",
-            Self::Max => "max",
-            Self::Last => "last",
-        }
-    }
-
-    /// The number; `None` where it is unknown.
-    pub fn of(self, measure: &RunMeasure) -> Option<f64> {
-        measure.columns().into_iter().find(|(name, _)| *name == self.name()).and_then(|(_, value)| value)
-    }
 }
 
 /// What [`RESULTS`] holds.

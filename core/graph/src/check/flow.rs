@@ -65,7 +65,7 @@ impl<'a> Checker<'a> {
             }
         }
         firsts.sort_unstable();
-        firsts.into_iter().filter_map(|first| shortest_cycle(&graph, first, &part_of)).collect()
+        firsts.into_iter().filter_map(|first| min_cycle(&graph, first, &part_of)).collect()
     }
 
     /// The link of a cycle that is best delayed: into an optional input if there is one, and from a later node of the file
@@ -313,7 +313,7 @@ impl<'a> Checker<'a> {
 }
 
 /// A shortest cycle through `start` inside its part, as link positions.
-fn shortest_cycle(graph: &DiGraph<(), usize>, start: usize, part_of: &[usize]) -> Option<Vec<usize>> {
+fn min_cycle(graph: &DiGraph<(), usize>, start: usize, part_of: &[usize]) -> Option<Vec<usize>> {
     use petgraph::visit::EdgeRef;
     let mut reached_by: Vec<Option<(usize, usize)>> = vec![None; part_of.len()];
     let mut queue = VecDeque::from([start]);

@@ -5,6 +5,7 @@
 
 mod colormap;
 mod contour;
+mod corner;
 mod font;
 mod labels;
 mod overlay;

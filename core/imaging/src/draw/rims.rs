@@ -1,6 +1,6 @@
 //! Where a surface ends: corners that lie between two surfaces, islands and ragged rims are taken out; and the light on what is left.
 
-use super::surface::{Corner, NOWHERE};
+use super::corner::{Corner, NOWHERE, is_known};
 use crate::pieces;
 
 /// Corners over which a slope and a normal are measured, to each side.
@@ -29,11 +29,6 @@ pub struct Rims {
     piece: Vec<usize>,
     /// Known corners of five in a row.
     across: Vec<u8>,
-}
-
-/// Whether there is a point of a surface.
-pub fn is_known(corner: &Corner) -> bool {
-    !corner.place[0].is_nan()
 }
 
 /// Where neighbouring points belong to different surfaces: a limit of the disparity gradient, the change of disparity by the distance across the picture.

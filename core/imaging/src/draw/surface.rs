@@ -5,6 +5,7 @@
 use std::fmt::Write;
 
 use super::contour::{Contour, RIM};
+use super::corner::{Corner, NOWHERE, is_known};
 use super::rims::{self, GradientLimit, Rims};
 use super::{Color, line, text};
 use crate::ViewMut;
@@ -111,19 +112,6 @@ pub struct SurfacePainter {
     contour: Contour,
 }
 
-/// A point of the surface.
-#[derive(Clone, Copy)]
-pub struct Corner {
-    /// Pixel and depth from the viewer; NaN where unknown.
-    pub place: [f32; 3],
-    /// Place in the camera's frame, mm.
-    pub world: [f32; 3],
-    pub color: Color,
-    /// Brightness, 0 to 1.
-    pub light: f32,
-}
-
-pub const NOWHERE: Corner = Corner { place: [f32::NAN; 3], world: [f32::NAN; 3], color: [0; 3], light: 1.0 };
 const BACKGROUND: u8 = 18;
 
 /// The known point nearest to a column and row, at most `reach` away in each direction: a single point that is unknown is no hole.
@@ -211,7 +199,7 @@ impl SurfacePainter {
                 }
             }
         }
-        let known = |corners: &[Corner]| corners.iter().filter(|corner| rims::is_known(corner)).count();
+        let known = |corners: &[Corner]| corners.iter().filter(|corner| is_known(corner)).count();
         let before = known(&self.corners);
         self.rims.clean(&mut self.corners, w, orbit.limit);
         self.cut_share = 1.0 - known(&self.corners) as f32 / before.max(1) as f32;

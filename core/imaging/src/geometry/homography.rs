@@ -5,6 +5,11 @@
 /// A point `[x, y]` in pixels.
 pub type Point = [f64; 2];
 
+/// Length of a vector whose square does not overflow, faster than `hypot`.
+pub(crate) fn length([x, y]: Point) -> f64 {
+    (x * x + y * y).sqrt()
+}
+
 /// A map is singular when its determinant is smaller than this part of the product of its rows' lengths.
 ///
 /// That product bounds the determinant (Hadamard's inequality), so the rule does not depend on the scale of the matrix. Rounding of the

@@ -16,6 +16,7 @@ pub mod stability;
 mod tests;
 
 pub use anchor_fit::{AnchorFit, shift_of};
+pub(crate) use homography::length;
 pub use homography::{Homography, Point, SINGULAR_DETERMINANT};
 pub use lost::RegistrationMonitor;
 pub use plausible::Plausibility;

@@ -11,7 +11,7 @@ use crate::stereo::block_matching_finish::Limits;
 use crate::stereo::block_matching_kernel::{MAX_LANES, Row, match_row};
 use crate::stereo::matching::{Maps, PaddedPair, Span, Target, WinnerRow, left_right_limit, window_above};
 use crate::stereo::prefilter::MAX_VALUE;
-use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, most_lanes};
+use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, max_lanes};
 use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// Columns beyond each side of a tile that are matched with it.
@@ -195,7 +195,7 @@ impl BlockMatcher {
         let maps = Maps { left: disparity, right: None };
         maps.check(left, right)?;
         let (width, height, radius) = (left.width, left.height, self.params.block_px / 2);
-        let lanes = most_lanes(tiles);
+        let lanes = max_lanes(tiles);
         self.pair.fill_all([left, right], lanes, radius, self.params.prefilter_cap, self.avx2, pool);
         make_room(&mut self.tiles, tiles.len(), width);
         let (out, work) = (TileMap::new(maps.left, pool), SharedMut::new(&mut self.tiles));

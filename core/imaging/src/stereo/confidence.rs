@@ -142,7 +142,7 @@ fn exposure<const CHANNELS: usize>(pixels: &[u8], limits: (i32, i32), avx2: bool
 }
 
 /// Clears the confidence of unmatched pixels and of those that the right view contradicts.
-fn check_row(most_px: f32, here: &[f32], right: Option<&[f32]>, x0: usize, avx2: bool, out: &mut [f32]) {
+fn check_row(max_px: f32, here: &[f32], right: Option<&[f32]>, x0: usize, avx2: bool, out: &mut [f32]) {
     let Some(right) = right else {
         for (d, value) in here.iter().zip(out) {
             *value = if d.is_finite() { *value } else { 0.0 };
@@ -153,7 +153,7 @@ fn check_row(most_px: f32, here: &[f32], right: Option<&[f32]>, x0: usize, avx2:
     #[cfg(target_arch = "x86_64")]
     if avx2 {
         // SAFETY: the caller found AVX2.
-        done = unsafe { avx2::check_row(most_px, here, right, x0, out) };
+        done = unsafe { avx2::check_row(max_px, here, right, x0, out) };
     }
     let _ = avx2;
     for (i, (d, value)) in here.iter().zip(out).enumerate().skip(done) {
@@ -162,7 +162,7 @@ fn check_row(most_px: f32, here: &[f32], right: Option<&[f32]>, x0: usize, avx2:
         let inside = x >= 0.0 && x < right.len() as f32;
         // SAFETY: a number in 0..len, or 0.
         let x: i32 = unsafe { (if inside { x } else { 0.0 }).to_int_unchecked() };
-        let agree = inside & ((d - right[x as usize]).abs() <= most_px);
+        let agree = inside & ((d - right[x as usize]).abs() <= max_px);
         *value = if agree { *value } else { 0.0 };
     }
 }
@@ -353,10 +353,10 @@ mod avx2 {
 
     /// Returns how many pixels were done.
     #[target_feature(enable = "avx2")]
-    pub(super) fn check_row(most_px: f32, here: &[f32], right: &[f32], x0: usize, out: &mut [f32]) -> usize {
+    pub(super) fn check_row(max_px: f32, here: &[f32], right: &[f32], x0: usize, out: &mut [f32]) -> usize {
         let n = here.len().min(out.len());
         let (half, zero) = (_mm256_set1_ps(0.5), _mm256_setzero_ps());
-        let (most, end) = (_mm256_set1_ps(most_px), _mm256_set1_ps(right.len() as f32));
+        let (most, end) = (_mm256_set1_ps(max_px), _mm256_set1_ps(right.len() as f32));
         let sign = _mm256_set1_ps(-0.0);
         let mut column = _mm256_add_epi32(_mm256_set1_epi32(x0 as i32), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
         let mut x = 0;

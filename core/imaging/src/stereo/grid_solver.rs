@@ -120,13 +120,13 @@ impl GridSolver {
         start: Option<&[f32]>,
         pool: &dyn Parallel,
     ) -> usize {
-        let (lambda, most_steps, tolerance) = limits;
+        let (lambda, max_steps, tolerance) = limits;
         let right = self.set_up(grid, lambda, start, pool);
         let mut energy = self.first_residual(grid, lambda, pool);
         let enough = f64::from(tolerance).powi(2) * right;
         let mut steps = 0;
         // Written so that NaN stops too.
-        while steps < most_steps && energy > enough {
+        while steps < max_steps && energy > enough {
             let curvature = self.multiply(grid, lambda, pool);
             if !(curvature > 0.0 && curvature.is_finite()) {
                 break;

@@ -13,7 +13,7 @@ use crate::stereo::block_matching_finish::Limits;
 use crate::stereo::block_matching_kernel::pick_row;
 use crate::stereo::matching::{Maps, PaddedPair, Span, Target, WinnerRow, left_right_limit};
 use crate::stereo::semi_global_kernel::{CostRow, MAX_LANES, Paths, Penalties, RIM, aggregate, cost_row, slot_bytes};
-use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, most_lanes};
+use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, max_lanes};
 use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// What semi-global matching searches, what it charges, and what it rejects.
@@ -105,8 +105,8 @@ struct Band {
     /// Path costs of the row above and of this row.
     before: Vec<u8>,
     after: Vec<u8>,
-    least_before: Vec<u8>,
-    least_after: Vec<u8>,
+    min_before: Vec<u8>,
+    min_after: Vec<u8>,
     sums: Vec<u16>,
     winners: WinnerRow,
 }
@@ -218,7 +218,7 @@ impl SemiGlobalMatcher {
         let maps = Maps { left: disparity, right: None };
         maps.check(left, right)?;
         let (width, height, radius) = (left.width, left.height, self.params.block_px / 2);
-        let lanes = most_lanes(tiles);
+        let lanes = max_lanes(tiles);
         self.pair.fill_all([left, right], lanes, radius, self.params.prefilter_cap, self.avx2, pool);
         make_room(&mut self.tiles, tiles.len(), width);
         let (out, work) = (TileMap::new(maps.left, pool), SharedMut::new(&mut self.tiles));
@@ -275,7 +275,7 @@ impl Job<'_> {
                 slot[RIM + lanes..].fill(255);
             }
         }
-        for plane in [&mut band.least_before, &mut band.least_after] {
+        for plane in [&mut band.min_before, &mut band.min_after] {
             plane.clear();
             plane.resize(slots, 0);
         }
@@ -311,13 +311,13 @@ impl Job<'_> {
             offsets: self.offsets,
             before: &band.before,
             after: &mut band.after,
-            least_before: &band.least_before,
-            least_after: &mut band.least_after,
+            min_before: &band.min_before,
+            min_after: &mut band.min_after,
             sums: &mut band.sums,
         };
         aggregate(paths, self.avx2);
         std::mem::swap(&mut band.before, &mut band.after);
-        std::mem::swap(&mut band.least_before, &mut band.least_after);
+        std::mem::swap(&mut band.min_before, &mut band.min_after);
     }
 
     /// Winners of the row aggregated last.

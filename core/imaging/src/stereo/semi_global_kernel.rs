@@ -50,8 +50,8 @@ pub(crate) struct Paths<'a> {
     pub offsets: &'a [isize],
     pub before: &'a [u8],
     pub after: &'a mut [u8],
-    pub least_before: &'a [u8],
-    pub least_after: &'a mut [u8],
+    pub min_before: &'a [u8],
+    pub min_after: &'a mut [u8],
     /// Sums over paths, `count * lanes`, in the matcher's lane order.
     pub sums: &'a mut [u16],
 }
@@ -142,7 +142,7 @@ fn portable(paths: Paths<'_>) {
             let before = &paths.before[from * slot + RIM - 1..(from + 1) * slot - RIM + 1];
             let out = &mut paths.after[to * slot + RIM..(to + 1) * slot - RIM];
             let cost = &cost[i * lanes..(i + 1) * lanes];
-            paths.least_after[to] = follow(cost, before, paths.least_before[from], penalties, out);
+            paths.min_after[to] = follow(cost, before, paths.min_before[from], penalties, out);
             for (sum, value) in paths.sums[i * lanes..(i + 1) * lanes].iter_mut().zip(out) {
                 *sum += u16::from(*value);
             }
@@ -227,7 +227,7 @@ mod avx2 {
     /// Smallest byte.
     #[target_feature(enable = "avx2")]
     #[inline]
-    fn least_byte(v: __m256i) -> u8 {
+    fn min_byte(v: __m256i) -> u8 {
         let half = _mm_min_epu8(_mm256_castsi256_si128(v), _mm256_extracti128_si256::<1>(v));
         let words = _mm_min_epu8(half, _mm_srli_epi16::<8>(half));
         _mm_cvtsi128_si32(_mm_minpos_epu16(words)) as u8
@@ -258,7 +258,7 @@ mod avx2 {
         assert!(paths.offsets.len() == DOWN);
         assert!(lanes == paths.lanes && chunks <= VECTORS && lanes <= MAX_LANES && paths.cost.len() >= count * lanes);
         assert!(paths.before.len() >= slots * slot && paths.after.len() >= slots * slot);
-        assert!(paths.least_before.len() >= slots && paths.least_after.len() >= slots);
+        assert!(paths.min_before.len() >= slots && paths.min_after.len() >= slots);
         assert!(paths.sums.len() >= count * lanes && paths.offsets.iter().all(|offset| offset.abs() <= 1));
         let small = _mm256_set1_epi8(penalties.small as i8);
         let ones = _mm256_set1_epi8(-1);
@@ -282,7 +282,7 @@ mod avx2 {
                 for path in 0..DOWN {
                     let offset = *paths.offsets.get_unchecked(path);
                     from[path] = path * (count + 2) + (i as isize + 1 + offset) as usize;
-                    let least = *paths.least_before.get_unchecked(from[path]);
+                    let least = *paths.min_before.get_unchecked(from[path]);
                     all_down[path] = _mm256_set1_epi8(least as i8);
                     jump_down[path] = _mm256_set1_epi8(least.saturating_add(penalties.large) as i8);
                 }
@@ -313,9 +313,9 @@ mod avx2 {
                     _mm256_storeu_si256(sums.add(1), hi);
                 }
                 before = next;
-                least = least_byte(smallest);
+                least = min_byte(smallest);
                 for path in 0..DOWN {
-                    *paths.least_after.get_unchecked_mut(path * (count + 2) + i + 1) = least_byte(smallest_down[path]);
+                    *paths.min_after.get_unchecked_mut(path * (count + 2) + i + 1) = min_byte(smallest_down[path]);
                 }
             }
             let mut before = [_mm256_setzero_si256(); VECTORS];
@@ -333,7 +333,7 @@ mod avx2 {
                     add_bytes(sums.add(i * lanes + 32 * q).cast(), value);
                 }
                 before = next;
-                least = least_byte(smallest);
+                least = min_byte(smallest);
             }
         }
     }

@@ -24,7 +24,7 @@ impl Tile {
 }
 
 /// Lanes of the widest search.
-pub(super) fn most_lanes(tiles: &[Tile]) -> usize {
+pub(super) fn max_lanes(tiles: &[Tile]) -> usize {
     tiles.iter().map(|tile| tile.search_px.next_multiple_of(32)).max().unwrap_or(0)
 }
 
@@ -74,13 +74,13 @@ impl<'a> TileMap<'a> {
 const SAME_SURFACE_PX: f32 = 2.0;
 
 /// Writes the right view's map that `left` implies, each right pixel with the nearest surface that lands on it, and clears left pixels that are
-/// hidden behind it: those whose disparity differs by more than `most_px` from the right view's, `None` keeps them.
+/// hidden behind it: those whose disparity differs by more than `max_px` from the right view's, `None` keeps them.
 ///
 /// Maps have one size. Serves where each tile was matched on its own, so that no search saw all left pixels that compete for a right one.
 pub fn project_right(
     left: &mut ViewMut<'_, f32>,
     right: &mut ViewMut<'_, f32>,
-    most_px: Option<f32>,
+    max_px: Option<f32>,
     pool: &dyn Parallel,
 ) {
     let (width, height) = (left.width.min(right.width), left.height.min(right.height));
@@ -91,12 +91,12 @@ pub fn project_right(
         for y in chunk * CHUNK_ROWS..((chunk + 1) * CHUNK_ROWS).min(height) {
             // SAFETY: row `y` of both maps belongs to this chunk alone.
             let (left, right) = unsafe { (left.part(y * stride, width), right.part(y * stride_right, width)) };
-            project_row(left, right, most_px);
+            project_row(left, right, max_px);
         }
     });
 }
 
-fn project_row(left: &mut [f32], right: &mut [f32], most_px: Option<f32>) {
+fn project_row(left: &mut [f32], right: &mut [f32], max_px: Option<f32>) {
     right.fill(f32::NAN);
     for (x, d) in left.iter().enumerate() {
         if let Some(to) = target(x, *d, right.len()) {
@@ -110,9 +110,9 @@ fn project_row(left: &mut [f32], right: &mut [f32], most_px: Option<f32>) {
             right[x] = 0.5 * (before + after);
         }
     }
-    let Some(most_px) = most_px else { return };
+    let Some(max_px) = max_px else { return };
     for (x, d) in left.iter_mut().enumerate() {
-        let agrees = target(x, *d, right.len()).is_some_and(|to| (right[to] - *d).abs() <= most_px);
+        let agrees = target(x, *d, right.len()).is_some_and(|to| (right[to] - *d).abs() <= max_px);
         *d = if agrees { *d } else { f32::NAN };
     }
 }
@@ -132,11 +132,11 @@ mod tests {
 
     const WIDTH: usize = 60;
 
-    fn project(left: &mut [f32], most_px: Option<f32>) -> Vec<f32> {
+    fn project(left: &mut [f32], max_px: Option<f32>) -> Vec<f32> {
         let mut right = vec![7.0; left.len()];
         let height = left.len() / WIDTH;
         let (left, out) = (&mut ViewMut::new(left, WIDTH, height, 1), &mut ViewMut::new(&mut right, WIDTH, height, 1));
-        project_right(left, out, most_px, &Serial);
+        project_right(left, out, max_px, &Serial);
         right
     }
 

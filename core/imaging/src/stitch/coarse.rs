@@ -2,9 +2,7 @@
 //!
 //! Pixel `i` of a map that is smaller by a factor `n` stands for the pixels `n i` to `n i + n - 1` of the picture, and counts disparity in its own pixels.
 
-use super::grid::RectifiedView;
-use crate::geometry::{Homography, Point};
-use crate::shrink::shrunk_px;
+use crate::geometry::Homography;
 
 /// By how much a disparity map is smaller than a picture, each way; `None` when its size is no whole part of the picture's.
 pub fn map_factor(map: (usize, usize), picture: (usize, usize)) -> Option<usize> {
@@ -30,26 +28,10 @@ fn within(map: &Homography, factor: f64) -> Homography {
     shift(-0.5).product(&to).product(&there).product(&from).product(&shift(0.5))
 }
 
-impl RectifiedView {
-    /// The same camera with a picture that is smaller by a whole factor, each pixel the mean of a block.
-    pub fn shrunk(&self, factor: usize) -> Self {
-        let px = |length: f64| length / factor as f64;
-        let at = |centre: Point| centre.map(|at| shrunk_px(at, factor));
-        Self {
-            size: (self.size.0 / factor, self.size.1 / factor),
-            focal_px: self.focal_px.map(px),
-            centre_px: at(self.centre_px),
-            rectified_focal_px: self.rectified_focal_px.map(px),
-            rectified_centre_px: at(self.rectified_centre_px),
-            ..*self
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shrink::enlarged_px;
+    use crate::shrink::{enlarged_px, shrunk_px};
 
     #[test]
     fn a_map_belongs_to_pictures_that_are_larger_by_a_whole_factor() {
@@ -70,25 +52,6 @@ mod tests {
             let there = small.map(at.map(|px| shrunk_px(px, 3))).map(|px| enlarged_px(px, 3));
             let [expected, back] = [large.map(at), enlarged(&small, 3).map(at)];
             assert!((0..2).all(|k| (there[k] - expected[k]).abs() < 1e-6 && (back[k] - expected[k]).abs() < 1e-6));
-        }
-    }
-
-    #[test]
-    fn a_small_camera_sees_the_same_points() {
-        let (sin, cos) = 0.03f64.sin_cos();
-        let large = RectifiedView {
-            size: (1920, 1080),
-            focal_px: [2200.0, 2210.0],
-            centre_px: [950.0, 548.0],
-            distortion: [-0.2, 0.05, 0.001, -0.002, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            rectified_from_camera: [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos],
-            rectified_focal_px: [2150.0; 2],
-            rectified_centre_px: [900.0, 540.0],
-        };
-        let small = large.shrunk(3);
-        for at in [[0.0, 0.0], [700.0, 300.0], [1900.0, 1000.0]] {
-            let [expected, found] = [large.unrectify(at), small.unrectify(at.map(|px| shrunk_px(px, 3)))];
-            assert!((0..2).all(|k| (enlarged_px(found[k], 3) - expected[k]).abs() < 1e-6));
         }
     }
 }

@@ -27,14 +27,14 @@ pub struct CorrespondParams {
     /// Patches are taken every so many pixels.
     pub step_px: usize,
     /// Least correlation at full size, 0..=1.
-    pub least_correlation: f32,
+    pub min_correlation: f32,
     /// Largest distance between a patch and where its counterpart comes back to, px.
     pub back_px: f64,
 }
 
 impl Default for CorrespondParams {
     fn default() -> Self {
-        Self { step_px: 24, least_correlation: 0.85, back_px: 1.0 }
+        Self { step_px: 24, min_correlation: 0.85, back_px: 1.0 }
     }
 }
 
@@ -198,7 +198,7 @@ pub fn correspondences(
         let place = places[index];
         let pair = || {
             let (there, value) = seek(&right, &left, place)?;
-            if value < params.least_correlation {
+            if value < params.min_correlation {
                 return None;
             }
             let (back, _) = seek(&left, &right, (there[0].round() as usize, there[1].round() as usize))?;

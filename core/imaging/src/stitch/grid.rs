@@ -6,6 +6,7 @@
 
 use super::coarse::{enlarged, map_factor};
 use super::disparity_plane::{DisparityPlane, Sample};
+use super::rectified_view::RectifiedView;
 use crate::Rect;
 use crate::View;
 use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
@@ -13,58 +14,6 @@ use crate::geometry::{
     Homography, Plausibility, Point, RegistrationState, Stability, StabilityParams, Stabilized, overlap_roi,
     overlap_rois, rms_of,
 };
-
-/// One camera and its rectification, as far as a pixel's way from the rectified view back to the picture needs them.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RectifiedView {
-    /// Columns and rows of the picture.
-    pub size: (usize, usize),
-    /// Focal lengths of the camera, px.
-    pub focal_px: [f64; 2],
-    /// Principal point of the camera, px.
-    pub centre_px: [f64; 2],
-    /// `k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4`, OpenCV's model.
-    pub distortion: [f64; 12],
-    /// Rotation from the camera's axes to the rectified ones, row by row.
-    pub rectified_from_camera: [f64; 9],
-    /// Focal lengths of the rectified view, px.
-    pub rectified_focal_px: [f64; 2],
-    /// Principal point of the rectified view, px.
-    pub rectified_centre_px: [f64; 2],
-}
-
-impl RectifiedView {
-    /// Whether the camera's picture is the rectified view.
-    pub fn is_straight(&self) -> bool {
-        let same = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        self.distortion == [0.0; 12]
-            && self.rectified_from_camera == same
-            && self.focal_px == self.rectified_focal_px
-            && self.centre_px == self.rectified_centre_px
-    }
-
-    /// Where a pixel of the rectified view lies in the camera's picture; not finite when the camera cannot see it.
-    pub fn unrectify(&self, [u, v]: Point) -> Point {
-        let (x, y) = (
-            (u - self.rectified_centre_px[0]) / self.rectified_focal_px[0],
-            (v - self.rectified_centre_px[1]) / self.rectified_focal_px[1],
-        );
-        let r = &self.rectified_from_camera;
-        // The inverse of a rotation is its transpose.
-        let (a, b, c) = (r[0] * x + r[3] * y + r[6], r[1] * x + r[4] * y + r[7], r[2] * x + r[5] * y + r[8]);
-        if c <= 0.0 {
-            return [f64::NAN; 2];
-        }
-        let (x, y) = (a / c, b / c);
-        let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
-        let r2 = x * x + y * y;
-        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
-        let xy = 2.0 * x * y;
-        let dx = x * radial + p1 * xy + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2);
-        let dy = y * radial + p1 * (r2 + 2.0 * y * y) + p2 * xy + r2 * (s3 + r2 * s4);
-        [self.focal_px[0] * dx + self.centre_px[0], self.focal_px[1] * dy + self.centre_px[1]]
-    }
-}
 
 /// Which disparity a grid cell gives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -88,7 +37,7 @@ pub struct GridParams {
     /// Spacing of the pixels of a cell that are used.
     pub step_px: usize,
     /// Share of a cell's used pixels that must have a disparity.
-    pub least_valid: f32,
+    pub min_valid: f32,
     /// Robust estimation; the threshold is in pixels of the left picture.
     pub ransac: RansacParams,
     /// Inliers below which a homography is rejected; at least 4.
@@ -114,7 +63,7 @@ impl Default for GridParams {
             columns: 24,
             point: CellPoint::default(),
             step_px: 3,
-            least_valid: 0.3,
+            min_valid: 0.3,
             ransac: RansacParams { threshold_px: 4.0, ..RansacParams::default() },
             min_inliers: 12,
             plausibility: Plausibility::default(),
@@ -477,7 +426,7 @@ impl RegisterGrid {
             }
         }
         let valid = self.cell.len();
-        if valid == 0 || (valid as f32) < self.scaled.least_valid * looked as f32 {
+        if valid == 0 || (valid as f32) < self.scaled.min_valid * looked as f32 {
             return None;
         }
         match self.scaled.point {

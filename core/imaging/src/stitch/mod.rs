@@ -27,6 +27,7 @@ mod params;
 pub mod placement;
 mod projective;
 mod pyramid;
+mod rectified_view;
 mod seam;
 mod segments;
 mod taps;
@@ -38,10 +39,11 @@ pub use coarse::map_factor;
 pub use compositor::Compositor;
 pub use drawing::{Drawing, DrawnMesh, DrawnView, Painter, Runs};
 pub use graph_cut::GridCut;
-pub use grid::{CellPoint, GridParams, GridRegistration, RectifiedView, RegisterGrid};
+pub use grid::{CellPoint, GridParams, GridRegistration, RegisterGrid};
 pub use mesh::{InstrumentHints, Keep, Kept, Lattice, Mesh, MeshFollower, MeshParams, MeshReport};
 pub use params::{
     BlendMethod, BorderMethod, Canvas, CompositeError, CompositeParams, CompositeReport, CropMethod, ExposureMethod,
     GeometryFault, GeometryState, MAX_VIEWS, SeamCost, SeamMethod,
 };
 pub use projective::{IDENTITY, warped_corners};
+pub use rectified_view::RectifiedView;

@@ -1,8 +1,9 @@
 //! The seam between the pictures joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
 
 use super::graph_cut::GridCut;
-use super::mesh::{Keep, Kept, Mesh, length};
+use super::mesh::{Keep, Kept, Mesh};
 use super::params::{Canvas, CompositeParams, SeamCost, SeamMethod};
+use crate::geometry::length;
 
 /// What covers a cell: bit 0 the pictures so far, bit 1 the new view.
 pub const BASE: u8 = 1;

@@ -21,7 +21,7 @@ pub(super) fn describe(child: &Child, reader: &mut Reader<'_>, out: &mut Vec<u8>
             // SAFETY: the loader has validated them, and their plugin stays mapped.
             unsafe { description::write(node_types, &mut writer) };
         }
-        Err(reason) => _ = writer.i32(abi::STATUS_ERROR).bytes(reason.as_bytes()),
+        Err(error) => _ = writer.i32(abi::STATUS_ERROR).bytes(error.to_string().as_bytes()),
     }
     if out.len() > MAX_MESSAGE_BYTES {
         out.truncate(begin);

@@ -179,7 +179,8 @@ impl<'c> Instance<'c> {
         let found = self.child.node_type(plugin, index);
         let node_type = match found {
             Ok(node_type) => node_type,
-            Err(words) => {
+            Err(error) => {
+                let words = error.to_string();
                 let mut call = self.call(abi::Tick::default());
                 if let Some(fail) = self.host.fail {
                     // SAFETY: the handle and the words live until the call returns.

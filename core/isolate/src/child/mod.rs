@@ -28,8 +28,30 @@ use crate::socket::{self, Tag};
 use crate::wire::{BadMessage, Reader};
 use crate::{EXIT_CONFINED, PROTOCOL};
 
+/// A plugin cannot be loaded in the process of a group.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct LoadError {
+    /// What the loader says.
+    pub message: String,
+}
+
 /// Loads a plugin: a path to its bytes, and its file for messages. Returns its node types in order.
-pub type LoadFn = fn(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, String>;
+pub type LoadFn = fn(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, LoadError>;
+
+/// Why a node type is not there.
+#[derive(Clone, Debug, thiserror::Error)]
+pub(super) enum NoNodeType {
+    /// The host has not sent its plugin.
+    #[error("its plugin did not arrive in its process")]
+    NoPlugin,
+    /// Its plugin cannot be loaded.
+    #[error(transparent)]
+    Load(#[from] LoadError),
+    /// Its plugin has fewer node types.
+    #[error("its plugin has no such node type")]
+    NoType,
+}
 
 /// Exit status when the messages of the host make no sense: it is of another build.
 pub(super) const EXIT_PROTOCOL: i32 = 86;
@@ -71,7 +93,7 @@ pub(super) fn wait_while<'g, T>(
 struct Plugin {
     image: File,
     file: PathBuf,
-    loaded: Option<Result<Vec<&'static NodeType>, String>>,
+    loaded: Option<Result<Vec<&'static NodeType>, LoadError>>,
 }
 
 /// What all lanes share.
@@ -85,21 +107,21 @@ pub(super) struct Child {
 
 impl Child {
     /// A node type of a plugin, which is loaded when its first node opens.
-    fn node_type(&self, plugin: u32, index: u32) -> Result<&'static NodeType, String> {
+    fn node_type(&self, plugin: u32, index: u32) -> Result<&'static NodeType, NoNodeType> {
         let types = self.node_types(plugin)?;
-        types.get(index as usize).copied().ok_or_else(|| "its plugin has no such node type".to_owned())
+        types.get(index as usize).copied().ok_or(NoNodeType::NoType)
     }
 
     /// The node types of a plugin, which is loaded when they are asked for first.
-    fn node_types(&self, plugin: u32) -> Result<Vec<&'static NodeType>, String> {
+    fn node_types(&self, plugin: u32) -> Result<Vec<&'static NodeType>, NoNodeType> {
         let plugins = self.plugins.lock().unwrap_or_else(PoisonError::into_inner);
         let missing = |plugins: &mut HashMap<u32, Plugin>| !plugins.contains_key(&plugin);
         let mut plugins = wait_while(&self.arrived, plugins, MAX_WAIT, missing);
         let Some(Plugin { image, file, loaded }) = plugins.get_mut(&plugin) else {
-            return Err("its plugin did not arrive in its process".to_owned());
+            return Err(NoNodeType::NoPlugin);
         };
         let path = PathBuf::from(format!("/proc/self/fd/{}", image.as_raw_fd()));
-        loaded.get_or_insert_with(|| (self.load)(&path, file)).clone()
+        Ok(loaded.get_or_insert_with(|| (self.load)(&path, file)).clone()?)
     }
 }
 

@@ -3,7 +3,7 @@
 use std::ffi::c_void;
 
 use panoscope_abi::{self as abi, Frame, Host, INPUT_TICK, Status, Str};
-use panoscope_engine::isolation;
+use panoscope_engine::host;
 use panoscope_engine::memory::{FrameRef, Memory, memory};
 
 use super::process::Process;
@@ -176,13 +176,13 @@ impl Answerer<'_> {
                 let frame = Frame { len, format, width, height, stride_bytes, ..buffer.into_raw() };
                 self.stock.note(output, len);
                 // SAFETY: the reference of the buffer, which has at least `len` bytes; the call is running.
-                return Ok(unsafe { isolation::place(call, output, FrameRef::adopt(frame), false) });
+                return Ok(unsafe { host::place(call, output, FrameRef::adopt(frame), false) });
             }
             Kind::Copied => {
                 let output = reader.u32()?;
                 let buffer = self.stock.take(output).ok_or(BadMessage)?;
                 // SAFETY: the running call.
-                return Ok(unsafe { isolation::place(call, output, buffer, true) });
+                return Ok(unsafe { host::place(call, output, buffer, true) });
             }
             Kind::Forward => {
                 let (output, is_buffer) = (reader.u32()?, reader.u32()? == 1);

@@ -183,7 +183,7 @@ impl Describer {
     }
 
     fn start(&self) -> Result<Running, DescribeError> {
-        let own = || Launch::own().map_err(DescribeError::Unreachable);
+        let own = || Launch::own().map_err(|error| DescribeError::Unreachable(error.to_string()));
         let launch = self.image.launch.clone().map_or_else(own, Ok)?;
         let settings = GroupSettings {
             name: format!("describes {}", self.plugin),

@@ -16,11 +16,11 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
 
 use panoscope_abi::{self as abi, NodeType, Status};
-use panoscope_engine::isolation::{Group, GroupReport, GroupSettings, Isolator, LinkReport};
+use panoscope_engine::isolation::{Group, GroupError, GroupReport, GroupSettings, Isolator, LinkReport};
 use panoscope_engine::memory::{Domain, SharedFrames};
 
 pub use self::describer::{DescribeError, Describer, Description, describe};
-pub use self::process::Launch;
+pub use self::process::{Launch, LaunchError};
 pub(crate) use self::process::{NodeLane, Process};
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -104,13 +104,27 @@ fn put(entries: &[&'static NodeType], image: &Arc<PluginImage>) {
 pub struct Processes;
 
 impl Isolator for Processes {
-    fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, String> {
-        let frames = SharedFrames::begin().map_err(|error| error.to_string())?;
-        let domain = Domain::written_elsewhere().map_err(|error| error.to_string())?;
+    fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, GroupError> {
+        let frames = SharedFrames::begin()?;
+        let domain = Domain::written_elsewhere()?;
         let settings = settings.clone();
         let totals = Arc::default();
         Ok(Arc::new(Isolated { settings, process: Mutex::default(), domain, totals, _frames: frames }))
     }
+}
+
+/// Why a group has no process.
+#[derive(Debug, thiserror::Error)]
+enum ProcessError {
+    /// A plugin of another kind, such as one in Python, on another machine.
+    #[error("no other machine runs nodes of its plugin")]
+    NoMachine,
+    /// There is no program to start.
+    #[error(transparent)]
+    Launch(#[from] LaunchError),
+    /// The program does not start.
+    #[error("the process of group `{group}` could not be started from {}: {cause}", program.display())]
+    Start { group: String, program: PathBuf, cause: std::io::Error },
 }
 
 /// A group. Its process lives as long as one of its instances is open.
@@ -124,7 +138,7 @@ struct Isolated {
 
 impl Isolated {
     /// The running process, or a new one that can run the code of `image`.
-    fn process(&self, image: &PluginImage) -> Result<Arc<Process>, String> {
+    fn process(&self, image: &PluginImage) -> Result<Arc<Process>, ProcessError> {
         let mut process = lock(&self.process);
         if let Some(old) = process.upgrade() {
             if !old.is_ending() {
@@ -138,15 +152,15 @@ impl Isolated {
             None => format!("the process of group `{}`", self.settings.name),
         };
         let launch = match (&self.settings.machine, &image.launch) {
-            (Some(_), Some(_)) => return Err("no other machine runs nodes of its plugin".to_owned()),
+            (Some(_), Some(_)) => return Err(ProcessError::NoMachine),
             (Some(machine), None) => Launch::link(machine)?,
             (None, Some(launch)) => launch.clone(),
             (None, None) => Launch::own()?,
         };
         let started = Process::start(&launch, &self.settings, what, self.domain.number(), &self.totals);
         let new = started.map_err(|cause| {
-            let (group, program) = (&self.settings.name, launch.program.display());
-            format!("the process of group `{group}` could not be started from {program}: {cause}")
+            let (group, program) = (self.settings.name.clone(), launch.program.clone());
+            ProcessError::Start { group, program, cause }
         })?;
         *process = Arc::downgrade(&new);
         Ok(new)
@@ -175,13 +189,13 @@ impl Group for Isolated {
         };
         let process = match self.process(&image) {
             Ok(process) => process,
-            Err(words) => return refuse(words),
+            Err(error) => return refuse(error.to_string()),
         };
         // SAFETY: the caller's promise.
         unsafe { remote::open(process, &image, Some(entry), index, call, instance) }
     }
 
-    fn longest_pause_ms(&self) -> u64 {
+    fn max_pause_ms(&self) -> u64 {
         if self.settings.machine.is_some() { 100 } else { u64::MAX }
     }
 

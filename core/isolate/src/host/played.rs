@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use panoscope_abi::{self as abi, NodeType, Plugin, Status};
-use panoscope_engine::isolation::{Group, GroupReport, GroupSettings, Isolator};
+use panoscope_engine::isolation::{Group, GroupError, GroupReport, GroupSettings, Isolator};
 use panoscope_engine::memory::{Domain, SharedFrames};
 
 use super::process::Process;
@@ -52,9 +52,9 @@ pub struct Step {
 pub struct Played(pub Arc<[Step]>);
 
 impl Isolator for Played {
-    fn group(&self, _: &GroupSettings) -> Result<Arc<dyn Group>, String> {
-        let frames = SharedFrames::begin().map_err(|error| error.to_string())?;
-        let domain = Domain::written_elsewhere().map_err(|error| error.to_string())?;
+    fn group(&self, _: &GroupSettings) -> Result<Arc<dyn Group>, GroupError> {
+        let frames = SharedFrames::begin()?;
+        let domain = Domain::written_elsewhere()?;
         let (script, process) = (Arc::clone(&self.0), Mutex::default());
         Ok(Arc::new(PlayedGroup { script, process, domain, totals: Arc::default(), _frames: frames }))
     }

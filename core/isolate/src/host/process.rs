@@ -45,14 +45,30 @@ pub struct Launch {
     pub environment: Vec<(OsString, OsString)>,
 }
 
+/// Why no program can be started for a process of nodes.
+#[derive(Debug, thiserror::Error)]
+pub enum LaunchError {
+    /// The system does not name the file of the running program.
+    #[error("this program's own file is unknown")]
+    OwnFile,
+    /// The installation lacks a program.
+    #[error("the program {} is missing, {purpose}", program.display())]
+    Missing {
+        /// Where it should be.
+        program: PathBuf,
+        /// What it is for.
+        purpose: &'static str,
+    },
+}
+
 impl Launch {
     /// This program, the one that is installed beside it, or the one that this process says it belongs to ([`base::program`]).
-    pub(crate) fn own() -> Result<Self, String> {
+    pub(crate) fn own() -> Result<Self, LaunchError> {
         Ok(Self { program: program()?, arguments: vec![COMMAND.into()], environment: Vec::new() })
     }
 
     /// As [`Self::own`], for the link to another machine.
-    pub(super) fn link(machine: &Machine) -> Result<Self, String> {
+    pub(super) fn link(machine: &Machine) -> Result<Self, LaunchError> {
         let Machine { address, pixels, timeout_ms, plaintext, .. } = machine;
         let settings = [address.clone(), pixels.word().to_owned(), timeout_ms.to_string(), plaintext.to_string()];
         let arguments = [LINK_COMMAND.to_owned()].into_iter().chain(settings).map(OsString::from).collect();
@@ -71,8 +87,8 @@ impl Launch {
     }
 }
 
-fn program() -> Result<PathBuf, String> {
-    let me = base::program::file().ok_or_else(|| "this program's own file is unknown".to_owned())?;
+fn program() -> Result<PathBuf, LaunchError> {
+    let me = base::program::file().ok_or(LaunchError::OwnFile)?;
     if me.file_name().is_some_and(|name| name == PROGRAM) {
         let is_running = std::env::current_exe().is_ok_and(|running| running == me);
         // The running version, even if its file was replaced meanwhile.
@@ -82,13 +98,13 @@ fn program() -> Result<PathBuf, String> {
 }
 
 /// A program of the installation, with what it is for.
-fn installed(name: &str, purpose: &str) -> Result<PathBuf, String> {
-    let me = base::program::file().ok_or_else(|| "this program's own file is unknown".to_owned())?;
+fn installed(name: &str, purpose: &'static str) -> Result<PathBuf, LaunchError> {
+    let me = base::program::file().ok_or(LaunchError::OwnFile)?;
     let beside = me.with_file_name(name);
     // Test programs lie in a folder below.
     let above = me.parent().and_then(Path::parent).map(|folder| folder.join(name));
     let found = [Some(beside.clone()), above].into_iter().flatten().find(|file| file.is_file());
-    found.ok_or_else(|| format!("the program {} is missing, {purpose}", beside.display()))
+    found.ok_or(LaunchError::Missing { program: beside, purpose })
 }
 
 /// A lane and the node that uses it.

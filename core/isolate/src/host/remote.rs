@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use panoscope_abi::{self as abi, Frame, Host, NodeType, Status, Tick};
-use panoscope_engine::isolation::{self, STATUS_DIED};
+use panoscope_engine::host;
+use panoscope_engine::isolation::STATUS_DIED;
 use panoscope_engine::memory::{FrameRef, Memory, memory};
 
 use super::PluginImage;
@@ -327,7 +328,7 @@ impl Remote {
         let position = reader.bytes()?;
         if !position.is_empty() {
             // SAFETY: the call is running.
-            unsafe { isolation::keep_position(call.call, position) };
+            unsafe { host::keep_position(call.call, position) };
         }
         Ok(())
     }

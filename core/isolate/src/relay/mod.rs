@@ -13,7 +13,7 @@ pub use self::link::{Given, Link, LinkLane, LinkNumbers};
 pub use self::message::{
     Bytes, Open, Request, answered, arrived, made_copy, open, outputs, request, succeeded, with_paths,
 };
-pub use self::served::{Served, ServedLane, Settings};
+pub use self::served::{ServeError, Served, ServedLane, Settings};
 
 /// Kinds of messages that what lies between has to know; others pass as they are.
 pub mod kind {

@@ -2,14 +2,14 @@
 
 use std::fs::File;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use panoscope_engine::isolation::{Deny, GroupSettings};
 
 use super::RelayError;
-use crate::host::{Launch, NodeLane, Process, Totals};
+use crate::host::{Launch, LaunchError, NodeLane, Process, Totals};
 use crate::lane::{MAX_MESSAGE_BYTES, Side};
 use crate::wire::Kind;
 
@@ -24,6 +24,22 @@ pub struct Settings {
     pub deny: Deny,
 }
 
+/// Why a process of isolated nodes did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// There is no program to start.
+    #[error(transparent)]
+    Launch(#[from] LaunchError),
+    /// The program does not start.
+    #[error("a process could not be started from {}: {cause}", program.display())]
+    Start {
+        /// The program.
+        program: PathBuf,
+        /// The system's error.
+        cause: io::Error,
+    },
+}
+
 /// A process of isolated nodes whose host is elsewhere. It ends when this is dropped.
 pub struct Served(Arc<Process>);
 
@@ -31,8 +47,8 @@ impl Served {
     /// Starts the process of group `name`.
     ///
     /// # Errors
-    /// Why it could not be started.
-    pub fn start(name: &str, settings: Settings) -> Result<Self, String> {
+    /// It could not be started.
+    pub fn start(name: &str, settings: Settings) -> Result<Self, ServeError> {
         let launch = Launch::own()?;
         let Settings { threads, memory_bytes, deny } = settings;
         let group = GroupSettings {
@@ -45,9 +61,7 @@ impl Served {
         };
         let what = format!("the process of group `{name}`");
         let process = Process::start(&launch, &group, what, 0, &Arc::new(Totals::default()));
-        process
-            .map(Self)
-            .map_err(|cause| format!("a process could not be started from {}: {cause}", launch.program.display()))
+        process.map(Self).map_err(|cause| ServeError::Start { program: launch.program, cause })
     }
 
     /// Gives it a pool, which it writes if it is its own.

@@ -13,8 +13,9 @@ use pyo3::prelude::*;
 
 use super::error::Problem;
 use super::recording::RecordingFile;
-use super::running::{Lines, Run, Running, Watched};
-use super::values::to_json;
+use super::running::{Lines, Run, Running};
+use super::values::value_of;
+use super::watched::Watched;
 
 /// Packets of all watched outputs that wait for Python.
 const MAX_WAITING: usize = 32;
@@ -231,19 +232,6 @@ impl GraphFile {
     fn name(&self) -> &str {
         self.text.name()
     }
-}
-
-/// Value of `node.param` as JSON; what is wrong with the name, in words.
-pub fn value_of(graph: &Graph, catalog: &Catalog, param: &str) -> Result<String, String> {
-    let (node, name) = param.rsplit_once('.').ok_or_else(|| format!("`{param}` is not NODE.PARAM"))?;
-    let ids = || graph.nodes.iter().map(|node| node.id.as_str()).collect::<Vec<_>>().join(", ");
-    let index = graph.node(node).ok_or_else(|| format!("there is no node `{node}`; the nodes are {}", ids()))?;
-    let node = &graph.nodes[index];
-    let node_type = node.node_type(catalog);
-    let names = || node_type.params.iter().map(|param| param.name.as_str()).collect::<Vec<_>>().join(", ");
-    let value = node_type.param(name).and_then(|at| node.params.get(at));
-    let value = value.ok_or_else(|| format!("`{}` has no parameter `{name}`; it has {}", node.id, names()))?;
-    Ok(to_json(value))
 }
 
 /// The arguments of a graph among the words of a command line; overlays and settings go to theirs.

@@ -8,6 +8,7 @@ mod graph;
 mod recording;
 mod running;
 mod values;
+mod watched;
 
 use pyo3::prelude::*;
 

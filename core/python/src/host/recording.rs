@@ -9,7 +9,7 @@ use panoscope_record::{PortTypes, Recording};
 use pyo3::prelude::*;
 
 use super::error::Problem;
-use super::running::{TickParts, Watched};
+use super::watched::{TickParts, Watched};
 use crate::view::View;
 
 /// A recording that was scanned. Packets are read when they are asked for.

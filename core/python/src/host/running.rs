@@ -16,31 +16,15 @@ use pyo3::prelude::*;
 use serde_json::json;
 
 use super::error::Problem;
-use super::graph::value_of;
 use super::recording::RecordingFile;
-use super::values::to_toml;
+use super::values::{to_toml, value_of};
+use super::watched::{TickParts, Watched};
 use crate::view::View;
 
 /// How often the end of a run is looked for.
 const STEP: Duration = Duration::from_millis(5);
 /// Most log lines that wait for Python; later ones are not kept.
 const MAX_LINES: usize = 1000;
-
-/// An output whose packets Python gets.
-pub struct Watched {
-    /// The node's name in the flattened graph.
-    pub node: String,
-    pub output: String,
-    /// Name of its packet type.
-    pub packet: String,
-}
-
-impl Watched {
-    /// Node and output of each.
-    pub fn outputs(all: &[Self]) -> Vec<(String, String)> {
-        all.iter().map(|watched| (watched.node.clone(), watched.output.clone())).collect()
-    }
-}
 
 /// A line of the log: level, node, words.
 type Line = (Level, String, String);
@@ -141,8 +125,6 @@ pub struct Running {
     closed: Mutex<Option<String>>,
 }
 
-/// Source, number and capture time in ns.
-pub type TickParts = (u32, u64, i64);
 /// Output, view, tick, age in ms.
 type Packet = (u32, View, TickParts, f64);
 

@@ -94,8 +94,8 @@ impl Calls {
 #[derive(Debug)]
 pub struct Timeline {
     calls: Mutex<Calls>,
-    most_calls: usize,
-    most_drops: usize,
+    max_calls: usize,
+    max_drops: usize,
 }
 
 impl Default for Timeline {
@@ -106,10 +106,10 @@ impl Default for Timeline {
 
 impl Timeline {
     /// Keeps so many calls and dropped ticks.
-    pub fn with_room(most_calls: usize, most_drops: usize) -> Self {
+    pub fn with_room(max_calls: usize, max_drops: usize) -> Self {
         // Reserved at once, because it is filled between two nodes.
-        let (calls, drops) = (VecDeque::with_capacity(most_calls), VecDeque::with_capacity(most_drops));
-        Self { calls: Mutex::new(Calls { calls, drops, ..Calls::default() }), most_calls, most_drops }
+        let (calls, drops) = (VecDeque::with_capacity(max_calls), VecDeque::with_capacity(max_drops));
+        Self { calls: Mutex::new(Calls { calls, drops, ..Calls::default() }), max_calls, max_drops }
     }
 
     /// A copy of what it holds now.
@@ -122,7 +122,7 @@ impl Tracer for Timeline {
     fn call(&self, call: &trace::Call<'_>) {
         let mut calls = lock(&self.calls);
         let (node, thread) = (calls.number(call.node), calls.thread());
-        if calls.calls.len() == self.most_calls {
+        if calls.calls.len() == self.max_calls {
             calls.calls.pop_front();
         }
         calls.calls.push_back(Call {
@@ -141,7 +141,7 @@ impl Tracer for Timeline {
     fn dropped(&self, node: &str, seq: u64, at_ns: u64) {
         let mut calls = lock(&self.calls);
         let node = calls.number(node);
-        if calls.drops.len() == self.most_drops {
+        if calls.drops.len() == self.max_drops {
             calls.drops.pop_front();
         }
         calls.drops.push_back(Dropped { node, seq, at_ns });

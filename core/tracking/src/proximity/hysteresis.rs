@@ -8,7 +8,7 @@ pub struct Rule {
     /// It ends beyond this distance, mm; not less than `on_mm`.
     pub off_mm: f64,
     /// How long a distance must stay on one side before the warning changes, s.
-    pub least_s: f64,
+    pub min_s: f64,
 }
 
 /// A warning that is on or off.
@@ -38,7 +38,7 @@ impl Hysteresis {
         let wants = if self.is_on { distance_mm <= rule.off_mm.max(rule.on_mm) } else { distance_mm <= rule.on_mm };
         if wants == self.is_on {
             self.since_s = None;
-        } else if now_s - *self.since_s.get_or_insert(now_s) >= rule.least_s - 1e-9 {
+        } else if now_s - *self.since_s.get_or_insert(now_s) >= rule.min_s - 1e-9 {
             (self.is_on, self.since_s) = (wants, None);
         }
         self.is_on
@@ -51,7 +51,7 @@ mod tests {
 
     #[test]
     fn a_warning_needs_its_time_and_ends_beyond_the_farther_threshold() {
-        let rule = Rule { on_mm: 5.0, off_mm: 7.0, least_s: 0.1 };
+        let rule = Rule { on_mm: 5.0, off_mm: 7.0, min_s: 0.1 };
         let mut warning = Hysteresis::default();
         let mut run = |distances: &[(f64, f64)]| -> Vec<bool> {
             distances.iter().map(|(at, d)| warning.step(*at, *d, &rule)).collect()

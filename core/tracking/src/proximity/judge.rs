@@ -174,7 +174,7 @@ impl Judge {
 mod tests {
     use super::*;
 
-    const RULE: Rule = Rule { on_mm: 5.0, off_mm: 6.0, least_s: 0.0 };
+    const RULE: Rule = Rule { on_mm: 5.0, off_mm: 6.0, min_s: 0.0 };
 
     /// One step per 0.1 s: true distance and whether it is warned of.
     fn judged(steps: &[(f64, bool)]) -> Verdict {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::{Dock, Layout, Panel, Window};
+use super::{Dock, Layout, LayoutError, Panel, Window};
 use crate::arguments::key;
 use crate::disk;
 
@@ -45,8 +45,9 @@ impl Stored {
     ///
     /// # Errors
     /// Why it is not the file of an arrangement.
-    pub fn parse(text: &str) -> Result<(String, Layout), String> {
-        let stored: Self = toml::from_str(text).map_err(|error| error.message().to_owned())?;
+    pub fn parse(text: &str) -> Result<(String, Layout), LayoutError> {
+        let text_error = |error: toml::de::Error| LayoutError::Text { message: error.message().to_owned() };
+        let stored: Self = toml::from_str(text).map_err(text_error)?;
         let Self { graph, open, viewer_beside, windows, root } = stored;
         Ok((graph, Layout { root, open, windows, viewer_beside }.checked()?))
     }
@@ -55,10 +56,10 @@ impl Stored {
     ///
     /// # Errors
     /// A value cannot be written as TOML.
-    pub fn text(graph: &str, layout: &Layout) -> Result<String, String> {
+    pub fn text(graph: &str, layout: &Layout) -> Result<String, toml::ser::Error> {
         let Layout { root, open, windows, viewer_beside } = layout.clone();
         let stored = Self { graph: graph.to_owned(), open, viewer_beside, windows, root };
-        toml::to_string(&stored).map_err(|error| error.to_string())
+        toml::to_string(&stored)
     }
 }
 
@@ -84,7 +85,7 @@ pub fn recall(folder: &Path, graph: &Path) -> Result<Option<Layout>, BrokenLayou
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(fail(error.to_string())),
     };
-    let (of, layout) = Stored::parse(&text).map_err(fail)?;
+    let (of, layout) = Stored::parse(&text).map_err(|error| fail(error.to_string()))?;
     // Another graph with the same number.
     Ok((of == key(graph)).then_some(layout))
 }

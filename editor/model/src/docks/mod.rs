@@ -3,12 +3,14 @@
 //! An arrangement is a tree. Every panel has exactly one place in it, also while it is closed or in a window, so that it comes back where it
 //! was. Sizes are in points; the part with the graph takes what the others leave.
 
+mod error;
 mod file;
 
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
+pub use error::LayoutError;
 pub use file::{BrokenLayout, Stored, recall, remember};
 
 /// Maximum depth of a tree; deeper ones are not used.
@@ -531,33 +533,33 @@ impl Layout {
     /// The same with every panel in it once.
     ///
     /// # Errors
-    /// Why it cannot be used: the graph is missing, a panel has several places, or a size is not usable.
-    pub fn checked(mut self) -> Result<Self, String> {
+    /// It cannot be used: the graph is missing, a panel has several places, or a size is not usable.
+    pub fn checked(mut self) -> Result<Self, LayoutError> {
         if self.root.depth() > MAX_DEPTH {
-            return Err(format!("it is more than {MAX_DEPTH} levels deep"));
+            return Err(LayoutError::TooDeep);
         }
         let panels = self.root.panels();
         if let Some(twice) = Panel::ALL.iter().find(|panel| panels.iter().filter(|p| p == panel).count() > 1) {
-            return Err(format!("the panel `{twice:?}` has several places"));
+            return Err(LayoutError::Twice { panel: *twice });
         }
         if !panels.contains(&Panel::Graph) {
-            return Err("the graph has no place".to_owned());
+            return Err(LayoutError::NoGraph);
         }
         let mut wrong = None;
         self.root.each_part(&mut |part| {
             if !SIZES.contains(&part.size) {
-                wrong = Some(format!("a size is {}, allowed are {} to {}", part.size, SIZES.start(), SIZES.end()));
+                wrong = Some(LayoutError::Size { size: part.size });
             } else if part.dock.panels().is_empty() {
-                wrong = Some("a part has no panel".to_owned());
+                wrong = Some(LayoutError::NoPanel);
             }
         });
         for window in &self.windows {
             let [numbers, sizes] = [window.at, window.size];
             if !numbers.iter().all(|x| x.abs() <= *SIZES.end()) || !sizes.iter().all(|x| SIZES.contains(x)) {
-                wrong = Some(format!("the window of `{:?}` has no usable place", window.panel));
+                wrong = Some(LayoutError::WindowPlace { panel: window.panel });
             }
             if window.panel == Panel::Graph || self.windows.iter().filter(|w| w.panel == window.panel).count() > 1 {
-                wrong = Some(format!("the panel `{:?}` cannot have this window", window.panel));
+                wrong = Some(LayoutError::Window { panel: window.panel });
             }
         }
         if let Some(wrong) = wrong {

@@ -27,7 +27,7 @@ pub enum SourceName {
 
 fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     pictures::image_files(pattern)
-        .map_err(|hint| CaptureError::NoMatch { pattern: pattern.display().to_string(), hint })
+        .map_err(|error| CaptureError::NoMatch { pattern: pattern.display().to_string(), hint: error.to_string() })
 }
 
 impl SourceName {

@@ -261,8 +261,8 @@ impl CalibrateStereo {
 
     /// Whether the points are where they were in an earlier view.
     fn is_alike(&self, pair: &Pair, size: (usize, usize), min_move: f64) -> bool {
-        let least_px = min_move * (size.0 as f64).hypot(size.1 as f64);
-        if least_px <= 0.0 {
+        let min_px = min_move * (size.0 as f64).hypot(size.1 as f64);
+        if min_px <= 0.0 {
             return false;
         }
         self.seen.iter().filter(|seen| seen.state == ViewState::Used).any(|seen| {
@@ -275,7 +275,7 @@ impl CalibrateStereo {
                 }
             }
             // Views that share little of the board differ.
-            count * 2 > pair.board_mm.len() && sum / (count as f64) < least_px
+            count * 2 > pair.board_mm.len() && sum / (count as f64) < min_px
         })
     }
 
@@ -291,7 +291,7 @@ impl CalibrateStereo {
         }
         let mut used: Vec<usize> =
             (0..self.seen.len()).filter(|index| self.seen[*index].state == ViewState::Used).collect();
-        let most_skipped = used.len() / 3;
+        let max_skipped = used.len() / 3;
         let mut skipped = 0;
         loop {
             if used.len() < params.min_views {
@@ -314,7 +314,7 @@ impl CalibrateStereo {
                 }
             };
             let worst = standing_out(&solution.errors_px)
-                .filter(|_| params.reject && self.procedure != Procedure::Sample && skipped < most_skipped);
+                .filter(|_| params.reject && self.procedure != Procedure::Sample && skipped < max_skipped);
             let Some(worst) = worst else {
                 cx.metric("reproj_px", solution.calibration.rms_px);
                 self.solution = Some((used, solution));

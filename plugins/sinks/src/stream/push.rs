@@ -36,29 +36,50 @@ pub enum Target {
     },
 }
 
+/// What is wrong with the address of a [`Target`]; `shown` is the address without its password.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
+pub enum TargetError {
+    /// It would end the text of a pipeline.
+    #[error("`{shown}` is no address: it has a space or a quote")]
+    Quoted { shown: String },
+    /// UDP without `:PORT`.
+    #[error("`{shown}` has no port")]
+    NoPort { shown: String },
+    /// Its port is 0, too large or not a number.
+    #[error("`{shown}` has no port from 1 to 65535")]
+    BadPort { shown: String },
+    /// UDP without a host.
+    #[error("`{shown}` has no host")]
+    NoHost { shown: String },
+    /// Neither RTSP nor UDP.
+    #[error("`{shown}` is no address that a stream can be sent to")]
+    Unknown { shown: String },
+}
+
 impl Target {
     /// Reads an address.
     ///
     /// # Errors
     /// What is wrong with it.
-    pub fn parse(text: &str) -> Result<Self, String> {
-        let shown = redact(text);
+    pub fn parse(text: &str) -> Result<Self, TargetError> {
+        let shown = redact(text).into_owned();
         if text.chars().any(|c| c.is_whitespace() || "\"'!\\".contains(c)) {
-            return Err(format!("`{shown}` is no address: it has a space or a quote"));
+            return Err(TargetError::Quoted { shown });
         }
         match text.split_once("://") {
             Some(("rtsp", rest)) if !rest.is_empty() && !rest.starts_with('/') => Ok(Self::Rtsp(text.to_owned())),
             Some(("udp", rest)) => {
-                let (host, port) = rest.rsplit_once(':').ok_or_else(|| format!("`{shown}` has no port"))?;
+                let Some((host, port)) = rest.rsplit_once(':') else { return Err(TargetError::NoPort { shown }) };
                 let port = port.parse::<u16>().ok().filter(|&port| port > 0);
-                let port = port.ok_or_else(|| format!("`{shown}` has no port from 1 to 65535"))?;
+                let Some(port) = port else { return Err(TargetError::BadPort { shown }) };
                 let host = host.trim_start_matches('[').trim_end_matches(']');
                 if host.is_empty() {
-                    return Err(format!("`{shown}` has no host"));
+                    return Err(TargetError::NoHost { shown });
                 }
                 Ok(Self::Udp { host: host.to_owned(), port })
             }
-            _ => Err(format!("`{shown}` is no address that a stream can be sent to")),
+            _ => Err(TargetError::Unknown { shown }),
         }
     }
 
@@ -232,11 +253,11 @@ mod tests {
             ("rtsp://", "is no address"),
             ("rtsp://a b", "has a space"),
         ] {
-            let message = Target::parse(text).unwrap_err();
+            let message = Target::parse(text).unwrap_err().to_string();
             assert!(message.contains(problem) && message.contains(text), "{text}: {message}");
         }
         let hidden = "rtsp://***@host/a";
         assert_eq!(Target::parse("rtsp://u:geheim@host/a").unwrap().to_string(), hidden);
-        assert!(Target::parse("http://u:geheim@host/a").unwrap_err().contains("`http://***@host/a`"));
+        assert!(Target::parse("http://u:geheim@host/a").unwrap_err().to_string().contains("`http://***@host/a`"));
     }
 }

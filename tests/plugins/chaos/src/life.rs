@@ -34,10 +34,10 @@ pub enum Hangs {
     Load,
 }
 
-/// Returns when two chunks of a loop ran at once, at the latest after `most_ms` for each.
-fn meet(pool: &dyn Parallel, most_ms: f64) {
+/// Returns when two chunks of a loop ran at once, at the latest after `max_ms` for each.
+fn meet(pool: &dyn Parallel, max_ms: f64) {
     let arrived = AtomicU32::new(0);
-    let end = Instant::now() + Duration::from_secs_f64(most_ms * 1e-3);
+    let end = Instant::now() + Duration::from_secs_f64(max_ms * 1e-3);
     pool.run(2, &|_| {
         arrived.fetch_add(1, Ordering::AcqRel);
         while arrived.load(Ordering::Acquire) < 2 && Instant::now() < end {

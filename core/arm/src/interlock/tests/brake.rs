@@ -4,7 +4,7 @@ use super::*;
 use crate::campaign::Random;
 
 /// Shortest time from a speed to rest with bounded acceleration and jerk, in steps.
-fn shortest_steps(speed: f64) -> f64 {
+fn min_steps(speed: f64) -> f64 {
     let (a, j) = (caps::ACCELERATION_RAD_S2, caps::JERK_RAD_S3);
     let seconds = if speed >= a * a / j { speed / a + a / j } else { 2.0 * (speed / j).sqrt() };
     seconds / STEP_S
@@ -51,7 +51,7 @@ fn a_stop_from_steady_speed_takes_the_shortest_time_and_keeps_its_direction() {
         let from = SetPoint { position: JointVector::zeros(), velocity, acceleration: JointVector::zeros() };
         let brake = check(from);
         assert_eq!(brake.release_steps(), 0);
-        let (steps, shortest) = (f64::from(brake.steps()), shortest_steps(velocity.amax()));
+        let (steps, shortest) = (f64::from(brake.steps()), min_steps(velocity.amax()));
         assert!(steps >= shortest - 1.0 && steps <= shortest + 3.0, "{steps} steps, {shortest} at least");
         for step in 0..brake.steps() {
             let point = brake.at(step);

@@ -19,9 +19,9 @@ pub struct Border {
 }
 
 impl Border {
-    /// Width of the changeover before the border where at most `most_px` are wanted, px; 0 for none.
-    pub fn zone_px(&self, most_px: f64) -> f64 {
-        most_px.min(MAX_SHARE * self.overlap_px).max(0.0)
+    /// Width of the changeover before the border where at most `max_px` are wanted, px; 0 for none.
+    pub fn zone_px(&self, max_px: f64) -> f64 {
+        max_px.min(MAX_SHARE * self.overlap_px).max(0.0)
     }
 }
 

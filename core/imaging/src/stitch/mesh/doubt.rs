@@ -1,6 +1,6 @@
 //! Where a mesh and what was measured differ: a seam must not run there.
 
-use super::follow::length;
+use crate::geometry::length;
 
 /// Doubt of a place without an observation, px: it may match, but nothing says so.
 const UNKNOWN_PX: f32 = 1.0;

@@ -1,8 +1,7 @@
 //! The inverse of the mesh that fits: which point of the reference view the other view shows at a position.
 
-use super::follow::length;
 use super::{Lattice, MIN_MOVE_PX};
-use crate::geometry::{Homography, Point};
+use crate::geometry::{Homography, Point, length};
 
 /// Steps of the search. Each leaves at most 0.6 of the error where the disparity changes by 0.6 px a px.
 const STEPS: usize = 16;

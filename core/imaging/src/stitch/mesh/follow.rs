@@ -5,7 +5,7 @@ mod whole;
 
 use std::ops::Range;
 
-use super::super::grid::RectifiedView;
+use super::super::rectified_view::RectifiedView;
 use super::border::{Border, borders};
 use super::energy::{Energy, Stiffness};
 use super::hints::InstrumentHints;
@@ -15,7 +15,7 @@ use super::relax::{Continuation, Relax};
 use super::rigid::Rigid;
 use super::scaled::Scaled;
 use super::{Lattice, Mesh};
-use crate::geometry::{Homography, Point, median, overlap_roi};
+use crate::geometry::{Homography, Point, length, overlap_roi};
 use crate::{Parallel, Simd, View};
 
 /// Columns of a view that lengths of [`MeshParams`] refer to.
@@ -76,13 +76,13 @@ pub struct MeshParams {
     /// Disparities of one observation differ from a plane by at most this.
     pub agree_px: f64,
     /// Observations on one surface below which none of them counts.
-    pub least_patch: usize,
+    pub min_patch: usize,
     /// Weight of second differences beside an observation's: how smooth the mesh is.
     pub bend: f64,
     /// Weight of first differences: how soon it fades into the shifted homography where nothing is observed.
     pub slope: f64,
     /// Largest relative change of a length where only the other view sees.
-    pub most_stretch: f64,
+    pub max_stretch: f64,
     /// Width of the zone before the border of the reference view in which the mesh leaves what it observes for that; 0 leaves nothing, and the mesh
     /// fades beyond the border by its slopes alone.
     pub zone_px: f64,
@@ -101,7 +101,7 @@ pub struct MeshParams {
     /// Observations further from the homography are mistakes.
     pub reach_px: f64,
     /// Observations below which the mesh is held.
-    pub least_observations: usize,
+    pub min_observations: usize,
     /// Finds instruments in front of the tissue, tells which view must show each, and does not bend it there; for two views.
     pub keeps_instruments: bool,
     /// Draws the reference view along in the zone, by [`MeshFollower::reference_mesh`], so that both views fit there too.
@@ -118,10 +118,10 @@ impl Default for MeshParams {
             observations: 3,
             step_px: 3,
             agree_px: 2.0,
-            least_patch: 24,
+            min_patch: 24,
             bend: 0.01,
             slope: 0.005,
-            most_stretch: 0.045,
+            max_stretch: 0.045,
             zone_px: 60.0,
             outlier_px: 12.0,
             hold_moving: 0.005,
@@ -130,7 +130,7 @@ impl Default for MeshParams {
             margin_px: 24.0,
             jump_px: 12.0,
             reach_px: 96.0,
-            least_observations: 24,
+            min_observations: 24,
             keeps_instruments: true,
             moves_reference: true,
             along: [1.0, 0.0],
@@ -278,12 +278,12 @@ impl MeshFollower {
         let agree_px = (p.agree_px * scale) as f32;
         let sampling = Sampling { cell_px: cell, step_px: step, agree_px, along: p.along };
         self.observations.gather(disparity, [left, right], &sampling, pool);
-        self.observations.keep_patches(p.least_patch);
+        self.observations.keep_patches(p.min_patch);
         self.locate(p.reach_px * scale);
         report.observations = self.located.len();
         let overlap = overlap_roi(left_from_right, right.size.0, right.size.1, left.size.0, left.size.1);
         report.blind = self.blind(overlap);
-        if self.located.len() < p.least_observations {
+        if self.located.len() < p.min_observations {
             if !report.is_new {
                 self.shift.clone_from(&self.shift_before);
                 self.go_on(left_from_right, left.size, right.size);
@@ -539,7 +539,7 @@ impl MeshFollower {
         self.shown.clear();
         let Some(back) = left_from_right.inverse_bounded() else { return };
         let scale = right.0 as f64 / REFERENCE_COLUMNS;
-        let how = Continuation { zone_px: self.params.zone_px * scale, most_stretch: self.params.most_stretch };
+        let how = Continuation { zone_px: self.params.zone_px * scale, max_stretch: self.params.max_stretch };
         for border in self.borders(left_from_right, left, right).iter().flatten() {
             self.relax.apply(&mut self.drawn, &self.lattice, border, &how, [left_from_right, &back]);
         }
@@ -564,9 +564,4 @@ impl MeshFollower {
         self.reference.source.clear();
         self.reference.source.extend(self.shown.iter().map(|at| at.map(|v| v as f32)));
     }
-}
-
-/// Length of a vector whose square does not overflow, faster than `hypot`.
-pub(in crate::stitch) fn length([x, y]: Point) -> f64 {
-    (x * x + y * y).sqrt()
 }

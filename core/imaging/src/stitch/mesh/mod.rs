@@ -25,7 +25,6 @@ mod scaled;
 #[cfg(test)]
 mod tests;
 
-pub(super) use follow::length;
 pub use follow::{MeshFollower, MeshParams, MeshReport};
 pub use hints::InstrumentHints;
 pub use kept::{Keep, Kept};

@@ -1,7 +1,7 @@
 //! Where the points that both views see lie in the other view, cell by cell of the reference view.
 
-use super::super::grid::RectifiedView;
-use super::follow::length;
+use super::super::rectified_view::RectifiedView;
+use crate::geometry::length;
 use crate::{Parallel, SharedMut, View, pieces};
 
 /// Rows of cells per chunk.

@@ -19,7 +19,7 @@ pub struct Continuation {
     /// Width of the changeover before the border, px.
     pub zone_px: f64,
     /// Largest relative change of a length beyond the border.
-    pub most_stretch: f64,
+    pub max_stretch: f64,
 }
 
 /// Memory of a continuation.
@@ -71,7 +71,7 @@ impl Relax {
             }
             self.mean.push(sum.map(|v| v / count));
         }
-        self.smooth_out(border.axis, how.most_stretch * lattice.cell_px as f64);
+        self.smooth_out(border.axis, how.max_stretch * lattice.cell_px as f64);
         for i in (0..across).filter(|i| share(*i) > 0.0) {
             let t = share(i);
             let kept = 1.0 - t * t * (3.0 - 2.0 * t);
@@ -84,17 +84,17 @@ impl Relax {
         }
     }
 
-    /// Sets `smooth` to the values nearest to `mean` that stretch a cell by at most `most_px`.
-    fn smooth_out(&mut self, axis: usize, most_px: f64) {
+    /// Sets `smooth` to the values nearest to `mean` that stretch a cell by at most `max_px`.
+    fn smooth_out(&mut self, axis: usize, max_px: f64) {
         self.smooth.clone_from(&self.mean);
-        if stretch_px(&self.smooth, axis) <= most_px {
+        if stretch_px(&self.smooth, axis) <= max_px {
             return;
         }
         let [mut low, mut high] = SMOOTHNESS.map(f64::ln);
         for _ in 0..SEARCH_STEPS {
             let middle = 0.5 * (low + high);
             self.fit(middle.exp());
-            if stretch_px(&self.trial, axis) > most_px {
+            if stretch_px(&self.trial, axis) > max_px {
                 low = middle;
             } else {
                 high = middle;
@@ -143,7 +143,7 @@ mod tests {
 
     const LATTICE: Lattice = Lattice { cell_px: 20, first: [-2, -3], columns: 40, rows: 30 };
     const BORDER: Border = Border { axis: 0, outwards: 1.0, at_px: 400.0, overlap_px: 600.0 };
-    const HOW: Continuation = Continuation { zone_px: 80.0, most_stretch: 0.04 };
+    const HOW: Continuation = Continuation { zone_px: 80.0, max_stretch: 0.04 };
 
     /// Applies the continuation to displacements.
     fn apply(shift: &mut [Point], border: &Border, how: &Continuation) {

@@ -5,7 +5,7 @@
 use super::Lattice;
 use super::instruments::{Arrangement, Instruments, MAX_INSTRUMENTS};
 use super::kept::Kept;
-use crate::geometry::Point;
+use crate::geometry::{Point, length};
 
 /// Cells from an instrument within which the mesh is rigid; all corners of a cell with an instrument in it lie within.
 const FULL_CELLS: f64 = 1.5;
@@ -198,7 +198,7 @@ impl Weights {
         let Some(((column, row), _)) = lattice.cell_of(at) else { return false };
         for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
             let own = lattice.position(column + dx, row + dy);
-            let distance = super::follow::length([own[0] - at[0], own[1] - at[1]]) as f32;
+            let distance = length([own[0] - at[0], own[1] - at[1]]) as f32;
             let vertex = (row + dy) * lattice.columns + column + dx;
             if distance < self.distance_px[vertex] {
                 (self.distance_px[vertex], self.nearest[vertex]) = (distance, number as u8);

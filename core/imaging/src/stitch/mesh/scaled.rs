@@ -1,7 +1,7 @@
 //! Meshes of pictures that are larger than their disparity map: followed at the size of the map, and enlarged.
 
 use super::super::coarse::{map_factor, shrunk};
-use super::super::grid::RectifiedView;
+use super::super::rectified_view::RectifiedView;
 use super::{Lattice, Mesh, MeshFollower, MeshReport};
 use crate::geometry::{Homography, Point};
 use crate::shrink::{enlarged_px, shrunk_px};

@@ -310,7 +310,7 @@ fn chance_matches_in_patches_do_not_count_and_are_reported_as_blind() {
             lost[y * SIZE.0 + x] = if chance < 0.6 { f32::NAN } else { (400.0 * chance - 90.0) as f32 };
         }
     }
-    let kept = MeshParams { zone_px: 0.0, least_patch: 40, ..MeshParams::default() };
+    let kept = MeshParams { zone_px: 0.0, min_patch: 40, ..MeshParams::default() };
     let at_the_bottom = |params: MeshParams| {
         let mut follower = MeshFollower::new(params);
         let report = update(&mut follower, &lost, &plane());
@@ -323,7 +323,7 @@ fn chance_matches_in_patches_do_not_count_and_are_reported_as_blind() {
     let (worst, report) = at_the_bottom(kept);
     assert!(worst < 15.0, "{worst} px");
     assert!((0.3..0.45).contains(&report.blind), "{report:?}");
-    let (misled, report) = at_the_bottom(MeshParams { least_patch: 0, ..kept });
+    let (misled, report) = at_the_bottom(MeshParams { min_patch: 0, ..kept });
     assert!(misled > 1.5 * worst && report.blind < 0.3, "{misled} px, {report:?}");
     let mut follower = MeshFollower::new(MeshParams::default());
     assert!(update(&mut follower, &map(hills, 0.3, 0), &plane()).blind < 1e-9);

@@ -2,9 +2,9 @@
 
 use super::super::instruments::nearer_px;
 use super::super::observe::Observations;
-use super::{MeshFollower, length, median};
+use super::MeshFollower;
 use crate::Rect;
-use crate::geometry::Point;
+use crate::geometry::{Point, length, median};
 
 /// Cells of observations per block, each way, in which motion is separated from noise.
 const BLOCK_CELLS: usize = 4;

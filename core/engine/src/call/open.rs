@@ -1,18 +1,18 @@
 //! Opening an instance of a node.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use panoscope_abi::{self as abi, Str};
 
-use super::{NodeRuntime, RunContext};
 use crate::claims::Holds;
-use crate::ending::current_node;
+use crate::current_node;
 use crate::host::CallContext;
 use crate::instance::Instance;
 use crate::isolation::Group;
 use crate::log::Level;
+use crate::node::NodeRuntime;
 use crate::params::Snapshot;
+use crate::run_context::RunContext;
 
 /// A node did not open.
 #[derive(Debug, thiserror::Error)]
@@ -59,7 +59,7 @@ impl NodeRuntime {
             params: snapshot.values().as_ptr(),
             params_len: snapshot.values().len(),
             graph_dir: Str::borrow(&context.graph_dir),
-            outputs_read: self.outputs_read.load(Ordering::Relaxed),
+            outputs_read: self.outputs_read(),
         };
         let mut raw = std::ptr::null_mut();
         let open = || match (group, node_type.open) {

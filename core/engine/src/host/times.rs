@@ -4,35 +4,14 @@ use std::ffi::c_void;
 
 use panoscope_abi::{INPUT_TICK, Tick};
 
+use super::{CallContext, call_context};
 use crate::clock;
 use crate::decide::Ages;
-use crate::host::{CallContext, call_context};
+use crate::exec::CallTimes;
 use crate::light::{Lag, Lights};
 
 /// Inputs from this index on share a bit of [`CallTimes::asked`]; [`INPUT_TICK`] has the bit after it.
 const LAST_BIT: u32 = 62;
-
-/// The times of one call. Between two calls only the arrival that a source declared is kept.
-#[derive(Default)]
-pub(crate) struct CallTimes {
-    /// The moment for which ages are given, once one was asked for.
-    now_ns: Option<i64>,
-    /// Inputs whose time was asked for, one bit each, see [`bit`].
-    asked: u64,
-    /// What the recorded run returned, in a replay.
-    recorded: Option<Box<Ages>>,
-    /// Lag that the node declared for its outputs, as [`Tick::flags`].
-    lag: u32,
-    /// For a source: arrival of the tick, ns of the host's clock.
-    arrived_ns: Option<i64>,
-}
-
-impl CallTimes {
-    /// Takes the arrival that a source declared for the tick of its last call, ns of the host's clock.
-    pub fn take_arrived_ns(&mut self) -> Option<i64> {
-        self.arrived_ns.take()
-    }
-}
 
 /// Bit of an input in [`CallTimes::asked`].
 fn bit(input: u32) -> u64 {
@@ -125,7 +104,7 @@ impl CallContext<'_> {
     }
 }
 
-pub(crate) unsafe extern "C" fn set_arrived_ns(call: *mut c_void, arrived_ns: i64) {
+pub(super) unsafe extern "C" fn set_arrived_ns(call: *mut c_void, arrived_ns: i64) {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     let call_context = unsafe { call_context(call) };
     if let Some(times) = call_context.and_then(CallContext::times) {
@@ -133,13 +112,13 @@ pub(crate) unsafe extern "C" fn set_arrived_ns(call: *mut c_void, arrived_ns: i6
     }
 }
 
-pub(crate) unsafe extern "C" fn arrived_ns(call: *mut c_void, input: u32) -> i64 {
+pub(super) unsafe extern "C" fn arrived_ns(call: *mut c_void, input: u32) -> i64 {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     let call_context = unsafe { call_context(call) };
     call_context.and_then(|call_context| call_context.input_light_ns(input)).unwrap_or(i64::MIN)
 }
 
-pub(crate) unsafe extern "C" fn age_ns(call: *mut c_void, input: u32) -> i64 {
+pub(super) unsafe extern "C" fn age_ns(call: *mut c_void, input: u32) -> i64 {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     let Some(call_context) = (unsafe { call_context(call) }) else { return i64::MAX };
     let arrived_ns = call_context.input_light_ns(input);
@@ -147,7 +126,7 @@ pub(crate) unsafe extern "C" fn age_ns(call: *mut c_void, input: u32) -> i64 {
     now_ns.zip(arrived_ns).map_or(i64::MAX, |(now_ns, arrived_ns)| now_ns.saturating_sub(arrived_ns).max(0))
 }
 
-pub(crate) unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
+pub(super) unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     let call_context = unsafe { call_context(call) }.filter(|call_context| !call_context.runtime.source);
     if let Some(times) = call_context.and_then(CallContext::times) {

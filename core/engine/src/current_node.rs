@@ -12,7 +12,7 @@ use crate::busy::CallKind;
 use crate::sync::lock;
 
 /// The calling thread's number.
-pub(super) fn thread_id() -> i32 {
+pub(crate) fn thread_id() -> i32 {
     // SAFETY: a plain question to the system.
     unsafe { libc::gettid() }
 }

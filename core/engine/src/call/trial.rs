@@ -6,9 +6,10 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use panoscope_abi as abi;
 
 use super::open::NotOpened;
-use super::{NodeRuntime, RunContext};
+use crate::node::NodeRuntime;
 use crate::params::Snapshot;
-use crate::vet::{Opening, TrialLimits, Vet};
+use crate::run_context::RunContext;
+use crate::vet::{Opening, TrialError, TrialLimits, Vet};
 
 impl NodeRuntime {
     /// Asks `vet` whether the node may open with these values.
@@ -23,11 +24,11 @@ impl NodeRuntime {
         let params = names.zip(snapshot.owned()).collect();
         let opening = Opening { node: &self.id, plugin_file: &self.who.file, params };
         vet.vet(&opening, &mut |limits| self.try_open(context, snapshot, limits))
-            .map_err(|message| NotOpened { message })
+            .map_err(|error| NotOpened { message: error.to_string() })
     }
 
     /// Opens the node in a new process and closes it there.
-    fn try_open(&self, context: &RunContext, snapshot: &Snapshot, limits: &TrialLimits) -> Result<(), String> {
+    fn try_open(&self, context: &RunContext, snapshot: &Snapshot, limits: &TrialLimits) -> Result<(), TrialError> {
         let group = context.groups.for_trial(&self.id, limits.memory_bytes)?;
         let (finished, is_finished) = channel::<()>();
         let (watched, time) = (Arc::clone(&group), limits.time);
@@ -37,12 +38,12 @@ impl NodeRuntime {
             }
         };
         let watch = std::thread::Builder::new().name("trial".to_owned()).spawn(watch);
-        let watch = watch.map_err(|cause| format!("no thread could be started to watch its trial: {cause}"))?;
+        let watch = watch.map_err(|cause| TrialError::Thread { cause })?;
         // Closed on drop, within the same limit.
         let opened = self.open_in(context, snapshot, Some(&group), true).map(drop);
         drop(finished);
         // Holds the group: its process and memory must be gone before the node opens here.
         let _ = watch.join();
-        opened.map_err(|refusal| refusal.message)
+        opened.map_err(|NotOpened { message }| TrialError::Node { message })
     }
 }

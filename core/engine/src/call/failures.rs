@@ -5,16 +5,19 @@ use std::sync::Arc;
 use panoscope_abi::{self as abi, Tick};
 use panoscope_graph::OnFault;
 
+use super::CallOutcome;
 use super::open::NotOpened;
-use super::{CallOutcome, NodeRuntime, Refused, RunContext};
 use crate::busy::{Abandoned, CallKind};
 use crate::clock;
 use crate::exec::Exec;
 use crate::fault::{Action, Cause, Fault, unix_ms};
+use crate::host::Refused;
 use crate::instance::Instance;
 use crate::log::Level;
+use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::params::Snapshot;
+use crate::run_context::RunContext;
 use crate::scratch::CallOutputs;
 use crate::stats::bump;
 

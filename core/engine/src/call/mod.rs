@@ -1,30 +1,87 @@
 //! One call of a node: its inputs, its outputs, and what is recorded about it.
 
+mod decided;
+pub(crate) mod failures;
+mod finish;
+pub(crate) mod open;
+mod trial;
+
 use std::sync::atomic::Ordering;
 
 use panoscope_abi::{self as abi, Frame, PortRange, Tick};
 
-use super::{
-    CallOutcome, MAX_RETAINED_FRAMES, NodeRuntime, ONE_INPUT, Ports, Refused, RunContext, SILENT_CALLS, SizeChange,
-};
 use crate::busy::{Abandoned, CallKind};
 use crate::clock;
-use crate::ending::current_node;
+use crate::current_node;
 use crate::exec::{Exec, Port};
 use crate::fault::{Action, Cause};
-use crate::host::{CallContext, output_bit};
+use crate::host::{CallContext, Refused, output_bit};
 use crate::instance::Instance;
 use crate::isolation::STATUS_DIED;
-use crate::light::later;
+use crate::light::{Sources, later};
 use crate::log::Level;
 use crate::memory::{FrameRef, Memory, memory};
+use crate::node::{NodeRuntime, SizeChange};
 use crate::observe::Event;
 use crate::outputs::is_same;
 use crate::params::Snapshot;
 use crate::retained::attention;
-use crate::scratch::{CallOutputs, clear};
+use crate::run_context::RunContext;
+use crate::scratch::{CallOutputs, Scratch, clear};
 use crate::stats::bump;
 use crate::trace::Call;
+
+/// Frames that a node may retain between calls.
+pub(crate) const MAX_RETAINED_FRAMES: usize = 128;
+/// Calls in a row without output after which a node counts as silent.
+const SILENT_CALLS: u32 = 30;
+
+/// Readers that run inline have one input.
+const ONE_INPUT: &[PortRange] = &[PortRange { first: 0, count: 1 }];
+
+/// How a call ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CallOutcome {
+    Ok,
+    /// A source has ended.
+    End,
+    /// Not called: an input was empty, or the node is down.
+    Skipped,
+    /// It failed; the graph continues.
+    Fault,
+    /// It failed, and the graph has to stop.
+    Stop,
+    /// The watchdog abandoned this call; the thread must return without touching anything.
+    Abandoned,
+}
+
+/// Inputs and outputs of a call.
+pub(crate) struct Ports<'w> {
+    pub inputs: &'w mut [FrameRef],
+    /// Whether the node has one input port with one connection.
+    pub lone: bool,
+    pub made: &'w mut CallOutputs,
+    /// The sources of the graph.
+    pub sources: &'w dyn Sources,
+}
+
+/// A call that ended on the thread that made it.
+pub(crate) struct Called {
+    pub outcome: CallOutcome,
+    pub end_ns: u64,
+    pub bypassed: bool,
+    /// For a source: the arrival that it declared for the tick, ns of the host's clock.
+    pub arrived_ns: Option<i64>,
+}
+
+/// Why a call has no outcome.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum NoOutcome {
+    /// The engine closed the node, which does not run again.
+    Closed,
+    /// The watchdog abandoned the call, see [`NodeRuntime::abandoned_call_returned`].
+    Abandoned,
+}
 
 /// Whether to call a node for a tick.
 enum Due {
@@ -43,8 +100,36 @@ fn bytes<'f>(frames: impl Iterator<Item = &'f Frame>) -> u64 {
 }
 
 impl NodeRuntime {
-    /// Calls the node for one tick. Returns the outcome and the time at its end. The caller releases the inputs.
-    pub fn run(
+    /// Takes the node's [`Exec`], calls the node for one tick, and puts the `Exec` back. The caller releases the inputs.
+    #[inline]
+    pub fn call_node(
+        &self,
+        context: &RunContext,
+        tick: &mut Tick,
+        complete: bool,
+        start_ns: u64,
+        ports: &mut Ports<'_>,
+    ) -> Result<Called, NoOutcome> {
+        let Some(mut exec) = self.exec.take() else { return Err(NoOutcome::Closed) };
+        let (outcome, end_ns) = self.run(&mut exec, context, tick, complete, start_ns, ports);
+        if outcome == CallOutcome::Abandoned {
+            return Err(NoOutcome::Abandoned);
+        }
+        let arrived_ns = if exec.source { exec.times.take_arrived_ns() } else { None };
+        let bypassed = exec.bypassed;
+        self.exec.put(exec);
+        Ok(Called { outcome, end_ns, bypassed, arrived_ns })
+    }
+
+    /// An abandoned call returned: releases what its thread still holds. The watchdog has done everything else.
+    #[cold]
+    pub fn abandoned_call_returned(&self, scratch: &mut Scratch) {
+        scratch.clear();
+        self.recovery.remove_stuck();
+    }
+
+    /// Calls the node for one tick. Returns the outcome and the time at its end.
+    fn run(
         &self,
         exec: &mut Exec,
         context: &RunContext,
@@ -105,8 +190,8 @@ impl NodeRuntime {
         }
         let spent_ns = end_ns.saturating_sub(start_ns);
         exec.time.count_one(spent_ns);
-        if spent_ns > exec.longest_ns {
-            exec.longest_ns = spent_ns;
+        if spent_ns > exec.max_ns {
+            exec.max_ns = spent_ns;
             exec.time.raise(spent_ns);
         }
         if exec.limited && exec.budget_ns != 0 && spent_ns > exec.budget_ns {
@@ -330,7 +415,7 @@ impl NodeRuntime {
             params,
             params_len,
             params_version: exec.params_version,
-            outputs_read: self.outputs_read.load(Ordering::Relaxed),
+            outputs_read: self.outputs_read(),
         };
         let raw = exec.instance.raw;
         current_node::begin_call(self);
@@ -494,10 +579,7 @@ impl NodeRuntime {
         if silent {
             exec.silent_calls = exec.silent_calls.saturating_add(1);
             let silent = exec.silent_calls;
-            if silent >= SILENT_CALLS
-                && silent.is_multiple_of(SILENT_CALLS)
-                && self.outputs_read.load(Ordering::Relaxed) != 0
-            {
+            if silent >= SILENT_CALLS && silent.is_multiple_of(SILENT_CALLS) && self.outputs_read() != 0 {
                 let words = || format!("its inputs are complete, but it made nothing for {silent} ticks");
                 self.report_repeated_fault(context, Cause::Silent, Action::Note, Some(tick.seq), words);
             }

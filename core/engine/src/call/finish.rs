@@ -3,14 +3,15 @@
 use panoscope_abi as abi;
 use panoscope_graph::OnFault;
 
-use super::{NodeRuntime, RunContext};
 use crate::busy::CallKind;
-use crate::ending::current_node;
+use crate::current_node;
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
 use crate::instance::Instance;
 use crate::isolation::STATUS_DIED;
 use crate::log::Level;
+use crate::node::NodeRuntime;
+use crate::run_context::RunContext;
 use crate::stats::bump;
 use crate::sync::lock;
 

@@ -5,14 +5,15 @@ use std::sync::Arc;
 use panoscope_abi::Tick;
 use panoscope_graph::ParamValue;
 
-use super::{NodeRuntime, RunContext};
 use crate::busy::{Abandoned, CallKind};
 use crate::decide::{Decider, Turn};
 use crate::exec::Exec;
 use crate::instance::Instance;
 use crate::log::Level;
+use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::params::Snapshot;
+use crate::run_context::RunContext;
 
 impl NodeRuntime {
     /// Applies the events before this tick. Returns whether the node runs, if the decider knows.
