@@ -228,7 +228,7 @@ fn support(file: &str) -> PathBuf {
 }
 
 fn main() {
-    let engine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/engine/src");
+    let engine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/runtime/engine/src");
     let out = PathBuf::from(std::env::var("OUT_DIR").expect("cargo names a folder"));
     let mut modules = String::new();
     for subject in SUBJECTS {

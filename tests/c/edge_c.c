@@ -1,6 +1,6 @@
 /*
  * Edges of a gray image with the Sobel operator: a complete plugin in C.
- * Build: cc -std=c11 -O2 -fPIC -fvisibility=hidden -shared -I core/abi edge_c.c -o libedge_c.so
+ * Build: cc -std=c11 -O2 -fPIC -fvisibility=hidden -shared -I core/contract/abi edge_c.c -o libedge_c.so
  */
 #include <panoscope.h>
 #include <stdlib.h>

@@ -1,5 +1,5 @@
 // Edges of a gray image with a choice of operators: a complete plugin in C++.
-// Build: c++ -std=c++17 -O2 -fPIC -fvisibility=hidden -fno-gnu-unique -shared -I core/abi edge_cpp.cpp -o libedge_cpp.so
+// Build: c++ -std=c++17 -O2 -fPIC -fvisibility=hidden -fno-gnu-unique -shared -I core/contract/abi edge_cpp.cpp -o libedge_cpp.so
 #include <panoscope.h>
 
 #include <cmath>

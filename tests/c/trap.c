@@ -1,6 +1,6 @@
 /*
  * A plugin that tells when its code runs: its constructor appends a line to the file that PANOSCOPE_TRAP names.
- * Build: cc -std=c11 -O2 -fPIC -fvisibility=hidden -shared -I core/abi trap.c -o libtrap.so; with -DNEEDS_LIBRARY it needs libtrap_library.so,
+ * Build: cc -std=c11 -O2 -fPIC -fvisibility=hidden -shared -I core/contract/abi trap.c -o libtrap.so; with -DNEEDS_LIBRARY it needs libtrap_library.so,
  * which -DLIBRARY builds from the same file.
  */
 #include <stdio.h>

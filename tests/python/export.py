@@ -319,7 +319,7 @@ class ExportTest(unittest.TestCase):
         self.assertEqual(rows["/gives/joints/position_rad"][0]["Scalars:scalars"], [0.25, -0.5])
 
     def test_the_documented_layout_reads_a_recording(self):
-        text = (Path(__file__).resolve().parents[2] / "core" / "record" / "README.md").read_text()
+        text = (Path(__file__).resolve().parents[2] / "core" / "runtime" / "record" / "README.md").read_text()
         (block,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
         names = {}
         os.chdir(self.folder)

@@ -11,7 +11,7 @@ fn build(compiler: &str, source: &str, flags: &[&str], folder: &Path) -> bool {
         .args(["-O2", "-fPIC", "-fvisibility=hidden", "-shared"])
         .args(flags)
         .arg("-I")
-        .arg(root().join("core/abi"))
+        .arg(root().join("core/contract/abi"))
         .arg(root().join("tests/c").join(source))
         .arg("-o")
         .arg(library)

@@ -212,7 +212,7 @@ const CASES: &[Case] = &[
         node: concat!(
             "type = \"arm_ur\"\nparams = { home_deg = \"0, 90\", arm = \"",
             env!("CARGO_MANIFEST_DIR"),
-            "/../core/arm/description/panoscope_arm6.urdf\" }\ninputs = { tip = \"scope.tip\" }"
+            "/../core/robot/arm/description/panoscope_arm6.urdf\" }\ninputs = { tip = \"scope.tip\" }"
         ),
         outputs: &["joints"],
         found: (ERROR, PARAM, "\"0, 90\"", "is not 6 angles"),

@@ -23,7 +23,7 @@ fn built(folder: &Path, flags: &[&str]) -> Option<PathBuf> {
         .args(["-std=gnu11", "-O1", "-fPIC", "-fvisibility=hidden", "-shared"])
         .args(flags)
         .arg("-I")
-        .arg(root().join("core/abi"))
+        .arg(root().join("core/contract/abi"))
         .arg(root().join("tests/c/constructor.c"))
         .arg("-o")
         .arg(&library)

@@ -61,7 +61,7 @@ impl Bench {
         std::fs::create_dir_all(output.parent().expect("a folder")).expect("a folder");
         let built = Command::new("cc")
             .args(["-std=c11", "-O2", "-fPIC", "-fvisibility=hidden", "-shared", "-I"])
-            .arg(root.join("core/abi"))
+            .arg(root.join("core/contract/abi"))
             .arg(root.join("tests/c/trap.c"))
             .arg("-o")
             .arg(&output)

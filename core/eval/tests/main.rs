@@ -1,6 +1,6 @@
 //! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
 
-#[path = "../../engine/tests/common/mod.rs"]
+#[path = "../../runtime/engine/tests/common/mod.rs"]
 mod common;
 mod detect_folds;
 mod library;

@@ -41,31 +41,31 @@ const PARSERS: &[(&str, &[Source])] = &[
     (
         "graph",
         &[
-            all("core/graph/src/parse.rs"),
-            all("core/graph/src/text.rs"),
-            all("core/graph/src/parts.rs"),
-            all("core/graph/src/args.rs"),
-            all("core/graph/src/shape.rs"),
-            all("core/graph/src/file.rs"),
-            all("core/graph/src/check/"),
+            all("core/runtime/graph/src/parse.rs"),
+            all("core/runtime/graph/src/text.rs"),
+            all("core/runtime/graph/src/parts.rs"),
+            all("core/runtime/graph/src/args.rs"),
+            all("core/runtime/graph/src/shape.rs"),
+            all("core/runtime/graph/src/file.rs"),
+            all("core/runtime/graph/src/check/"),
         ],
     ),
-    ("descriptor", &[all("core/graph/src/from_abi.rs"), all("core/graph/src/from_abi/node_type.rs")]),
-    ("plugin_note", &[all("core/loader/src/elf.rs")]),
+    ("descriptor", &[all("core/runtime/graph/src/from_abi.rs"), all("core/runtime/graph/src/from_abi/node_type.rs")]),
+    ("plugin_note", &[all("core/runtime/loader/src/elf.rs")]),
     (
         "lock",
         &[
             functions(
-                "core/loader/src/lock.rs",
+                "core/runtime/loader/src/lock.rs",
                 &["read", "parse", "message", "check_signature", "digest", "differences", "differences_among"],
             ),
-            functions("core/loader/src/locked_file.rs", &["word"]),
+            functions("core/runtime/loader/src/locked_file.rs", &["word"]),
         ],
     ),
     (
         "machine_message",
         &[functions(
-            "core/isolate/src/relay/messages.rs",
+            "core/runtime/isolate/src/relay/messages.rs",
             &[
                 "array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame", "pixels",
                 "fits",
@@ -75,10 +75,10 @@ const PARSERS: &[(&str, &[Source])] = &[
     (
         "attach_message",
         &[
-            functions("core/attach/src/tunnel.rs", &["of", "receive"]),
-            functions("core/attach/src/message.rs", &["read_command", "read_incoming", "checked"]),
-            functions("core/attach/src/packet.rs", &["read", "frame_of"]),
-            functions("core/attach/src/rules.rs", &["table", "stops", "check"]),
+            functions("core/runtime/attach/src/tunnel.rs", &["of", "receive"]),
+            functions("core/runtime/attach/src/message.rs", &["read_command", "read_incoming", "checked"]),
+            functions("core/runtime/attach/src/packet.rs", &["read", "frame_of"]),
+            functions("core/runtime/attach/src/rules.rs", &["table", "stops", "check"]),
         ],
     ),
     ("pedal", &[functions("editor/model/src/pedal.rs", &["parse", "binding"])]),
@@ -91,41 +91,47 @@ const PARSERS: &[(&str, &[Source])] = &[
             functions("editor/model/src/docks/file.rs", &["parse"]),
         ],
     ),
-    ("keys", &[functions("core/loader/src/keys.rs", &["digits", "read", "name_of", "verifies", "in_folders", "find"])]),
+    (
+        "keys",
+        &[functions(
+            "core/runtime/loader/src/keys.rs",
+            &["digits", "read", "name_of", "verifies", "in_folders", "find"],
+        )],
+    ),
     (
         "audit",
         &[
-            functions("core/audit/src/chain.rs", &["parse", "follows"]),
-            functions("core/audit/src/log.rs", &["tail"]),
-            all("core/audit/src/files.rs"),
-            all("core/audit/src/read.rs"),
+            functions("core/runtime/audit/src/chain.rs", &["parse", "follows"]),
+            functions("core/runtime/audit/src/log.rs", &["tail"]),
+            all("core/runtime/audit/src/files.rs"),
+            all("core/runtime/audit/src/read.rs"),
         ],
     ),
     (
         "dicom_entry",
         &[
-            all("core/dicom/src/lengths.rs"),
-            functions("core/dicom/src/entry.rs", &["decode", "of", "check"]),
-            functions("core/dicom/src/part10.rs", &["parse"]),
+            all("core/links/dicom/src/lengths.rs"),
+            functions("core/links/dicom/src/entry.rs", &["decode", "of", "check"]),
+            functions("core/links/dicom/src/part10.rs", &["parse"]),
         ],
     ),
-    ("dicom_film", &[all("core/dicom/src/object/mp4.rs"), all("core/dicom/src/object/jpeg.rs")]),
-    ("dicom_lengths", &[functions("core/dicom/src/object/report.rs", &["read", "length"])]),
+    ("dicom_film", &[all("core/links/dicom/src/object/mp4.rs"), all("core/links/dicom/src/object/jpeg.rs")]),
+    ("dicom_lengths", &[functions("core/links/dicom/src/object/report.rs", &["read", "length"])]),
     (
         "calibration",
         &[
-            all("core/calibration/src/document.rs"),
-            all("core/calibration/src/kalibr.rs"),
-            all("core/calibration/src/opencv.rs"),
-            all("core/calibration/src/ros.rs"),
+            all("core/vision/calibration/src/document.rs"),
+            all("core/vision/calibration/src/kalibr.rs"),
+            all("core/vision/calibration/src/opencv.rs"),
+            all("core/vision/calibration/src/ros.rs"),
         ],
     ),
-    ("board", &[all("core/calibration/src/board.rs")]),
+    ("board", &[all("core/vision/calibration/src/board.rs")]),
     (
         "recording, event, digests",
         &[
             functions(
-                "core/record/src/recording.rs",
+                "core/runtime/record/src/recording.rs",
                 &[
                     "open",
                     "verify",
@@ -144,17 +150,17 @@ const PARSERS: &[(&str, &[Source])] = &[
                     "drop_unadmitted",
                 ],
             ),
-            functions("core/record/src/digest.rs", &["packet_hash", "deserialize", "packets", "read"]),
-            all("core/record/src/mcap_texts.rs"),
+            functions("core/runtime/record/src/digest.rs", &["packet_hash", "deserialize", "packets", "read"]),
+            all("core/runtime/record/src/mcap_texts.rs"),
         ],
     ),
-    ("packet", &[all("core/base/src/packet/")]),
+    ("packet", &[all("core/contract/base/src/packet/")]),
     (
         "ros_message, ros_bag",
         &[
-            functions("core/ros/src/cdr.rs", &["decode", "decode_body"]),
+            functions("core/links/ros/src/cdr.rs", &["decode", "decode_body"]),
             functions(
-                "core/ros/src/convert/from_ros.rs",
+                "core/links/ros/src/convert/from_ros.rs",
                 &[
                     "checked",
                     "picture",
@@ -171,7 +177,7 @@ const PARSERS: &[(&str, &[Source])] = &[
                 ],
             ),
             functions(
-                "core/ros/src/bag/reader.rs",
+                "core/links/ros/src/bag/reader.rs",
                 &[
                     "next",
                     "damaged",
@@ -188,16 +194,16 @@ const PARSERS: &[(&str, &[Source])] = &[
             ),
         ],
     ),
-    ("gate", &[functions("core/live/src/gate.rs", &["check_head", "is_own_origin"])]),
-    ("webrtc_offer", &[all("core/media/src/offer.rs")]),
+    ("gate", &[functions("core/links/live/src/gate.rs", &["check_head", "is_own_origin"])]),
+    ("webrtc_offer", &[all("core/links/media/src/offer.rs")]),
     (
         "onnx",
         &[
             functions(
-                "core/base/src/onnx.rs",
+                "core/contract/base/src/onnx.rs",
                 &["child", "new", "varint", "field", "message", "weight_files", "unbundle"],
             ),
-            all("core/base/src/onnx/work.rs"),
+            all("core/contract/base/src/onnx/work.rs"),
             functions("plugins/tools/src/onnx_file.rs", &["read"]),
         ],
     ),
@@ -207,16 +213,16 @@ const PARSERS: &[(&str, &[Source])] = &[
             functions("plugins/capture/src/source/decode.rs", &["decode_picture", "decode_tiff"]),
             all("plugins/capture/src/source/compressed.rs"),
             all("plugins/capture/src/source/plain.rs"),
-            all("core/media/src/input/jpeg.rs"),
-            all("core/media/src/input/jpeg_scan.rs"),
+            all("core/links/media/src/input/jpeg.rs"),
+            all("core/links/media/src/input/jpeg_scan.rs"),
         ],
     ),
     (
         "float_image, truth_file",
         &[
-            functions("core/imaging/src/stereo/formats.rs", &["area", "read_pfm", "read_npy"]),
+            functions("core/vision/imaging/src/stereo/formats.rs", &["area", "read_pfm", "read_npy"]),
             all("core/eval/src/eval/disparity/truth_files.rs"),
-            all("core/truth/src/maps.rs"),
+            all("core/vision/truth/src/maps.rs"),
         ],
     ),
     (
@@ -231,53 +237,56 @@ const PARSERS: &[(&str, &[Source])] = &[
             all("core/eval/src/eval/detect/truth/via.rs"),
             all("core/eval/src/eval/detect/truth/voc.rs"),
             all("core/eval/src/eval/detect/truth/yolo_text.rs"),
-            all("core/truth/src/labels/voc.rs"),
-            all("core/truth/src/labels/yolo.rs"),
+            all("core/vision/truth/src/labels/voc.rs"),
+            all("core/vision/truth/src/labels/yolo.rs"),
         ],
     ),
-    ("arm_line", &[all("core/arm/src/line.rs")]),
-    ("guard_message", &[all("core/arm_guard/src/message.rs")]),
-    ("latch", &[functions("core/arm_guard/src/latch.rs", &["open", "decode"])]),
+    ("arm_line", &[all("core/robot/arm/src/line.rs")]),
+    ("guard_message", &[all("core/robot/arm_guard/src/message.rs")]),
+    ("latch", &[functions("core/robot/arm_guard/src/latch.rs", &["open", "decode"])]),
     (
         "rtde",
         &[functions(
-            "core/arm_guard/src/rtde.rs",
+            "core/robot/arm_guard/src/rtde.rs",
             &["bytes", "u8", "u32", "i32", "f64", "flag", "vector", "counted", "end", "read", "take", "size"],
         )],
     ),
     (
         "igtl",
         &[
-            functions("core/igtl/src/header.rs", &["decode"]),
-            all("core/igtl/src/reader.rs"),
-            functions("core/igtl/src/metadata.rs", &["split", "entries"]),
+            functions("core/links/igtl/src/header.rs", &["decode"]),
+            all("core/links/igtl/src/reader.rs"),
+            functions("core/links/igtl/src/metadata.rs", &["split", "entries"]),
             functions(
-                "core/igtl/src/fields.rs",
+                "core/links/igtl/src/fields.rs",
                 &["take", "items", "array", "floats", "text", "end", "padded", "floats3"],
             ),
-            functions("core/igtl/src/message/mod.rs", &["decode", "from_parts", "content"]),
-            functions("core/igtl/src/message/image.rs", &["decode", "part_bytes"]),
-            functions("core/igtl/src/message/poly_data.rs", &["decode", "decode_attributes", "iter"]),
-            functions("core/igtl/src/message/query.rs", &["decode"]),
-            functions("core/igtl/src/message/small.rs", &["read", "decode", "decode_all", "each", "of"]),
+            functions("core/links/igtl/src/message/mod.rs", &["decode", "from_parts", "content"]),
+            functions("core/links/igtl/src/message/image.rs", &["decode", "part_bytes"]),
+            functions("core/links/igtl/src/message/poly_data.rs", &["decode", "decode_attributes", "iter"]),
+            functions("core/links/igtl/src/message/query.rs", &["decode"]),
+            functions("core/links/igtl/src/message/small.rs", &["read", "decode", "decode_all", "each", "of"]),
         ],
     ),
-    ("urdf", &[functions("core/arm/src/chain.rs", &["from_urdf", "path", "finite", "origin", "turning"])]),
+    ("urdf", &[functions("core/robot/arm/src/chain.rs", &["from_urdf", "path", "finite", "origin", "turning"])]),
     (
         "described_plugin, isolated_call",
         &[
             functions(
-                "core/isolate/src/description.rs",
+                "core/runtime/isolate/src/description.rs",
                 &["read", "text", "list", "read_type", "read_port", "read_param"],
             ),
-            functions("core/isolate/src/host/describer.rs", &["report"]),
+            functions("core/runtime/isolate/src/host/describer.rs", &["report"]),
             functions(
-                "core/isolate/src/host/answer.rs",
+                "core/runtime/isolate/src/host/answer.rs",
                 &["refuse", "run_deferred", "run", "answer", "made", "output"],
             ),
-            functions("core/isolate/src/host/remote.rs", &["request", "exchange", "result", "read_tick", "process"]),
             functions(
-                "core/isolate/src/wire.rs",
+                "core/runtime/isolate/src/host/remote.rs",
+                &["request", "exchange", "result", "read_tick", "process"],
+            ),
+            functions(
+                "core/runtime/isolate/src/wire.rs",
                 &[
                     "is_deferred",
                     "of",
@@ -296,7 +305,7 @@ const PARSERS: &[(&str, &[Source])] = &[
                     "plain_status",
                 ],
             ),
-            functions("core/isolate/src/lane.rs", &["receive", "receive_until"]),
+            functions("core/runtime/isolate/src/lane.rs", &["receive", "receive_until"]),
         ],
     ),
 ];

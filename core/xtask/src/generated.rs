@@ -16,12 +16,12 @@ use crate::workspace::Workspace;
 /// With this variable set, tests write what they would compare with.
 const BLESS: &str = "PANOSCOPE_BLESS";
 
-/// Updates core/abi/panoscope.h.
+/// Updates core/contract/abi/panoscope.h.
 pub fn header(workspace: &Workspace) -> Result<()> {
     process::run(workspace.cargo().args(["test", "--quiet", "--package", "panoscope-abi"]).env(BLESS, "1"))?;
-    let header = workspace.root.join("core/abi/panoscope.h");
-    ensure!(header.is_file(), "the tests of core/abi wrote no {}", header.display());
-    show_changes(workspace, "core/abi")
+    let header = workspace.root.join("core/contract/abi/panoscope.h");
+    ensure!(header.is_file(), "the tests of core/contract/abi wrote no {}", header.display());
+    show_changes(workspace, "core/contract/abi")
 }
 
 /// Updates all expected outputs. Read the difference before you commit it.

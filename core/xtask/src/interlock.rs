@@ -11,7 +11,7 @@ use crate::workspace::Workspace;
 
 const PACKAGE: &str = "panoscope-arm-core";
 /// The judged files, from the workspace's root.
-const FILES: &str = "core/arm/src/interlock/";
+const FILES: &str = "core/robot/arm/src/interlock/";
 /// Their tests.
 const TESTS: &str = "interlock/tests/";
 /// Least share of mutants that the tests find, percent.
@@ -204,12 +204,12 @@ mod tests {
             )
         };
         let files = [
-            file("core/arm/src/interlock/brake.rs", 8),
-            file("core/arm/src/interlock/tests/brake.rs", 1),
-            file("core/arm/src/line.rs", 2),
+            file("core/robot/arm/src/interlock/brake.rs", 8),
+            file("core/robot/arm/src/interlock/tests/brake.rs", 1),
+            file("core/robot/arm/src/line.rs", 2),
         ];
         let text = format!(r#"{{"data":[{{"files":[{}]}}]}}"#, files.join(","));
-        let name = "core/arm/src/interlock/brake.rs".to_owned();
+        let name = "core/robot/arm/src/interlock/brake.rs".to_owned();
         assert_eq!(covered(&text).ok(), Some(vec![Covered { name, branches: (8, 9), lines: (5, 5) }]));
         assert!(covered("{}").is_err());
     }

@@ -73,7 +73,7 @@ cargo xtask COMMAND
   screens [DIR]        takes pictures of both windows on a virtual screen into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime
-  header               updates core/abi/panoscope.h from the sources of the ABI
+  header               updates core/contract/abi/panoscope.h from the sources of the ABI
   bless                updates all expected outputs of the tests";
 
 fn main() -> ExitCode {

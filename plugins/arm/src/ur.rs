@@ -72,7 +72,7 @@ impl Node for ArmUr {
             check.error(
                 "arm",
                 message,
-                "name a URDF file of this robot with its scope and trocar; core/arm/README.md says how",
+                "name a URDF file of this robot with its scope and trocar; core/robot/arm/README.md says how",
             );
         } else {
             check_arm(check, &params.arm);

@@ -10,7 +10,7 @@ use panoscope_firmware::ur::{UrBehaviour, UrSimulator, with_silent_s};
 use panoscope_node::abi::{Joints, MAX_JOINTS, Tip};
 use panoscope_node::harness::{Harness, HarnessError, Level};
 
-const URDF: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../core/arm/description/panoscope_arm6.urdf");
+const URDF: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../core/robot/arm/description/panoscope_arm6.urdf");
 
 /// A folder of latches for all tests here: each has an arm with a serial number of its own.
 fn with_latches() {

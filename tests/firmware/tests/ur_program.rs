@@ -3,7 +3,7 @@
 use panoscope_arm_core::campaign::Random;
 use panoscope_firmware::urscript::{Motion, Program, Robot};
 
-const PROGRAM: &str = include_str!("../../../core/arm_guard/ur/panoscope_arm.script");
+const PROGRAM: &str = include_str!("../../../core/robot/arm_guard/ur/panoscope_arm.script");
 
 const HOLD: i32 = 0;
 const FOLLOW: i32 = 1;

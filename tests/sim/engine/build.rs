@@ -46,7 +46,7 @@ const FORGET: [Change; 2] = [
 ];
 
 fn main() {
-    let engine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../core/engine/src");
+    let engine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../core/runtime/engine/src");
     let out = PathBuf::from(std::env::var("OUT_DIR").expect("cargo names a folder")).join("engine");
     println!("cargo::rerun-if-changed={}", engine.display());
     println!("cargo::rerun-if-changed=build.rs");

@@ -55,7 +55,7 @@ const C: &[(&str, &str)] = &[
     ("{{name}}.c", include_str!("../../templates/c/NAME.c")),
     ("{{name}}.toml", include_str!("../../templates/c/NAME.toml")),
     ("test.c", include_str!("../../templates/c/test.c")),
-    ("panoscope.h", include_str!("../../../abi/panoscope.h")),
+    ("panoscope.h", include_str!("../../../contract/abi/panoscope.h")),
 ];
 
 const PYTHON: &[(&str, &str)] = &[
@@ -209,7 +209,7 @@ fn check_name(name: &str) -> Result<()> {
 fn node_crate(source: Option<&Path>) -> Result<PathBuf> {
     let built_in = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let root = source.unwrap_or(&built_in);
-    let folder = root.join("core/node");
+    let folder = root.join("core/contract/node");
     if !folder.join("Cargo.toml").is_file() {
         bail!("Panoscope's source is not at {}; say where it is with --source FOLDER", root.display());
     }

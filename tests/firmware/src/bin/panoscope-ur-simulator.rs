@@ -5,7 +5,7 @@
 use panoscope_arm_core::JointVector;
 use panoscope_firmware::ur::{UrBehaviour, UrSimulator};
 
-const PROGRAM: &str = include_str!("../../../../core/arm_guard/ur/panoscope_arm.script");
+const PROGRAM: &str = include_str!("../../../../core/robot/arm_guard/ur/panoscope_arm.script");
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();

@@ -11,7 +11,7 @@ use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{Catalog, Checked, Diagnostics, GraphOptions, GraphText, check};
 
 // The catalog that the tests of the checker use.
-#[path = "../../../../core/graph/tests/common/mod.rs"]
+#[path = "../../../../core/runtime/graph/tests/common/mod.rs"]
 mod common;
 
 const FOLDER: &str = "/no_such_folder";

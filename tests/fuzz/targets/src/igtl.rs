@@ -7,8 +7,8 @@ use panoscope_igtl::{HEADER_BYTES, Message, Reader};
 const BODY_LIMIT: u64 = 1 << 20;
 /// Bytes that the OpenIGTLink library and pyigtl wrote.
 const GOLDEN: [&str; 2] = [
-    include_str!("../../../../core/igtl/tests/golden/library.txt"),
-    include_str!("../../../../core/igtl/tests/golden/pyigtl.txt"),
+    include_str!("../../../../core/links/igtl/tests/golden/library.txt"),
+    include_str!("../../../../core/links/igtl/tests/golden/pyigtl.txt"),
 ];
 
 /// A stream as it is, and as one message whose length and CRC are made right, which the fuzzer cannot guess.

@@ -1,4 +1,4 @@
-//! The engine in a simulated world: the sources of `core/engine` as `build.rs` lays them out.
+//! The engine in a simulated world: the sources of `core/runtime/engine` as `build.rs` lays them out.
 #![allow(warnings, clippy::all, clippy::undocumented_unsafe_blocks, missing_docs)]
 
 include!(concat!(env!("OUT_DIR"), "/engine/lib.rs"));
