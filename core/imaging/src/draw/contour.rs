@@ -3,8 +3,8 @@
 //! Corners are known or not, and a rim along them has the steps of their grid. The share of known corners around each, weighted by a binomial
 //! window, is 0.5 along a line that cuts these steps off: drawn up to there, straight rims stay where they are and corners of rims become round.
 
-use super::rims::{GradientLimit, is_known};
-use super::surface::{Corner, NOWHERE};
+use super::rims::GradientLimit;
+use super::surface::{Corner, NOWHERE, is_known};
 
 /// Corners around one that count, to each side, and their weights.
 const REACH: usize = 2;

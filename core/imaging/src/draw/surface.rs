@@ -5,7 +5,8 @@
 use std::fmt::Write;
 
 use super::contour::{Contour, RIM};
-use super::rims::{self, GradientLimit, Rims};
+use super::light::light;
+use super::rims::{GradientLimit, Position, Rims};
 use super::{Color, line, text};
 use crate::ViewMut;
 
@@ -101,10 +102,12 @@ impl Projection {
 #[derive(Default)]
 pub struct SurfacePainter {
     corners: Vec<Corner>,
+    /// The corners' positions, of which those between surfaces are taken out.
+    positions: Vec<Position>,
     depth: Vec<f32>,
     sorted: Vec<f32>,
     rims: Rims,
-    /// Share of the known corners that are cut off at rims.
+    /// Share of the corners on surfaces that are cut off.
     cut_share: f32,
     /// Words beside the ruler.
     length: String,
@@ -125,6 +128,11 @@ pub struct Corner {
 
 pub const NOWHERE: Corner = Corner { place: [f32::NAN; 3], world: [f32::NAN; 3], color: [0; 3], light: 1.0 };
 const BACKGROUND: u8 = 18;
+
+/// Whether there is a point of a surface.
+pub fn is_known(corner: &Corner) -> bool {
+    !corner.place[0].is_nan()
+}
 
 /// The known point nearest to a column and row, at most `reach` away in each direction: a single point that is unknown is no hole.
 fn nearest(points: &dyn SurfacePoints, (x, y): (usize, usize), reach: usize) -> Option<([f32; 3], Color)> {
@@ -168,7 +176,8 @@ impl SurfacePainter {
         &self.depth
     }
 
-    /// Share of the points of the last picture that were known and are not shown, because they lie between surfaces or at ragged rims.
+    /// Share of the surface points of the last picture that were known and are not shown, because they lie close to a step of depth or at ragged rims.
+    /// Points on the ramp that a match draws between two depths are not part of a surface.
     pub fn cut_share(&self) -> f32 {
         self.cut_share
     }
@@ -206,18 +215,26 @@ impl SurfacePainter {
         for j in 0..h {
             for i in 0..w {
                 if let Some((p, color)) = nearest(points, (i * step, j * step), step / 2) {
-                    let place = projection.project(p);
-                    self.corners[j * w + i] = Corner { place, world: p, color, light: 1.0 };
+                    self.corners[j * w + i] = Corner { world: p, color, ..NOWHERE };
                 }
             }
         }
-        let known = |corners: &[Corner]| corners.iter().filter(|corner| rims::is_known(corner)).count();
-        let before = known(&self.corners);
-        self.rims.clean(&mut self.corners, w, orbit.limit);
-        self.cut_share = 1.0 - known(&self.corners) as f32 / before.max(1) as f32;
+        self.positions.clear();
+        self.positions.extend(self.corners.iter().map(|corner| corner.world));
+        let known = |positions: &[Position]| positions.iter().filter(|position| !position[0].is_nan()).count();
+        let before = known(&self.positions);
+        self.rims.clean(&mut self.positions, w, orbit.limit);
+        let on_surfaces = before - self.rims.ramp_corners();
+        self.cut_share = on_surfaces.saturating_sub(known(&self.positions)) as f32 / on_surfaces.max(1) as f32;
+        for (corner, position) in self.corners.iter_mut().zip(&self.positions) {
+            match position[0].is_nan() {
+                true => *corner = NOWHERE,
+                false => corner.place = projection.project(*position),
+            }
+        }
         self.contour.find(&mut self.corners, w, orbit.limit, |world| projection.project(world));
         let [(sy, cy), (sp, cp)] = turn;
-        rims::light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
+        light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
         self.depth.resize(out.width * out.height, f32::INFINITY);
         for j in 0..h - 1 {
             for i in 0..w - 1 {
