@@ -6,6 +6,7 @@
 mod colormap;
 mod contour;
 mod font;
+mod holes;
 mod labels;
 mod light;
 mod overlay;
