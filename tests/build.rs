@@ -199,8 +199,11 @@ fn lay_out(subject: &Subject, mutation: Option<&Mutation>, engine: &Path, out: &
         std::fs::write(&target, instrumented(&file, module, mutation)).expect("the folder can be written");
         format!("include!({target:?});")
     };
-    writeln!(modules, "pub mod {module} {{\nuse crate::stubs::{{clock, current_node, decide, outbox, retained, scratch}};")
-        .expect("a text");
+    writeln!(
+        modules,
+        "pub mod {module} {{\nuse crate::stubs::{{clock, current_node, decide, outbox, retained, scratch}};"
+    )
+    .expect("a text");
     for &source in subject.sources {
         let include = write(source);
         let include = match source {

@@ -1,12 +1,13 @@
 //! `colorize`: a map of numbers as a picture.
 
 use panoscope_imaging::draw::{self, Colormap, ScaleBar};
+use panoscope_imaging::fit::Fit;
 use panoscope_node::{
     Bgr8, Choice, Confidence, Context, Depth, Disparity, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
     Slot, Validation, View, ViewMut,
 };
 
-use crate::fit::usual_range;
+use crate::fit::{enlargement, usual_range};
 
 /// Colours of the values.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,6 +66,10 @@ pub struct Settings {
     /// Puts the scale in a strip to the right of the map instead of onto it: the picture is wider, and its coordinates stay.
     #[param(default = false)]
     pub scale_beside: bool,
+    /// Width that a small map with its scale beside it is enlarged to, by the nearest whole factor, so that the text stays sharp on a large screen. 0 keeps
+    /// its size.
+    #[param(default = 0, range = 0..=4096, unit = "px")]
+    pub wanted_width: usize,
 }
 
 /// Width of the strip for the scale in units of the scale of its text: the bar, and labels such as `100 mm`.
@@ -133,6 +138,9 @@ fn beyond_share(plane: &View<'_, f32>, (low, high): (f32, f32)) -> Option<f64> {
 #[derive(Default)]
 pub struct Colorize {
     auto: AutoRange,
+    /// A map in colours, before it is enlarged.
+    small: Vec<u8>,
+    fit: Fit,
 }
 
 impl Node for Colorize {
@@ -176,17 +184,26 @@ impl Node for Colorize {
         if let Some(share) = beyond_share(&plane, (low, high)) {
             cx.metric("beyond_pct", 100.0 * share);
         }
-        let (width, height) = (plane.width as i32, plane.height as i32);
         let is_beside = params.scale_bar && params.scale_beside;
+        let factor = if is_beside { enlargement(plane.width, params.wanted_width) } else { 1 };
+        let size = (factor * plane.width, factor * plane.height);
+        let (width, height) = (size.0 as i32, size.1 as i32);
         // Beside the map there is room, so that it can be read on a screen on which the map is small.
         let text_scale = if is_beside { height as f32 / 120.0 } else { (height as f32 / 320.0).clamp(1.0, 3.0) };
         let strip_px = if is_beside { (STRIP * text_scale) as usize } else { 0 };
-        let mut picture = out.image.alloc(plane.width + strip_px, plane.height)?;
-        let (stride, columns) = (picture.stride, plane.width * 3);
-        let mut map = ViewMut::with_stride(&mut *picture.data, plane.width, plane.height, 3, stride);
-        draw::colorize(&plane, low, high, params.colors.into(), &mut map);
+        let mut picture = out.image.alloc(size.0 + strip_px, size.1)?;
+        let (stride, columns) = (picture.stride, size.0 * 3);
+        let mut map = ViewMut::with_stride(&mut *picture.data, size.0, size.1, 3, stride);
+        if factor == 1 {
+            draw::colorize(&plane, low, high, params.colors.into(), &mut map);
+        } else {
+            self.small.resize(3 * plane.width * plane.height, 0);
+            let mut small = ViewMut::new(&mut self.small, plane.width, plane.height, 3);
+            draw::colorize(&plane, low, high, params.colors.into(), &mut small);
+            self.fit.place(&mut map, &small.as_view(), (0, 0), size);
+        }
         if params.scale_bar {
-            (0..plane.height).for_each(|y| picture.row_mut(y)[columns..].fill(GROUND));
+            (0..size.1).for_each(|y| picture.row_mut(y)[columns..].fill(GROUND));
             let (x, high_px) = if is_beside {
                 (width + 2 + (3.0 * text_scale) as i32, height * 3 / 4)
             } else {

@@ -12,6 +12,14 @@ pub fn fitted_size(from: (usize, usize), cell: (usize, usize)) -> (usize, usize)
     (side(from.0, cell.0), side(from.1, cell.1))
 }
 
+/// Largest factor by which a picture is enlarged before text is written next to it.
+const MAX_ENLARGEMENT: f64 = 4.0;
+
+/// Whole factor by which a picture of a width comes nearest to the wanted one.
+pub fn enlargement(width: usize, wanted_width: usize) -> usize {
+    (wanted_width as f64 / width.max(1) as f64).round().clamp(1.0, MAX_ENLARGEMENT) as usize
+}
+
 /// The pixels of an 8-bit picture, whatever its channels.
 pub fn bytes<'f>(image: &AnyImage<'f>) -> Option<View<'f, u8>> {
     if let Some(plane) = image.as_plane::<Bgr8>() {

@@ -12,7 +12,7 @@ use panoscope_node::{
 
 use crate::bar::{self, Bar};
 use crate::colorize::{AutoRange, Colors};
-use crate::fit::fitted_size;
+use crate::fit::{enlargement, fitted_size};
 use crate::marks::{self, Pen, Words};
 use crate::nearness;
 use crate::quantity::{error_column, write_with_error};
@@ -161,15 +161,8 @@ const WORDS_SHARE: f32 = 0.45;
 
 /// Width of a picture at which marks and words have the size of the parameters where words stand below it.
 const USUAL_WIDTH: f32 = 640.0;
-/// Largest factor by which a picture is enlarged before its bar is written.
-const MAX_ENLARGEMENT: f64 = 4.0;
 /// Least size of words below a picture, as a share of the parameter's.
 const MIN_SCALE: f32 = 0.5;
-
-/// Whole factor by which a picture of a width comes nearest to the wanted one.
-fn enlargement(width: usize, wanted_width: usize) -> usize {
-    (wanted_width as f64 / width.max(1) as f64).round().clamp(1.0, MAX_ENLARGEMENT) as usize
-}
 
 /// Breaks lines that are wider than `width_px` at spaces.
 fn wrap(words: &mut String, width_px: f32, scale: f32) {

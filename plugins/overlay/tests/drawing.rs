@@ -411,6 +411,18 @@ fn maps_get_colours_and_unknown_places_are_gray() {
     let (plain, beside) = (picture("scale_bar = false"), picture("scale_beside = true"));
     assert!(plain.0 == 64 && beside.0 > 70 && plain.1 == beside.1, "{} and {}", plain.0, beside.0);
     assert_ne!(picture("").1, plain.1, "on the map it covers some of it");
+    // A map that is enlarged first has the same colours, and its scale is as large next to it.
+    let mut node =
+        Harness::<Colorize>::from_toml("params = { low = 0.0, high = 63.0, scale_beside = true, wanted_width = 200 }")
+            .unwrap();
+    let out = node.input_image::<Depth>("depth", 64, 48, &map).process().unwrap();
+    let view = out.plane::<Bgr8>("image").unwrap();
+    assert_eq!(view.height, 144);
+    assert!(view.width.abs_diff(3 * beside.0) <= 3, "{} and {}", view.width, beside.0);
+    let (x, y) = (40, 20);
+    let same = (0..3).all(|k| view.row(3 * y + 1)[3 * (3 * x + 1) + k].abs_diff(beside.1[3 * (64 * y + x) + k]) <= 2);
+    assert!(same, "{:?}", &view.row(3 * y + 1)[9 * x..9 * x + 9]);
+    let mut node = Harness::<Colorize>::from_toml("").unwrap();
     // Nothing known at all.
     let out = node.input_image::<Disparity>("disparity", 2, 2, &[f32::NAN; 4]).process().unwrap();
     assert!(!out.is_empty("image").unwrap());

@@ -30,6 +30,8 @@ pub struct Out<'f> {
     disparity: Slot<'f, Disparity>,
     /// Disparity of the right rectified view, px: `x_left = x_right + disparity`; NaN where unmatched.
     disparity_right: Slot<'f, Disparity>,
+    /// 1 while matched points lie farther off their rows than `drift_px`: the calibration does not fit the views. Else 0.
+    drifted: Slot<'f, abi::Scalar>,
 }
 
 /// Parameters of the search, and of what is dropped after it.
@@ -155,5 +157,9 @@ pub fn process<'f, K: StereoKernel>(
     let disparity = out.disparity.alloc(width, height)?;
     let other = if out.disparity_right.is_read() { Some(out.disparity_right.alloc(width, height)?) } else { None };
     let params = window.pair(left_right_px);
-    Ok(matcher.pair.compute(cx, kernel, [left, right], roi, &params, cx.pool(), disparity, other)?)
+    matcher.pair.compute(cx, kernel, [left, right], roi, &params, cx.pool(), disparity, other)?;
+    if out.drifted.is_read() {
+        out.drifted.set_scalar("drifted", f64::from(u8::from(matcher.pair.is_drifted())), "")?;
+    }
+    Ok(())
 }

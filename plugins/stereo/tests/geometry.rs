@@ -1,7 +1,7 @@
 //! `rectify`, `reproject` and `measure` through the harness.
 
 use crate::common::{SIZE, bgr, pair, rectified};
-use panoscope_node::abi::Calibration;
+use panoscope_node::abi::{Calibration, Scalar};
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
 use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8};
 use panoscope_stereo::{Measure, Rectify, Reproject};
@@ -318,6 +318,25 @@ fn the_stated_error_grows_where_the_confidence_is_low() -> TestResult {
     assert!(low > 5.0 * full, "{full} and {low} mm");
     let wrong = stated(1.0, 60).map_err(|error| error.to_string());
     assert!(wrong.as_ref().is_err_and(|text| text.contains("320x60")), "{wrong:?}");
+    Ok(())
+}
+
+#[test]
+fn nothing_is_measured_while_the_calibration_does_not_fit() -> TestResult {
+    let depth: Vec<f32> = slope_map().iter().map(|disparity| (FOCAL * BASELINE) as f32 / disparity).collect();
+    let mut node = Harness::<Measure>::from_toml("params = { points = [40, 30, 280, 90] }")?;
+    for (drifted, known) in [(0.0, true), (1.0, false), (f64::NAN, true), (0.0, true)] {
+        let state = Scalar { value: drifted, name: [0; 32], unit: [0; 16] };
+        let out = node
+            .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+            .input_value("calibration", rectified(FOCAL, BASELINE))
+            .input_value("drifted", state)
+            .process()?;
+        let rows: Vec<_> = out.table("table")?.rows().map(<[f64]>::to_vec).collect();
+        assert_eq!(rows.len(), 1);
+        assert!(rows[0][4..].iter().all(|value| value.is_finite() == known), "{drifted}: {rows:?}");
+        assert_eq!(out.text("text")?.is_empty(), known, "{drifted}: {}", out.text("text")?);
+    }
     Ok(())
 }
 

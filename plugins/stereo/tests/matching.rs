@@ -2,7 +2,7 @@
 
 use crate::common;
 use crate::common::{SIZE, median, pair};
-use panoscope_node::abi::Roi;
+use panoscope_node::abi::{Roi, Scalar};
 use panoscope_node::harness::{Harness, HarnessError, Level, Outputs, Setup};
 use panoscope_node::{Disparity, Gray8, Node};
 use panoscope_stereo::{StereoBm, StereoSgbm};
@@ -145,7 +145,8 @@ fn blank_and_unlike_views_are_not_called_swapped() -> TestResult {
 fn rows_that_do_not_fit_are_measured_and_warned_of() -> TestResult {
     let mut node = Harness::<StereoBm>::from_toml("")?;
     let (left, right) = pair(slanted, 0.0);
-    run(&mut node, &left, &right)?;
+    let out = run(&mut node, &left, &right)?;
+    assert_eq!(out.value::<Scalar>("drifted")?.value, 0.0);
     let good = node.metric("epipolar_px").unwrap_or(f64::NAN);
     assert!(good < 0.3, "{good}");
     let (left, right) = pair(slanted, 2.0);
@@ -155,6 +156,7 @@ fn rows_that_do_not_fit_are_measured_and_warned_of() -> TestResult {
     let bad = node.metric("epipolar_px").unwrap_or(f64::NAN);
     assert!((1.5..2.5).contains(&bad), "{bad}");
     assert!(warned(&node, "off their rows"));
+    assert_eq!(run(&mut node, &left, &right)?.value::<Scalar>("drifted")?.value, 1.0);
     Ok(())
 }
 

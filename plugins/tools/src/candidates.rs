@@ -1,5 +1,7 @@
 //! Boxes from a network's outputs: decoding of each kind of export, and non-maximum suppression.
 
+use panoscope_imaging::lit::HeldMask;
+
 use crate::export_kind::ExportKind;
 use crate::letterbox::Placement;
 use crate::model::Tensor;
@@ -263,6 +265,16 @@ pub fn iou(a: &[f32; 4], b: &[f32; 4]) -> f32 {
     let area = |c: &[f32; 4]| (c[2] - c[0]) * (c[3] - c[1]);
     let union = area(a) + area(b) - w * h;
     if union > 0.0 { w * h / union } else { 0.0 }
+}
+
+/// Smallest share of a box that is lit.
+const MIN_LIT: f32 = 0.5;
+
+/// Drops boxes of a picture of `size` px of which more than half is dark. A mask of another size drops none.
+pub fn keep_lit(candidates: &mut Vec<Candidate>, lit: &HeldMask, size: (usize, usize)) {
+    if let Some(lit) = lit.part().filter(|lit| lit.size() == size) {
+        candidates.retain(|candidate| lit.share_of(candidate.corners) >= MIN_LIT);
+    }
 }
 
 /// How overlapping boxes suppress each other.

@@ -4,14 +4,15 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_imaging::SharedMut;
+use panoscope_imaging::lit::HeldMask;
 use panoscope_node::abi::Detection;
 use panoscope_node::detections::mask_len;
 use panoscope_node::{
-    AnyImage, Choice, Context, LabeledInstances, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot,
-    Validation, error,
+    AnyImage, Choice, Context, Image, LabeledInstances, Mask, Node, NodeInfo, Open, Parallel, Params, Ports, Result,
+    Slot, Validation, error,
 };
 
-use crate::candidates::{Candidate, Decoder, Suppression, suppress};
+use crate::candidates::{Candidate, Decoder, Suppression, keep_lit, suppress};
 use crate::export_kind::ExportKind;
 use crate::finite::{Rows, count_bad};
 use crate::letterbox::{Fit, PixelForm, Placement};
@@ -25,6 +26,8 @@ use crate::yolo::{Network, check_labels, detection, picture_of};
 pub struct In<'f> {
     /// Picture to search, bgr8 or gray8.
     image: AnyImage<'f>,
+    /// What of the picture is lit, not 0. Instances whose boxes lie outside by more than half are dropped; without it all is lit.
+    mask: Option<Image<'f, Mask>>,
 }
 
 /// Outputs.
@@ -108,6 +111,7 @@ pub struct MaskRcnn {
     items: Vec<Detection>,
     bits: Vec<u8>,
     tracker: Tracker,
+    lit: HeldMask,
 }
 
 /// The four outputs of a Mask R-CNN, in any order.
@@ -319,6 +323,7 @@ impl Node for MaskRcnn {
             items: Vec::new(),
             bits: Vec::new(),
             tracker: Tracker::default(),
+            lit: HeldMask::default(),
         })
     }
 
@@ -340,7 +345,9 @@ impl Node for MaskRcnn {
             max_boxes: params.max_instances,
             unknown: None,
         };
-        let Self { network: Network { model, letterbox, damage, .. }, path, candidates, maps, map_size, .. } = self;
+        self.lit.update(input.mask.as_ref().map(Image::view));
+        let Self { network: Network { model, letterbox, damage, .. }, path, candidates, maps, map_size, lit, .. } =
+            self;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
             let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg))?;
             damage.report(cx, path, bad);
@@ -362,6 +369,7 @@ impl Node for MaskRcnn {
                     out: candidates,
                 };
                 decoder.decode(outputs)?;
+                keep_lit(candidates, lit, size);
                 suppress(candidates, &suppression);
                 let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
                     return Err(error!("boxes and prototypes are f32"));
@@ -391,6 +399,7 @@ impl Node for MaskRcnn {
                     candidates.extend(Candidate::placed(&placement, size, corners, score, class as u32, row));
                 }
             }
+            keep_lit(candidates, lit, size);
             suppress(candidates, &suppression);
             *map_size = answer.map_size;
             let area = answer.map_size.0 * answer.map_size.1;

@@ -10,7 +10,7 @@ use panoscope_node::{
 };
 
 use crate::calibration::{Calibration, Rule};
-use crate::candidates::{Candidate, Decoder, Suppression, suppress};
+use crate::candidates::{Candidate, Decoder, Suppression, keep_lit, suppress};
 use crate::export_kind::{ExportKind, recognise};
 use crate::finite::count_bad;
 use crate::labels;
@@ -148,9 +148,6 @@ pub struct YoloParams {
     #[param(default = "cpu", reopen)]
     provider: Provider,
 }
-
-/// Smallest share of a box that is lit.
-const MIN_LIT: f32 = 0.5;
 
 /// Label of an instrument whose kind is not sure.
 pub const UNKNOWN: &str = "unknown";
@@ -388,9 +385,7 @@ impl Node for Yolo {
             rule.apply(&mut self.candidates);
         }
         self.lit.update(input.mask.as_ref().map(Image::view));
-        if let Some(lit) = self.lit.part().filter(|lit| lit.size() == (picture.width, picture.height)) {
-            self.candidates.retain(|candidate| lit.share_of(candidate.corners) >= MIN_LIT);
-        }
+        keep_lit(&mut self.candidates, &self.lit, (picture.width, picture.height));
         let suppression = Suppression {
             max_overlap: params.max_overlap,
             is_agnostic: params.class_agnostic,

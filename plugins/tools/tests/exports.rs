@@ -367,6 +367,16 @@ fn mask_rcnn_pastes_small_masks_into_their_boxes() {
     assert_eq!(set, 28 * 56, "half of a box of 56 x 56 px");
     let bit = |x: usize, y: usize| found.mask(0)[y * 16 + x / 8] & (0x80 >> (x % 8)) != 0;
     assert!(bit(20, 30) && bit(47, 85) && !bit(48, 50) && !bit(19, 50) && !bit(30, 29));
+    // The box covers columns 20 to 76.
+    for (first, expected) in [(40, 1), (60, 0), (0, 1)] {
+        let lit: Vec<u8> = (0..128 * 96).map(|i| if i % 128 >= first { 255 } else { 0 }).collect();
+        let out = node
+            .input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3])
+            .input_image::<Mask>("mask", 128, 96, &lit)
+            .process()
+            .expect("runs");
+        assert_eq!(out.instances("instances").expect("instances").detections().items().len(), expected, "from {first}");
+    }
 }
 
 #[test]

@@ -154,7 +154,12 @@ mod tests {
     #[test]
     fn frames_without_a_picture_are_errors() {
         for name in ["bgr8", "f32"] {
-            assert!(jpeg(&frame(name, 64, 48, &[0; 100]), "image", &mut None).unwrap_err().to_string().contains("does not fit"));
+            assert!(
+                jpeg(&frame(name, 64, 48, &[0; 100]), "image", &mut None)
+                    .unwrap_err()
+                    .to_string()
+                    .contains("does not fit")
+            );
         }
     }
 }

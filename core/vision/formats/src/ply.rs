@@ -4,25 +4,31 @@ use std::io::{self, Write};
 
 use panoscope_abi::CloudPoint;
 pub use panoscope_imaging::draw::GradientLimit;
+use panoscope_imaging::draw::Rims;
 
 /// Whether a point has coordinates.
 pub fn is_known(point: &CloudPoint) -> bool {
     point.x_mm.is_finite() && point.y_mm.is_finite() && point.z_mm.is_finite()
 }
 
-/// Triangles between neighbours in rows of points: three places in the cloud each.
+/// Positions of the points that are on a surface, NaN for the others: ramps that a match draws from one depth to another are none.
+fn on_surfaces(points: &[CloudPoint], width: usize, limit: GradientLimit) -> Vec<[f32; 3]> {
+    let position = |p: &CloudPoint| if is_known(p) { [p.x_mm, p.y_mm, p.z_mm] } else { [f32::NAN; 3] };
+    let mut positions: Vec<[f32; 3]> = points.iter().map(position).collect();
+    if width > 0 {
+        Rims::default().part(&mut positions, width, limit);
+    }
+    positions
+}
+
+/// Triangles between neighbours in rows of positions, NaN where unknown: three indices each.
 ///
 /// Neighbours that `limit` parts belong to different surfaces.
-pub fn triangles(
-    points: &[CloudPoint],
-    width: usize,
-    limit: GradientLimit,
-) -> impl Iterator<Item = [usize; 3]> + Clone {
-    let height = points.len().checked_div(width).unwrap_or(0);
+fn triangles(positions: &[[f32; 3]], width: usize, limit: GradientLimit) -> impl Iterator<Item = [usize; 3]> + Clone {
+    let height = positions.len().checked_div(width).unwrap_or(0);
     let joined = move |a: usize, b: usize| {
-        let (p, q) = (&points[a], &points[b]);
-        let place = |p: &CloudPoint| [p.x_mm, p.y_mm, p.z_mm];
-        is_known(p) && is_known(q) && !limit.parts(place(p), place(q))
+        let (p, q) = (positions[a], positions[b]);
+        !p[0].is_nan() && !q[0].is_nan() && !limit.parts(p, q)
     };
     (1..height).flat_map(move |y| (1..width).map(move |x| y * width + x)).flat_map(move |d| {
         let (a, b, c) = (d - width - 1, d - width, d - 1);
@@ -32,7 +38,8 @@ pub fn triangles(
 }
 
 /// Writes the known points; returns their number. Coordinates in mm, left rectified camera frame (x right, y
-/// down, z forward). With `limit` the surface between neighbours in rows of `width` points is written too, see [`triangles`].
+/// down, z forward). With `limit` the surface between neighbours in rows of `width` points is written too: triangles between
+/// points of one surface.
 ///
 /// # Errors
 /// Those of `out`.
@@ -43,7 +50,8 @@ pub fn write(
     limit: Option<GradientLimit>,
 ) -> io::Result<usize> {
     let known = points.iter().filter(|p| is_known(p)).count();
-    let faces = limit.map(|limit| triangles(points, width, limit));
+    let positions = limit.map(|limit| on_surfaces(points, width, limit));
+    let faces = limit.zip(positions.as_deref()).map(|(limit, positions)| triangles(positions, width, limit));
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment mm, x right, y down, z forward\nelement vertex {known}\n\
@@ -94,32 +102,54 @@ mod tests {
         CloudPoint { x_mm: x, y_mm: y, z_mm: z, bgr: [1, 2, 3], reserved: 0 }
     }
 
-    #[test]
-    fn a_step_near_the_edge_of_the_picture_is_no_surface() {
-        // One row of pixels, 0.006 apart on the image plane, 0.45 off the axis: an instrument before tissue, twice.
-        let seen = |k: usize, z: f32| point((0.45 + 0.006 * (k % 3) as f32) * z, 0.006 * (k / 3) as f32 * z, z);
-        let cloud: Vec<CloudPoint> = (0..6).map(|k| seen(k, if k % 3 == 0 { 45.0 } else { 67.0 })).collect();
-        let found: Vec<_> = triangles(&cloud, 3, LIMIT).collect();
-        assert_eq!(found, [[1, 4, 2], [2, 4, 5]]);
+    fn faces(cloud: &[CloudPoint], width: usize) -> Vec<[usize; 3]> {
+        triangles(&on_surfaces(cloud, width, LIMIT), width, LIMIT).collect()
     }
 
     #[test]
-    fn a_mesh_leaves_out_unknown_corners_and_steps() {
-        // 3 x 2 points; the lower right one is unknown, the upper right one lies 30 mm deeper.
-        let cloud = [
-            point(0.0, 0.0, 50.0),
-            point(1.0, 0.0, 50.0),
-            point(2.0, 0.0, 80.0),
-            point(0.0, 1.0, 50.0),
-            point(1.0, 1.0, 50.0),
-            point(f32::NAN, f32::NAN, f32::NAN),
-        ];
-        let found: Vec<_> = triangles(&cloud, 3, LIMIT).collect();
-        assert_eq!(found, [[0, 3, 1], [1, 3, 4]]);
+    fn a_ramp_between_two_depths_has_no_triangles() {
+        // Seen by a camera of 750 px: the match takes 20 px to come from 70 mm to 80 mm, each of them no steeper than a surface may be.
+        let (columns, rows) = (320, 30);
+        let seen = |at: usize| {
+            let (x, y) = ((at % columns) as f32 - 160.0, (at / columns) as f32 - 15.0);
+            let z = 1.0 / (1.0 / 70.0 - (1.0 / 70.0 - 1.0 / 80.0) * (x / 20.0).clamp(0.0, 1.0));
+            point(x / 750.0 * z, y / 750.0 * z, z)
+        };
+        let cloud: Vec<CloudPoint> = (0..columns * rows).map(seen).collect();
+        let found = faces(&cloud, columns);
+        let crosses = |corners: &[usize; 3], at: usize| {
+            let columns = corners.map(|corner| corner % columns);
+            columns.iter().any(|x| *x <= at) && columns.iter().any(|x| *x > at)
+        };
+        // In the middle of the ramp, and on both surfaces.
+        assert!(!found.iter().any(|corners| crosses(corners, 170)));
+        assert!([120, 200].iter().all(|at| found.iter().any(|corners| crosses(corners, *at))));
+    }
+
+    #[test]
+    fn a_mesh_leaves_out_unknown_corners_and_steps_of_depth() {
+        // At the edge of the image: 0.006 apart on the image plane, 0.45 off the axis. Tissue, and 20 mm before it an instrument.
+        let (columns, rows) = (40, 12);
+        let seen = |at: usize| {
+            let (column, row) = (at % columns, at / columns);
+            let z = if column < 20 { 45.0 } else { 65.0 };
+            point((0.45 + 0.006 * column as f32) * z, 0.006 * row as f32 * z, z)
+        };
+        let mut cloud: Vec<CloudPoint> = (0..columns * rows).map(seen).collect();
+        let unknown = 6 * columns + 8;
+        (cloud[unknown].x_mm, cloud[unknown].z_mm) = (f32::NAN, f32::NAN);
+        let found = faces(&cloud, columns);
+        assert!(found.iter().all(|corners| !corners.contains(&unknown)));
+        let sides = found.iter().map(|corners| corners.map(|corner| corner % columns < 20));
+        assert!(sides.clone().all(|[a, b, c]| a == b && b == c), "a triangle across the step");
+        let before = sides.filter(|side| side[0]).count();
+        assert!(before > 200 && found.len() - before > 200, "{before} of {}", found.len());
         let mut file = Vec::new();
-        assert_eq!(write(&mut file, &cloud, 3, Some(LIMIT)).unwrap(), 5);
+        assert_eq!(write(&mut file, &cloud, columns, Some(LIMIT)).unwrap(), columns * rows - 1);
         let header = String::from_utf8_lossy(&file);
-        assert!(header.contains("element vertex 5\n") && header.contains("element face 2\n"));
-        assert_eq!(file.len(), header.find("end_header\n").unwrap() + 11 + 5 * 15 + 2 * 13);
+        assert!(header.contains(&format!("element vertex {}\nproperty", columns * rows - 1)));
+        assert!(header.contains(&format!("element face {}\n", found.len())));
+        let size = (columns * rows - 1) * 15 + found.len() * 13;
+        assert_eq!(file.len(), header.find("end_header\n").unwrap() + 11 + size);
     }
 }

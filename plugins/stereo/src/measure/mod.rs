@@ -4,10 +4,10 @@ mod surface;
 
 use panoscope_imaging::stereo::length::{self, Errors, Noise};
 use panoscope_imaging::stereo::{Rectification, SurfacePoint};
-use panoscope_node::abi::{Calibration, Tip};
+use panoscope_node::abi::{Calibration, Scalar, Tip};
 use panoscope_node::{
     Choice, Cloud, Confidence, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result,
-    Slot, TableData, Validation, Value, error,
+    Slot, TableData, TextPacket, Validation, Value, error,
 };
 
 use panoscope_calibration::packet as calibration;
@@ -60,6 +60,8 @@ pub struct In<'f> {
     calibration: Option<Value<'f, Calibration>>,
     /// Confidence of the disparity that the surface comes from, as a filter gives it: errors grow where it is low. Without it all is trusted.
     confidence: Option<Image<'f, Confidence>>,
+    /// State of the calibration, as a matcher gives it: above 0 it does not fit the views. Nothing is known then.
+    drifted: Option<Value<'f, Scalar>>,
     /// Tips of tools: one point each, after those of the parameter. A tip that is missing in a tick is an unknown point.
     tips: Option<List<'f, Value<'f, Tip>>>,
     /// Boxes in the left rectified view: the centre of each is a point, after those of the parameter and the tips.
@@ -71,6 +73,8 @@ pub struct In<'f> {
 pub struct Out<'f> {
     /// One row per item: its points, its value and the 95 % error bound; NaN where unknown.
     table: Slot<'f, TableData>,
+    /// Why nothing is measured; empty while there is no reason.
+    text: Slot<'f, TextPacket>,
 }
 
 /// Parameters.
@@ -98,6 +102,9 @@ pub struct MeasureParams {
     #[param(default = Noise::USUAL.focal_percent, range = 0.0..=10.0, step = 0.01, unit = "%")]
     focal_error_percent: f64,
 }
+
+/// What is written in place of lengths.
+const DRIFTED: &str = "no lengths: the calibration does not fit";
 
 /// See the module.
 pub struct Measure {
@@ -283,6 +290,14 @@ impl Node for Measure {
             ));
         }
         self.gather(&input, &surface, params);
+        // NaN counts as no statement.
+        let is_drifted = input.drifted.as_ref().is_some_and(|drifted| drifted.value > 0.0);
+        if is_drifted {
+            self.places.fill(None);
+        }
+        if out.text.is_read() {
+            out.text.set_text(if is_drifted { DRIFTED } else { "" })?;
+        }
         let errors = views.as_ref().map(|(packet, views)| params.errors(views, packet.rms_px));
         self.measure(params, errors.as_ref());
         self.views = views;

@@ -20,3 +20,8 @@ pub const NOWHERE: Corner = Corner { place: [f32::NAN; 3], world: [f32::NAN; 3],
 pub fn is_known(corner: &Corner) -> bool {
     !corner.place[0].is_nan()
 }
+
+/// Whether there is a point, in the image or not yet.
+pub fn is_located(corner: &Corner) -> bool {
+    !corner.world[0].is_nan()
+}

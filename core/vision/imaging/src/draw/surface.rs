@@ -5,8 +5,10 @@
 use std::fmt::Write;
 
 use super::contour::{Contour, RIM};
-use super::corner::{Corner, NOWHERE, is_known};
-use super::rims::{self, GradientLimit, Rims};
+use super::corner::{Corner, NOWHERE, is_known, is_located};
+use super::holes::Holes;
+use super::light::light;
+use super::rims::{GradientLimit, Position, Rims};
 use super::{Color, line, text};
 use crate::ViewMut;
 
@@ -102,10 +104,15 @@ impl Projection {
 #[derive(Default)]
 pub struct SurfacePainter {
     corners: Vec<Corner>,
+    /// The corners' positions, of which those between surfaces are taken out.
+    positions: Vec<Position>,
     depth: Vec<f32>,
+    /// Whether a pixel shows a part of the surface that was filled.
+    is_filled: Vec<bool>,
     sorted: Vec<f32>,
+    holes: Holes,
     rims: Rims,
-    /// Share of the known corners that are cut off at rims.
+    /// Share of the corners on surfaces that are cut off.
     cut_share: f32,
     /// Words beside the ruler.
     length: String,
@@ -151,12 +158,14 @@ fn ruler_mm(visible_mm: f32) -> f32 {
 }
 
 impl SurfacePainter {
-    /// For each pixel of the last picture the depth behind the middle as in [`Projection`], infinite where nothing is.
+    /// For each pixel of the last picture the depth behind the middle as in [`Projection`], infinite where nothing is and where a small hole of the
+    /// surface was filled.
     pub fn depth_mm(&self) -> &[f32] {
         &self.depth
     }
 
-    /// Share of the points of the last picture that were known and are not shown, because they lie between surfaces or at ragged rims.
+    /// Share of the surface points of the last picture that were known and are not shown, because they lie close to a step of depth or at ragged rims.
+    /// Points on the ramp that a match draws between two depths are not part of a surface.
     pub fn cut_share(&self) -> f32 {
         self.cut_share
     }
@@ -194,19 +203,30 @@ impl SurfacePainter {
         for j in 0..h {
             for i in 0..w {
                 if let Some((p, color)) = nearest(points, (i * step, j * step), step / 2) {
-                    let place = projection.project(p);
-                    self.corners[j * w + i] = Corner { place, world: p, color, light: 1.0 };
+                    self.corners[j * w + i] = Corner { world: p, color, ..NOWHERE };
                 }
             }
         }
-        let known = |corners: &[Corner]| corners.iter().filter(|corner| is_known(corner)).count();
-        let before = known(&self.corners);
-        self.rims.clean(&mut self.corners, w, orbit.limit);
-        self.cut_share = 1.0 - known(&self.corners) as f32 / before.max(1) as f32;
+        self.holes.fill(&mut self.corners, w, orbit.limit);
+        self.positions.clear();
+        self.positions.extend(self.corners.iter().map(|corner| corner.world));
+        let known = |positions: &[Position]| positions.iter().filter(|position| !position[0].is_nan()).count();
+        let before = known(&self.positions);
+        self.rims.clean(&mut self.positions, w, orbit.limit);
+        let on_surfaces = before - self.rims.ramp_corners();
+        self.cut_share = on_surfaces.saturating_sub(known(&self.positions)) as f32 / on_surfaces.max(1) as f32;
+        for (corner, position) in self.corners.iter_mut().zip(&self.positions) {
+            match position[0].is_nan() {
+                true => *corner = NOWHERE,
+                false => corner.place = projection.project(*position),
+            }
+        }
         self.contour.find(&mut self.corners, w, orbit.limit, |world| projection.project(world));
         let [(sy, cy), (sp, cp)] = turn;
-        rims::light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
+        light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
         self.depth.resize(out.width * out.height, f32::INFINITY);
+        self.is_filled.clear();
+        self.is_filled.resize(out.width * out.height, false);
         for j in 0..h - 1 {
             for i in 0..w - 1 {
                 let at = j * w + i;
@@ -215,6 +235,8 @@ impl SurfacePainter {
                 self.triangle(out, orbit.limit, [b, d, c]);
             }
         }
+        let shown = self.depth.iter_mut().zip(&self.is_filled);
+        shown.filter(|(_, filled)| **filled).for_each(|(depth, _)| *depth = f32::INFINITY);
         let length = ruler_mm(out.width as f32 / scale);
         let (x, y) = (out.width as f32 * 0.04, out.height as f32 * 0.94);
         line(out, (x, y), (x + length * scale, y), 2.0, [230; 3]);
@@ -246,6 +268,7 @@ impl SurfacePainter {
         if t.iter().any(|c| c.place[0].is_nan()) || inside.iter().all(|v| *v < RIM) {
             return;
         }
+        let is_filled = corners.iter().any(|at| self.holes.is_filled()[*at]);
         let is_whole = inside.iter().all(|v| *v >= RIM);
         let is_steep = |a: usize, b: usize| limit.parts(t[a].world, t[b].world);
         if is_steep(0, 1) || is_steep(0, 2) || is_steep(1, 2) {
@@ -277,6 +300,7 @@ impl SurfacePainter {
                 let held = &mut self.depth[y * out.width + x];
                 if z < *held {
                     *held = z;
+                    self.is_filled[y * out.width + x] = is_filled;
                     let light = t[0].light + u * (t[1].light - t[0].light) + v * (t[2].light - t[0].light);
                     let pixel = &mut out.row_mut(y)[3 * x..3 * x + 3];
                     for (k, value) in pixel.iter_mut().enumerate() {
@@ -382,6 +406,32 @@ mod tests {
         // From the front, away from rims and the ruler.
         let holes = (40..180).flat_map(|y| (30..290).map(move |x| (y * 320 + x) * 3)).filter(|at| data[*at] != 200);
         assert_eq!(holes.count(), 0);
+    }
+
+    /// A plane at 50 mm without its middle.
+    struct Holed;
+    impl SurfacePoints for Holed {
+        fn size(&self) -> (usize, usize) {
+            (80, 60)
+        }
+        fn at(&self, x: usize, y: usize) -> Option<([f32; 3], Color)> {
+            let is_known = x.abs_diff(40) > 1 || y != 30;
+            is_known.then_some(([x as f32 * 0.25 - 10.0, y as f32 * 0.25 - 7.5, 50.0], [200; 3]))
+        }
+    }
+
+    #[test]
+    fn a_small_hole_is_shown_darker_and_has_no_depth() {
+        let mut data = vec![0; 160 * 120 * 3];
+        let orbit = Orbit { step: 1, shading: 0.0, ..Orbit::default() };
+        let mut painter = SurfacePainter::default();
+        painter.paint(&Holed, &orbit, &mut ViewMut::new(&mut data, 160, 120, 3));
+        // Around the middle, away from rims and the ruler.
+        let inside = (40..80).flat_map(|y| (40..120).map(move |x| y * 160 + x));
+        let (filled, measured): (Vec<_>, Vec<_>) = inside.partition(|at| painter.depth_mm()[*at].is_infinite());
+        let darkest = filled.iter().map(|at| data[3 * at]).min();
+        assert!((8..40).contains(&filled.len()) && darkest.is_some_and(|v| v.abs_diff(160) <= 2), "{darkest:?}");
+        assert!(measured.iter().all(|at| data[3 * at] == 200));
     }
 
     #[test]

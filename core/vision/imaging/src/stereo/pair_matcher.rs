@@ -150,6 +150,11 @@ impl PairMatcher {
         self.lit.set(parts, rim_px);
     }
 
+    /// Whether the calibration does not fit the views, as the last measurement of rows found.
+    pub fn is_drifted(&self) -> bool {
+        self.search.is_drifted()
+    }
+
     /// Matches `roi` of a rectified gray pair. Writes px of the left view into `disparity` and, where asked for, px of the right view into
     /// `disparity_right`; NaN where unmatched, outside `roi`, and where only one camera sees. A strip at the
     /// right border that is narrower than a block is filled in in `disparity` alone.

@@ -176,6 +176,11 @@ impl Search {
         self.watch.is_swapped()
     }
 
+    /// Whether the calibration does not fit the views, as the last measurement of rows found.
+    pub fn is_drifted(&self) -> bool {
+        self.watch.is_drifted()
+    }
+
     /// Call after matching. `is_whole`: the whole left view was matched, not only a region.
     pub fn end(
         &mut self,

@@ -64,6 +64,11 @@ impl Watch {
         self.swapped
     }
 
+    /// Whether matched points are too far off their rows: the calibration does not fit the views.
+    pub fn is_drifted(&self) -> bool {
+        self.drifted
+    }
+
     /// Checks after a survey with few matches whether the swapped views match.
     ///
     /// # Errors
