@@ -372,6 +372,7 @@ impl Worker {
             size_px: packet.size,
             text: std::mem::take(&mut packet.text),
             seq: packet.seq,
+            source: packet.tick.source,
             age_ns,
             made_ns: link::monotonic_ns(),
             pixels,
