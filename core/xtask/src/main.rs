@@ -48,7 +48,8 @@ cargo xtask COMMAND
                        installs what is missing, builds, runs graphs/panorama.toml and prints what it wrote
   test [SUITE] [-- args of `cargo nextest run`]
                        installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, asan, tsan;
-                       with longer doses faults, hostile-models, disk, damaged-streams, losses, soak, leaks, network, kill, arm, sim; campaign: all of these
+                       with longer doses faults, hostile-models, disk, damaged-streams, losses, soak, leaks, network, kill, pictures, arm, sim;
+                       campaign: all of these
   time                 prints where the time of the last `test` went: steps, and the slowest packages, test programs and tests
   interlock [--coverage | --mutants]
                        judges the tests of the arm's interlock: branch coverage (nightly compiler) and mutants; takes an hour

@@ -135,6 +135,8 @@ static CAMPAIGNS: &[Suite] = &[
     campaign("network", &["panoscope-tests"], "test(/^machines::/)", &[("PANOSCOPE_NETWORK_FAULTS", "1000")]),
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
     campaign("kill", &["panoscope-editor"], "test(/^kill::/)", &[]),
+    // What the theatre shows while cameras stop, slip, swap and return and processes die.
+    campaign("pictures", &["panoscope-theatre"], "test(/^campaign::/)", &[("PANOSCOPE_PICTURE_CASES", "1000")]),
     // PANOSCOPE_ARM_BESIDE chooses how many cases run at a time.
     campaign("arm", &["panoscope-arm-guard"], "test(/^campaign::/)", &[("PANOSCOPE_ARM_CASES", "10000")]),
     campaign("sim", &["panoscope-sim"], "test(/^simulation::/)", &[("PANOSCOPE_SIM_CASES", "10000")]),

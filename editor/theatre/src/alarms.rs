@@ -60,6 +60,7 @@ alarms! {
     RESTARTING = Alarm, "alarm-restarting";
     MACHINE_LOST = Alarm, "alarm-machine-lost";
     CAMERA_LOST = Alarm, "alarm-camera-lost";
+    CAMERA_STUCK = Alarm, "alarm-camera-stuck";
     EMERGENCY = Alarm, "alarm-emergency";
     SWAPPED = Alarm, "alarm-swapped";
     STALE_IMAGE = Alarm, "alarm-image-stale";

@@ -1,7 +1,5 @@
 //! The emergency stop of a robot arm in the graph: one tap stops it, holding releases it.
 
-use std::time::Instant;
-
 use eframe::egui::{
     Color32, Context, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2,
     vec2,
@@ -13,7 +11,7 @@ use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
 
 use super::marks::{fitting, focus_frame};
-use super::{Action, HOLD, Theatre, actions, key_name, plan};
+use super::{Action, HOLD, Theatre, actions, key_name, plan, time};
 
 /// Height of a stop button, points, from which its two texts are one above the other.
 const TWO_LINES: f32 = 54.0;
@@ -58,7 +56,7 @@ impl Theatre {
         let held = held || ctx.input(|i| actions::is_held(i, Action::Stop, &self.pedal.keys));
         match self.releasing {
             Some(_) if !held => self.releasing = None,
-            Some(since) if since.elapsed() >= HOLD => {
+            Some(since) if time::since(since) >= HOLD => {
                 self.releasing = None;
                 self.emergency_stop(false);
             }
@@ -94,10 +92,10 @@ impl Theatre {
             // Held by touch, or by the keys that press the focused button.
             let by_key = response.has_focus() && ui.input(|i| i.key_down(Key::Space) || i.key_down(Key::Enter));
             if held && ui.input(|i| i.pointer.any_pressed()) || by_key && response.clicked() {
-                self.releasing = Some(Instant::now());
+                self.releasing = Some(time::now());
             }
             self.release(ui.ctx(), held || by_key);
-            let share = self.releasing.map_or(0.0, |s| s.elapsed().as_secs_f32() / HOLD.as_secs_f32());
+            let share = self.releasing.map_or(0.0, |s| time::since(s).as_secs_f32() / HOLD.as_secs_f32());
             let done = Rect::from_min_size(rect.min, vec2(rect.width() * share.min(1.0), rect.height())).shrink(6.0);
             painter.rect_filled(done, 8.0, STOP_RED.gamma_multiply(0.6));
         }

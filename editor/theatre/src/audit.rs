@@ -8,7 +8,7 @@ use panoscope_audit::{Auditor, Event};
 use panoscope_editor_model::observe::Counters;
 
 use super::settings;
-use super::{Opened, Verified};
+use super::{Opened, Verified, time};
 use panoscope_graph::ParamValue;
 
 /// A setting that does not change for this long is logged: a dragged slider gives one line.
@@ -89,13 +89,13 @@ impl Audit {
     pub fn setting(&mut self, node: &str, param: &str, value: &ParamValue) {
         let key = (node.to_owned(), param.to_owned());
         self.changing.retain(|(other, ..)| *other != key);
-        self.changing.push((key, settings::message(value, ""), Instant::now()));
+        self.changing.push((key, settings::message(value, ""), time::now()));
     }
 
     /// Logs settings that have not changed for a time.
     fn settle(&mut self, quiet: Duration) {
         let (settled, changing) =
-            std::mem::take(&mut self.changing).into_iter().partition(|(_, _, since)| since.elapsed() >= quiet);
+            std::mem::take(&mut self.changing).into_iter().partition(|(_, _, since)| time::since(*since) >= quiet);
         self.changing = changing;
         for ((node, param), value, _) in settled {
             self.push(Event::Setting { node, param, value });
@@ -108,7 +108,7 @@ impl Audit {
             return;
         }
         self.settle(SETTLED);
-        let now = Instant::now();
+        let now = time::now();
         for (node, window) in &counters.nodes {
             let count = window.faults + window.restarts;
             let before = self.counts.insert(node.clone(), count).unwrap_or(0);

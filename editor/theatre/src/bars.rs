@@ -12,7 +12,7 @@ use eframe::egui::{
 use super::alarms::Urgency;
 use super::arm::STOP_RED;
 use super::notices::{Facts, OLD_MS};
-use super::{Action, EDGE, HOLD, Outage, OutageStage, REMARK, Theatre, key_name, settings};
+use super::{Action, EDGE, HOLD, Outage, OutageStage, REMARK, Theatre, key_name, settings, time};
 use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_texts::{bytes, text};
 use panoscope_editor_widgets::theme;
@@ -39,7 +39,7 @@ const MIN_DETAIL: f32 = 14.0;
 const MORE: f32 = 84.0;
 
 fn format_clock(since: Instant) -> String {
-    let seconds = since.elapsed().as_secs();
+    let seconds = time::since(since).as_secs();
     format!("{}:{:02}", seconds / 60, seconds % 60)
 }
 
@@ -87,8 +87,9 @@ impl Theatre {
                 let message = format!("{}  {}", text!("state-frozen"), format_clock(since));
                 Chip::new(message, theme::accent(), theme::BLACK)
             }
-            // Delayed images must not be called live.
-            _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > OLD_MS) => {
+            // No image is none that lives, and delayed images must not be called live.
+            _ if !facts.has_main => Chip::new(text!("state-starting"), theme::raised(), theme::muted()),
+            _ if facts.is_old || !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > OLD_MS) => {
                 Chip::new(text!("state-delayed"), theme::warn(), theme::BLACK)
             }
             _ => Chip::new(text!("state-live"), theme::raised(), theme::live()),
@@ -133,8 +134,8 @@ impl Theatre {
     /// Draws the most urgent notice in `room` with the others in `below`; without notices, the remark or the graph's name.
     fn show_message(&self, ui: &mut Ui, room: Rect, below: Rect) {
         let painter = ui.painter_at(room.union(below).expand(2.0));
-        if let Some(since) = self.leaving.filter(|since| since.elapsed() > HOLD / 8) {
-            let share = (since.elapsed().as_secs_f32() / HOLD.as_secs_f32()).min(1.0);
+        if let Some(since) = self.leaving.filter(|since| time::since(*since) > HOLD / 8) {
+            let share = (time::since(since).as_secs_f32() / HOLD.as_secs_f32()).min(1.0);
             let text = FontId::proportional(22.0);
             let message = text!("leave-hold");
             let rect = painter.text(room.left_center(), Align2::LEFT_CENTER, message, text, theme::text());
@@ -153,7 +154,7 @@ impl Theatre {
                 node.set_description(text!("notice-action", action = action))
             });
         }
-        let remark = self.remark.as_ref().filter(|(.., at)| at.elapsed() < REMARK);
+        let remark = self.remark.as_ref().filter(|(.., at)| time::since(*at) < REMARK);
         if let Some((message, ..)) = remark {
             let response = ui.interact(room, ui.id().with("remark"), Sense::hover());
             response.widget_info(|| label(&text!("remark-name", remark = message)));

@@ -12,6 +12,8 @@ mod arrange;
 mod attached;
 mod audit;
 mod bars;
+#[cfg(test)]
+mod campaign;
 mod checklist;
 mod guard;
 mod link;
@@ -36,6 +38,7 @@ mod sinks;
 mod stage;
 mod storage;
 mod three_d;
+mod time;
 pub mod worker;
 mod zoom;
 
@@ -79,7 +82,7 @@ use measure::Measure;
 use notices::{Facts, Stages};
 use outage::Resuming;
 use pedal::Pedal;
-use previews::LastPacket;
+use previews::{LastPacket, Repeats};
 use runner::{Local, Runner};
 use settings::toml_of;
 use sinks::SinkFiles;
@@ -116,6 +119,12 @@ pub struct Theatre {
     /// Previews of the raw view, which continues while the other views are frozen.
     live: OutputCache,
     last_packets: HashMap<Output, LastPacket>,
+    /// The packets of [`Self::shown`]: not newer than the last ones.
+    shown_packets: HashMap<Output, LastPacket>,
+    /// How often each camera has sent its last image.
+    repeats: HashMap<Output, Repeats>,
+    /// Silent cameras that faults have named.
+    named_lost: Vec<Output>,
     /// Since when each output is requested without a break.
     requested: HashMap<Output, Instant>,
     running_since: Option<Instant>,
@@ -225,6 +234,9 @@ impl Theatre {
             shown: OutputCache::default(),
             live: OutputCache::default(),
             last_packets: HashMap::new(),
+            shown_packets: HashMap::new(),
+            repeats: HashMap::new(),
+            named_lost: Vec::new(),
             requested: HashMap::new(),
             running_since: None,
             starting_since: None,
@@ -332,7 +344,7 @@ impl Theatre {
 
     /// Shows a remark for some seconds; `wrong` marks it as an error.
     pub(crate) fn notify(&mut self, message: impl Into<String>, wrong: bool) {
-        self.remark = Some((message.into(), wrong, Instant::now()));
+        self.remark = Some((message.into(), wrong, time::now()));
     }
 
     /// Changes the running graph to another one of the same file, with the settings that were changed in this window. `take` makes the runner use
@@ -369,10 +381,10 @@ impl Theatre {
         }
         (self.plan, self.verified) = (opened.plan, opened.verified);
         (self.layout, self.frozen, self.measure, self.rig) = (Layout::All, None, Measure::default(), None);
-        (self.zoom, self.three_d, self.pair) = (Zoom::default(), ThreeD::Off, Pair::default());
+        (self.zoom, self.three_d) = (Zoom::default(), ThreeD::Off);
         self.raw_camera = 0;
         self.watch_sinks();
-        self.last_packets.clear();
+        self.forget_images();
         self.run(text);
         Ok(())
     }
@@ -495,7 +507,7 @@ impl Theatre {
                 self.notify(text!("view-no-image-yet"), true)
             }
             Action::Freeze => {
-                self.frozen = if self.frozen.is_some() { None } else { Some(Instant::now()) };
+                self.frozen = if self.frozen.is_some() { None } else { Some(time::now()) };
                 self.measure = Measure::default();
             }
             Action::Still => self.still(),
@@ -504,7 +516,7 @@ impl Theatre {
             Action::Measure => self.toggle_measuring(),
             // Stopped already: holding releases the arm.
             Action::Stop if self.machine.is_some() => self.notify(text!("attached-elsewhere"), true),
-            Action::Stop if self.emergency => self.releasing = Some(Instant::now()),
+            Action::Stop if self.emergency => self.releasing = Some(time::now()),
             Action::Stop => self.emergency_stop(true),
             Action::Again => self.again(),
             Action::More => self.page += 1,
@@ -562,14 +574,14 @@ impl Theatre {
     fn leave(&mut self, ctx: &Context) {
         let down = ctx.input(|i| i.key_down(Key::Escape));
         if !down {
-            if self.leaving.take().is_some_and(|since| since.elapsed() < HOLD / 4) && self.measure.is_on() {
+            if self.leaving.take().is_some_and(|since| time::since(since) < HOLD / 4) && self.measure.is_on() {
                 self.toggle_measuring();
             }
             return;
         }
-        let since = *self.leaving.get_or_insert_with(Instant::now);
+        let since = *self.leaving.get_or_insert_with(time::now);
         ctx.request_repaint();
-        if since.elapsed() >= HOLD && !self.closing {
+        if time::since(since) >= HOLD && !self.closing {
             self.closing = true;
             ctx.send_viewport_cmd(egui::ViewportCommand::Close);
         }

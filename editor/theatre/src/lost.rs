@@ -1,14 +1,19 @@
 //! Which camera is lost. A source of several cameras may withhold the images of all of them while one is lost: only its fault names that one.
 
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use panoscope_editor_model::observe::Output;
 use panoscope_engine::fault::Fault;
 
-use super::Pane;
+use super::{Pane, time};
 
 /// How much earlier than the silence that it explains a fault may be, ms: images wait on their way to the window.
 const BEFORE_MS: u64 = 500;
+/// How much later it may be, ms: a source waits for a while before it calls a camera lost.
+const AFTER_MS: u64 = 2500;
+
+/// Time between the last images of two cameras that do not fall silent together.
+const APART: Duration = Duration::from_millis(500);
 
 /// A camera without a new image.
 pub struct SilentCamera<'a> {
@@ -34,25 +39,41 @@ pub struct LostCameras {
 /// The cameras that are lost. `all` are the cameras of the graph, `fault_of` is the newest fault of a node.
 ///
 /// Where all cameras of a source are silent and its fault names some of them, only those are lost. Without such a fault they are listed together:
-/// a name that may be wrong is worse than none.
+/// a name that may be wrong is worse than none. That goes for a fault, too, that names another camera than one before: `named_before` are those that
+/// earlier faults of this silence have named.
 pub fn cameras<'f>(
     silent: &[SilentCamera<'_>],
     all: &[Pane],
+    named_before: &mut Vec<Output>,
     fault_of: impl Fn(&str) -> Option<&'f Fault>,
 ) -> Vec<LostCameras> {
+    named_before.retain(|output| silent.iter().any(|camera| camera.output == output));
     let mut lost = Vec::new();
     let mut nodes: Vec<&str> = silent.iter().map(|camera| camera.output.node.as_str()).collect();
     nodes.dedup();
     for node in nodes {
         let of_node: Vec<&SilentCamera<'_>> = silent.iter().filter(|camera| camera.output.node == node).collect();
         let count = all.iter().filter(|camera| camera.output.node == node).count();
-        if of_node.len() == 1 || of_node.len() < count {
+        let since = || of_node.iter().map(|camera| camera.since.unwrap_or_default());
+        let apart = since().max().unwrap_or_default().saturating_sub(since().min().unwrap_or_default());
+        // One that went on while another was silent is silent by itself.
+        if of_node.len() == 1 || of_node.len() < count || apart > APART {
             lost.extend(of_node.iter().map(|c| LostCameras { titles: vec![c.title.clone()], since: c.since }));
             continue;
         }
         let since = of_node.iter().filter_map(|camera| camera.since).max();
         let named = fault_of(node).filter(|fault| explains(fault, since)).map(|fault| named(&of_node, &fault.words));
-        match named.filter(|named| !named.is_empty()) {
+        // Later faults of the same silence, such as of attempts to open the camera again, are not needed to know it.
+        let before = || of_node.iter().copied().filter(|camera| named_before.contains(camera.output)).collect();
+        let named = named.unwrap_or_else(before);
+        let is_sure = of_node
+            .iter()
+            .filter(|camera| named_before.contains(camera.output))
+            .all(|camera| named.iter().any(|named| named.output == camera.output));
+        named_before.extend(named.iter().map(|camera| camera.output.clone()));
+        named_before.sort_unstable();
+        named_before.dedup();
+        match Some(named).filter(|named| !named.is_empty() && is_sure) {
             Some(named) => {
                 lost.extend(named.iter().map(|c| LostCameras { titles: vec![c.title.clone()], since: c.since }));
             }
@@ -62,10 +83,13 @@ pub fn cameras<'f>(
     lost
 }
 
-/// Whether a fault came with a silence, and not before it.
+/// Whether a fault came with the begin of a silence.
 fn explains(fault: &Fault, since: Option<Duration>) -> bool {
-    let now_ms = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_millis() as u64;
-    since.is_none_or(|since| fault.unix_ms + since.as_millis() as u64 + BEFORE_MS >= now_ms)
+    let now_ms = time::unix_ms();
+    since.is_none_or(|since| {
+        let begin_ms = now_ms.saturating_sub(since.as_millis() as u64);
+        (begin_ms.saturating_sub(BEFORE_MS)..=begin_ms + AFTER_MS).contains(&fault.unix_ms)
+    })
 }
 
 /// The cameras whose source a fault names.
@@ -90,6 +114,8 @@ fn names(message: &str, source: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::time::SystemTime;
+
     use panoscope_engine::fault::{Action, Cause};
 
     use super::*;
@@ -128,7 +154,7 @@ mod tests {
                 since: Some(Duration::from_secs(3)),
             })
             .collect();
-        cameras(&silent, &all, |_| fault).into_iter().map(|lost| lost.titles).collect()
+        cameras(&silent, &all, &mut Vec::new(), |_| fault).into_iter().map(|lost| lost.titles).collect()
     }
 
     #[test]
@@ -140,14 +166,45 @@ mod tests {
             assert_eq!(both_silent(udp, Some(&fault(&words, Duration::from_secs(1)))), [expected]);
         }
         let words = "camera /dev/video12 is gone after 3 frames: the stream has ended. Outputs stay empty";
-        assert_eq!(both_silent(["1", "12"], Some(&fault(words, Duration::ZERO))), [["right camera"]]);
+        assert_eq!(both_silent(["1", "12"], Some(&fault(words, Duration::from_secs(1)))), [["right camera"]]);
         assert_eq!(
-            both_silent(["/dev/video1", "/dev/video12"], Some(&fault(words, Duration::ZERO))),
+            both_silent(["/dev/video1", "/dev/video12"], Some(&fault(words, Duration::from_secs(1)))),
             [["right camera"]]
         );
         let nested = ["rtsp://scope/a", "rtsp://scope/ab"];
         let words = "rtsp://scope/ab is gone after 3 frames: the stream has ended";
-        assert_eq!(both_silent(nested, Some(&fault(words, Duration::ZERO))), [["right camera"]]);
+        assert_eq!(both_silent(nested, Some(&fault(words, Duration::from_secs(1)))), [["right camera"]]);
+    }
+
+    #[test]
+    fn a_second_camera_that_is_lost_does_not_hide_the_first() {
+        let pane = |port: &str| Pane {
+            output: Output::new("scope", port),
+            packet: "image".to_owned(),
+            label: format!("{port} camera"),
+            camera: None,
+        };
+        let all = ["left", "right"].map(pane);
+        let silent = |seconds| {
+            let cameras = all.iter().zip(["0", "1"]).map(move |(pane, source)| SilentCamera {
+                output: &pane.output,
+                title: pane.title(),
+                source,
+                since: Some(Duration::from_secs(seconds)),
+            });
+            cameras.collect::<Vec<_>>()
+        };
+        let mut named = Vec::new();
+        let mut titles = |silent: &[SilentCamera<'_>], number: u32| {
+            let gone = fault(&format!("camera /dev/video{number} is gone after 3 frames"), Duration::ZERO);
+            let lost = cameras(silent, &all, &mut named, |_| Some(&gone));
+            lost.into_iter().map(|lost| lost.titles).collect::<Vec<_>>()
+        };
+        assert_eq!(titles(&silent(2), 0), [["left camera"]]);
+        assert_eq!(titles(&silent(4), 1), [["left camera"]], "what came later does not explain it");
+        assert_eq!(titles(&silent(2), 1), [["left camera", "right camera"]]);
+        assert!(titles(&[], 1).is_empty());
+        assert_eq!(titles(&silent(2), 1), [["right camera"]], "another silence");
     }
 
     #[test]

@@ -72,10 +72,16 @@ pub struct Facts {
     pub emergency: bool,
     /// Cameras without a new image.
     pub lost: Vec<LostCameras>,
+    /// Cameras that send the same image again and again, and for how long.
+    pub stuck: Vec<(String, Duration)>,
     /// Views that have stopped although their camera works. Their labels, which are as the graph names them.
     pub stopped: Vec<String>,
     /// Age of the main image, ms.
     pub age_ms: Option<f64>,
+    /// Whether the main image is older than [`OLD_MS`]; also one that was hidden, until its next image.
+    pub is_old: bool,
+    /// Whether there is a main image.
+    pub has_main: bool,
     /// Messages about failed nodes.
     pub stages: Vec<String>,
     /// Nodes that cannot write, because the disk is full.
@@ -200,6 +206,9 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
             (_, None) => text!("notice-camera-silent", camera = titles.join(", ")),
         };
         notify(alarms::CAMERA_LOST, message);
+    }
+    for (camera, since) in facts.stuck.iter().filter(|_| is_reached) {
+        notify(alarms::CAMERA_STUCK, text!("alarm-camera-stuck", camera = camera, seconds = since.as_secs().max(1)));
     }
     for view in facts.stopped.iter().filter(|_| is_reached) {
         notify(alarms::VIEW_STOPPED, text!("alarm-view-stopped", view = view));

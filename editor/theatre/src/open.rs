@@ -162,9 +162,18 @@ struct Checked {
     lock: Option<LockFacts>,
 }
 
-/// Opens a graph under its lock; `None` when it was never locked and need not be. Nothing of it has run where this is an error of the lock.
-fn under_lock(parsed: &GraphText, trust: &Trust) -> Result<Option<Checked>, OpenError> {
-    let path = parsed.path();
+impl From<VerifyError> for OpenError {
+    fn from(error: VerifyError) -> Self {
+        match error {
+            VerifyError::Differs(differences) => Self::Locked(differences),
+            VerifyError::Check(diagnostics) => Self::Graph(diagnostics),
+            VerifyError::Runtime(reason) => Self::Runtime(reason),
+        }
+    }
+}
+
+/// The lock of a graph, if it may be believed; `None` when the graph was never locked and need not be.
+fn trusted_lock(path: &Path, trust: &Trust) -> Result<Option<(Lock, LockFacts)>, OpenError> {
     let Some(lock) = Lock::read(path)? else {
         // Who trusts keys accepts only what they signed.
         return match trust.is_empty() {
@@ -172,15 +181,28 @@ fn under_lock(parsed: &GraphText, trust: &Trust) -> Result<Option<Checked>, Open
             false => Err(LockError::Never { graph: path.to_owned(), file: lock_path(path) }.into()),
         };
     };
-    let signed_by = lock.check_signature(path, trust)?;
-    let verify::Verified { graph, catalog, loader, seal, .. } =
-        verify::open(parsed, &lock, &ALWAYS_LOCKED).map_err(|error| match error {
-            VerifyError::Differs(differences) => OpenError::Locked(differences),
-            VerifyError::Check(diagnostics) => OpenError::Graph(diagnostics),
-            VerifyError::Runtime(reason) => OpenError::Runtime(reason),
-        })?;
-    let facts = LockFacts { sha256: lock.digest(), signed_by };
+    let facts = LockFacts { sha256: lock.digest(), signed_by: lock.check_signature(path, trust)? };
+    Ok(Some((lock, facts)))
+}
+
+/// Opens a graph under its lock; `None` as for [`trusted_lock`]. Nothing of it has run where this is an error of the lock.
+fn under_lock(parsed: &GraphText, trust: &Trust) -> Result<Option<Checked>, OpenError> {
+    let Some((lock, facts)) = trusted_lock(parsed.path(), trust)? else { return Ok(None) };
+    let verify::Verified { graph, catalog, loader, seal, .. } = verify::open(parsed, &lock, &ALWAYS_LOCKED)?;
     Ok(Some(Checked { graph, catalog, loader, seal: Some(seal), lock: Some(facts) }))
+}
+
+/// Loads what a graph needs that an earlier process opened under the lock `known`. Files that are not as they were locked are withheld: what does not
+/// need them can run. `None` where the graph has another lock by now.
+pub(super) fn reopen(
+    parsed: &GraphText,
+    trust: &Trust,
+    known: Option<&LockFacts>,
+) -> Result<Option<(Loader, Arc<Seal>)>, OpenError> {
+    match trusted_lock(parsed.path(), trust)? {
+        Some((lock, facts)) if Some(&facts) == known => Ok(Some(verify::reopen(parsed, &lock, &ALWAYS_LOCKED)?)),
+        _ => Ok(None),
+    }
 }
 
 /// Checks a graph without a lock.

@@ -8,7 +8,8 @@ use panoscope_editor_texts::{Phrase, text};
 use panoscope_graph::edit::GraphEdit;
 
 use super::runner::OutageStage;
-use super::{Measure, OutputCache, Theatre, plan};
+use super::three_d::Pair;
+use super::{Measure, OutputCache, Theatre, plan, time};
 
 /// How long a view may take for its first image before it counts as stopped.
 pub(super) const FIRST: Duration = Duration::from_secs(5);
@@ -68,17 +69,19 @@ impl Theatre {
             self.keep();
             // No view of before may be taken for a present one.
             (self.shown, self.frozen, self.measure) = (OutputCache::default(), None, Measure::default());
+            self.shown_packets.clear();
+            self.pair = Pair::default();
             self.running_since = None;
         }
         if outage.stage != OutageStage::Running {
             self.resuming.since = None;
             return;
         }
-        let since = *self.resuming.since.get_or_insert_with(Instant::now);
+        let since = *self.resuming.since.get_or_insert_with(time::now);
         let main = self.plan.views.get(self.layout.main());
         let packet = main.and_then(|main| self.last_packets.get(&main.output));
         // A view that stays without an image has its own notice.
-        if packet.is_some_and(|packet| packet.at >= since) || since.elapsed() > FIRST {
+        if packet.is_some_and(|packet| packet.at >= since) || time::since(since) > FIRST {
             self.runner.end_outage();
             self.running_since = None;
         }
@@ -97,7 +100,7 @@ impl Theatre {
         if is_out {
             self.runner.resume();
         } else if has_fallen_back || ended {
-            self.last_packets.clear();
+            self.forget_images();
             self.runner.restart(&self.text);
         }
     }
@@ -139,7 +142,7 @@ impl Theatre {
         let outage = self.runner.outage()?;
         let raw = self.raw();
         let last = raw.and_then(|raw| self.last_packets.get(&raw.output));
-        Some(OutageFacts { why: outage.why, stage: outage.stage, without_image: last.map(|last| last.at.elapsed()) })
+        Some(OutageFacts { why: outage.why, stage: outage.stage, without_image: last.map(|last| time::since(last.at)) })
     }
 
     /// Reports stops that did not reach their node.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use panoscope_editor_texts::{Phrase, phrase, text};
 use panoscope_graph::edit::{EditError, GraphEdit};
-use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView, listening};
+use panoscope_graph::{Catalog, Edge, Graph, Param, ParamKind, PresetView, listening};
 use panoscope_imaging::stereo::length::Noise;
 use serde::{Deserialize, Serialize};
 
@@ -122,6 +122,8 @@ pub struct Plan {
     pub cameras: Vec<Pane>,
     /// What the parameters of their sources name as each of the cameras, such as an address; empty where they name none.
     pub camera_sources: Vec<String>,
+    /// The outputs that are made of images of cameras, and which of [`Self::cameras`] these are.
+    pub cameras_of: Vec<(Output, Vec<usize>)>,
     /// The images of the left and the right eye: of a rectified pair if there is one, else of the cameras.
     pub pair: Option<[Output; 2]>,
     /// The point cloud to measure in.
@@ -174,6 +176,23 @@ fn source_of(node: &panoscope_graph::Node, port: &str, catalog: &Catalog) -> Opt
     let listed =
         text("views").and_then(|views| views.split([';', '\n']).map(str::trim).filter(|t| !t.is_empty()).nth(view));
     listed.or_else(|| text(eye)).or_else(|| text("left").filter(|_| view == 1)).map(str::to_owned)
+}
+
+/// Which of the cameras an output is made of.
+fn cameras_of(graph: &Graph, catalog: &Catalog, cameras: &[Pane], output: &Output) -> Vec<usize> {
+    let (mut made_of, mut nodes, mut next) = (vec![output.clone()], Vec::new(), 0);
+    nodes.extend(graph.node(&output.node));
+    while let Some(&node) = nodes.get(next) {
+        next += 1;
+        for Edge { from_node, from_port, .. } in graph.inputs_of(node) {
+            let from = &graph.nodes[*from_node];
+            made_of.push(Output::new(&from.id, &from.node_type(catalog).outputs[*from_port].name));
+            if !nodes.contains(from_node) {
+                nodes.push(*from_node);
+            }
+        }
+    }
+    (0..cameras.len()).filter(|k| made_of.contains(&cameras[*k].output)).collect()
 }
 
 /// The uncertainty of the stereo geometry from the parameters of a measuring node; the usual values without one.
@@ -289,12 +308,19 @@ impl Plan {
                 .then(|| Stop { node: graph.nodes[n].id.clone(), reset: params.iter().position(is_reset) })
         };
         let id = |n: usize| graph.nodes[n].id.clone();
+        let shown = views.iter().chain(&cameras).map(|pane| &pane.output).chain(&cloud).chain(pair.iter().flatten());
+        let mut outputs: Vec<&Output> = shown.collect();
+        outputs.sort_unstable();
+        outputs.dedup();
+        let cameras_of =
+            outputs.into_iter().map(|output| (output.clone(), cameras_of(graph, catalog, &cameras, output))).collect();
         Self {
             name: graph.name.clone(),
             views,
             raw,
             cameras,
             camera_sources,
+            cameras_of,
             pair,
             cloud,
             rig,
@@ -338,11 +364,11 @@ impl Plan {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use panoscope_graph::{GraphText, NodeType, PacketType, Pick, Port, check};
 
-    fn port(text: &str) -> Port {
+    pub(crate) fn port(text: &str) -> Port {
         let (name, packet) = text.split_once(':').unwrap();
         Port {
             name: name.to_owned(),
@@ -351,7 +377,7 @@ mod tests {
         }
     }
 
-    fn node(name: &str, inputs: &[&str], outputs: &[&str]) -> NodeType {
+    pub(crate) fn node(name: &str, inputs: &[&str], outputs: &[&str]) -> NodeType {
         NodeType {
             name: name.to_owned(),
             plugin: "p".to_owned(),
@@ -441,6 +467,10 @@ inputs = { pose = "scope.pose" }
         let eyes = plan.pair.map(|pair| pair.map(|eye| eye.to_string()));
         assert_eq!(eyes, Some(["scope.left".to_owned(), "scope.right".to_owned()]));
         assert_eq!(plan.cloud.as_ref().unwrap().to_string(), "points.cloud");
+        let made_of =
+            |output: &str| plan.cameras_of.iter().find(|(o, _)| o.to_string() == output).map(|(_, of)| &of[..]);
+        assert_eq!(made_of("wide_view.panorama"), Some(&[0, 1][..]));
+        assert_eq!((made_of("turn.image"), made_of("scope.right")), (Some(&[0][..]), Some(&[1][..])));
         assert_eq!(plan.stops, [Stop { node: "arm".to_owned(), reset: Some(1) }]);
     }
 

@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
-use panoscope_engine::clock;
 
 use super::lost::{self, SilentCamera};
 use super::measure::Measure;
 use super::notices::{Facts, OLD_MS, STOPPED, STOPPED_MS, metric_is_on};
 use super::outage::FIRST;
-use super::{Pane, Theatre, ThreeD, Verified};
+use super::three_d::Pair;
+use super::{OutputCache, Pane, Theatre, ThreeD, Verified, time};
 use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::content::Content;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
@@ -30,13 +30,52 @@ pub(super) struct LastPacket {
     arrived_ns: Option<i64>,
 }
 
+impl LastPacket {
+    /// Time since its light arrived.
+    fn age_ms(&self) -> Option<f64> {
+        Some(time::clock_ns().saturating_add_signed(self.arrived_ns?.saturating_neg()) as f64 / 1e6)
+    }
+}
+
+/// How often a camera has sent its last image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Repeats {
+    /// When it sent it first.
+    since: Instant,
+    count: u32,
+    /// Of the last time that it was stuck: since when, and when the light of its next image arrived.
+    stuck: Option<(Instant, Option<i64>)>,
+}
+
+/// Images of a camera that are the same, with their noise, from which on it counts as stuck.
+const MIN_REPEATS: u32 = 2;
+
 impl Theatre {
     /// Takes the previews received since the last frame.
     pub(super) fn take_previews(&mut self, ctx: &Context) {
         let mut previews = self.runner.take_previews();
-        let now = Instant::now();
+        let now = time::now();
+        for camera in &self.plan.cameras {
+            let (before, new) = (self.live.pixels(&camera.output), previews.get(&camera.output));
+            let Some((new, arrived_ns)) = new.and_then(|packet| Some((packet.pixels.as_ref()?, packet.arrived_ns)))
+            else {
+                continue;
+            };
+            let first = Repeats { since: now, count: 0, stuck: None };
+            let repeats = self.repeats.entry(camera.output.clone()).or_insert(first);
+            match before {
+                Some(before) if before == new => repeats.count += 1,
+                // The same image in another size may be a new one.
+                Some(before) if (before.width, before.height) != (new.width, new.height) => {}
+                _ if repeats.count >= MIN_REPEATS => {
+                    *repeats = Repeats { stuck: Some((repeats.since, arrived_ns)), ..first }
+                }
+                _ => *repeats = Repeats { stuck: repeats.stuck, ..first },
+            }
+        }
         for (output, packet) in &previews {
-            self.last_packets.insert(output.clone(), LastPacket { at: now, arrived_ns: packet.arrived_ns });
+            let last = LastPacket { at: now, arrived_ns: self.arrived_ns(output, packet.arrived_ns) };
+            self.last_packets.insert(output.clone(), last);
         }
         if let Some(rig) = &self.plan.rig
             && let Some(Content::Rig(known)) = previews.get(&rig.calibration).map(|packet| &packet.content)
@@ -63,6 +102,9 @@ impl Theatre {
             if let Some(pair) = self.plan.pair.as_ref().filter(|_| self.three_d != ThreeD::Off) {
                 self.pair.take(pair, &previews);
             }
+            for output in previews.keys() {
+                self.shown_packets.extend(self.last_packets.get_key_value(output).map(|(o, last)| (o.clone(), *last)));
+            }
             self.shown.update(ctx, previews);
         }
     }
@@ -70,12 +112,12 @@ impl Theatre {
     /// Runs only the sources when the whole graph cannot run.
     pub(super) fn fall_back(&mut self, status: &Status) {
         match status.phase {
-            Phase::Running if self.running_since.is_none() => self.running_since = Some(Instant::now()),
+            Phase::Running if self.running_since.is_none() => self.running_since = Some(time::now()),
             Phase::Running => {}
             _ => self.running_since = None,
         }
         match status.phase {
-            Phase::Starting if self.starting_since.is_none() => self.starting_since = Some(Instant::now()),
+            Phase::Starting if self.starting_since.is_none() => self.starting_since = Some(time::now()),
             Phase::Starting => {}
             _ => self.starting_since = None,
         }
@@ -103,12 +145,12 @@ impl Theatre {
     /// The current facts for notices.
     pub(super) fn facts(&mut self, status: &Status, counters: &Counters) -> Facts {
         let running = status.phase == Phase::Running;
-        let since = self.running_since.map(|s| s.elapsed()).unwrap_or_default();
+        let since = self.running_since.map(time::since).unwrap_or_default();
         // An output that nobody requested, in a freeze or another layout, was not silent: its time counts from the request.
         let requested =
-            |output: &Output| self.requested.get(output).map_or(Duration::ZERO, |at| at.elapsed().min(since));
+            |output: &Output| self.requested.get(output).map_or(Duration::ZERO, |at| time::since(*at).min(since));
         let silent = |output: &Output| {
-            self.last_packets.get(output).map(|last_packets| last_packets.at.elapsed().min(requested(output)))
+            self.last_packets.get(output).map(|last_packets| time::since(last_packets.at).min(requested(output)))
         };
         let has_stopped = |output: &Output| silent(output).map_or(requested(output) > FIRST, |age| age > STOPPED);
         let silent_cameras = self.plan.cameras.iter().zip(&self.plan.camera_sources);
@@ -119,10 +161,12 @@ impl Theatre {
                 source: source.as_str(),
                 since: silent(&camera.output),
             });
-        let lost = lost::cameras(&silent_cameras.collect::<Vec<_>>(), &self.plan.cameras, |node| {
+        let mut named = std::mem::take(&mut self.named_lost);
+        let lost = lost::cameras(&silent_cameras.collect::<Vec<_>>(), &self.plan.cameras, &mut named, |node| {
             // Clocks of two machines differ: of another one's faults it is not known when they were.
             counters.faults.get(node).filter(|_| self.machine.is_none())
         });
+        self.named_lost = named;
         let raw_goes_on = self.raw().is_some_and(|raw| !has_stopped(&raw.output));
         let is_live = running && self.frozen.is_none();
         let looking = is_live && !self.shows_raw();
@@ -134,6 +178,10 @@ impl Theatre {
         let main = main.map(|v| v.output.clone());
         let left_eye = self.plan.pair.as_ref().map(|[left, _]| left.clone()).filter(|_| self.shows_pair());
         let main = left_eye.or(main);
+        let picture_age_ms = main.as_ref().and_then(|main| self.picture_age_ms(main, self.shows_raw()));
+        let packets = if self.shows_raw() { &self.last_packets } else { &self.shown_packets };
+        let has_main = main.as_ref().is_none_or(|main| packets.contains_key(main));
+        let is_old = is_live && picture_age_ms.is_some_and(|age_ms| age_ms > OLD_MS);
         let age_ms = main.filter(|_| is_live).and_then(|main| self.shown_age_ms(&main));
         let calibrated = |metric| metric_is_on(counters, metric);
         let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.line().to_owned());
@@ -144,7 +192,7 @@ impl Theatre {
         };
         let source_faults = counters.faults.iter().filter(|(node, _)| self.plan.is_source(node));
         let writes = !self.shows_raw() && !self.plan.written.is_empty();
-        let (stages, full_stages) = self.stages.update(counters, Instant::now());
+        let (stages, full_stages) = self.stages.update(counters, time::now());
         Facts {
             // Set only when the sources alone do not run either.
             why_dark: nothing_runs.filter(|_| !status.busy && self.shows_raw()),
@@ -152,7 +200,7 @@ impl Theatre {
             machine: self.machine_facts(),
             source_faults: source_faults.map(|(node, fault)| (node.clone(), fault.words.clone())).collect(),
             phase: status.phase.clone(),
-            starting: self.starting_since.map(|since| since.elapsed()),
+            starting: self.starting_since.map(time::since),
             problem,
             raw_only: self.raw_only.clone(),
             has_raw: self
@@ -160,8 +208,11 @@ impl Theatre {
                 .is_some_and(|raw| self.live.texture(&raw.output).is_some() && !self.is_stale(&raw.output)),
             emergency: self.emergency,
             lost,
+            stuck: self.stuck_cameras(running),
             stopped,
             age_ms,
+            is_old,
+            has_main,
             stages,
             full_stages,
             free_bytes: self.storage.free_bytes(),
@@ -185,22 +236,85 @@ impl Theatre {
 
     /// Age of an output's last packet: the time since its light arrived.
     pub(super) fn age_ms(&self, output: &Output) -> Option<f64> {
-        let arrived_ns = self.last_packets.get(output)?.arrived_ns?;
-        Some(clock::now_ns().saturating_add_signed(arrived_ns.saturating_neg()) as f64 / 1e6)
+        self.last_packets.get(output)?.age_ms()
     }
 
     /// Age of the image that an output shows, ms: the time since its light arrived, or since it came, where nobody knows when its light arrived and
     /// it is not new. `None` before the first image; and, where an output was hidden, until its first new image or for [`STOPPED`].
     pub(super) fn shown_age_ms(&self, output: &Output) -> Option<f64> {
-        let last = self.last_packets.get(output)?;
-        if self.requested.get(output).is_some_and(|asked| last.at < *asked && asked.elapsed() < STOPPED) {
+        let last = *self.last_packets.get(output)?;
+        if self.requested.get(output).is_some_and(|asked| last.at < *asked && time::since(*asked) < STOPPED) {
             return None;
         }
-        let silent_ms = last.at.elapsed().as_secs_f64() * 1e3;
-        match self.age_ms(output) {
-            Some(age_ms) => Some(age_ms.max(silent_ms)),
+        Self::age_of(last, Duration::ZERO)
+    }
+
+    /// Age of a packet, `ago` before now; see [`Self::shown_age_ms`].
+    fn age_of(packet: LastPacket, ago: Duration) -> Option<f64> {
+        let silent_ms = time::since(packet.at).saturating_sub(ago).as_secs_f64() * 1e3;
+        match packet.age_ms() {
+            Some(age_ms) => Some((age_ms - ago.as_secs_f64() * 1e3).max(silent_ms)),
             None => (silent_ms > OLD_MS).then_some(silent_ms),
         }
+    }
+
+    /// When the light of a packet arrived that comes now: of a camera that sends the same image again and again, when it sent that one first.
+    fn arrived_ns(&self, output: &Output, arrived_ns: Option<i64>) -> Option<i64> {
+        let cameras = self.plan.cameras_of.iter().find(|(made, _)| made == output).map(|(_, cameras)| &cameras[..]);
+        let stuck = cameras.into_iter().flatten().filter_map(|camera| {
+            let camera = &self.plan.cameras[*camera];
+            // What was made of its images meanwhile may come after its next one.
+            let was_stuck = self.repeats.get(&camera.output).and_then(|repeats| repeats.stuck);
+            let was_stuck = was_stuck.filter(|(_, next_ns)| arrived_ns.zip(*next_ns).is_some_and(|(a, b)| a < b));
+            self.stuck_for(camera).or(was_stuck.map(|(since, _)| time::since(since)))
+        });
+        let Some(stuck) = stuck.max() else { return arrived_ns };
+        let now_ns = i64::try_from(time::clock_ns()).unwrap_or(i64::MAX);
+        let first_ns = now_ns.saturating_sub(i64::try_from(stuck.as_nanos()).unwrap_or(i64::MAX));
+        Some(arrived_ns.map_or(first_ns, |arrived_ns| arrived_ns.min(first_ns)))
+    }
+
+    /// Age of the picture that is on the screen for an output, ms: of a live one now, of another one when it was frozen. It may be older than the
+    /// last packet.
+    fn picture_age_ms(&self, output: &Output, live: bool) -> Option<f64> {
+        let packets = if live { &self.last_packets } else { &self.shown_packets };
+        let ago = self.frozen.filter(|_| !live).map_or(Duration::ZERO, time::since);
+        Self::age_of(*packets.get(output)?, ago)
+    }
+
+    /// Whether the picture that is on the screen for an output is too old to be taken for a present one, or was when it was frozen.
+    pub(super) fn is_picture_stale(&self, output: &Output, live: bool) -> bool {
+        self.picture_age_ms(output, live).is_some_and(|age_ms| age_ms > STOPPED_MS)
+    }
+
+    /// Whether the picture that is on the screen for an output is older than its last packet, because it was frozen.
+    pub(super) fn lags(&self, output: &Output) -> bool {
+        let at = |packets: &HashMap<Output, LastPacket>| packets.get(output).map(|packet| packet.at);
+        at(&self.shown_packets) < at(&self.last_packets)
+    }
+
+    /// Forgets all images of the run before.
+    pub(super) fn forget_images(&mut self) {
+        (self.shown, self.live, self.pair) = (OutputCache::default(), OutputCache::default(), Pair::default());
+        self.shown_packets.clear();
+        self.last_packets.clear();
+        self.repeats.clear();
+    }
+
+    /// For how long a camera has sent the same image; `None` while it sends new ones.
+    fn stuck_for(&self, camera: &Pane) -> Option<Duration> {
+        self.repeats.get(&camera.output).filter(|r| r.count >= MIN_REPEATS).map(|r| time::since(r.since))
+    }
+
+    /// The cameras that send the same image again and again, and for how long. One that sends nothing is lost.
+    fn stuck_cameras(&self, running: bool) -> Vec<(String, Duration)> {
+        let sends = |camera: &&Pane| {
+            running && self.last_packets.get(&camera.output).is_some_and(|last| time::since(last.at) <= STOPPED)
+        };
+        let stuck = self.plan.cameras.iter().filter(sends).filter_map(|camera| {
+            self.stuck_for(camera).filter(|since| *since > STOPPED).map(|since| (camera.title(), since))
+        });
+        stuck.collect()
     }
 
     /// Whether the image that an output shows is too old to be taken for the present one.
@@ -277,7 +391,7 @@ impl Theatre {
             }
         }
         self.requested.retain(|output, _| requests.contains_key(output));
-        let now = Instant::now();
+        let now = time::now();
         for output in requests.keys() {
             self.requested.entry(output.clone()).or_insert(now);
         }

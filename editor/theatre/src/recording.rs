@@ -2,7 +2,7 @@
 
 use super::notices::{FULL_BYTES, STOPPED};
 use super::storage::{self, Clip};
-use super::{Pane, Theatre};
+use super::{Pane, Theatre, time};
 use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::disk::is_full;
 use panoscope_editor_model::observe::Counters;
@@ -121,7 +121,7 @@ impl Theatre {
         let Some(clip) = &self.clip else { return };
         let name = clip.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let fault = counters.faults.get(&clip.node).map(|f| f.words.clone());
-        let refused = status.problem.as_ref().filter(|_| !status.busy && clip.since.elapsed() > STOPPED);
+        let refused = status.problem.as_ref().filter(|_| !status.busy && time::since(clip.since) > STOPPED);
         let full = self.storage.free_bytes().is_some_and(|free| free < FULL_BYTES);
         if let Some(problem) = refused {
             let message = text!("clip-not-started", reason = &problem.message);

@@ -164,7 +164,7 @@ impl Theatre {
             let side = inset(room, size, &[with_title(fit(below_title, size))]);
             let inner = fit(Rect::from_min_max(side.min + vec2(0.0, TITLE), side.max), size);
             ui.painter().rect_filled(inner.expand(4.0), 6.0, theme::BLACK);
-            image(ui, texture, inner, tint(self.frozen.is_none() && self.is_stale(&main.output)));
+            image(ui, texture, inner, tint(self.is_picture_stale(&main.output, false)));
             ui.painter().rect_stroke(
                 self.zoom.frame_in(inner),
                 0.0,
@@ -206,9 +206,13 @@ impl Theatre {
         if response.has_focus() {
             focus_frame(ui, rect);
         }
-        let age = self.shown_age_ms(&pane.output).filter(|_| live || self.frozen.is_none());
+        let is_frozen = !live && self.frozen.is_some();
+        let age = self.shown_age_ms(&pane.output).filter(|_| live || !is_frozen && !self.lags(&pane.output));
         let is_stale = age.is_some_and(|age| age > STOPPED_MS);
         let stopped = is_stale || !live && facts.stopped.contains(&pane.label) || facts.unreached().is_some();
+        // Also one that was hidden or frozen, until its next image.
+        let is_old = self.is_picture_stale(&pane.output, live);
+        let is_dim = stopped || is_old;
         let painter = ui.painter_at(rect);
         let (message, size, color) = match age {
             Some(age) if stopped => (text!("view-old", seconds = seconds(age)), 20.0, theme::fault()),
@@ -227,7 +231,7 @@ impl Theatre {
         painter.galley(pos2(rect.left(), middle - title.size().y / 2.0), title, theme::text());
         match texture {
             // Numbers that a stage has drawn into an image go with it.
-            Some(_) if !live && pane.packet == "image" && self.is_withdrawn(pane) => {
+            Some(_) if is_old && !live && pane.packet == "image" && !self.plan.is_source(&pane.output.node) => {
                 painter.rect_filled(inner, 0.0, theme::sunk());
                 stale_frame(&painter, inner);
                 // At the edge, because the image comes back.
@@ -248,8 +252,8 @@ impl Theatre {
                     }
                 }
                 let part = if is_zoomed { self.zoom.visible() } else { WHOLE };
-                ui.painter().image(texture, inner, part, tint(stopped));
-                if stopped {
+                ui.painter().image(texture, inner, part, tint(is_dim));
+                if stopped || is_frozen && is_dim {
                     stale_frame(&painter, inner);
                 }
             }

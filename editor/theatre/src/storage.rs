@@ -23,6 +23,8 @@ use panoscope_editor_model::disk;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
 
+use super::time;
+
 /// Time between two readings of the free space.
 const POLL_INTERVAL: Duration = Duration::from_secs(2);
 
@@ -254,7 +256,7 @@ impl Storage {
         let number = self.next;
         let file = self.next_file("clip", "mkv")?;
         let (text, node) = with_clip(text, output, &file)?;
-        Ok((text, Clip { node, file, number, since: Instant::now() }))
+        Ok((text, Clip { node, file, number, since: time::now() }))
     }
 
     /// Names of the stills written since the last call, and errors.
@@ -264,8 +266,8 @@ impl Storage {
 
     /// Free space in bytes, read every few seconds.
     pub fn free_bytes(&mut self) -> Option<u64> {
-        if self.polled.is_none_or(|at| at.elapsed() > POLL_INTERVAL) {
-            self.polled = Some(Instant::now());
+        if self.polled.is_none_or(|at| time::since(at) > POLL_INTERVAL) {
+            self.polled = Some(time::now());
             self.free = free_bytes(&self.folder);
         }
         self.free

@@ -3,7 +3,7 @@
 //! The notices, states and marks, and the stop of an arm, are drawn for both eyes at the same place, above and below the images.
 
 use std::collections::HashMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use eframe::egui::{
     Align2, Color32, ColorImage, Context, FontId, Rect, Sense, TextureHandle, TextureOptions, Ui, Vec2, WidgetInfo,
@@ -16,12 +16,12 @@ use panoscope_editor_model::session::Status;
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::{image_of, theme};
 
-use super::Theatre;
 use super::alarms::Urgency;
 use super::arrange::fit;
 use super::bars;
 use super::notices::{Facts, STOPPED};
 use super::stage::{stale_frame, tint};
+use super::{Theatre, time};
 
 /// Height of the line of text above each image as it is seen, points.
 const LINE: f32 = 76.0;
@@ -117,7 +117,7 @@ impl Pair {
             && let [Some((_, seq, left)), Some((.., right))] = std::mem::take(&mut self.waiting)
         {
             self.shown = Some(([left, right], seq));
-            self.paired = Some(Instant::now());
+            self.paired = Some(time::now());
             self.count += 1;
         }
     }
@@ -219,11 +219,12 @@ impl Theatre {
         let halves = three_d.halves(whole);
         let images = halves.map(|half| pressed(place(half)));
         let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-        let eyes_are_stale = self.plan.pair.iter().flatten().any(|eye| self.is_stale(eye));
+        let eyes_are_stale = self.plan.pair.iter().flatten().any(|eye| self.is_picture_stale(eye, false));
         // Images of two instants are no pair: then an older one is shown although both eyes deliver.
-        let pair_is_stale = self.pair.paired.is_some_and(|paired| paired.elapsed() > STOPPED);
-        let is_stale = eyes_are_stale || pair_is_stale || facts.unreached().is_some();
-        let is_stale = is_stale && self.frozen.is_none();
+        let frozen_for = self.frozen.map_or(Duration::ZERO, time::since);
+        let pair_is_stale = self.pair.paired.is_some_and(|paired| time::since(paired) > STOPPED + frozen_for);
+        let is_unreached = facts.unreached().is_some() && self.frozen.is_none();
+        let is_stale = eyes_are_stale || pair_is_stale || is_unreached;
         let tint = tint(is_stale);
         if three_d == ThreeD::Rows {
             // On whole rows of the screen.

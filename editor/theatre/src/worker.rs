@@ -32,7 +32,7 @@ use panoscope_loader::{self as loader, Loader};
 use super::link::{self, Block, Command, CounterState, Message, Picture, Region, RunState, SLOTS};
 use super::page::Page;
 use super::runner::{Local, Runner};
-use super::{Opened, Options, Ready, Refusal};
+use super::{Opened, Options, Ready, Refusal, open};
 
 /// First argument of the process; the file descriptor of the shared memory follows, then the arguments of the window.
 pub const COMMAND: &str = "theatre-worker";
@@ -232,7 +232,7 @@ impl Worker {
         GraphText::parse_with(&self.path, file, given)
     }
 
-    /// Loads what a text needs that an earlier process ran. Under a lock the files must be as that process found them.
+    /// Loads what a text needs that an earlier process ran. Under a lock the code must be as that process found it.
     fn reload(
         &self,
         file: &str,
@@ -242,11 +242,11 @@ impl Worker {
         watched: Vec<String>,
     ) -> Result<(), super::OpenError> {
         let prepared = if sealed {
-            let ready = Ready::of(&self.parse(file, given), &self.options)?;
-            if ready.opened.lock.as_ref() != facts {
+            let reopened = open::reopen(&self.parse(file, given), &self.options.trust, facts)?;
+            let Some((loader, seal)) = reopened else {
                 return Err(super::OpenError::Worker(phrase!("worker-locked-anew")));
-            }
-            Prepared { loader: ready.loader, seal: ready.seal, watched }
+            };
+            Prepared { loader: Arc::new(loader), seal: Some(seal), watched }
         } else {
             let parsed = GraphText::parse(&self.path, text);
             let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
@@ -372,6 +372,7 @@ impl Worker {
             size_px: packet.size,
             text: std::mem::take(&mut packet.text),
             seq: packet.seq,
+            source: packet.tick.source,
             age_ns,
             made_ns: link::monotonic_ns(),
             pixels,

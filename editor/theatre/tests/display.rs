@@ -98,6 +98,16 @@ fn the_main_view_is_zoomed_and_another_one_stands_in_its_corner() {
 const HALF: Vec2 = vec2(712.0, 472.0);
 
 #[test]
+fn a_pair_that_comes_from_another_process_is_of_one_tick() {
+    if !has_plugin("flow") || !has_plugin("phantom") {
+        return;
+    }
+    let mut window = Window::guarded("three_d_guarded", STEREO);
+    window.key(Key::D);
+    window.until("a pair whose tick is known", |t| t.pair_tick().is_some_and(|tick| tick > 0));
+}
+
+#[test]
 fn the_stereo_pair_is_shown_for_3d_displays() {
     if !has_plugin("flow") || !has_plugin("phantom") {
         return;

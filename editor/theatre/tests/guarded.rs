@@ -8,11 +8,12 @@ use std::time::{Duration, Instant};
 use crate::common::program::{is_alive, signal, until_gone};
 use crate::common::window::{GRAPH, Window, options};
 use crate::common::{Folder, has_plugin};
+use crate::trust::lock;
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
 use panoscope_audit::{ClipState, Event, read};
 use panoscope_graph::ParamValue;
-use panoscope_theatre::{Options, OutageStage, Theatre};
+use panoscope_theatre::{Options, OutageStage, Theatre, Verified};
 
 /// From the end of a process until the camera is shown, at best of some tries on a loaded machine.
 const RAW_WITHIN: Duration = Duration::from_secs(1);
@@ -282,6 +283,42 @@ fn an_arm_waits_for_a_release_after_a_crash() {
     window.harness.key_up(Key::E);
 }
 
+/// [`GRAPH`] with a node that reads the model `anatomy.onnx`.
+fn with_model() -> String {
+    let text = GRAPH.replace("type = \"drain\"", "type = \"model_reader\"\nparams = { model = \"anatomy.onnx\" }");
+    text.replace("[preset]", "[nodes.end]\ntype = \"drain\"\ninputs = { image = \"sink.image\" }\n[preset]")
+}
+
+#[test]
+fn a_locked_graph_whose_model_is_gone_after_a_crash_shows_the_cameras_and_names_it() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let (folder, text) = (Folder::new("guard_locked_model"), with_model());
+    let model = folder.write("anatomy.onnx", "fine");
+    lock(&folder.write("g.toml", &text), None);
+    let options = options(&folder);
+    let mut window = Window::guarded_with(folder, &text, options);
+    assert_eq!(*window.theatre().verified(), Verified::AsLocked);
+    let spare = window.until_spare();
+    std::fs::remove_file(model).expect("it is there");
+    // Without the process that read it.
+    signal(spare, "KILL");
+    signal(window.worker(), "KILL");
+    window.until_notice("could not start again: the file anatomy.onnx does not exist in ");
+    assert!(window.notices().iter().any(|notice| notice.starts_with("Camera image only")), "{:?}", window.notices());
+    window.until("the camera is shown", |t| t.camera_age_ms().is_some_and(|age| age < 500.0));
+    // Another file is not read.
+    window.folder.write("anatomy.onnx", "good");
+    window.click("Start again");
+    window.until_notice("anatomy.onnx, which is not as it was locked");
+    window.until("the camera is shown", |t| t.camera_age_ms().is_some_and(|age| age < 500.0));
+    // The same one is.
+    window.folder.write("anatomy.onnx", "fine");
+    window.click("Start again");
+    until_whole(&mut window);
+}
+
 #[test]
 fn a_model_that_is_gone_after_a_crash_is_named_and_the_camera_stays() {
     if !has_plugin("flow") {
@@ -289,10 +326,8 @@ fn a_model_that_is_gone_after_a_crash_is_named_and_the_camera_stays() {
     }
     let folder = Folder::new("guard_model");
     let model = folder.write("anatomy.onnx", "fine");
-    let text = GRAPH.replace("type = \"drain\"", "type = \"model_reader\"\nparams = { model = \"anatomy.onnx\" }");
-    let text = text.replace("[preset]", "[nodes.end]\ntype = \"drain\"\ninputs = { image = \"sink.image\" }\n[preset]");
     let options = options(&folder);
-    let mut window = Window::guarded_with(folder, &text, options);
+    let mut window = Window::guarded_with(folder, &with_model(), options);
     window.until_spare();
     std::fs::remove_file(model).expect("it is there");
     signal(window.worker(), "KILL");

@@ -13,7 +13,7 @@ use panoscope_loader::{self as loader, Loader};
 use panoscope_theatre::{OpenError, Options, Theatre, Verified};
 
 /// Locks the graph file, signed where there is a key.
-fn lock(path: &Path, key: Option<&SecretKey>) {
+pub fn lock(path: &Path, key: Option<&SecretKey>) {
     let loader = Loader::search(&loader::search_path(&[]));
     let text = GraphText::load(path).expect("it is there");
     let catalog = loader.catalog(&text.plugins());

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use panoscope_imaging::SharedMut;
 use panoscope_imaging::lit::HeldMask;
-use panoscope_node::abi::Detection;
+use panoscope_node::abi::{Detection, Scalar};
 use panoscope_node::detections::mask_len;
 use panoscope_node::{
     AnyImage, Choice, Context, Image, LabeledInstances, Mask, Node, NodeInfo, Open, Parallel, Params, Ports, Result,
-    Slot, Validation, error,
+    Slot, TextPacket, Validation, error,
 };
 
 use crate::candidates::{Candidate, Decoder, Suppression, keep_lit, suppress};
@@ -17,6 +17,7 @@ use crate::export_kind::ExportKind;
 use crate::finite::{Rows, count_bad};
 use crate::letterbox::{Fit, PixelForm, Placement};
 use crate::model::{Tensor, Values};
+use crate::pictures::{self, Familiarity, Unlike};
 use crate::provider::Provider;
 use crate::track::Tracker;
 use crate::yolo::{Network, check_labels, detection, picture_of};
@@ -35,6 +36,11 @@ pub struct In<'f> {
 pub struct Out<'f> {
     /// Boxes and masks in px of the picture, highest score first, with their labels.
     instances: Slot<'f, LabeledInstances>,
+    /// How unlike the pictures that the model learned from the last ones are, smoothed, as a share of the model's limit: from 1 on it knows little of
+    /// such pictures. Empty where the model carries no statistics of pictures. Metric `unlike` is 1 while it is above.
+    unlikeness: Slot<'f, Scalar>,
+    /// What a screen says while the images are too unlike those that the model learned from; else empty text.
+    text: Slot<'f, TextPacket>,
 }
 
 /// Family of the export.
@@ -87,6 +93,12 @@ pub struct MaskRcnnParams {
     /// own class.
     #[param(default = 0.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     vote_s: f32,
+    /// Time over which the deviation of the pictures from those learned from is smoothed.
+    #[param(default = 2.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
+    unlike_s: f32,
+    /// What happens to the instruments while `unlikeness` is 1 or more.
+    #[param(default = "keep")]
+    unlike: Unlike,
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
@@ -101,6 +113,7 @@ pub struct MaskRcnn {
     network: Network,
     path: PathBuf,
     family: Family,
+    familiarity: Familiarity,
     candidates: Vec<Candidate>,
     /// Probabilities per candidate, one map after the other: whole or small maps, or sums of prototypes.
     maps: Vec<f32>,
@@ -290,14 +303,16 @@ impl Node for MaskRcnn {
         let gray = vec![0.5f32; 3 * w * h];
         let named = network.model.metadata("family").map(str::to_owned);
         let path = network.model.path().to_owned();
-        let (family, classes) = network.model.run(&gray, |outputs| -> Result<_> {
+        let (family, classes, channels) = network.model.run(&gray, |outputs| -> Result<_> {
+            let (outputs, features) = pictures::split(outputs);
+            let channels = features.and_then(|tensor| tensor.shape.get(1).copied());
             let segments = matches!(outputs, [boxes, _] if boxes.shape.len() == 3);
             count_bad(&path, outputs, rows_of(segments))?;
             if let [boxes, prototypes] = outputs
                 && let ([1, len, _], [1, masks, _, _]) = (&boxes.shape[..], &prototypes.shape[..])
                 && matches!(params.family, Family::Auto | Family::YoloSeg)
             {
-                return Ok((Family::YoloSeg, len.saturating_sub(4 + masks)));
+                return Ok((Family::YoloSeg, len.saturating_sub(4 + masks), channels));
             }
             let answer = sort_out(&path, outputs)?;
             let family = match (params.family, named.as_deref()) {
@@ -308,13 +323,15 @@ impl Node for MaskRcnn {
                 (Family::Auto, _) => Family::Torchvision,
                 (asked, _) => asked,
             };
-            Ok((family, 0))
+            Ok((family, 0, channels))
         })??;
         network.name_classes(&params.labels, classes)?;
+        let familiarity = Familiarity::new(&network.model, channels).map_err(|e| error!("{}: {e}", path.display()))?;
         Ok(Self {
             path: network.model.path().to_owned(),
             network,
             family,
+            familiarity,
             candidates: Vec::new(),
             maps: Vec::new(),
             map_size: (0, 0),
@@ -346,9 +363,20 @@ impl Node for MaskRcnn {
             unknown: None,
         };
         self.lit.update(input.mask.as_ref().map(Image::view));
-        let Self { network: Network { model, letterbox, damage, .. }, path, candidates, maps, map_size, lit, .. } =
-            self;
+        let Self {
+            network: Network { model, letterbox, damage, .. },
+            path,
+            familiarity,
+            candidates,
+            maps,
+            map_size,
+            lit,
+            ..
+        } = self;
+        let mut unlikeness = None;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
+            let (outputs, features) = pictures::split(outputs);
+            unlikeness = familiarity.unlikeness(features, placement.size);
             let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg))?;
             damage.report(cx, path, bad);
             maps.clear();
@@ -408,6 +436,16 @@ impl Node for MaskRcnn {
             }
             Ok(if answer.map_size == net { Covers::Input(placement, net) } else { Covers::Box })
         })??;
+        if let Some(unlikeness) = unlikeness {
+            let smoothed = familiarity.add(cx, path, unlikeness, params.unlike_s);
+            out.unlikeness.set_scalar("unlikeness", f64::from(smoothed), "")?;
+        }
+        if out.text.is_read() {
+            out.text.set_text(familiarity.message(params.unlike))?;
+        }
+        if familiarity.drops(params.unlike) {
+            candidates.clear();
+        }
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {

@@ -4,8 +4,10 @@
 //! whitening matrix of their picture means into the metadata (`training/instruments/pictures.py`), for each kind of pictures that it learned from:
 //! real ones and rendered ones have little in common.
 
+use panoscope_node::{Choice, Context};
+
 use crate::calibration::numbers;
-use crate::model::Tensor;
+use crate::model::{Model, Tensor};
 
 /// Name of the output.
 const OUTPUT: &str = "features";
@@ -154,6 +156,68 @@ impl Monitor {
         self.smoothed = Some(smoothed);
         self.is_on = smoothed >= if self.is_on { END_SHARE } else { 1.0 };
         (smoothed, self.is_on)
+    }
+}
+
+/// What happens to the instruments in images that are too unlike those that the model learned from.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unlike {
+    /// They are kept; a warning says so.
+    Keep,
+    /// They are dropped, so that nothing follows them.
+    Drop,
+}
+
+/// What a node knows of how unlike its images are to those that its model learned from.
+pub struct Familiarity {
+    statistics: Option<Pictures>,
+    monitor: Monitor,
+    is_unlike: bool,
+}
+
+impl Familiarity {
+    /// From the metadata of a model whose `features` have `channels` channels (none: it has no such output).
+    ///
+    /// # Errors
+    /// See [`Pictures::read`].
+    pub fn new(model: &Model, channels: Option<usize>) -> Result<Self, PicturesError> {
+        let statistics = Pictures::read(channels, |key| model.metadata(key))?;
+        Ok(Self { statistics, monitor: Monitor::default(), is_unlike: false })
+    }
+
+    /// See [`Pictures::unlikeness`]; none without statistics.
+    pub fn unlikeness(&mut self, features: Option<&Tensor<'_>>, size: [usize; 2]) -> Option<f32> {
+        self.statistics.as_mut()?.unlikeness(features?, size)
+    }
+
+    /// Adds an image's deviation; sets the metrics `unlikeness` and `unlike`, and warns when images become unlike those that the model at `path`
+    /// learned from. Returns the smoothed deviation.
+    pub fn add(&mut self, cx: &Context<'_>, path: &std::path::Path, unlikeness: f32, smooth_s: f32) -> f32 {
+        let (smoothed, is_unlike) = self.monitor.add(unlikeness, cx.tick().capture_ns, smooth_s);
+        cx.metric("unlikeness", f64::from(smoothed));
+        cx.metric("unlike", f64::from(u8::from(is_unlike)));
+        if is_unlike && !self.is_unlike {
+            cx.warn(&format!(
+                "pictures are unlike those that {} learned from ({smoothed:.1} times its limit): expect it to miss instruments and to name them wrongly",
+                path.display()
+            ));
+        }
+        self.is_unlike = is_unlike;
+        smoothed
+    }
+
+    /// Whether instruments are dropped now.
+    pub fn drops(&self, unlike: Unlike) -> bool {
+        self.is_unlike && unlike == Unlike::Drop
+    }
+
+    /// What a screen says now; empty while images are familiar.
+    pub fn message(&self, unlike: Unlike) -> &'static str {
+        match (self.is_unlike, self.drops(unlike)) {
+            (false, _) => "",
+            (true, false) => "instruments may be missed or misnamed: unfamiliar images",
+            (true, true) => "instruments are not followed: unfamiliar images",
+        }
     }
 }
 

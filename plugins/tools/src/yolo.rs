@@ -16,7 +16,7 @@ use crate::finite::count_bad;
 use crate::labels;
 use crate::letterbox::Letterbox;
 use crate::model::Model;
-use crate::pictures::{self, Monitor, Pictures};
+use crate::pictures::{self, Familiarity, Unlike};
 use crate::provider::Provider;
 use crate::track::Tracker;
 
@@ -40,15 +40,6 @@ pub struct Out<'f> {
     unlikeness: Slot<'f, Scalar>,
     /// What a screen says while the images are too unlike those that the model learned from; else empty text.
     text: Slot<'f, TextPacket>,
-}
-
-/// What happens to boxes in images that are too unlike those that the model learned from.
-#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unlike {
-    /// They are kept; a warning says so.
-    Keep,
-    /// They are dropped, so that nothing follows them.
-    Drop,
 }
 
 /// Families of exports.
@@ -239,9 +230,7 @@ pub struct Yolo {
     calibration: Option<Calibration>,
     /// Index of the class `unknown`, where the label table has it.
     unknown: Option<u32>,
-    pictures: Option<Pictures>,
-    monitor: Monitor,
-    was_unlike: bool,
+    familiarity: Familiarity,
     candidates: Vec<Candidate>,
     items: Vec<Detection>,
     lit: HeldMask,
@@ -302,8 +291,8 @@ impl Node for Yolo {
         let names = network.labels.lines().count();
         let calibration = Calibration::read(classes.max(names), |key| network.model.metadata(key))
             .map_err(|e| error!("{}: {e}", network.path.display()))?;
-        let pictures = Pictures::read(channels, |key| network.model.metadata(key))
-            .map_err(|e| error!("{}: {e}", network.path.display()))?;
+        let familiarity =
+            Familiarity::new(&network.model, channels).map_err(|e| error!("{}: {e}", network.path.display()))?;
         let unknown = calibration.as_ref().filter(|c| c.objectness.is_some()).map(|_| names as u32);
         if unknown.is_some() {
             network.labels.push('\n');
@@ -314,9 +303,7 @@ impl Node for Yolo {
             kind,
             calibration,
             unknown,
-            pictures,
-            monitor: Monitor::default(),
-            was_unlike: false,
+            familiarity,
             candidates: Vec::new(),
             items: Vec::new(),
             lit: HeldMask::default(),
@@ -348,37 +335,23 @@ impl Node for Yolo {
         };
         let Network { model, letterbox, labels, path, damage } = &mut self.network;
         let rows = self.kind.rows();
-        let statistics = &mut self.pictures;
+        let familiarity = &mut self.familiarity;
         let (bad, unlikeness) = model.run(&letterbox.input, |outputs| -> Result<_> {
             let (outputs, features) = pictures::split(outputs);
-            let unlikeness = statistics.as_mut().zip(features).and_then(|(s, f)| s.unlikeness(f, placement.size));
+            let unlikeness = familiarity.unlikeness(features, placement.size);
             let bad = count_bad(path, outputs, rows)?;
             decoder.decode(outputs)?;
             Ok((bad, unlikeness))
         })??;
         damage.report(cx, path, bad);
         if let Some(unlikeness) = unlikeness {
-            let (smoothed, is_unlike) = self.monitor.add(unlikeness, cx.tick().capture_ns, params.unlike_s);
-            cx.metric("unlikeness", f64::from(smoothed));
-            cx.metric("unlike", f64::from(u8::from(is_unlike)));
-            if is_unlike && !self.was_unlike {
-                cx.warn(&format!(
-                    "pictures are unlike those that {} learned from ({smoothed:.1} times its limit): expect it to miss instruments and to name them wrongly",
-                    path.display()
-                ));
-            }
-            self.was_unlike = is_unlike;
+            let smoothed = familiarity.add(cx, path, unlikeness, params.unlike_s);
             out.unlikeness.set_scalar("unlikeness", f64::from(smoothed), "")?;
         }
-        let drops = self.was_unlike && params.unlike == Unlike::Drop;
         if out.text.is_read() {
-            out.text.set_text(match (self.was_unlike, drops) {
-                (false, _) => "",
-                (true, false) => "instruments may be missed or misnamed: unfamiliar images",
-                (true, true) => "instruments are not followed: unfamiliar images",
-            })?;
+            out.text.set_text(familiarity.message(params.unlike))?;
         }
-        if drops {
+        if familiarity.drops(params.unlike) {
             self.candidates.clear();
         }
         if let Some(rule) = &rule {

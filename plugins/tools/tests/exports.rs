@@ -380,6 +380,57 @@ fn mask_rcnn_pastes_small_masks_into_their_boxes() {
 }
 
 #[test]
+fn a_segmenter_drops_its_instruments_in_unfamiliar_pictures() {
+    if !runtime_is_there() {
+        return;
+    }
+    let folder = folder("unlike_masks");
+    let m = |limit: &str| TinyModel {
+        input: vec![3, 96, 128],
+        outputs: vec![
+            ("boxes", vec![1, 4], Fixed::Floats(vec![20.0, 30.0, 76.0, 86.0])),
+            ("labels", vec![1], Fixed::Ints(vec![2])),
+            ("scores", vec![1], Fixed::Floats(vec![0.9])),
+            ("masks", vec![1, 1, 28, 28], Fixed::Floats(vec![1.0; 28 * 28])),
+            // Two channels of 3 x 4 cells: means 2 and 4.
+            ("features", vec![1, 2, 3, 4], Fixed::Floats([[2.0; 12], [4.0; 12]].concat())),
+        ],
+        metadata: vec![
+            ("names", "['grasper', 'hook']".into()),
+            ("family", "torchvision".into()),
+            ("pictures", "panoscope-pictures-1 1 2 1 0 0 1".into()),
+            ("pictures_limit", limit.to_owned()),
+        ],
+    };
+    // `unlike`, instruments and the text for a screen, of the last image.
+    let seen = |name: &str, limit: &str, unlike: &str| {
+        let path = m(limit).write(&folder, name);
+        let params = format!("params = {{ model = {path:?}, unlike = \"{unlike}\" }}");
+        let mut node = Harness::<MaskRcnn>::from_toml(&params).expect("opens");
+        let mut last = None;
+        for tick in 0..60 {
+            node.at_tick(tick, tick as i64 * 100_000_000);
+            let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("runs");
+            let instances = out.instances("instances").expect("instances").detections().items().len();
+            let value = out.value::<panoscope_node::abi::Scalar>("unlikeness").expect("a number").value;
+            let text = out.text("text").expect("a text").to_owned();
+            last = Some((value, node.metric("unlike").expect("a metric"), instances, text));
+        }
+        last.expect("it ran")
+    };
+    // Root of (1 + 4) / 2.
+    let (value, is_on, instances, text) = seen("far.onnx", "1", "drop");
+    assert!((value - 1.5811).abs() < 0.05, "{value}");
+    assert_eq!((is_on, instances), (1.0, 0));
+    assert!(text.contains("not followed"), "{text}");
+    let (_, is_on, instances, text) = seen("kept.onnx", "1", "keep");
+    assert_eq!((is_on, instances), (1.0, 1));
+    assert!(text.contains("may be missed"), "{text}");
+    let (_, is_on, instances, text) = seen("near.onnx", "3", "drop");
+    assert_eq!((is_on, instances, text.as_str()), (0.0, 1, ""));
+}
+
+#[test]
 fn yolo_seg_masks_are_sums_of_prototypes() {
     if !runtime_is_there() {
         return;

@@ -214,6 +214,7 @@ def export(a, teacher, carried, learned, source):
         import torch
 
         import export_detector
+        from instruments import familiar
         from instruments.networks import Exported
         from instruments.onnx_store import write
         from instruments.pictures import Statistics
@@ -225,9 +226,9 @@ def export(a, teacher, carried, learned, source):
         metadata = export_detector.export(Exported(teacher, features=True).eval(), a.network, path, a.width, a.height, False, export_detector.CLASSES, carried)
     metadata["source"] += f"; adapted without labels on {len(learned)} frames"
     try:
-        session = export_detector.Session(path, a.threads)
+        session = familiar.Session(path, a.threads)
         seen = learned + source[:: max(1, len(source) // 500)]
-        rows = [export_detector.picture_features(session, f.picture, a.width, a.height) for f in seen]
+        rows = [familiar.picture_features(session, f.picture, a.width, a.height) for f in seen]
         metadata |= Statistics.with_limit(rows, [f.group for f in seen]).metadata()
     except ModuleNotFoundError as missing:
         print(f"{path} does not know its pictures: {missing}", flush=True)

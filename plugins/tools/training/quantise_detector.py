@@ -18,8 +18,9 @@ import numpy as np
 import onnx
 from onnx import numpy_helper
 
-from export_detector import Session, learned_from, placed, score
+from export_detector import score
 from instruments.data import read
+from instruments.familiar import Session, learned_from, placed
 from instruments.onnx_store import write
 from instruments.pictures import metadata_of
 

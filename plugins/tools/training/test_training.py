@@ -210,7 +210,7 @@ class Exports(unittest.TestCase):
     def test_a_quantised_file_answers_nearly_as_the_one_in_32_bits(self):
         import onnx
 
-        from export_detector import Session
+        from instruments.familiar import Session
 
         with tempfile.TemporaryDirectory() as folder:
             folder = Path(folder)
@@ -254,23 +254,25 @@ class Exports(unittest.TestCase):
     def test_a_file_learns_its_pictures_and_answers_as_before(self):
         import onnxruntime
 
-        shipped = HERE.parent / "models" / "instruments.onnx"
-        with tempfile.TemporaryDirectory() as folder:
-            folder = Path(folder)
-            tiny_data(folder / "data")
-            command = [sys.executable, "-B", HERE / "know_pictures.py", "--model", shipped, "--learned-from", folder / "data", "--threads", "1"]
-            command += ["--out", folder / "m.onnx", "--compare", folder / "data" / "images" / "train"]
-            done = subprocess.run(command, capture_output=True, text=True)
-            self.assertEqual(done.returncode, 0, done.stderr)
-            self.assertRegex(done.stdout, r"train: 11 pictures, median 0\.\d+ of the limit")
-            answers = []
-            x = np.random.default_rng(1).integers(0, 256, (1, 3, 224, 384)).astype(np.float32)
-            for path in (shipped, folder / "m.onnx"):
-                session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-                answers.append(session.run(["output"], {"images": x})[0])
-            self.assertTrue((answers[0] == answers[1]).all(), "its boxes stay to the last bit")
-            again = subprocess.run(command, capture_output=True, text=True)
-            self.assertIn("is not overwritten", again.stderr)
+        x = np.random.default_rng(1).integers(0, 256, (1, 3, 224, 384)).astype(np.float32)
+        for name, outputs, x in (("instruments", ["output"], x), ("instrument_masks", ["boxes", "scores", "masks"], x / 255)):
+            shipped = HERE.parent / "models" / f"{name}.onnx"
+            with self.subTest(name), tempfile.TemporaryDirectory() as folder:
+                folder = Path(folder)
+                tiny_data(folder / "data")
+                command = [sys.executable, "-B", HERE / "know_pictures.py", "--model", shipped, "--learned-from", folder / "data", "--threads", "1"]
+                command += ["--out", folder / "m.onnx", "--compare", folder / "data" / "images" / "train"]
+                done = subprocess.run(command, capture_output=True, text=True)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                self.assertRegex(done.stdout, r"train: 11 pictures, median 0\.\d+ of the limit")
+                answers = []
+                for path in (shipped, folder / "m.onnx"):
+                    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+                    answers.append(session.run(outputs, {"images": x}))
+                for before, after in zip(*answers, strict=True):
+                    self.assertTrue((before == after).all(), "its answers stay to the last bit")
+                again = subprocess.run(command, capture_output=True, text=True)
+                self.assertIn("is not overwritten", again.stderr)
 
     def test_a_file_that_is_no_calibration_is_refused(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -92,6 +92,9 @@ pub(crate) trait Sources {
     /// Whether the packets of a tick show no light: its source owns no device and ended after this one tick.
     fn is_constant(&self, tick: &Tick) -> bool;
 
+    /// Whether a tick is so old that its arrival time is not kept: [`Self::arrived_ns`] is later than it was.
+    fn is_forgotten(&self, tick: &Tick) -> bool;
+
     /// When the oldest light of a packet arrived.
     fn light_ns(&self, tick: &Tick) -> Option<i64> {
         Some(self.arrived_ns(tick)?.saturating_sub(Lag::carried(tick).oldest_ns))
@@ -138,13 +141,17 @@ impl Lights<'_> {
         Some(Lag { oldest_ns, newest_ns: newest_ns.min(oldest_ns) })
     }
 
-    /// Age of the oldest light of a packet that is taken for `tick`: now, or at the tick's capture time; `None` as for [`Self::lag`].
+    /// Age of the oldest light of a packet that is taken for `tick`: now, or at the tick's capture time; `None` as for [`Self::lag`], and `i64::MAX`
+    /// for a packet of a tick so old that nobody knows its age.
     pub fn age_ns(&self, tick: &Tick, packet: &Tick) -> Option<i64> {
         if self.by_capture {
             return Some(self.lag(tick, packet)?.oldest_ns);
         }
         if self.sources.is_constant(packet) {
             return None;
+        }
+        if self.sources.is_forgotten(packet) {
+            return Some(i64::MAX);
         }
         Some(i64::try_from(self.now_ns).unwrap_or(i64::MAX).saturating_sub(self.sources.light_ns(packet)?))
     }
@@ -174,6 +181,10 @@ mod tests {
 
         fn is_constant(&self, tick: &Tick) -> bool {
             tick.source == 9
+        }
+
+        fn is_forgotten(&self, tick: &Tick) -> bool {
+            tick.source == 8
         }
     }
 
@@ -232,6 +243,8 @@ mod tests {
         assert_eq!(lights.lag(&tick(100, Lag::default()), &constant), None);
         assert_eq!(lights.age_ns(&tick(100, Lag::default()), &constant), None);
         assert!(lights.age_ns(&tick(100, Lag::default()), &tick(99, Lag::default())).is_some_and(|age| age > MS));
+        let forgotten = Tick { source: 8, ..constant };
+        assert_eq!(lights.age_ns(&tick(100, Lag::default()), &forgotten), Some(i64::MAX), "older than any limit");
     }
 
     #[test]

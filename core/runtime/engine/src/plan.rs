@@ -110,6 +110,10 @@ impl Sources for Plan {
         let source = self.runtimes.get(tick.source as usize);
         source.is_some_and(|source| !source.exclusive && source.ticks.is_only_one(tick.seq))
     }
+
+    fn is_forgotten(&self, tick: &abi::Tick) -> bool {
+        self.runtimes.get(tick.source as usize).is_some_and(|source| source.ticks.is_forgotten(tick.seq))
+    }
 }
 
 impl Plan {

@@ -111,3 +111,24 @@ fn in_batch_the_limit_counts_capture_times() {
         .into();
     assert_eq!(lines[0], lines[1], "whatever the number of threads");
 }
+
+#[test]
+fn a_packet_of_a_tick_that_is_long_gone_exceeds_every_limit() {
+    let path = scratch("forgotten.jsonl");
+    // Made of the first tick only.
+    let branch = r#"
+[nodes.branch]
+type = "pass"
+inputs = { image = { from = "source.image", align = "latest" } }
+max_rate_hz = 0.01"#;
+    let nodes = beside_a_branch(&path, branch, "align = \"latest\", max_age_ms = 3600000");
+    let (_, outcome) = run("live", &nodes.replace("rate_hz = 200.0", "rate_hz = 4000.0"), options(2, 5000));
+    assert_eq!(outcome, Outcome::Done);
+    let lines = ledger(&path);
+    let has_branch = |from: u64, to: u64| -> Vec<bool> {
+        lines.iter().filter(|(seq, _)| (from..to).contains(seq)).map(|(_, inputs)| inputs[1].is_some()).collect()
+    };
+    let (kept, forgotten) = (has_branch(100, 4000), has_branch(4200, 5000));
+    assert!(!kept.is_empty() && kept.iter().all(|is_there| *is_there), "an hour is allowed");
+    assert!(!forgotten.is_empty() && forgotten.iter().all(|is_there| !is_there), "nobody knows how old it is");
+}

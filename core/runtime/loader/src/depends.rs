@@ -44,6 +44,23 @@ pub struct DataFile {
     pub location: Option<String>,
 }
 
+impl DataFile {
+    /// The file and, for a model, the files of its weights.
+    pub(crate) fn with_weights(self) -> Vec<Self> {
+        let names = if self.kind == Kind::Model { weights_of(&self.path) } else { Vec::new() };
+        let weights: Vec<Self> = names
+            .into_iter()
+            .map(|location| Self {
+                kind: Kind::Weights,
+                name: format!("{}/{location}", self.name),
+                path: self.path.parent().unwrap_or(Path::new("")).join(&location),
+                location: Some(location),
+            })
+            .collect();
+        std::iter::once(self).chain(weights).collect()
+    }
+}
+
 /// Fingerprints of files on disk, on as many threads as there are cores; empty where a file cannot be read.
 fn fingerprints(files: &[Option<&Path>]) -> Vec<Fingerprint> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(files.len().max(1));
@@ -190,19 +207,7 @@ pub fn data(graph: &Graph, catalog: &Catalog, folder: &Path) -> Vec<DataFile> {
                 let name = format!("{}.{}", node.id, param.name);
                 let name = if k == 0 { name } else { format!("{name};{}", k + 1) };
                 let kind = kind_of(param, &path);
-                if kind == Kind::Model {
-                    let weights = weights_of(&path).into_iter().map(|location| DataFile {
-                        kind: Kind::Weights,
-                        name: format!("{name}/{location}"),
-                        path: path.parent().unwrap_or(Path::new("")).join(&location),
-                        location: Some(location),
-                    });
-                    let weights: Vec<DataFile> = weights.collect();
-                    files.push(DataFile { kind, name, path, location: None });
-                    files.extend(weights);
-                } else {
-                    files.push(DataFile { kind, name, path, location: None });
-                }
+                files.extend(DataFile { kind, name, path, location: None }.with_weights());
             }
         }
     }

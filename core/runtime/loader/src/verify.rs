@@ -10,10 +10,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use panoscope_base::onnx;
-use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, ParamValue, check};
+use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, ParamKind, ParamValue, check};
 
 use crate::depends::{self, DataFile, Named};
 use crate::lock::{Difference, Lock};
@@ -49,9 +49,9 @@ pub struct Verified {
     pub seal: Arc<Seal>,
 }
 
-/// A change of a running graph would make it read a file that its lock does not have.
+/// A graph would read a file that its lock does not have, or that is not as it was locked.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{param}` of `{node}` names {file}, which the lock of the graph does not have; lock the graph again with it", file = file.display())]
+#[error("`{param}` of `{node}` names {file}, which {reason}", file = file.display())]
 pub struct NotLocked {
     /// The node.
     pub node: String,
@@ -59,23 +59,34 @@ pub struct NotLocked {
     pub param: String,
     /// The file.
     pub file: PathBuf,
+    /// Why it is not read and what to do: continues a sentence about the file.
+    pub reason: &'static str,
 }
 
 /// The files that the nodes of a verified graph may read, each a copy in memory that nobody can change.
 #[derive(Debug, Default)]
 pub struct Seal {
+    files: Mutex<SealedFiles>,
+    folder: PathBuf,
+}
+
+#[derive(Debug, Default)]
+struct SealedFiles {
     /// Paths of the copies by the files they were made of, under each of [`names_of`].
     copies: BTreeMap<PathBuf, PathBuf>,
     /// Files that were compared and are read from disk: recorded pictures, which may be larger than the memory.
     inputs: BTreeSet<PathBuf>,
-    folder: PathBuf,
+    /// Files that were not as they were locked; they are compared again when a graph is to read them.
+    withheld: Vec<DataFile>,
+    /// What the lock says of files, where some are withheld.
+    locked: Vec<LockedFile>,
 }
 
 impl Seal {
     /// Copies files into sealed memory. Returns the fingerprints of what was copied, in the same order, empty for a file that cannot be read; and
     /// the copy of ONNX Runtime, if it is among them.
     pub fn of(files: &[DataFile], folder: &Path) -> (Self, Vec<LockedFile>, Option<PathBuf>) {
-        let mut seal = Self { folder: folder.to_owned(), ..Self::default() };
+        let mut seal = SealedFiles::default();
         let (mut locked, mut runtime) = (Vec::with_capacity(files.len()), None);
         let mut at = 0;
         while let Some(file) = files.get(at) {
@@ -106,7 +117,51 @@ impl Seal {
             bytes,
             sha256,
         });
-        (seal, locked.collect(), runtime)
+        (Self { files: Mutex::new(seal), folder: folder.to_owned() }, locked.collect(), runtime)
+    }
+
+    /// Withholds the files that are not as the lock says; `now` has the fingerprints of `files`.
+    fn withhold(&mut self, files: &[DataFile], now: &[LockedFile], lock: &Lock) {
+        let sealed = self.files.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let differs = |name: &str| {
+            let of_file = now.iter().filter(|file| file.name == name || file.name.starts_with(&format!("{name}/")));
+            of_file.into_iter().any(|file| file.sha256.is_empty() || !lock.files.contains(file))
+        };
+        for file in files.iter().filter(|file| file.kind != Kind::Weights && differs(&file.name)) {
+            for name in names_of(&file.path) {
+                sealed.copies.remove(&name);
+                sealed.inputs.remove(&name);
+            }
+            sealed.withheld.push(file.clone());
+        }
+        sealed.locked.clone_from(&lock.files);
+    }
+
+    /// Makes the nodes of a graph read the sealed copies of their files.
+    ///
+    /// # Errors
+    /// A parameter names a file that was not compared with the lock or differs from it; the graph is then not to be used.
+    pub fn apply(&self, graph: &mut Graph, catalog: &Catalog) -> Result<(), NotLocked> {
+        let mut files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
+        files.compare_withheld(&self.folder);
+        files.apply(graph, catalog, &self.folder)
+    }
+}
+
+impl SealedFiles {
+    /// Seals withheld files that are by now as they were locked.
+    fn compare_withheld(&mut self, folder: &Path) {
+        for file in std::mem::take(&mut self.withheld) {
+            let group = file.clone().with_weights();
+            let (seal, now, _) = Seal::of(&group, folder);
+            if now.iter().all(|file| !file.sha256.is_empty() && self.locked.contains(file)) {
+                let seal = seal.files.into_inner().unwrap_or_else(PoisonError::into_inner);
+                self.copies.extend(seal.copies);
+                self.inputs.extend(seal.inputs);
+            } else {
+                self.withheld.push(file);
+            }
+        }
     }
 
     /// What a node reads for a file: its copy; the file itself where it was only compared, or is a copy already.
@@ -119,11 +174,7 @@ impl Seal {
         (is_compared || is_copy).then(|| file.to_owned())
     }
 
-    /// Makes the nodes of a graph read the sealed copies of their files.
-    ///
-    /// # Errors
-    /// A parameter names a file that was not compared with the lock; the graph is then not to be used.
-    pub fn apply(&self, graph: &mut Graph, catalog: &Catalog) -> Result<(), NotLocked> {
+    fn apply(&self, graph: &mut Graph, catalog: &Catalog, folder: &Path) -> Result<(), NotLocked> {
         for node in &mut graph.nodes {
             let node_type = &catalog.node_types[node.type_index];
             for (param, value) in node_type.params.iter().zip(&mut node.params) {
@@ -135,9 +186,16 @@ impl Seal {
                     *value = ParamValue::Path(copy);
                     continue;
                 }
-                let not_locked =
-                    |file: &PathBuf| NotLocked { node: node.id.clone(), param: param.name.clone(), file: file.clone() };
-                match depends::files_of(param, value, &self.folder) {
+                let not_locked = |file: &PathBuf| NotLocked {
+                    node: node.id.clone(),
+                    param: param.name.clone(),
+                    file: file.clone(),
+                    reason: match self.withheld.iter().any(|withheld| names_of(&withheld.path).eq(names_of(file))) {
+                        true => "is not as it was locked; restore it, or lock the graph again with it",
+                        false => "the lock of the graph does not have; lock the graph again with it",
+                    },
+                };
+                match depends::files_of(param, value, folder) {
                     None => {}
                     Some(Named::One(file)) => return Err(not_locked(&file)),
                     Some(Named::Listed(files)) => {
@@ -211,26 +269,68 @@ pub fn loader_before_opening(text: &GraphText, lock: &Lock, extra_plugins: &[&st
     }
 }
 
+/// Opens a graph under its lock once more, after an earlier process did: loads its plugins, and seals the files that are as they were locked. A graph
+/// that reads another file is refused until that one is as it was locked, too.
+///
+/// # Errors
+/// Code or ONNX Runtime differs from the lock, or the graph has mistakes.
+pub fn reopen(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<(Loader, Arc<Seal>), VerifyError> {
+    let loader = locked_code(text, lock, extra_plugins)?;
+    let catalog = loader.catalog_of(text);
+    let mut unasked = without_checks(&catalog);
+    for param in unasked.node_types.iter_mut().flat_map(|node_type| &mut node_type.params) {
+        if let ParamKind::Path { must_exist, .. } = &mut param.kind {
+            *must_exist = false;
+        }
+    }
+    let (graph, _) = check(text, &unasked).into_result().map_err(VerifyError::Check)?;
+    let folder = text.path().parent().unwrap_or(Path::new(""));
+    let files = depends::data(&graph, &catalog, folder);
+    let (mut seal, now, runtime) = Seal::of(&files, folder);
+    same_files(lock, &now.iter().filter(|file| file.kind == Kind::Runtime).cloned().collect::<Vec<_>>(), |kind| {
+        kind == Kind::Runtime
+    })?;
+    seal.withhold(&files, &now, lock);
+    if let Some(runtime) = runtime {
+        load_runtime(&runtime)?;
+    }
+    Ok((loader, Arc::new(seal)))
+}
+
+/// The plugins of a graph whose code is as it was locked; none was loaded yet.
+fn locked_code(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<Loader, VerifyError> {
+    let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(&lock.files);
+    same_files(lock, &depends::code(text, loader.found(), extra_plugins), Kind::is_code)?;
+    Ok(loader)
+}
+
+fn same_files(lock: &Lock, now: &[LockedFile], is_among: impl Fn(Kind) -> bool) -> Result<(), VerifyError> {
+    match lock.differences_among(now, is_among) {
+        differences if differences.is_empty() => Ok(()),
+        differences => Err(VerifyError::Differs(differences)),
+    }
+}
+
+/// Node types without the plugins' own checks, which read files.
+fn without_checks(catalog: &Catalog) -> Catalog {
+    let mut unasked = catalog.clone();
+    unasked.node_types.iter_mut().for_each(|node_type| node_type.validator = None);
+    unasked
+}
+
 /// Opens a graph under its lock. `extra_plugins` are those that the lock has besides the graph's own.
 ///
 /// # Errors
 /// See [`VerifyError`]. Where files of step 1 differ, no plugin was loaded.
 pub fn open(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<Verified, VerifyError> {
-    let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(&lock.files);
-    let differ = |now: &[LockedFile], is_among: fn(Kind) -> bool| match lock.differences_among(now, is_among) {
-        differences if differences.is_empty() => Ok(()),
-        differences => Err(VerifyError::Differs(differences)),
-    };
-    differ(&depends::code(text, loader.found(), extra_plugins), Kind::is_code)?;
+    let loader = locked_code(text, lock, extra_plugins)?;
     let catalog = loader.catalog_of(text);
-    // The plugins' own checks read files, which are not compared yet.
-    let mut unasked = catalog.clone();
-    unasked.node_types.iter_mut().for_each(|node_type| node_type.validator = None);
-    let (graph, _) = check(text, &unasked).into_result().map_err(VerifyError::Check)?;
+    // The files are not compared yet.
+    let (graph, _) = check(text, &without_checks(&catalog)).into_result().map_err(VerifyError::Check)?;
     let folder = text.path().parent().unwrap_or(Path::new(""));
     let files = depends::data(&graph, &catalog, folder);
     let (seal, now, runtime) = Seal::of(&files, folder);
-    differ(&now, |kind| !kind.is_code())?;
+    same_files(lock, &now, |kind| !kind.is_code())?;
     if let Some(runtime) = runtime {
         load_runtime(&runtime)?;
     }

@@ -7,6 +7,8 @@ mod process;
 mod recovery;
 mod state;
 #[cfg(test)]
+pub(crate) use recovery::{Recovery, Step};
+#[cfg(test)]
 mod tests;
 mod watch;
 

@@ -12,6 +12,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
+use panoscope_abi::Tick;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::surface::Cloud;
@@ -370,6 +371,7 @@ impl Reader {
             size: picture.size_px,
             text: picture.text.clone(),
             seq: picture.seq,
+            tick: Tick { source: picture.source, seq: picture.seq, ..Tick::default() },
             arrived_ns,
             content: picture.content(),
             cloud,

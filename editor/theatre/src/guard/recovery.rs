@@ -24,7 +24,7 @@ const CAMERAS_AGAIN: Duration = Duration::from_secs(5);
 
 /// What is to be done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Step {
+pub(crate) enum Step {
     /// Nothing yet.
     Wait,
     /// Start a process that shows the cameras.
@@ -49,7 +49,7 @@ enum Stage {
 }
 
 /// Follows crashes and what became of them.
-pub(super) struct Recovery {
+pub(crate) struct Recovery {
     stage: Stage,
     number: u64,
     in_a_row: usize,

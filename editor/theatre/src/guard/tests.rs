@@ -60,6 +60,7 @@ fn a_process_that_sends_nonsense_is_ended() {
         size_px: (1, 1),
         text: String::new(),
         seq: 0,
+        source: 0,
         age_ns: None,
         made_ns: 0,
         pixels: Some(Block { slot: link::SLOTS, width: 1, height: 1 }),

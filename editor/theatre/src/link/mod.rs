@@ -180,6 +180,8 @@ pub(crate) struct Picture {
     pub size_px: (usize, usize),
     pub text: String,
     pub seq: u64,
+    /// Source of its tick.
+    pub source: u32,
     /// Age of its light when the message was made, ns; `None` where it is not known.
     pub age_ns: Option<i64>,
     /// When the message was made, ns of the system's monotonic clock, which all processes share.
@@ -294,6 +296,7 @@ mod tests {
             size_px: (1, 1),
             text: String::new(),
             seq: 0,
+            source: 0,
             age_ns: None,
             made_ns: 0,
             pixels: None,

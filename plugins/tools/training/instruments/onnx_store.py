@@ -5,14 +5,18 @@ import warnings
 
 import numpy as np
 import onnx
-import torch
 from onnx import helper, numpy_helper
 
 from .pictures import OUTPUT as FEATURES
 
+# Channels of EfficientNet-Lite0 at stride 8.
+SEGMENTER_CHANNELS = 40
+
 
 def export(model, x, path, outputs, **options):
     """Writes `model` as an ONNX file with the input `images`, by the exporter that every version of PyTorch has."""
+    import torch
+
     # PyTorch 2 has a second exporter, which needs another package.
     other = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
     with torch.no_grad(), warnings.catch_warnings():
@@ -39,9 +43,14 @@ def store_half(graph, least=64):
 
 
 def add_features(graph):
-    """Adds the output `features` (see pictures.py): what the first convolution of stride 16 reads, averaged over 4 x 4 cells."""
+    """Adds the output `features` (see pictures.py): what the first convolution of stride 16 reads, averaged over 4 x 4 cells. Of a segmenter, whose
+    file does not say its sizes, it is the end of the backbone's stage of stride 8."""
     if any(o.name == FEATURES for o in graph.output):
         return
+    stage = [n.output[0] for n in graph.node if n.op_type == "Add" and "/stages.2/" in n.output[0]]
+    if stage:
+        height, width = [d.dim_value for d in graph.input[0].type.tensor_type.shape.dim][2:]
+        return append_features(graph, stage[-1], SEGMENTER_CHANNELS, height // 32, width // 32)
     inferred = onnx.shape_inference.infer_shapes(helper.make_model(graph)).graph
     sizes = {v.name: [d.dim_value for d in v.type.tensor_type.shape.dim] for v in (*inferred.value_info, *inferred.input, *inferred.output)}
     height, width = sizes[graph.input[0].name][2:]
@@ -50,8 +59,13 @@ def add_features(graph):
     channels, rows, columns = (sizes.get(fine) or [0] * 4)[1:]
     if (rows, columns) != (height // 8, width // 8):
         raise ValueError("the graph has no convolution from stride 8 to stride 16: it is no detector of the YOLOX family")
+    append_features(graph, fine, channels, rows // 4, columns // 4)
+
+
+def append_features(graph, fine, channels, rows, columns):
+    """Adds the output `features`: the mean of `fine` over 4 x 4 cells."""
     graph.node.append(helper.make_node("AveragePool", [fine], [FEATURES], kernel_shape=[4, 4], strides=[4, 4]))
-    graph.output.append(helper.make_tensor_value_info(FEATURES, onnx.TensorProto.FLOAT, [1, channels, rows // 4, columns // 4]))
+    graph.output.append(helper.make_tensor_value_info(FEATURES, onnx.TensorProto.FLOAT, [1, channels, rows, columns]))
 
 
 def write(path, metadata, change=None):

@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from . import score
 from .augment import erase, lab_statistics, photometric, warp
 from .data import Frame
 
@@ -95,6 +94,8 @@ class Curve:
 
 def detect(model, frames, width, height, curve, least=0.05, iou_limit=0.5, batch=8):
     """Per frame K x 7: class, probability, x0, y0, x1, y1 in pixels of `frame.picture`, objectness; one box per place, best first."""
+    from . import score
+
     found = score.detect(model, frames, width, height, curve.score(least), iou_limit, batch)
     return [best_of_each_place(rows, curve, iou_limit) for rows in found]
 

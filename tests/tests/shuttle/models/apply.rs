@@ -24,6 +24,10 @@ impl Sources for NoSource {
     fn is_constant(&self, _: &Tick) -> bool {
         false
     }
+
+    fn is_forgotten(&self, _: &Tick) -> bool {
+        false
+    }
 }
 
 /// A source, one node in its region, and the lock of changes.

@@ -20,6 +20,10 @@ impl Sources for NoSource {
     fn is_constant(&self, _: &Tick) -> bool {
         false
     }
+
+    fn is_forgotten(&self, _: &Tick) -> bool {
+        false
+    }
 }
 
 /// A node and what it did.

@@ -14,6 +14,10 @@ impl Sources for ByCapture {
     fn is_constant(&self, _: &Tick) -> bool {
         false
     }
+
+    fn is_forgotten(&self, _: &Tick) -> bool {
+        false
+    }
 }
 
 fn lit_at(now_ns: u64) -> Lights<'static> {

@@ -99,6 +99,16 @@ impl SourceTicks {
         self.made_one.load(Ordering::Acquire) == seq.saturating_add(1)
     }
 
+    /// The oldest tick whose arrival time is kept.
+    fn oldest_kept(&self) -> u64 {
+        (self.made() + MARGIN).saturating_sub(ARRIVALS as u64)
+    }
+
+    /// Whether the arrival time of tick `seq` is not kept any more: its age is not known, and higher than [`Self::arrived_ns`] says.
+    pub fn is_forgotten(&self, seq: u64) -> bool {
+        !self.arrived_ns.is_empty() && seq < self.oldest_kept()
+    }
+
     /// When the light of tick `seq` arrived, in ns of the host's clock. Of a tick that is older than all that are kept, the oldest time that
     /// is kept: its age counts as less than it is, but never as that of a new tick. `None` for a node that is no source and for a tick
     /// that was not made.
@@ -107,7 +117,7 @@ impl SourceTicks {
         if self.arrived_ns.is_empty() || seq > made {
             return None;
         }
-        let kept = seq.max((made + MARGIN).saturating_sub(ARRIVALS as u64));
+        let kept = seq.max(self.oldest_kept());
         Some(self.arrived_ns[kept as usize % ARRIVALS].load(Ordering::Relaxed)).filter(|&ns| ns != i64::MIN)
     }
 }
@@ -130,10 +140,13 @@ mod tests {
         assert_eq!(ticks.arrived_ns(made + 1), None, "not made yet");
         let oldest = made as i64 - 100 - (ARRIVALS as i64 - MARGIN as i64);
         assert_eq!(ticks.arrived_ns(0), Some(oldest), "overwritten: as old as the oldest that is kept");
+        let first_kept = (oldest + 100) as u64;
+        assert!(ticks.is_forgotten(0) && ticks.is_forgotten(first_kept - 1) && !ticks.is_forgotten(first_kept));
         let next = SourceTicks::new(true);
         next.continue_from(&ticks);
         assert_eq!((next.made(), next.arrived_ns(made - 7)), (made, ticks.arrived_ns(made - 7)));
         assert_eq!(SourceTicks::new(false).arrived_ns(0), None);
+        assert!(!SourceTicks::new(true).is_forgotten(0) && !SourceTicks::new(false).is_forgotten(0));
     }
 
     #[test]

@@ -131,6 +131,10 @@ impl Sources for Shared {
     fn is_constant(&self, tick: &Tick) -> bool {
         self.plan.load().is_constant(tick)
     }
+
+    fn is_forgotten(&self, tick: &Tick) -> bool {
+        self.plan.load().is_forgotten(tick)
+    }
 }
 
 impl Shared {
