@@ -127,6 +127,11 @@ impl Pair {
         self.shown.as_ref().map(|(_, seq)| *seq)
     }
 
+    /// Time since both images of the shown pair were there.
+    pub fn age(&self) -> Option<Duration> {
+        self.paired.map(time::since)
+    }
+
     /// Size of an image, px.
     fn size(&self) -> Option<Vec2> {
         self.shown.as_ref().map(|([left, _], _)| vec2(left.width as f32, left.height as f32))
@@ -222,7 +227,7 @@ impl Theatre {
         let eyes_are_stale = self.plan.pair.iter().flatten().any(|eye| self.is_picture_stale(eye, false));
         // Images of two instants are no pair: then an older one is shown although both eyes deliver.
         let frozen_for = self.frozen.map_or(Duration::ZERO, time::since);
-        let pair_is_stale = self.pair.paired.is_some_and(|paired| time::since(paired) > STOPPED + frozen_for);
+        let pair_is_stale = self.pair.age().is_some_and(|age| age > STOPPED + frozen_for);
         let is_unreached = facts.unreached().is_some() && self.frozen.is_none();
         let is_stale = eyes_are_stale || pair_is_stale || is_unreached;
         let tint = tint(is_stale);
