@@ -181,7 +181,11 @@ impl Theatre {
         let picture_age_ms = main.as_ref().and_then(|main| self.picture_age_ms(main, self.shows_raw()));
         let packets = if self.shows_raw() { &self.last_packets } else { &self.shown_packets };
         let has_main = main.as_ref().is_none_or(|main| packets.contains_key(main));
-        let is_old = is_live && picture_age_ms.is_some_and(|age_ms| age_ms > OLD_MS);
+        // Of a pair each image counts, and the pair.
+        let eyes = self.plan.pair.iter().flatten().filter(|_| self.shows_pair());
+        let ages_ms = eyes.filter_map(|eye| self.picture_age_ms(eye, false)).chain(picture_age_ms);
+        let pair_age_ms = self.pair.age().filter(|_| self.shows_pair()).map(|age| age.as_secs_f64() * 1e3);
+        let is_old = is_live && ages_ms.chain(pair_age_ms).any(|age_ms| age_ms > OLD_MS);
         let age_ms = main.filter(|_| is_live).and_then(|main| self.shown_age_ms(&main));
         let calibrated = |metric| metric_is_on(counters, metric);
         let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.line().to_owned());

@@ -85,8 +85,8 @@ impl ThreeD {
     }
 }
 
-/// One eye's image, until that of the other eye has come.
-type Waiting = (u32, u64, Pixels);
+/// One eye's image and when its light arrived, until that of the other eye has come.
+type Waiting = (u32, u64, Pixels, Option<i64>);
 
 /// The newest pair of one instant.
 #[derive(Default)]
@@ -94,7 +94,7 @@ pub(super) struct Pair {
     waiting: [Option<Waiting>; 2],
     /// The images of both eyes, and the number of their tick.
     shown: Option<([Pixels; 2], u64)>,
-    /// When both images of the shown pair were there.
+    /// When the oldest light of the shown pair arrived.
     paired: Option<Instant>,
     /// Incremented with every new pair.
     count: u64,
@@ -109,15 +109,17 @@ impl Pair {
             if let Some(packet) = previews.get(output)
                 && let Some(pixels) = &packet.pixels
             {
-                *waiting = Some((packet.tick.source, packet.tick.seq, pixels.clone()));
+                *waiting = Some((packet.tick.source, packet.tick.seq, pixels.clone(), packet.arrived_ns));
             }
         }
-        if let [Some((source, seq, _)), Some((other_source, other_seq, _))] = &self.waiting
+        if let [Some((source, seq, ..)), Some((other_source, other_seq, ..))] = &self.waiting
             && (source, seq) == (other_source, other_seq)
-            && let [Some((_, seq, left)), Some((.., right))] = std::mem::take(&mut self.waiting)
+            && let [Some((_, seq, left, left_ns)), Some((_, _, right, right_ns))] = std::mem::take(&mut self.waiting)
         {
             self.shown = Some(([left, right], seq));
-            self.paired = Some(time::now());
+            let arrived_ns = left_ns.into_iter().chain(right_ns).min();
+            let age_ns = arrived_ns.map_or(0, |ns| time::clock_ns().saturating_add_signed(ns.saturating_neg()));
+            self.paired = time::now().checked_sub(Duration::from_nanos(age_ns));
             self.count += 1;
         }
     }
@@ -125,6 +127,11 @@ impl Pair {
     /// Number of the tick of the shown pair.
     pub fn tick(&self) -> Option<u64> {
         self.shown.as_ref().map(|(_, seq)| *seq)
+    }
+
+    /// Time since the oldest light of the shown pair arrived.
+    pub fn age(&self) -> Option<Duration> {
+        self.paired.map(time::since)
     }
 
     /// Size of an image, px.
@@ -222,7 +229,7 @@ impl Theatre {
         let eyes_are_stale = self.plan.pair.iter().flatten().any(|eye| self.is_picture_stale(eye, false));
         // Images of two instants are no pair: then an older one is shown although both eyes deliver.
         let frozen_for = self.frozen.map_or(Duration::ZERO, time::since);
-        let pair_is_stale = self.pair.paired.is_some_and(|paired| time::since(paired) > STOPPED + frozen_for);
+        let pair_is_stale = self.pair.age().is_some_and(|age| age > STOPPED + frozen_for);
         let is_unreached = facts.unreached().is_some() && self.frozen.is_none();
         let is_stale = eyes_are_stale || pair_is_stale || is_unreached;
         let tint = tint(is_stale);

@@ -376,6 +376,7 @@ impl Run {
                         return Err(format!("camera {n} sends and is called lost"));
                     }
                     if world.cameras[n] != CameraState::Silent
+                        && has_sent_for_ms > MAX_WAY_MS
                         && is_dead(1 - n)
                         && world.is_running()
                         && world.ms - world.since_ms > MIN_SILENT_MS

@@ -48,7 +48,10 @@ impl Screen {
         for (rect, brightness) in rects.into_iter().zip(brightness.chunks_exact(3 * blocks)) {
             let above = Rect::from_min_max(Pos2::new(rect.left(), rect.top() - TITLE), rect.right_top());
             let above = screen.texts.iter().filter(|(text, _)| above.contains(text.center()));
-            let (ages, titles): (Vec<_>, Vec<_>) = above.map(|(_, text)| text).partition(|text| age_ms(text).is_some());
+            let (ages, titles): (Vec<_>, Vec<_>) = above
+                .map(|(_, text)| text)
+                .filter(|text| *text != "no new image")
+                .partition(|text| age_ms(text).is_some());
             let (title, age_ms) = (
                 titles.first().map_or_else(String::new, |title| (*title).clone()),
                 ages.first().and_then(|age| age_ms(age)),
