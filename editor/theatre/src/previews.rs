@@ -40,7 +40,7 @@ impl LastPacket {
 /// How often a camera has sent its last image.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Repeats {
-    /// When it sent it first.
+    /// When the light of the first of them arrived.
     since: Instant,
     count: u32,
     /// Of the last time that it was stuck: since when, and when the light of its next image arrived.
@@ -61,7 +61,7 @@ impl Theatre {
             else {
                 continue;
             };
-            let first = Repeats { since: now, count: 0, stuck: None };
+            let first = Repeats { since: time::instant_of(arrived_ns), count: 0, stuck: None };
             let repeats = self.repeats.entry(camera.output.clone()).or_insert(first);
             match before {
                 Some(before) if before == new => repeats.count += 1,

@@ -117,9 +117,7 @@ impl Pair {
             && let [Some((_, seq, left, left_ns)), Some((_, _, right, right_ns))] = std::mem::take(&mut self.waiting)
         {
             self.shown = Some(([left, right], seq));
-            let arrived_ns = left_ns.into_iter().chain(right_ns).min();
-            let age_ns = arrived_ns.map_or(0, |ns| time::clock_ns().saturating_add_signed(ns.saturating_neg()));
-            self.paired = time::now().checked_sub(Duration::from_nanos(age_ns));
+            self.paired = Some(time::instant_of(left_ns.into_iter().chain(right_ns).min()));
             self.count += 1;
         }
     }

@@ -26,6 +26,12 @@ pub fn since(start: Instant) -> Duration {
     now().saturating_duration_since(start)
 }
 
+/// The instant of a time of the engine's clock, which is not in the future; now where it is unknown.
+pub fn instant_of(clock_ns_then: Option<i64>) -> Instant {
+    let age_ns = clock_ns_then.map_or(0, |then| clock_ns().saturating_add_signed(then.saturating_neg()));
+    now().checked_sub(Duration::from_nanos(age_ns)).unwrap_or_else(now)
+}
+
 /// Time since 1970, ms.
 pub fn unix_ms() -> u64 {
     source::unix_now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_millis() as u64

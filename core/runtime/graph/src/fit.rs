@@ -1,5 +1,5 @@
 //! Optional connections, views and pins: left out where an overlay replaced the node that they name and the new one does not have what they name.
-//! Optional connections are also left out where the type of their own node has no such input, as after a swap of its algorithm.
+//! Optional connections are also left out where the type of a node at one of their ends lacks the port, as after a swap of its algorithm.
 
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -33,15 +33,22 @@ impl Absent<'_> {
 
     fn reference(&self, reference: &RefText) -> bool {
         let output = |t: &NodeType| t.output(&reference.port).is_some();
-        reference.absent || reference.optional && self.lacks(&reference.node, output)
+        let is_gone = || {
+            let node = self.text.flat.nodes.iter().find(|node| node.id.value == reference.node);
+            self.lacks(&reference.node, output) || node.is_some_and(|node| self.only_others_have(node, output))
+        };
+        reference.absent || reference.optional && is_gone()
     }
 
-    /// Whether the input is optional and the type of its node has none of this name. A name that no type has is a spelling mistake.
+    /// Whether the input is optional and the type of its node has none of this name.
     fn input(&self, node: &NodeText, input: &InputText) -> bool {
+        is_optional(input) && self.only_others_have(node, |t| t.input(&input.port.value).is_some())
+    }
+
+    /// Whether the type of the node lacks what another type has. What no type has is a spelling mistake.
+    fn only_others_have(&self, node: &NodeText, has: impl Fn(&NodeType) -> bool) -> bool {
         let types = node.type_name.as_ref().map_or_else(Vec::new, |name| self.catalog.find(&name.value));
-        let has = |t: &NodeType| t.input(&input.port.value).is_some();
-        is_optional(input)
-            && !types.is_empty()
+        !types.is_empty()
             && !types.into_iter().any(|t| has(&self.catalog.node_types[t]))
             && self.catalog.node_types.iter().any(has)
     }

@@ -571,6 +571,27 @@ inputs = {{ left = "view.left", right = "view.right", {input} = {{ from = "view.
 }
 
 #[test]
+fn an_optional_connection_is_left_out_where_the_type_has_no_such_output() {
+    let check_with = |output: &str| {
+        let text = format!(
+            r#"plugins = ["capture", "stereo"]
+[nodes.view]
+type = "capture"
+[nodes.match]
+type = "stereo_bm"
+inputs = {{ left = "view.left", right = "view.right", mask_left = {{ from = "view.{output}", optional = true }} }}
+"#
+        );
+        check(&GraphText::parse(Path::new("graph.toml"), &text), &common::catalog()).into_result()
+    };
+    // `disparity` is an output of other types, such as the one that stood here before.
+    let (graph, _) = check_with("disparity").unwrap_or_else(|d| panic!("{}", d.render(false)));
+    assert_eq!(graph.edges.len(), 2);
+    let said = check_with("disparityy").expect_err("a spelling mistake").render(false);
+    assert!(said.contains("has no output `disparityy`"), "{said}");
+}
+
+#[test]
 fn other_connections_to_a_replaced_source_are_errors_that_name_the_overlay() {
     let folder = carried("lacks");
     let needs = USER.replacen(", optional = true", "", 1);

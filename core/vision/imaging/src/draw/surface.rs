@@ -5,7 +5,7 @@
 use std::fmt::Write;
 
 use super::contour::{Contour, RIM};
-use super::corner::{Corner, NOWHERE, is_known, is_located};
+use super::corner::{Corner, NOWHERE};
 use super::holes::Holes;
 use super::light::light;
 use super::rims::{GradientLimit, Position, Rims};
