@@ -8,8 +8,7 @@ use panoscope_editor_texts::{Phrase, text};
 use panoscope_graph::edit::GraphEdit;
 
 use super::runner::OutageStage;
-use super::three_d::Pair;
-use super::{Measure, OutputCache, Theatre, plan, time};
+use super::{Measure, Theatre, plan, time};
 
 /// How long a view may take for its first image before it counts as stopped.
 pub(super) const FIRST: Duration = Duration::from_secs(5);
@@ -68,9 +67,8 @@ impl Theatre {
             self.hold_arm();
             self.keep();
             // No view of before may be taken for a present one.
-            (self.shown, self.frozen, self.measure) = (OutputCache::default(), None, Measure::default());
-            self.shown_packets.clear();
-            self.pair = Pair::default();
+            self.forget_shown_images();
+            (self.frozen, self.measure) = (None, Measure::default());
             self.running_since = None;
         }
         if outage.stage != OutageStage::Running {

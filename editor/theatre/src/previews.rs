@@ -297,10 +297,16 @@ impl Theatre {
         at(&self.shown_packets) < at(&self.last_packets)
     }
 
+    /// Forgets the images that views show, but not those of cameras.
+    pub(super) fn forget_shown_images(&mut self) {
+        (self.shown, self.pair) = (OutputCache::default(), Pair::default());
+        self.shown_packets.clear();
+    }
+
     /// Forgets all images of the run before.
     pub(super) fn forget_images(&mut self) {
-        (self.shown, self.live, self.pair) = (OutputCache::default(), OutputCache::default(), Pair::default());
-        self.shown_packets.clear();
+        self.forget_shown_images();
+        self.live = OutputCache::default();
         self.last_packets.clear();
         self.repeats.clear();
     }

@@ -226,7 +226,7 @@ inputs = { image = "bad.image" }
         let notice = window.notices().swap_remove(0);
         assert!(notice.contains("crashed in node `bad` (SIGSEGV"), "{notice}");
         pids.push(window.worker());
-        // The user does not want to wait.
+        window.until_shown("Start again");
         window.click("Start again");
     }
     assert_ne!(pids[0], pids[1]);
