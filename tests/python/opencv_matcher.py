@@ -58,9 +58,13 @@ class OpencvInDepth(unittest.TestCase):
             ('type = "stereo_sgbm"', f'type = "{node_type}"'),
             ("params = { speckle_area_px = 200 }", f"params = {{ {params} }}"),
             (', disparity_right = "match.disparity_right"', ""),
+            (', drifted = "match.drifted"', ""),
         ):
             self.assertIn(old, part)
             part = part.replace(old, new)
+        drifted = ', drifted = { from = "stereo.drifted", optional = true }'
+        self.assertIn(drifted, graph)
+        graph = graph.replace(drifted, "")
         (folder / "parts/stereo_depth.toml").write_text(part)
         (folder / "depth.toml").write_text(graph)
         return ps.Graph(folder / "depth.toml").run(frames=FRAMES, watch=WATCH)
