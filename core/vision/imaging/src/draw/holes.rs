@@ -16,7 +16,7 @@ const HELD: f32 = 1.5;
 /// Corners around a hole that are needed for a plane.
 const MIN_AROUND: usize = 6;
 
-/// Brightness of what is filled, by that of what is around it: it is to be told from what was measured.
+/// Brightness of what is filled, by that of what is around it: so that it differs from what was measured.
 const SHADE: f32 = 0.8;
 
 /// Fills holes; keeps its memory.
