@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText, check};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 pub use disturbed::{DisturbedRun, run_disturbed};
 
@@ -30,7 +30,7 @@ pub const DOCUMENTS: [&str; 16] = [
     "core/contract/abi/README.md",
     "core/cli/README.md",
     "core/vision/imaging/README.md",
-    "core/runtime/isolate/README.md",
+    "core/runtime/host/README.md",
     "core/python/README.md",
     "core/runtime/record/README.md",
     "core/runtime/remote/README.md",

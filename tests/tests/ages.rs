@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_base::packet::Table;
 use panoscope_engine::{Engine, Listener, Options};
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 use panoscope_tests::{load, scratch};
 
 const PATIENCE: Duration = Duration::from_secs(120);

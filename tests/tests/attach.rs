@@ -6,9 +6,9 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use panoscope_attach::message::Wanted;
-use panoscope_attach::{Attachment, Contact, Target};
 use panoscope_graph::ParamValue;
+use panoscope_host::attach::message::Wanted;
+use panoscope_host::attach::{Attachment, Contact, Target};
 use panoscope_tests::machines::{Namespace, free_port, program};
 use panoscope_tests::scratch;
 

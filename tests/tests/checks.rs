@@ -5,7 +5,7 @@ use std::process::Command;
 
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{Diagnostics, GraphText, ParamValue, Severity, check};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 /// The diagnostics of a graph text in `folder`.
 fn diagnostics(folder: &Path, text: &str) -> Diagnostics {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::{Loader, search_path};
+use panoscope_host::loader::{Loader, search_path};
 use panoscope_tests::{root, scratch};
 
 /// One test at a time: they look at the memory of this process.
@@ -102,7 +102,7 @@ fn runs_elsewhere(name: &str, isolate: impl Fn(&Path) -> GraphText) {
     let catalog = loader.catalog_of(&text);
     let me = std::process::id();
     let described = marks(&mark);
-    match panoscope_loader::isolated::kernel().landlock {
+    match panoscope_host::loader::isolated::kernel().landlock {
         Some(_) => assert!(described.is_empty(), "the process that describes it makes no files"),
         None => assert!(!described.contains(&me), "another process ran it"),
     }

@@ -340,7 +340,7 @@ fn the_tutorial_runs_and_measures_what_it_promises() {
         "panoscope.schema.json",
     ];
     runs("graphs/README.md", &promised, |folder| {
-        let scope = panoscope_calibration::read(&[folder.join("scope.yml")]).expect("a calibration");
+        let scope = panoscope_data::calibration::read(&[folder.join("scope.yml")]).expect("a calibration");
         assert!(scope.rms_px < 0.1, "{scope:?}");
         assert!((scope.left.fx - 750.0).abs() < 7.5 && (scope.baseline_mm - 15.0).abs() < 0.15, "{scope:?}");
         let table = std::fs::read_to_string(folder.join("length.csv")).expect("a table");

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::fault::Action;
 use panoscope_engine::{Engine, Options, SetError};
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 use panoscope_tests::{load, scratch};
 
 use crate::video::whole_frames;

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::ParamValue;
-use panoscope_loader::trial::try_node;
-use panoscope_loader::{Live, Loader, search_path};
+use panoscope_host::loader::trial::try_node;
+use panoscope_host::loader::{Live, Loader, search_path};
 use panoscope_tests::{load, scratch};
 
 /// A folder with one file for each thing that a model can do.

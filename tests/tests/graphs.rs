@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText, check};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 use panoscope_testing::Folder;
 use panoscope_tests::CALIBRATION;
 

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::GraphText;
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 use panoscope_record::compare::compare;
 use panoscope_record::{Digests, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
 use panoscope_tests::{files, load, run, scratch};

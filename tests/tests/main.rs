@@ -31,7 +31,7 @@ mod readme;
 mod real_sources;
 mod record;
 mod recovery;
-#[path = "../../core/vision/data_sets/tests/samples/mod.rs"]
+#[path = "../../core/vision/data/tests/samples/mod.rs"]
 mod samples;
 mod service;
 mod shipped;

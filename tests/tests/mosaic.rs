@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 use panoscope_tests::{run, scratch};
 
 /// Columns of a table as `write_table` writes it.

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use panoscope_engine::fault::Cause;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, Listener, Options, Outcome};
-use panoscope_loader::Live;
-use panoscope_loader::live::{Changed, FileWatch};
+use panoscope_host::loader::Live;
+use panoscope_host::loader::live::{Changed, FileWatch};
 use panoscope_tests::{DisturbedRun, has_python, load, root, run_disturbed, scratch};
 
 const MAX_RUN: Duration = Duration::from_secs(120);

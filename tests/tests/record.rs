@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::GraphText;
 use panoscope_graph::edit::GraphEdit;
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 use panoscope_record::compare::compare;
 use panoscope_record::{Digests, Event, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
 use panoscope_tests::{load, root, scratch};

@@ -7,8 +7,8 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::Command;
 
-use panoscope_attach::message::Wanted;
-use panoscope_attach::{Attachment, Target};
+use panoscope_host::attach::message::Wanted;
+use panoscope_host::attach::{Attachment, Target};
 use panoscope_tests::machines::{free_port, program};
 use panoscope_tests::scratch;
 use std::time::Duration;

@@ -24,7 +24,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use panoscope_engine::ending::signals;
 use panoscope_engine::heap;
 use panoscope_graph::command_line::{self, CommandLine};
-use panoscope_loader::isolated;
+use panoscope_host::loader::isolated;
 
 use beside::Words;
 

@@ -112,7 +112,7 @@ pub fn sink(verbose: bool, format: LogFormat, color: bool, show: impl Fn(&str) +
         } else {
             seen.insert(format!("{node}\n{words}"), Seen { shown: now, left_out: 0 });
         }
-        let words = panoscope_loader::sealed::readable(words);
+        let words = panoscope_host::loader::sealed::readable(words);
         show(&match format {
             LogFormat::Text => render(color, level, node, &words, left_out),
             LogFormat::Json => json(level, node, &words, left_out),

@@ -1,10 +1,10 @@
-//! `panoscope check` opens models, each in a process of its own, see [`panoscope_loader::trial`].
+//! `panoscope check` opens models, each in a process of its own, see [`panoscope_host::loader::trial`].
 
 use std::path::Path;
 
 use panoscope_graph::{Diagnostics, GraphText, Severity};
-use panoscope_loader::graph_file::Ready;
-use panoscope_loader::trial::{is_model, try_node};
+use panoscope_host::loader::graph_file::Ready;
+use panoscope_host::loader::trial::{is_model, try_node};
 
 /// Start of the message of a node that found no ONNX Runtime.
 const NO_RUNTIME: &str = "ONNX Runtime's shared library";

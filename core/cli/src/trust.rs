@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use panoscope_graph::{Deny, Diagnostics, GraphOptions, GraphText};
-use panoscope_loader::graph_file::{self, Ready};
-use panoscope_loader::keys::{PublicKey, Trust};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::graph_file::{self, Ready};
+use panoscope_host::loader::keys::{PublicKey, Trust};
+use panoscope_host::loader::{self as loader, Loader};
 
 /// Keys that a command line adds to those of the installation.
 #[derive(clap::Args, Clone, Debug, Default)]

@@ -317,7 +317,7 @@ fn calibrate_solves_opencvs_pairs_and_writes_what_capture_reads() {
         run(&["calibrate", "--left", &left, "--right", &right, "--board", "chessboard:9x6:25mm", "-o", &out]);
     assert_eq!(code, 0, "{errors}");
     assert!(said.contains("left01.jpg right01.jpg") && said.contains("13 of 13 views"), "{said}");
-    let found = panoscope_calibration::read(&[PathBuf::from(&out)]).expect("the result is a calibration");
+    let found = panoscope_data::calibration::read(&[PathBuf::from(&out)]).expect("the result is a calibration");
     assert!(found.rms_px < 0.4 && (found.baseline_mm - 83.3).abs() < 1.0, "{found:?}");
     assert!((found.left.fx / found.left.fy - 1.0).abs() < 0.005, "{found:?}");
     let (code, _, errors) =

@@ -175,7 +175,7 @@ fn commands_that_only_look_never_run_a_plugin_that_the_graph_brings() {
         let (code, said) = bench.run(&format!("{words} --trust-plugins"));
         assert_eq!((code, bench.ran().is_empty()), (0, false), "{words} --trust-plugins: {said}");
     }
-    if panoscope_loader::isolated::kernel().landlock.is_none() {
+    if panoscope_host::loader::isolated::kernel().landlock.is_none() {
         panoscope_testing::skipped!("the trap could write its file: this kernel has no Landlock");
         return;
     }
@@ -320,9 +320,9 @@ fn the_audit_log_is_shown_and_a_damaged_one_named() {
     let bench = Bench::new("audit");
     let (code, said) = bench.run("audit");
     assert!(code == 0 && said.contains("no lines"), "{said}");
-    let log = panoscope_audit::Log::new(&bench.path("state/panoscope/audit"));
+    let log = panoscope_host::audit::Log::new(&bench.path("state/panoscope/audit"));
     for number in 1..=3 {
-        log.append(1_772_323_200_250, panoscope_audit::Event::Still { number }).expect("written");
+        log.append(1_772_323_200_250, panoscope_host::audit::Event::Still { number }).expect("written");
     }
     let (code, said) = bench.run("audit");
     assert!(code == 0 && said.contains("2026-03-01 00:00:00.250 UTC  still 3"), "{said}");

@@ -158,16 +158,16 @@ pub enum EvalError {
     Composite(#[from] panoscope_imaging::stitch::CompositeError),
     /// A calibration file could not be read or written.
     #[error(transparent)]
-    Calibration(#[from] panoscope_calibration::FileError),
+    Calibration(#[from] panoscope_data::calibration::FileError),
     /// A text describes no calibration board.
     #[error(transparent)]
-    Board(#[from] panoscope_calibration::BoardError),
+    Board(#[from] panoscope_data::calibration::BoardError),
     /// A text of boxes cannot be read.
     #[error(transparent)]
-    Labels(#[from] panoscope_truth::labels::LabelError),
+    Labels(#[from] panoscope_data::truth::labels::LabelError),
     /// A map of true disparity or depth cannot be read.
     #[error(transparent)]
-    Map(#[from] panoscope_truth::maps::MapError),
+    Map(#[from] panoscope_data::truth::maps::MapError),
     /// An arm's description cannot be used.
     #[error(transparent)]
     Arm(#[from] panoscope_arm_core::ArmError),

@@ -8,7 +8,7 @@ use panoscope_engine::memory::FrameRef;
 use panoscope_engine::trace::Tracer;
 use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
 use panoscope_graph::{GraphOptions, GraphText};
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 
 use crate::error::{Context, EvalError, Result};
 use crate::session::{Session, check_cancelled};

@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use panoscope_eval::figures::{self, Figure};
 use panoscope_eval::{EvalError, Session, Silent, bench, chain, eval};
-use panoscope_loader::{Loader, search_path};
+use panoscope_host::loader::{Loader, search_path};
 
 /// Whether these plugins are built; reports a skip if not.
 fn has_plugins(names: &[&str]) -> bool {

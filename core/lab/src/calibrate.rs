@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use panoscope_calibration::{Board, packet};
+use panoscope_data::calibration::{Board, packet};
 use panoscope_eval::calibration::{self, Options, Source};
 use panoscope_eval::chain;
 
@@ -87,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     if let Some(folder) = &arguments.pictures {
         calibrated.write_pictures(folder)?;
     }
-    panoscope_calibration::write(&arguments.out, calibration)?;
+    panoscope_data::calibration::write(&arguments.out, calibration)?;
     raw(&views.table());
     out!("");
     raw(&calibration::summary(calibration, views));

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use panoscope_engine::text_table::table;
 use panoscope_export::{Export, ExportError, PortReport, Selection, folder, foxglove, ros2};
-use panoscope_loader::python_module;
+use panoscope_host::loader::python_module;
 use panoscope_record::{PortTypes, Recording, own_folders};
 use serde::Deserialize;
 

@@ -4,8 +4,8 @@ use anyhow::Result;
 use panoscope_cli::commands::run::{Arguments, Server};
 use panoscope_cli::terminal::log;
 use panoscope_engine::Engine;
-use panoscope_live::{FoxgloveServer, Options};
-use panoscope_loader::Live;
+use panoscope_export::live::{FoxgloveServer, Options};
+use panoscope_host::loader::Live;
 
 struct Foxglove {
     options: Options,

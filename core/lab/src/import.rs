@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_data_sets::{self as data_sets, Found, KNOWN, MAX_LEVELS, Pictures, Sequence};
+use panoscope_data::data_sets::{self as data_sets, Found, KNOWN, MAX_LEVELS, Pictures, Sequence};
 use panoscope_engine::text_table::table;
 use serde_json::{Value, json};
 

@@ -12,7 +12,7 @@ use panoscope_eval::sweep::{
     SweepError,
 };
 use panoscope_graph::{Diagnostics, GraphText, check};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 use panoscope_record::{Recording, RecordingError};
 
 use panoscope_cli::given::Given;

@@ -98,7 +98,7 @@ unsafe fn values<'py>(py: Python<'py>, params: *const ParamValue, len: usize) ->
 pub unsafe extern "C" fn open(call: *mut abi::OpenCall, instance: *mut *mut c_void) -> Status {
     // SAFETY: the contract: the call and what it points to live until this returns; the table lives until the process ends.
     let (call, host) = unsafe { (&*call, &*(*call).host) };
-    let Some(node_type) = panoscope_isolate::child::opening() else {
+    let Some(node_type) = panoscope_host::isolate::child::opening() else {
         fail(host, call.call, "a node in Python runs in a process of its own only");
         return abi::STATUS_INVALID;
     };

@@ -17,8 +17,8 @@ use std::convert::Infallible;
 use std::path::Path;
 
 use panoscope_abi::NodeType;
-use panoscope_isolate::child::LoadError;
-use panoscope_loader::isolated;
+use panoscope_host::isolate::child::LoadError;
+use panoscope_host::loader::isolated;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
@@ -28,7 +28,7 @@ const RUNNER: &str = "panoscope.runner";
 /// Serves the host until it is gone; does not return.
 #[pyfunction]
 fn serve(py: Python<'_>) {
-    py.detach(|| -> Infallible { panoscope_isolate::child::serve(load) });
+    py.detach(|| -> Infallible { panoscope_host::isolate::child::serve(load) });
 }
 
 /// Loads a plugin: a Python file, or a library whose nodes share the process.

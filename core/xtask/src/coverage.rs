@@ -51,21 +51,21 @@ const PARSERS: &[(&str, &[Source])] = &[
         ],
     ),
     ("descriptor", &[all("core/runtime/graph/src/from_abi.rs"), all("core/runtime/graph/src/from_abi/node_type.rs")]),
-    ("plugin_note", &[all("core/runtime/loader/src/elf.rs")]),
+    ("plugin_note", &[all("core/runtime/host/src/loader/elf.rs")]),
     (
         "lock",
         &[
             functions(
-                "core/runtime/loader/src/lock.rs",
+                "core/runtime/host/src/loader/lock.rs",
                 &["read", "parse", "message", "check_signature", "digest", "differences", "differences_among"],
             ),
-            functions("core/runtime/loader/src/locked_file.rs", &["word"]),
+            functions("core/runtime/host/src/loader/locked_file.rs", &["word"]),
         ],
     ),
     (
         "machine_message",
         &[functions(
-            "core/runtime/isolate/src/relay/messages.rs",
+            "core/runtime/host/src/isolate/relay/messages.rs",
             &[
                 "array", "u8", "flag", "u32", "u64", "bytes", "text", "count", "read", "parse", "frame", "pixels",
                 "fits",
@@ -75,10 +75,10 @@ const PARSERS: &[(&str, &[Source])] = &[
     (
         "attach_message",
         &[
-            functions("core/runtime/attach/src/tunnel.rs", &["of", "receive"]),
-            functions("core/runtime/attach/src/message.rs", &["read_command", "read_incoming", "checked"]),
-            functions("core/runtime/attach/src/packet.rs", &["read", "frame_of"]),
-            functions("core/runtime/attach/src/rules.rs", &["table", "stops", "check"]),
+            functions("core/runtime/host/src/attach/tunnel.rs", &["of", "receive"]),
+            functions("core/runtime/host/src/attach/message.rs", &["read_command", "read_incoming", "checked"]),
+            functions("core/runtime/host/src/attach/packet.rs", &["read", "frame_of"]),
+            functions("core/runtime/host/src/attach/rules.rs", &["table", "stops", "check"]),
         ],
     ),
     ("pedal", &[functions("editor/model/src/pedal.rs", &["parse", "binding"])]),
@@ -94,17 +94,17 @@ const PARSERS: &[(&str, &[Source])] = &[
     (
         "keys",
         &[functions(
-            "core/runtime/loader/src/keys.rs",
+            "core/runtime/host/src/loader/keys.rs",
             &["digits", "read", "name_of", "verifies", "in_folders", "find"],
         )],
     ),
     (
         "audit",
         &[
-            functions("core/runtime/audit/src/chain.rs", &["parse", "follows"]),
-            functions("core/runtime/audit/src/log.rs", &["tail"]),
-            all("core/runtime/audit/src/files.rs"),
-            all("core/runtime/audit/src/read.rs"),
+            functions("core/runtime/host/src/audit/chain.rs", &["parse", "follows"]),
+            functions("core/runtime/host/src/audit/log.rs", &["tail"]),
+            all("core/runtime/host/src/audit/files.rs"),
+            all("core/runtime/host/src/audit/read.rs"),
         ],
     ),
     (
@@ -120,13 +120,13 @@ const PARSERS: &[(&str, &[Source])] = &[
     (
         "calibration",
         &[
-            all("core/vision/calibration/src/document.rs"),
-            all("core/vision/calibration/src/kalibr.rs"),
-            all("core/vision/calibration/src/opencv.rs"),
-            all("core/vision/calibration/src/ros.rs"),
+            all("core/vision/data/src/calibration/document.rs"),
+            all("core/vision/data/src/calibration/kalibr.rs"),
+            all("core/vision/data/src/calibration/opencv.rs"),
+            all("core/vision/data/src/calibration/ros.rs"),
         ],
     ),
-    ("board", &[all("core/vision/calibration/src/board.rs")]),
+    ("board", &[all("core/vision/data/src/calibration/board.rs")]),
     (
         "recording, event, digests",
         &[
@@ -194,7 +194,7 @@ const PARSERS: &[(&str, &[Source])] = &[
             ),
         ],
     ),
-    ("gate", &[functions("core/links/live/src/gate.rs", &["check_head", "is_own_origin"])]),
+    ("gate", &[functions("core/links/export/src/live/gate.rs", &["check_head", "is_own_origin"])]),
     ("webrtc_offer", &[all("core/links/media/src/offer.rs")]),
     (
         "onnx",
@@ -222,7 +222,7 @@ const PARSERS: &[(&str, &[Source])] = &[
         &[
             functions("core/vision/imaging/src/stereo/formats.rs", &["area", "read_pfm", "read_npy"]),
             all("core/eval/src/eval/disparity/truth_files.rs"),
-            all("core/vision/truth/src/maps.rs"),
+            all("core/vision/data/src/truth/maps.rs"),
         ],
     ),
     (
@@ -237,8 +237,8 @@ const PARSERS: &[(&str, &[Source])] = &[
             all("core/eval/src/eval/detect/truth/via.rs"),
             all("core/eval/src/eval/detect/truth/voc.rs"),
             all("core/eval/src/eval/detect/truth/yolo_text.rs"),
-            all("core/vision/truth/src/labels/voc.rs"),
-            all("core/vision/truth/src/labels/yolo.rs"),
+            all("core/vision/data/src/truth/labels/voc.rs"),
+            all("core/vision/data/src/truth/labels/yolo.rs"),
         ],
     ),
     ("arm_line", &[all("core/robot/arm/src/line.rs")]),
@@ -273,20 +273,20 @@ const PARSERS: &[(&str, &[Source])] = &[
         "described_plugin, isolated_call",
         &[
             functions(
-                "core/runtime/isolate/src/description.rs",
+                "core/runtime/host/src/isolate/description.rs",
                 &["read", "text", "list", "read_type", "read_port", "read_param"],
             ),
-            functions("core/runtime/isolate/src/host/describer.rs", &["report"]),
+            functions("core/runtime/host/src/isolate/host/describer.rs", &["report"]),
             functions(
-                "core/runtime/isolate/src/host/answer.rs",
+                "core/runtime/host/src/isolate/host/answer.rs",
                 &["refuse", "run_deferred", "run", "answer", "made", "output"],
             ),
             functions(
-                "core/runtime/isolate/src/host/remote.rs",
+                "core/runtime/host/src/isolate/host/remote.rs",
                 &["request", "exchange", "result", "read_tick", "process"],
             ),
             functions(
-                "core/runtime/isolate/src/wire.rs",
+                "core/runtime/host/src/isolate/wire.rs",
                 &[
                     "is_deferred",
                     "of",
@@ -305,7 +305,7 @@ const PARSERS: &[(&str, &[Source])] = &[
                     "plain_status",
                 ],
             ),
-            functions("core/runtime/isolate/src/lane.rs", &["receive", "receive_until"]),
+            functions("core/runtime/host/src/isolate/lane.rs", &["receive", "receive_until"]),
         ],
     ),
 ];

@@ -9,7 +9,7 @@ use crate::process;
 use crate::workspace::Workspace;
 
 /// Crates of the host, which plugins never import.
-const HOST: [&str; 9] = ["engine", "isolate", "loader", "attach", "remote", "monitor", "record", "eval", "cli"];
+const HOST: [&str; 7] = ["engine", "host", "remote", "monitor", "record", "eval", "cli"];
 
 /// A package of the workspace.
 struct Package {

@@ -9,7 +9,7 @@ use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_widgets::{OutputCache, theme};
 use panoscope_graph::GraphOptions;
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 use serde_json::{Value, json};
 
 use crate::canvas::{Canvas, Scene};

@@ -11,7 +11,7 @@ use panoscope_editor::arrangement::Arrangement;
 use panoscope_editor_model::attaching;
 use panoscope_editor_widgets::{theme, window};
 use panoscope_graph::GraphText;
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 /// Shows a running graph and edits it.
 #[derive(Parser)]
@@ -61,7 +61,7 @@ fn in_a_folder(file: &Path) -> bool {
 fn write_arrangement(arguments: &Arguments, text: &str, file: &Path) -> i32 {
     let graph = arguments.graph.as_deref().unwrap_or(Path::new(""));
     let paths = GraphText::parse_with(graph, text, &arguments.given.options()).plugin_paths();
-    let loader = Arc::new(Loader::search(&panoscope_loader::search_path(&paths)));
+    let loader = Arc::new(Loader::search(&panoscope_host::loader::search_path(&paths)));
     let (width, height) = arguments.window.size;
     let seen = Arrangement::of(graph, text, loader, vec2(width, height));
     match std::fs::write(file, format!("{:#}\n", seen.json())) {

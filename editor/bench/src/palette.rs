@@ -9,7 +9,7 @@ use eframe::egui::{
 use panoscope_editor_texts as texts;
 use panoscope_editor_texts::text;
 use panoscope_graph::NodeType;
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 use crate::actions::{self, Action};
 use crate::panels::inspector::candidates;

@@ -6,9 +6,9 @@ use crate::common::{Folder, GRAPH, Window, has_plugin};
 use eframe::egui::{Key, Modifiers, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
-use panoscope_attach::{Attachment, Target};
 use panoscope_editor::app::{App, Options};
 use panoscope_editor_model::observe::Output;
+use panoscope_host::attach::{Attachment, Target};
 
 const EDITOR: &str = env!("CARGO_BIN_EXE_panoscope-editor");
 

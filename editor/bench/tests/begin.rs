@@ -9,7 +9,7 @@ use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::templates;
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 const NONE: Modifiers = Modifiers::NONE;
 const CTRL: Modifiers = Modifiers::COMMAND;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use eframe::egui::{Vec2, vec2};
 use panoscope_editor::arrangement::Arrangement;
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 const SIZES: [Vec2; 3] = [vec2(1280.0, 720.0), vec2(1440.0, 900.0), vec2(3840.0, 2160.0)];
 /// Least size of a text, in points.

@@ -7,7 +7,7 @@ use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, PendingWire};
 use panoscope_editor_model::{Mark, copying};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 fn document(text: &str) -> Option<Document> {
     let loader = Arc::new(Loader::search(&loader::search_path(&[])));

@@ -14,7 +14,7 @@ use panoscope_editor_model::ops;
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::edit::EditError;
 use panoscope_graph::{GraphOptions, GraphText, check};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 const NONE: Modifiers = Modifiers::NONE;
 const CTRL: Modifiers = Modifiers::COMMAND;

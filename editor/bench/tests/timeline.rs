@@ -12,7 +12,7 @@ use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::timeline::second;
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 use panoscope_record::{RecordOptions, Recorder, head};
 
 const NONE: Modifiers = Modifiers::NONE;

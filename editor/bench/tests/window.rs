@@ -7,7 +7,7 @@ use eframe::egui::{Event, Key, Modifiers, OutputCommand, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::App;
 use panoscope_graph::ParamValue;
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 const NONE: Modifiers = Modifiers::NONE;
 const CTRL: Modifiers = Modifiers::COMMAND;

@@ -6,7 +6,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Arg, ArgKind, GraphOptions, GraphText, check};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 use serde::{Deserialize, Serialize};
 
 use crate::disk;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use panoscope_attach::{Attachment, Target};
+use panoscope_host::attach::{Attachment, Target};
 
 use crate::arguments;
 

@@ -10,7 +10,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_engine::sync::lock;
-use panoscope_loader::Stamp;
+use panoscope_host::loader::Stamp;
 
 /// Why the file was not saved; it is unchanged.
 #[derive(Debug, thiserror::Error)]

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use panoscope_graph::edit::{EditError, FileEdits};
 use panoscope_graph::{Arg, Catalog, Diagnostic, GraphOptions, GraphText, NodeType, ParamKind, Severity, check};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 use crate::entries::{nodes_of, params_of, pins_of};
 use crate::folding;

@@ -9,11 +9,11 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use panoscope_attach::Attachment;
-use panoscope_attach::message::Wanted;
 use panoscope_engine::fault::{Action, Fault, FaultCursor};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, NodeWindow, Preview, Window};
+use panoscope_host::attach::Attachment;
+use panoscope_host::attach::message::Wanted;
 use serde::{Deserialize, Serialize};
 
 pub use crate::output::{Output, WireEnd};

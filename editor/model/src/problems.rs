@@ -149,7 +149,7 @@ mod tests {
     use std::sync::Arc;
 
     use panoscope_engine::NodeWindow;
-    use panoscope_loader::Loader;
+    use panoscope_host::loader::Loader;
 
     use super::*;
 

@@ -12,15 +12,15 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use panoscope_attach::Attachment;
 use panoscope_engine::sync::lock;
 use panoscope_engine::trace::Tracer;
 use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
 use panoscope_graph::{Diagnostics, GraphText, Severity, check};
-use panoscope_loader::live::LiveError;
-use panoscope_loader::sealed::readable;
-use panoscope_loader::verify::Seal;
-use panoscope_loader::{self as loader, Live, Loader};
+use panoscope_host::attach::Attachment;
+use panoscope_host::loader::live::LiveError;
+use panoscope_host::loader::sealed::readable;
+use panoscope_host::loader::verify::Seal;
+use panoscope_host::loader::{self as loader, Live, Loader};
 use serde::{Deserialize, Serialize};
 
 use crate::trace::Trace;

@@ -195,7 +195,7 @@ pub fn restore(document: &mut Document, snapshot: &Snapshot) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use panoscope_loader::Loader;
+    use panoscope_host::loader::Loader;
 
     use super::*;
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use panoscope_eval::sweep::{Point, Request, Sweep, SweepError};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 use panoscope_record::{Recording, RecordingError};
 
 use panoscope_engine::sync::lock;

@@ -4,11 +4,11 @@ use eframe::egui::{
     Color32, Context, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2,
     vec2,
 };
-use panoscope_audit::Event;
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
+use panoscope_host::audit::Event;
 
 use super::marks::{fitting, focus_frame};
 use super::{Action, HOLD, Theatre, actions, key_name, plan, time};

@@ -7,9 +7,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use eframe::egui::Context;
-use panoscope_attach::message::Opened as Running;
-use panoscope_attach::{Attachment, Clock, Contact, State};
 use panoscope_editor_texts::{decimal, text, with_decimal_sign};
+use panoscope_host::attach::message::Opened as Running;
+use panoscope_host::attach::{Attachment, Clock, Contact, State};
 
 use super::runner::{Local, Runner};
 use super::{Layout, OpenError, Opened, Options, Plan, Theatre, Verified};

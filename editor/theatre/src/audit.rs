@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use panoscope_audit::{Auditor, Event};
 use panoscope_editor_model::observe::Counters;
+use panoscope_host::audit::{Auditor, Event};
 
 use super::settings;
 use super::{Opened, Verified, time};
@@ -80,7 +80,7 @@ impl Audit {
         self.log(Event::Opened {
             program: env!("CARGO_PKG_VERSION").to_owned(),
             graph: name_of(path),
-            graph_sha256: panoscope_loader::sealed::Fingerprint::of(graph.text.as_bytes()).sha256,
+            graph_sha256: panoscope_host::loader::sealed::Fingerprint::of(graph.text.as_bytes()).sha256,
             lock: graph.lock.clone(),
         });
     }

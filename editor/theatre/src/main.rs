@@ -10,7 +10,7 @@ use clap::Parser;
 use panoscope_editor_model::attaching;
 use panoscope_editor_widgets::window;
 use panoscope_graph::{GraphText, installed};
-use panoscope_loader::keys::{KeyError, PublicKey, Trust};
+use panoscope_host::loader::keys::{KeyError, PublicKey, Trust};
 use panoscope_monitor::Address;
 use panoscope_theatre::{Guard, OpenError, OpenFailed, Opening, Options, Program, Refusal, Theatre, worker};
 
@@ -92,7 +92,9 @@ fn options(arguments: &Arguments) -> Result<Options, KeyError> {
         label: arguments.label.clone(),
         unlocked: arguments.unlocked,
         trust,
-        audit: Some(panoscope_audit::folder().unwrap_or_else(|| PathBuf::from(panoscope_audit::SYSTEM_FOLDER))),
+        audit: Some(
+            panoscope_host::audit::folder().unwrap_or_else(|| PathBuf::from(panoscope_host::audit::SYSTEM_FOLDER)),
+        ),
         frames: arguments.window.frames,
         web: arguments.web,
         scale: arguments.window.scale,

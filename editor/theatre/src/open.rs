@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use panoscope_audit::LockFacts;
 use panoscope_editor_texts::{Phrase, phrase, text};
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, check};
-use panoscope_loader::keys::Trust;
-use panoscope_loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError, lock_path};
-use panoscope_loader::verify::{self, Seal, VerifyError};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::audit::LockFacts;
+use panoscope_host::loader::keys::Trust;
+use panoscope_host::loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError, lock_path};
+use panoscope_host::loader::verify::{self, Seal, VerifyError};
+use panoscope_host::loader::{self as loader, Loader};
 
 use panoscope_monitor::Address;
 use serde::{Deserialize, Serialize};

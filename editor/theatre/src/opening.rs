@@ -8,9 +8,9 @@ use panoscope_editor_texts::text;
 use panoscope_editor_widgets::arguments_form::{self, FormRequest, FormStyle};
 use panoscope_editor_widgets::theme;
 use panoscope_graph::{GraphOptions, GraphText};
-use panoscope_loader::lock::{ALWAYS_LOCKED, Lock};
-use panoscope_loader::verify;
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::lock::{ALWAYS_LOCKED, Lock};
+use panoscope_host::loader::verify;
+use panoscope_host::loader::{self as loader, Loader};
 
 use super::runner::Runner;
 use super::{Guard, OpenError, OpenFailed, Opened, Options, Ready, Refusal, Theatre};

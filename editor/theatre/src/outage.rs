@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::session::Phase;
 use panoscope_editor_texts::{Phrase, text};
 use panoscope_graph::edit::GraphEdit;
+use panoscope_host::audit::{ClipState, Event};
 
 use super::runner::OutageStage;
 use super::{Measure, Theatre, plan, time};

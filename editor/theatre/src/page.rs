@@ -5,7 +5,7 @@
 use std::time::{Duration, Instant};
 
 use panoscope_engine::Engine;
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 use panoscope_monitor::{Address, Monitor};
 
 /// Time between two updates.

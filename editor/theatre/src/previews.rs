@@ -11,10 +11,10 @@ use super::notices::{Facts, OLD_MS, STOPPED, STOPPED_MS, metric_is_on};
 use super::outage::FIRST;
 use super::three_d::Pair;
 use super::{OutputCache, Pane, Theatre, ThreeD, Verified, time};
-use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::content::Content;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::session::{Phase, Status};
+use panoscope_host::audit::{ClipState, Event};
 
 /// Minimum time between two previews.
 const INTERVAL: Duration = Duration::from_millis(33);

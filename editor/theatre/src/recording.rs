@@ -3,11 +3,11 @@
 use super::notices::{FULL_BYTES, STOPPED};
 use super::storage::{self, Clip};
 use super::{Pane, Theatre, time};
-use panoscope_audit::{ClipState, Event};
 use panoscope_editor_model::disk::is_full;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::Status;
 use panoscope_editor_texts::text;
+use panoscope_host::audit::{ClipState, Event};
 
 impl Theatre {
     /// Saves a still of the main view, or of the image being measured.

@@ -10,8 +10,8 @@ use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::session::{Session, Status, Wake};
 use panoscope_editor_texts::Phrase;
 use panoscope_graph::ParamValue;
-use panoscope_loader::Loader;
-use panoscope_loader::verify::Seal;
+use panoscope_host::loader::Loader;
+use panoscope_host::loader::verify::Seal;
 
 /// A running graph, and how it is observed and steered. No function waits for a node.
 pub(crate) trait Runner {

@@ -15,7 +15,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use panoscope_audit::LockFacts;
 use panoscope_editor_model::arguments::Form;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::RenderedPacket;
@@ -26,8 +25,9 @@ use panoscope_engine::clock;
 use panoscope_engine::ending::signals;
 use panoscope_engine::sync::lock;
 use panoscope_graph::{GraphOptions, GraphText};
-use panoscope_loader::verify::Seal;
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::audit::LockFacts;
+use panoscope_host::loader::verify::Seal;
+use panoscope_host::loader::{self as loader, Loader};
 
 use super::link::{self, Block, Command, CounterState, Message, Picture, Region, RunState, SLOTS};
 use super::page::Page;

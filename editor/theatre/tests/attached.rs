@@ -8,8 +8,8 @@ use crate::common::{Folder, has_plugin};
 use eframe::egui::{Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
-use panoscope_attach::{Attachment, Target};
 use panoscope_graph::ParamValue;
+use panoscope_host::attach::{Attachment, Target};
 use panoscope_theatre::{Action, Theatre};
 
 const THEATRE: &str = env!("CARGO_BIN_EXE_panoscope-theatre");

@@ -11,8 +11,8 @@ use crate::common::{Folder, has_plugin};
 use crate::trust::lock;
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
-use panoscope_audit::{ClipState, Event, read};
 use panoscope_graph::ParamValue;
+use panoscope_host::audit::{ClipState, Event, read};
 use panoscope_theatre::{Options, OutageStage, Theatre, Verified};
 
 /// From the end of a process until the camera is shown, at best of some tries on a loaded machine.

@@ -10,8 +10,8 @@ use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_texts::{Language, set_language};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::lock::{ALWAYS_LOCKED, Lock};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::lock::{ALWAYS_LOCKED, Lock};
+use panoscope_host::loader::{self as loader, Loader};
 use panoscope_theatre::{Check, Layout, State, Theatre};
 
 /// Stereo cameras on a box that stands still, its surface, an arm, and a stage that fails at the request of a setting.

@@ -8,7 +8,7 @@ use crate::common::program::{Running, Screen, children, signal, until_gone};
 use crate::common::window::GRAPH;
 use crate::common::{Folder, has_plugin};
 use crate::video::whole_frames;
-use panoscope_audit::{Event, read};
+use panoscope_host::audit::{Event, read};
 
 fn events(running: &Running) -> Vec<Event> {
     let report = read(&running.log()).expect("the log");

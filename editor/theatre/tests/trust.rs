@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use crate::common::window::{GRAPH, Window, options};
 use crate::common::{Folder, has_plugin};
 use eframe::egui::{Context, Key};
-use panoscope_audit::{ClipState, Event, Report, date, read};
 use panoscope_graph::{GraphText, ParamValue, check};
-use panoscope_loader::keys::{SecretKey, Trust};
-use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, LockError};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::audit::{ClipState, Event, Report, date, read};
+use panoscope_host::loader::keys::{SecretKey, Trust};
+use panoscope_host::loader::lock::{ALWAYS_LOCKED, Lock, LockError};
+use panoscope_host::loader::{self as loader, Loader};
 use panoscope_theatre::{OpenError, Options, Theatre, Verified};
 
 /// Locks the graph file, signed where there is a key.
@@ -60,7 +60,7 @@ fn who_trusts_keys_opens_only_what_they_signed() {
     assert!(matches!(refused(&Trust::default()), LockError::UnknownKey { .. }));
     open(&path, with(&other)).expect("it is trusted there");
     lock(&path, Some(&ward));
-    let file = panoscope_loader::lock::lock_path(&path);
+    let file = panoscope_host::loader::lock::lock_path(&path);
     let whole = std::fs::read_to_string(&file).expect("the lock");
     std::fs::write(&file, whole.replacen("bytes = ", "bytes = 1", 1)).expect("written");
     assert!(matches!(refused(&trust), LockError::Altered { .. }));

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use panoscope_data_sets::MaskFile;
+use panoscope_data::data_sets::MaskFile;
+use panoscope_data::truth::labels;
+use panoscope_data::truth::masks::MaskPicture;
 use panoscope_node::abi::Detection;
 use panoscope_node::{LabeledDetections, LabeledInstances, NodeError, Rect, Result, Slot, detections};
-use panoscope_truth::labels;
-use panoscope_truth::masks::MaskPicture;
 
 /// Least pixels of a part of a mask that counts as an object: specks at the border of an instrument are none.
 const MIN_PIXELS: usize = 16;

@@ -4,7 +4,7 @@ mod truth;
 
 use std::path::PathBuf;
 
-use panoscope_data_sets::{DataSetError, Found, Labels, Pictures, Sequence, Stacked, find};
+use panoscope_data::data_sets::{DataSetError, Found, Labels, Pictures, Sequence, Stacked, find};
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
     Bgr8, Context, Depth, Disparity, LabeledDetections, LabeledInstances, NoPorts, Node, NodeError, NodeInfo, Open,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
-use panoscope_calibration::packet::{ViewCameras, same};
+use panoscope_data::calibration::packet::{ViewCameras, same};
 use panoscope_imaging::Serial;
 use panoscope_imaging::stereo::{Order, OrderEvidence, ViewOrder};
 use panoscope_node::abi::Calibration;

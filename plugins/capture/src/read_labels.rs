@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use panoscope_data::truth::labels;
 use panoscope_node::{
     AnyImage, Context, LabeledDetections, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot,
 };
-use panoscope_truth::labels;
 
 use crate::boxes::{self, Boxes};
 use crate::series::Series;

@@ -1,10 +1,10 @@
 //! `read_maps`: true disparity or depth from files, in step with the pictures that it belongs to.
 
+use panoscope_data::truth::maps;
 use panoscope_imaging::stereo::FloatImage;
 use panoscope_node::{
     AnyImage, Choice, Context, Depth, Disparity, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, error,
 };
-use panoscope_truth::maps;
 
 use crate::series::Series;
 

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use panoscope_calibration::pictures::{PatternError, is_image, is_pattern, numbered_files};
-use panoscope_calibration::views::{gap, matched};
+use panoscope_data::calibration::pictures::{PatternError, is_image, is_pattern, numbered_files};
+use panoscope_data::calibration::views::{gap, matched};
 use panoscope_node::Context;
 
 /// Why there are no files.

@@ -218,7 +218,9 @@ impl Settings {
         if files.is_empty() {
             return Ok(None);
         }
-        panoscope_calibration::read(&files).map(Some).map_err(|error| NodeError::new(format!("calibration: {error}")))
+        panoscope_data::calibration::read(&files)
+            .map(Some)
+            .map_err(|error| NodeError::new(format!("calibration: {error}")))
     }
 
     /// Reports what cannot work, without opening a source.

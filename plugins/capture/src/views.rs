@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use panoscope_calibration::views::matched;
+use panoscope_data::calibration::views::matched;
 use panoscope_media::input::Signal;
 use panoscope_node::Context;
 

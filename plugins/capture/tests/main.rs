@@ -9,7 +9,7 @@ mod missing_decoder;
 mod opening;
 mod pairs;
 mod rtsp;
-#[path = "../../../core/vision/data_sets/tests/samples/mod.rs"]
+#[path = "../../../core/vision/data/tests/samples/mod.rs"]
 mod samples;
 mod streams;
 mod truth;

@@ -1,6 +1,6 @@
 //! `calibrate_stereo` on drawn chessboards whose cameras are known.
 
-use panoscope_calibration::ViewState;
+use panoscope_data::calibration::ViewState;
 use panoscope_node::abi::Calibration;
 use panoscope_node::harness::{Harness, Outputs, Setup};
 use panoscope_node::{Bgr8, Gray8};

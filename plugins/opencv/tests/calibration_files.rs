@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use opencv::core::{FileStorage, FileStorage_READ, FileStorage_WRITE, Mat};
 use opencv::prelude::*;
-use panoscope_calibration::{packet, parse, read, write};
+use panoscope_data::calibration::{packet, parse, read, write};
 use panoscope_node::abi::{Calibration, Camera};
 
 struct File(PathBuf);

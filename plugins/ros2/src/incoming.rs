@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use panoscope_calibration::ros as camera;
+use panoscope_data::calibration::ros as camera;
 use panoscope_node::abi::{Calibration, CloudPoint, Joints, Pose};
 use panoscope_node::{Bgr8, Context, Depth, Disparity, LabeledDetections, NodeError, PointCloud, Ports, Result, Slot};
 use panoscope_ros::cdr::{self, CdrError, Message};

@@ -2,7 +2,7 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use panoscope_formats::Pixels;
+use panoscope_data::formats::Pixels;
 use panoscope_node::abi::{Calibration, Joints, Pose};
 use panoscope_node::{
     AnyImage, Bgr8, Choice, Cloud, Context, Depth, Detections, Disparity, Gray8, Gray16, GrayF32, Image, NoPorts, Node,

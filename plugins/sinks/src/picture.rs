@@ -1,6 +1,6 @@
 //! Pixels of an input whose format is known only when it arrives.
 
-use panoscope_formats::Pixels;
+use panoscope_data::formats::Pixels;
 use panoscope_node::{AnyImage, Bgr8, Gray8, Gray16, GrayF32, Rgba8};
 
 /// The pixels of an image; `None` for formats that are no image.

@@ -6,7 +6,7 @@ use panoscope_node::abi::Calibration;
 use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation, Value};
 
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_files, make_folder};
-use panoscope_formats::ply::{self, GradientLimit};
+use panoscope_data::formats::ply::{self, GradientLimit};
 
 /// Inputs.
 #[derive(Ports)]

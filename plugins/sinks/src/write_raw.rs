@@ -9,8 +9,8 @@ use panoscope_node::{
 
 use crate::picture::pixels_of;
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_files, make_folder};
-use panoscope_formats::Pixels;
-use panoscope_formats::array::{self, ArrayFormat};
+use panoscope_data::formats::Pixels;
+use panoscope_data::formats::array::{self, ArrayFormat};
 
 /// Inputs.
 #[derive(Ports)]

@@ -13,8 +13,8 @@ use panoscope_node::{
 
 use crate::formats::coco::{Coco, run_lengths};
 use crate::target::{Growing, Pattern, SinkError, check_name, check_path, claim, write_whole};
-use panoscope_formats::fields::{self, CsvFields, Fields, JsonFields};
-use panoscope_formats::json;
+use panoscope_data::formats::fields::{self, CsvFields, Fields, JsonFields};
+use panoscope_data::formats::json;
 
 /// Cells of the tick itself in each line of a CSV file.
 const TICK_CELLS: usize = 3;

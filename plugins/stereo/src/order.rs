@@ -1,6 +1,6 @@
 //! Whether the views are those of the calibration and of one instant: measurements of others are wrong, and seldom look so.
 
-use panoscope_calibration::packet::ViewCameras;
+use panoscope_data::calibration::packet::ViewCameras;
 use panoscope_imaging::View;
 use panoscope_imaging::stereo::{Delay, Order, OrderEvidence, ViewDelay, ViewOrder};
 use panoscope_node::Context;

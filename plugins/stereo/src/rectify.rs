@@ -12,7 +12,7 @@ use panoscope_node::{
     error,
 };
 
-use panoscope_calibration::packet as calibration;
+use panoscope_data::calibration::packet as calibration;
 
 use crate::order::{OrderWatch, PairState};
 

@@ -8,7 +8,7 @@ use panoscope_node::{
     PointCloud, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
 };
 
-use panoscope_calibration::packet as calibration;
+use panoscope_data::calibration::packet as calibration;
 
 /// Inputs.
 #[derive(Ports)]

@@ -1,6 +1,6 @@
 //! Both views as a calibration describes them, and the disparity maps that belong to them.
 
-use panoscope_calibration::packet;
+use panoscope_data::calibration::packet;
 use panoscope_imaging::stereo::StereoError;
 use panoscope_imaging::stitch::{RectifiedView, map_factor};
 use panoscope_node::abi::{Calibration, Camera};

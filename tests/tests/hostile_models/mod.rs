@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use panoscope_graph::ParamValue;
-use panoscope_loader::trial::try_node;
+use panoscope_host::loader::trial::try_node;
 use panoscope_tests::{load, scratch};
 
 use kinds::{FOLDER, Kind, LINK, PIPE};

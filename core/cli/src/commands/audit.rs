@@ -26,11 +26,10 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             return Ok(End::Wrong);
         }
         Some(path) => path.clone(),
-        None => {
-            panoscope_audit::folder().context("neither XDG_STATE_HOME nor HOME is set; name the folder of the log")?
-        }
+        None => panoscope_host::audit::folder()
+            .context("neither XDG_STATE_HOME nor HOME is set; name the folder of the log")?,
     };
-    let report = panoscope_audit::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let report = panoscope_host::audit::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
     if !arguments.verify {
         raw(&report.entries.iter().map(|entry| format!("{entry}\n")).collect::<String>());
     }

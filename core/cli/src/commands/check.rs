@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use panoscope_graph::{Arg, GraphOptions, GraphText, Listening, listening};
-use panoscope_loader::graph_file::Ready;
+use panoscope_host::loader::graph_file::Ready;
 use serde_json::json;
 
 use crate::given::Given;

@@ -2,8 +2,8 @@
 
 use anyhow::Result;
 use panoscope_graph::{NodeKind, NodeType, Param, ParamKind, Port};
-use panoscope_loader::Loader;
-use panoscope_loader::graph_file;
+use panoscope_host::loader::Loader;
+use panoscope_host::loader::graph_file;
 
 use crate::End;
 use crate::terminal::{log, out};

@@ -1,7 +1,7 @@
 //! `panoscope list`.
 
 use anyhow::Result;
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 use serde_json::json;
 
 use crate::End;
@@ -51,7 +51,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     }
     if !any {
         log!("no plugins were found; folders searched:");
-        for folder in panoscope_loader::search_path(&[]) {
+        for folder in panoscope_host::loader::search_path(&[]) {
             log!("    {}", folder.display());
         }
     }

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_graph::GraphText;
-use panoscope_loader::Kind;
-use panoscope_loader::graph_file;
-use panoscope_loader::keys::{SecretKey, public_file};
-use panoscope_loader::lock::{ALWAYS_LOCKED, Lock, lock_path};
-use panoscope_loader::verify::{self, VerifyError};
+use panoscope_host::loader::Kind;
+use panoscope_host::loader::graph_file;
+use panoscope_host::loader::keys::{SecretKey, public_file};
+use panoscope_host::loader::lock::{ALWAYS_LOCKED, Lock, lock_path};
+use panoscope_host::loader::verify::{self, VerifyError};
 
 use crate::End;
 use crate::given::Given;
@@ -107,7 +107,7 @@ fn new_key(file: &Path) -> Result<End> {
                 public_file.display(),
                 public.short()
             );
-            for folder in panoscope_loader::keys::Trust::folders() {
+            for folder in panoscope_host::loader::keys::Trust::folders() {
                 out!("  {}", folder.display());
             }
             Ok(End::Done)

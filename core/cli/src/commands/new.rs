@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::End;
 use crate::terminal::{log, out};
-use panoscope_loader::{graph_file, python_package};
+use panoscope_host::loader::{graph_file, python_package};
 
 /// Arguments of `new`.
 #[derive(clap::Args)]

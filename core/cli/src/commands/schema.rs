@@ -1,7 +1,7 @@
 //! `panoscope schema`.
 
 use anyhow::Result;
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 
 use crate::End;
 use crate::terminal::{log, out};

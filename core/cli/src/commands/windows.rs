@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use panoscope_attach::{AttachError, Attachable, Options};
 use panoscope_engine::Engine;
+use panoscope_host::attach::{AttachError, Attachable, Options};
 
 use crate::terminal::log;
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use panoscope_engine::text_table::{number, table};
 use panoscope_graph::{GraphOptions, GraphText};
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 use panoscope_record::timeline::{Recorded, Waits};
 
 use super::scale;

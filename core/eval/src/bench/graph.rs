@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use panoscope_engine::{Engine, Options, Report};
 use panoscope_graph::GraphText;
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 
 use crate::error::{EvalError, Result};
 use crate::run;

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::GraphText;
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 
 use super::graph::{self, Pace};
 use crate::error::{Context, EvalError, Result};

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use panoscope_engine::Report;
 use panoscope_engine::text_table::table;
 use panoscope_graph::{GraphOptions, GraphText};
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 use panoscope_record::timeline::{self, Budget, Calls, Timeline, Waits, work_tables};
 use toml::{Table, Value};
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use panoscope_calibration::Board;
+use panoscope_data::calibration::Board;
 
 /// Options of [`calibrate`](super::calibrate).
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use panoscope_abi::{Calibration, Camera};
-use panoscope_calibration::ViewState;
+use panoscope_data::calibration::ViewState;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::text_table::table;
 

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use panoscope_calibration::pictures::{image_files, is_pattern};
-use panoscope_calibration::views::matched;
+use panoscope_data::calibration::pictures::{image_files, is_pattern};
+use panoscope_data::calibration::views::matched;
 use panoscope_graph::GraphOptions;
 use toml::{Table, Value};
 

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_abi::Calibration;
-use panoscope_calibration::Board;
+use panoscope_data::calibration::Board;
 
 use crate::calibration::{self, Source, Views};
 use crate::error::{EvalError, Result};

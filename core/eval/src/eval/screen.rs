@@ -11,7 +11,7 @@ use image::RgbImage;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Listener, NumberListener};
 use panoscope_graph::GraphOptions;
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 use toml::{Table, Value};
 
 use crate::error::{Context, EvalError, FileAction, OnFile, Result};

@@ -50,7 +50,7 @@ impl Pairs {
         )?;
         let packet = seen.packets.into_iter().next().flatten().context("the phantom gave no calibration")?;
         let calibration = packets::calibration(packet.bytes()).context("the phantom's calibration is cut off")?;
-        panoscope_calibration::write(&folder.join("calibration.yaml"), &calibration)?;
+        panoscope_data::calibration::write(&folder.join("calibration.yaml"), &calibration)?;
         Ok(Self { folder })
     }
 

@@ -6,7 +6,7 @@ use std::time::Instant;
 use panoscope_base::random::{SplitMix64, unit};
 use panoscope_engine::{Engine, SetError};
 use panoscope_graph::{Catalog, Graph, Node, Param, ParamKind, ParamValue};
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 
 use crate::system;
 

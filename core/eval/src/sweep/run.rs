@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use panoscope_graph::{GraphText, ParamKind, ParamValue, check};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 use panoscope_record::Recording;
 
 use super::error::{PointError, SweepError};

@@ -8,7 +8,7 @@ use std::time::Instant;
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::sync::lock;
 use panoscope_graph::{Catalog, Graph, GraphText, check};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 use panoscope_record::{Head, Recording};
 use toml::{Table, Value};
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 use panoscope_engine::sync::lock;
 use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 use panoscope_record::{Recording, Replay, ReplayOptions};
 
 use super::measure::{Measure, NoSummary, Received, Summary};

@@ -10,7 +10,7 @@ use panoscope_arm_core::rehearsal::shipped_goals;
 use panoscope_arm_core::tuning::course::{Channel, Course};
 use panoscope_arm_core::tuning::relay::Tuned;
 use panoscope_graph::{Catalog, GraphOptions, Node, ParamValue};
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 
 use crate::error::{Context, EvalError, Result, bail};
 

@@ -16,10 +16,10 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use panoscope_abi::{Calibration, Tick};
-use panoscope_calibration as calibration;
-use panoscope_formats::array::{self, ArrayFormat};
-use panoscope_formats::fields::{self, CsvFields, Fields};
-use panoscope_formats::{Pixels, ply, still};
+use panoscope_data::calibration;
+use panoscope_data::formats::array::{self, ArrayFormat};
+use panoscope_data::formats::fields::{self, CsvFields, Fields};
+use panoscope_data::formats::{Pixels, ply, still};
 use panoscope_record::Packet;
 
 use crate::error::ExportError;

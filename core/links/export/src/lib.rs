@@ -1,4 +1,4 @@
-//! Recordings as files that other programs open.
+//! Recordings as files that other programs open, and a running graph for Foxglove ([`live`]).
 //!
 //! [`Export`] selects ports and ticks of a recording and knows what each port holds. [`folder::write`] makes a folder of PNG, NPY, PLY, CSV and
 //! YAML files, [`foxglove::write`] an MCAP file with the schemas of Foxglove; [`foxglove::encode`] gives the same messages of one packet. The Python package writes files of rerun, from the same packets.
@@ -8,6 +8,7 @@
 mod error;
 pub mod folder;
 pub mod foxglove;
+pub mod live;
 pub mod ros2;
 mod selection;
 mod table_file;

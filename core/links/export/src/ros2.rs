@@ -17,7 +17,7 @@
 use std::path::Path;
 
 use panoscope_abi as abi;
-use panoscope_formats::Pixels;
+use panoscope_data::formats::Pixels;
 use panoscope_record::Packet;
 use panoscope_ros::bag::{BagError, BagWriter};
 use panoscope_ros::convert;

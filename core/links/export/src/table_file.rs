@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use panoscope_formats::fields::{CsvFields, csv_line};
+use panoscope_data::formats::fields::{CsvFields, csv_line};
 
 /// Lines with named cells. Columns stand in the order in which they first appear.
 #[derive(Debug, Default)]
@@ -57,7 +57,7 @@ impl TableFile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_formats::fields::Fields;
+    use panoscope_data::formats::fields::Fields;
 
     fn line(cells: &[(&str, f64)]) -> CsvFields {
         let mut line = CsvFields::default();

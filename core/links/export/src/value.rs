@@ -3,7 +3,7 @@
 use panoscope_abi as abi;
 use panoscope_base::packet::{Cloud, Detections, Table, decode};
 use panoscope_base::{View, format};
-use panoscope_formats::Pixels;
+use panoscope_data::formats::Pixels;
 use panoscope_record::format::PacketHead;
 
 use crate::error::ValueError;

@@ -1,8 +1,8 @@
 //! Which outputs are shown, and their pictures as JPEG.
 
 use panoscope_base::{View, format};
+use panoscope_data::formats::{Pixels, still};
 use panoscope_engine::memory::FrameRef;
-use panoscope_formats::{Pixels, still};
 use panoscope_graph::{Catalog, Graph, PresetView};
 
 use crate::paint::{Range, painted};

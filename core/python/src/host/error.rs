@@ -1,7 +1,7 @@
 //! Errors as exceptions of the package.
 
 use panoscope_graph::Diagnostics;
-use panoscope_loader::live::LiveError;
+use panoscope_host::loader::live::LiveError;
 use panoscope_record::{RecordingError, ReplayError};
 use pyo3::prelude::*;
 

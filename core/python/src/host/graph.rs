@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use panoscope_engine::inbox::{Full, Inbox};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, check, command_line, to_dot};
-use panoscope_loader::{self as loader, Live, Loader};
+use panoscope_host::loader::{self as loader, Live, Loader};
 use panoscope_record::{RecordOptions, Recorder, ReplayOptions, head};
 use pyo3::prelude::*;
 

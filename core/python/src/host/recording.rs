@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use panoscope_abi::Frame;
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 use panoscope_record::{PortTypes, Recording};
 use pyo3::prelude::*;
 

@@ -10,7 +10,7 @@ use panoscope_engine::log::{Level, LogFn};
 use panoscope_engine::sync::lock;
 use panoscope_engine::{Engine, Outcome};
 use panoscope_graph::GraphText;
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 use panoscope_record::{Recorded, Recorder, Replay, ReplayError, ReplayOptions};
 use pyo3::prelude::*;
 use serde_json::json;

@@ -12,7 +12,7 @@ use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Time without a budget after which a call counts as hung: that of a program, whatever the environment of the tests says.

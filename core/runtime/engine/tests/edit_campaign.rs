@@ -11,7 +11,7 @@ use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::Cause;
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 
 /// Changes of a case.
 const EDITS: usize = 16;

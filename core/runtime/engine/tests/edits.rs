@@ -6,8 +6,8 @@ use crate::common::{PATIENCE, flow_plugin, loader, scratch};
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{Graph, GraphText, check};
-use panoscope_loader::live::{FileWatch, LiveError};
-use panoscope_loader::{Live, Loader};
+use panoscope_host::loader::live::{FileWatch, LiveError};
+use panoscope_host::loader::{Live, Loader};
 
 const HEAD: &str = "mode = \"live\"\nplugins = [\"flow\", \"fixtures\"]\n";
 

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::common::{PATIENCE, loader};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 
 const TEXT: &str = r#"
 mode = "live"

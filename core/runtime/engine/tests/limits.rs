@@ -9,7 +9,7 @@ use panoscope_engine::fault::{Action, Cause};
 use panoscope_engine::log::Level;
 use panoscope_engine::{Engine, Listener, Options, Outcome, StartError};
 use panoscope_graph::{GraphText, ParamValue, check};
-use panoscope_loader::{Live, Loader};
+use panoscope_host::loader::{Live, Loader};
 use panoscope_record::{Output, RecordOptions, Recorder, head};
 
 /// Longer than any limit here, but not than a test that waits for a call instead of leaving it behind.

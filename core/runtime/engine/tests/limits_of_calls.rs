@@ -7,7 +7,7 @@ use crate::common::{PATIENCE, folders};
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 /// `source` -> `bad` of the plugin `chaos` -> `end`.
 fn start(mode: &str, kind: &str, settings: &str, options: Options) -> Engine {

@@ -9,7 +9,7 @@ use crate::format::{FORMAT, Head};
 use panoscope_engine::Machine;
 use panoscope_engine::Plugins;
 use panoscope_engine::fault::unix_ms;
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 /// Hashes of the files of a graph's plugins.
 pub(crate) fn plugin_hashes(graph: &Graph, loader: &Loader) -> Vec<FileHash> {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use panoscope_graph::{Catalog, Graph, GraphText};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 use crate::format::{Event, Head};
 use crate::recording::Recording;

@@ -13,7 +13,7 @@ use crate::script::{RecordedChange, Script};
 use panoscope_engine::ApplyError;
 use panoscope_engine::decide::Decider;
 use panoscope_engine::{Engine, Options, StartError};
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 /// How a recording is replayed.
 #[derive(Default)]

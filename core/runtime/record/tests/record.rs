@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::common::{PATIENCE, loader, scratch};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{GraphText, ParamValue, check};
-use panoscope_loader::Live;
+use panoscope_host::loader::Live;
 use panoscope_record::compare::{compare, compare_recordings};
 use panoscope_record::{
     Coding, Digests, Event, RecordOptions, Recorded, Recorder, Recording, RecordingError, Replay, ReplayError,

@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use panoscope_attach::tunnel::{self, ClockFrame, Frame, Kind};
 use panoscope_engine::sync::lock;
-use panoscope_isolate::system_ns;
+use panoscope_host::attach::tunnel::{self, ClockFrame, Frame, Kind};
+use panoscope_host::isolate::system_ns;
 use zenoh::Wait;
 use zenoh::pubsub::Publisher;
 use zenoh::sample::Sample;

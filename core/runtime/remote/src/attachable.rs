@@ -8,10 +8,10 @@ use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use panoscope_attach::Queue;
-use panoscope_attach::tunnel::{self, Frame, Kind};
 use panoscope_engine::sync::lock;
-use panoscope_isolate::system_ns;
+use panoscope_host::attach::Queue;
+use panoscope_host::attach::tunnel::{self, Frame, Kind};
+use panoscope_host::isolate::system_ns;
 use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};

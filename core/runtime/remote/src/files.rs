@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
-use panoscope_loader::sealed::Fingerprint;
+use panoscope_host::loader::sealed::Fingerprint;
 
-use panoscope_isolate::relay::messages::FileHash;
+use panoscope_host::isolate::relay::messages::FileHash;
 
 /// Hashes of files, each computed once for as long as the file stays as it is.
 #[derive(Default)]

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use gstreamer::Fraction;
 use panoscope_engine::isolation::Pixels;
-use panoscope_isolate::relay::messages::Picture;
+use panoscope_host::isolate::relay::messages::Picture;
 use panoscope_media::{Decoder, Encoder, EncoderSettings, Framing, MediaError, RateControl, VideoCodec};
 
 /// The constant rate factor of x264: 18 looks like the original.

@@ -14,7 +14,7 @@ use rcgen::{
     KeyUsagePurpose, SanType,
 };
 
-pub use panoscope_attach::KEYS_VARIABLE;
+pub use panoscope_host::attach::KEYS_VARIABLE;
 
 const AUTHORITY: &str = "authority.pem";
 const AUTHORITY_KEY: &str = "authority-key.pem";

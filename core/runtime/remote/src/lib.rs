@@ -10,7 +10,7 @@
 //! ([`keys`]); each host may use only its own keys of zenoh.
 //!
 //! Windows of other machines on a running graph use the same connections: [`attachable`] listens for them, [`attach`] is their end. Both carry
-//! frames of [`panoscope_attach::tunnel`] and do not look into them.
+//! frames of [`panoscope_host::attach::tunnel`] and do not look into them.
 
 pub mod attach;
 pub mod attachable;
@@ -30,6 +30,6 @@ mod sessions;
 /// What both machines must agree on: the version of Panoscope, of the ABI, and of the messages.
 pub fn version() -> String {
     use panoscope_abi::{ABI_MAJOR, ABI_MINOR};
-    let (version, messages) = (env!("CARGO_PKG_VERSION"), panoscope_isolate::PROTOCOL);
+    let (version, messages) = (env!("CARGO_PKG_VERSION"), panoscope_host::isolate::PROTOCOL);
     format!("Panoscope {version}, plugin ABI {ABI_MAJOR}.{ABI_MINOR}, messages {messages}")
 }

@@ -11,9 +11,9 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::isolation::Pixels;
 use panoscope_engine::sync::lock;
-use panoscope_isolate::relay::{self, Bytes, Given, Link, LinkLane, LinkNumbers, kind};
-use panoscope_isolate::{EXIT_LINK, system_ns};
-use panoscope_loader::sealed::Fingerprint;
+use panoscope_host::isolate::relay::{self, Bytes, Given, Link, LinkLane, LinkNumbers, kind};
+use panoscope_host::isolate::{EXIT_LINK, system_ns};
+use panoscope_host::loader::sealed::Fingerprint;
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 use zenoh::sample::Sample;
@@ -25,7 +25,7 @@ use crate::h264::{self, Decoders, Encoders};
 use crate::keys::Identity;
 use crate::mirror::{Pool, Pools};
 use crate::network::{self, Address, UNNAMED};
-use panoscope_isolate::relay::messages::{self as message, BadMessage, FileHash, Message, Turn};
+use panoscope_host::isolate::relay::messages::{self as message, BadMessage, FileHash, Message, Turn};
 
 /// Attempts to reach the machine in the time in which it counts as lost.
 const ATTEMPTS: u32 = 4;
@@ -43,7 +43,7 @@ struct Arguments {
 }
 
 impl Arguments {
-    /// Reads what follows [`panoscope_isolate::LINK_COMMAND`].
+    /// Reads what follows [`panoscope_host::isolate::LINK_COMMAND`].
     fn parse(words: &[OsString]) -> Option<Self> {
         let words: Vec<&str> = words.iter().map(|word| word.to_str()).collect::<Option<_>>()?;
         let [address, pixels, timeout_ms, plaintext, machine] = words[..] else { return None };
@@ -108,7 +108,7 @@ struct Connection {
     changed: Condvar,
 }
 
-/// Runs the process until its host is gone or its machine is lost. `words` is what follows [`panoscope_isolate::LINK_COMMAND`]; standard input is the
+/// Runs the process until its host is gone or its machine is lost. `words` is what follows [`panoscope_host::isolate::LINK_COMMAND`]; standard input is the
 /// socket of the host.
 pub fn run(words: &[OsString]) -> ! {
     let Some(arguments) = Arguments::parse(words) else {

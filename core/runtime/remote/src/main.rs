@@ -14,9 +14,9 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use panoscope_attach::tunnel::{ATTACH, ATTACHABLE};
 use panoscope_engine::heap;
-use panoscope_isolate::LINK_COMMAND;
+use panoscope_host::attach::tunnel::{ATTACH, ATTACHABLE};
+use panoscope_host::isolate::LINK_COMMAND;
 use panoscope_remote::keys::{Identity, KEYS_VARIABLE, Member, make};
 use panoscope_remote::serve::{Options, Server};
 use panoscope_remote::{attach, attachable, link, network, raw, refused};

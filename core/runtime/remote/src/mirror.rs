@@ -10,10 +10,10 @@ use std::time::Duration;
 use panoscope_engine::isolation::Pixels;
 use panoscope_engine::memory::MAX_POOLS;
 use panoscope_engine::sync::lock;
-use panoscope_isolate::relay::Bytes;
+use panoscope_host::isolate::relay::Bytes;
 
 use crate::h264::{Decoders, Encoders};
-use panoscope_isolate::relay::messages::{BadMessage, Coding, FrameHead};
+use panoscope_host::isolate::relay::messages::{BadMessage, Coding, FrameHead};
 
 /// Longest wait for a pool that the host has already sent.
 const MAX_WAIT: Duration = Duration::from_secs(1);

@@ -5,7 +5,7 @@ use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 
 use panoscope_engine::sync::lock;
-use panoscope_isolate::system_ns;
+use panoscope_host::isolate::system_ns;
 use zenoh::Wait;
 use zenoh::sample::Sample;
 
@@ -14,7 +14,7 @@ use crate::network::{self, Address, NetworkError, UNNAMED};
 use crate::served;
 use crate::sessions::{Delivered, Open, Shared};
 pub use crate::sessions::{LogFn, Options};
-use panoscope_isolate::relay::messages::{self as message, Message};
+use panoscope_host::isolate::relay::messages::{self as message, Message};
 
 /// Most groups at a time.
 const MAX_SESSIONS: usize = 32;

@@ -11,10 +11,10 @@ use std::time::Duration;
 
 use panoscope_engine::isolation::{Deny, Pixels};
 use panoscope_engine::sync::lock;
-use panoscope_isolate::relay::{self, Bytes, RelayError, Served, ServedLane, Settings, kind};
-use panoscope_isolate::system_ns;
-use panoscope_loader::sealed::SealedWriter;
-use panoscope_loader::{Loader, PluginFile, search_path};
+use panoscope_host::isolate::relay::{self, Bytes, RelayError, Served, ServedLane, Settings, kind};
+use panoscope_host::isolate::system_ns;
+use panoscope_host::loader::sealed::SealedWriter;
+use panoscope_host::loader::{Loader, PluginFile, search_path};
 use zenoh::Wait;
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
@@ -24,7 +24,7 @@ use crate::h264::{self, Decoders, Encoders};
 use crate::mirror::{self, Pool, Pools};
 use crate::network;
 use crate::sessions::{Delivered, Shared};
-use panoscope_isolate::relay::messages::{self as message, Message, Turn};
+use panoscope_host::isolate::relay::messages::{self as message, Message, Turn};
 
 /// A host that was silent for so many times the time that it gives this machine is gone.
 const PATIENCE: u32 = 2;
@@ -221,7 +221,7 @@ impl Group {
         lock(&self.folders).add(&folder(path), &folder(file));
         let image = copy.seal().map_err(unreadable)?;
         // Opened again, so that the position is at its begin and the process cannot move it.
-        let image = File::open(panoscope_loader::sealed::path_of(&image)).map_err(unreadable)?;
+        let image = File::open(panoscope_host::loader::sealed::path_of(&image)).map_err(unreadable)?;
         process.give_plugin(id, &image, file).map_err(|_| process.death())
     }
 

@@ -7,7 +7,7 @@ use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex};
 
 use panoscope_engine::sync::lock;
-use panoscope_isolate::relay::messages::Message;
+use panoscope_host::isolate::relay::messages::Message;
 use zenoh::Session;
 use zenoh::bytes::ZBytes;
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use eframe::egui::{self, Context, Frame, Key, Margin, RichText};
 use panoscope_editor_texts::text;
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 use super::App;
 use crate::panels::files::{Files, Target};

@@ -13,7 +13,7 @@ use panoscope_editor_texts::text;
 use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_eval::sweep::{COUNTERS, MAX_STEPS, Point, Request, can_sweep, csv};
 use panoscope_graph::ParamKind;
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 use super::cutout::Cutout;
 use super::plots::Export;

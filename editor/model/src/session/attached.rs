@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use panoscope_attach::{Attachment, Contact, State};
 use panoscope_engine::sync::lock;
+use panoscope_host::attach::{Attachment, Contact, State};
 
 use super::{Phase, Requests, RunProblem, Session, Shared, Wake};
 

@@ -17,7 +17,7 @@ use panoscope_editor_texts::phrase;
 use panoscope_engine::NodeWindow;
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_graph::ParamValue;
-use panoscope_loader::verify::Seal;
+use panoscope_host::loader::verify::Seal;
 
 use super::marks::{Mark, SIZE_PX};
 use crate::guard::{Recovery, Step};

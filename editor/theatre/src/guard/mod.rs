@@ -26,7 +26,7 @@ use panoscope_editor_model::session::{Phase, Session, Status, Wake};
 use panoscope_editor_texts::phrase;
 use panoscope_engine::sync::lock;
 use panoscope_graph::{GraphOptions, ParamValue};
-use panoscope_loader::verify::Seal;
+use panoscope_host::loader::verify::Seal;
 
 use process::Process;
 pub use process::Program;

@@ -7,7 +7,6 @@ mod memory;
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 
-use panoscope_audit::LockFacts;
 use panoscope_editor_model::arguments::Overlay;
 use panoscope_editor_model::content::{Content, Rig};
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
@@ -15,6 +14,7 @@ use panoscope_editor_model::session::{Phase, RunProblem, Status};
 use panoscope_engine::NodeWindow;
 use panoscope_engine::fault::Fault;
 use panoscope_graph::{GraphOptions, ParamValue};
+use panoscope_host::audit::LockFacts;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

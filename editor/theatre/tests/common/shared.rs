@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use panoscope_loader::{self as loader, Loader};
+use panoscope_host::loader::{self as loader, Loader};
 
 /// Maximum time to wait for a condition.
 pub const PATIENCE: Duration = Duration::from_secs(60);

@@ -8,12 +8,12 @@ use eframe::egui::{Key, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor_widgets::Shot;
-use panoscope_loader::lock::{ALWAYS_LOCKED, Lock};
+use panoscope_host::loader::lock::{ALWAYS_LOCKED, Lock};
 use panoscope_theatre::{OpenError, OpenFailed, Options, Ready, Theatre, Verified};
 
 fn lock(path: &Path) {
     use panoscope_graph::{GraphText, check};
-    use panoscope_loader::{self as loader, Loader};
+    use panoscope_host::loader::{self as loader, Loader};
     let loader = Loader::search(&loader::search_path(&[]));
     let text = GraphText::load(path).expect("it is there");
     let catalog = loader.catalog(&text.plugins());

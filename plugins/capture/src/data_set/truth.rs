@@ -1,11 +1,11 @@
 //! True disparity and depth of the left rectified view, from whatever the data set states.
 
-use panoscope_calibration::packet;
-use panoscope_data_sets::{Holds, Sequence, Truth};
+use panoscope_data::calibration::packet;
+use panoscope_data::data_sets::{Holds, Sequence, Truth};
+use panoscope_data::truth::{maps, points};
 use panoscope_imaging::stereo::{FloatImage, Rectification};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{Depth, Disparity, NodeError, Result, Slot, error};
-use panoscope_truth::{maps, points};
 
 /// Why an output of the truth stays empty, in words; `None` when it does not.
 pub(super) fn lacks(sequence: &Sequence, output: &str) -> Option<&'static str> {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_base::secret::redact;
-use panoscope_calibration::pictures::{self, is_image, is_pattern};
+use panoscope_data::calibration::pictures::{self, is_image, is_pattern};
 
 use super::error::CaptureError;
 use crate::devices;

@@ -5,7 +5,7 @@ use opencv::calib3d;
 use opencv::core::{Mat, Point2f, Ptr, Size, TermCriteria, TermCriteria_COUNT, TermCriteria_EPS, ToInputArray, Vector};
 use opencv::features2d::{Feature2D, SimpleBlobDetector};
 use opencv::imgproc;
-use panoscope_calibration::Board;
+use panoscope_data::calibration::Board;
 
 /// Points found: index on the board, place in px.
 pub type Points = Vec<(usize, [f32; 2])>;

@@ -1,6 +1,6 @@
 //! Pictures that show how good a calibration is: corners found, their coverage, rows after rectification.
 
-use panoscope_calibration::packet;
+use panoscope_data::calibration::packet;
 use panoscope_imaging::draw::{Color, cross, fill_circle, fill_rectangle, line, text};
 use panoscope_imaging::stereo::{RemapTable, StereoError};
 use panoscope_imaging::{Parallel, Rect, View, ViewMut};

@@ -8,7 +8,7 @@ mod draw;
 mod neighbours;
 mod solve;
 
-use panoscope_calibration::{Board, ViewState};
+use panoscope_data::calibration::{Board, ViewState};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
     Bgr8, Choice, Context, Gray8, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, TableData,

@@ -7,7 +7,7 @@ use opencv::calib3d::{
 };
 use opencv::core::{Mat, Point2f, Point3f, Size, TermCriteria, TermCriteria_COUNT, TermCriteria_EPS, Vector};
 use opencv::prelude::*;
-use panoscope_calibration::packet;
+use panoscope_data::calibration::packet;
 use panoscope_imaging::stereo::{CameraModel, Rectification};
 use panoscope_node::Choice;
 use panoscope_node::abi::{Calibration, Camera};

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::io::{self, BufRead, Seek};
 
-use panoscope_formats::json;
+use panoscope_data::formats::json;
 use panoscope_node::{Detections, Instances};
 
 /// Makes one line of a journal for each tick, and the file from the journal, so that memory does not grow with the run. Image ids are tick

@@ -1,4 +1,4 @@
-//! Formats that only sinks write; `panoscope_formats` has the others.
+//! Formats that only sinks write; `panoscope_data::formats` has the others.
 
 pub mod coco;
 pub mod mkv;

@@ -1,6 +1,6 @@
 //! `evaluate_cloud`: distances of points from the true surface.
 
-use panoscope_calibration::packet as calibration;
+use panoscope_data::calibration::packet as calibration;
 use panoscope_imaging::stereo::{Rectification, score_surface};
 use panoscope_node::abi::{Calibration, Scalar};
 use panoscope_node::{

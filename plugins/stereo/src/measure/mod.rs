@@ -10,7 +10,7 @@ use panoscope_node::{
     Slot, TableData, TextPacket, Validation, Value, error,
 };
 
-use panoscope_calibration::packet as calibration;
+use panoscope_data::calibration::packet as calibration;
 use surface::Surface;
 
 /// Kind of measurement.

@@ -1,11 +1,11 @@
 //! What a window and a running graph of another machine send each other.
 
-use panoscope_attach::message::{
-    Command, Incoming, Message, Opened, Wanted, read_command, read_incoming, write_command, write_message,
-};
-use panoscope_attach::{rules, tunnel};
 use panoscope_base::format;
 use panoscope_graph::{Catalog, GraphText, NodeType, PacketType, Port, check};
+use panoscope_host::attach::message::{
+    Command, Incoming, Message, Opened, Wanted, read_command, read_incoming, write_command, write_message,
+};
+use panoscope_host::attach::{rules, tunnel};
 
 pub fn run(bytes: &[u8]) {
     let mut frames = bytes;

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use panoscope_audit::{Event, Log, read};
-use panoscope_loader::sealed::Fingerprint;
+use panoscope_host::audit::{Event, Log, read};
+use panoscope_host::loader::sealed::Fingerprint;
 
 use crate::scratch;
 

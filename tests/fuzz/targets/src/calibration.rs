@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use panoscope_calibration::{Board, parse, text_of};
+use panoscope_data::calibration::{Board, parse, text_of};
 
 /// One file, or two divided by a line `#---`.
 pub fn file(bytes: &[u8]) {

@@ -14,8 +14,8 @@ use panoscope_engine::isolation::Isolator;
 use panoscope_engine::memory::{Domain, FrameRef, memory};
 use panoscope_engine::{Engine, Options, Plugins};
 use panoscope_graph::{Catalog, Graph, GraphText, check, from_abi};
-use panoscope_isolate::played::{self, Piece, Played, Step};
-use panoscope_loader::Loader;
+use panoscope_host::isolate::played::{self, Piece, Played, Step};
+use panoscope_host::loader::Loader;
 use panoscope_record::{RecordOptions, Recorder};
 
 use crate::draw::Draw;

@@ -2,7 +2,7 @@
 
 use std::os::unix::fs::PermissionsExt;
 
-use panoscope_loader::keys::{PublicKey, SecretKey, Trust};
+use panoscope_host::loader::keys::{PublicKey, SecretKey, Trust};
 
 use crate::scratch;
 

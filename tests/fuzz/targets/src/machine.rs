@@ -1,7 +1,7 @@
 //! Messages between a host and another machine.
 
 use panoscope_engine::isolation::Pixels;
-use panoscope_isolate::relay::messages::{
+use panoscope_host::isolate::relay::messages::{
     Coding, FileHash, FrameHead, MAX_FRAME_BYTES, Message, Picture, Turn, read, write,
 };
 

@@ -1,9 +1,9 @@
 //! Planes and clouds of numbers in files: PFM, NPY, TIFF, PNG, XYZ, PLY.
 
+use panoscope_data::truth::points;
 use panoscope_eval::eval::disparity::truth_files::{self, Loaded};
 use panoscope_imaging::stereo::FloatImage;
 use panoscope_imaging::stereo::formats::{read_npy, read_pfm, write_npy, write_pfm};
-use panoscope_truth::points;
 
 use crate::scratch;
 

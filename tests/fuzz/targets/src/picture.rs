@@ -1,8 +1,8 @@
 //! Pictures that the node `capture` decodes itself: PNG, EXR, TIFF, JPEG, BMP, PNM; masks of classes.
 
 use panoscope_capture::source::decode_picture;
+use panoscope_data::truth::masks::{Code, MaskPicture};
 use panoscope_media::input::jpeg;
-use panoscope_truth::masks::{Code, MaskPicture};
 
 /// Masks with fewer pixels are divided into their parts, which takes time in proportion.
 const MAX_PARTED: usize = 1 << 20;

@@ -6,9 +6,9 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use panoscope_abi as abi;
-use panoscope_loader::elf::{ElfError, OnDisk, Parts, read_note};
-use panoscope_loader::keys::{SecretKey, Trust};
-use panoscope_loader::lock::Lock;
+use panoscope_host::loader::elf::{ElfError, OnDisk, Parts, read_note};
+use panoscope_host::loader::keys::{SecretKey, Trust};
+use panoscope_host::loader::lock::Lock;
 
 use crate::scratch;
 

@@ -149,7 +149,7 @@ pub fn bag_seeds() -> Vec<Vec<u8>> {
 
 /// The head of a request.
 pub fn gate(bytes: &[u8]) {
-    let passes = panoscope_live::check_head(bytes).is_ok();
+    let passes = panoscope_export::live::check_head(bytes).is_ok();
     // What passes has one host, and it is an address or `localhost`.
     assert!(!passes || bytes.to_ascii_lowercase().windows(5).any(|five| five == b"host:"));
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use panoscope_editor_model::docks::{Layout, Panel, Side, Stored, Target};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::{presets, snapshots};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 const GRAPH: &str = "plugins = [\"p\"]\n[nodes.a]\ntype = \"t\"\nparams = { x = 1, y = 0.5, on = true }\n";
 

@@ -9,9 +9,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use panoscope_engine::Machine;
 use panoscope_graph::{NodeType, ParamKind, can_listen, installed};
-use panoscope_loader as loader;
-use panoscope_loader::graph_file;
-use panoscope_loader::keys::Trust;
+use panoscope_host::loader;
+use panoscope_host::loader::graph_file;
+use panoscope_host::loader::keys::Trust;
 
 use super::devices;
 use crate::installation::{Installation, Kind};
@@ -120,8 +120,8 @@ impl Doctor {
             }
             Err(error) => self.say(State::Bad, "trusted keys", &error.to_string()),
         }
-        let Some(folder) = panoscope_audit::folder() else { return };
-        match panoscope_audit::read(&folder) {
+        let Some(folder) = panoscope_host::audit::folder() else { return };
+        match panoscope_host::audit::read(&folder) {
             Ok(report) if report.problems.is_empty() => {
                 let about = format!("{} lines in {}, unbroken", report.entries.len(), folder.display());
                 self.say(State::Fine, "audit log", &about);
@@ -172,7 +172,7 @@ impl Doctor {
             );
             self.say(State::Optional, "real-time priority", &how);
         }
-        let panoscope_loader::isolated::Kernel { landlock, seccomp } = panoscope_loader::isolated::kernel();
+        let panoscope_host::loader::isolated::Kernel { landlock, seccomp } = panoscope_host::loader::isolated::kernel();
         match (landlock, seccomp) {
             (Some(version), true) => {
                 let about = format!("`deny` is enforced: network by seccomp, new files by Landlock {version}");
@@ -194,7 +194,7 @@ impl Doctor {
         out!("plugins");
         let mut any = false;
         for folder in loader::search_path(&[]) {
-            let found = panoscope_loader::Loader::search(std::slice::from_ref(&folder));
+            let found = panoscope_host::loader::Loader::search(std::slice::from_ref(&folder));
             let count = found.found().count();
             any |= count > 0;
             let about = match (folder.is_dir(), count) {
@@ -256,7 +256,7 @@ impl Doctor {
         self.say(State::Fine, "run --web PORT", web);
         let foxglove = "WebSocket, outputs and parameters for Foxglove; on 127.0.0.1; reads outputs and parameters; sets numbers, switches and choices only with --foxglove-set";
         self.say(State::Fine, "run --foxglove PORT|IP:PORT", foxglove);
-        for one in panoscope_attach::LISTENERS {
+        for one in panoscope_host::attach::LISTENERS {
             self.say(State::Fine, one.option, &format!("{}; on {}; {}", one.what, one.default_address, one.access));
         }
         let serve = "nodes of other machines over TLS; hosts that --allow names, with certificates of your authority";

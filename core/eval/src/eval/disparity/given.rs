@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use panoscope_calibration::packet;
+use panoscope_data::calibration::packet;
 use panoscope_imaging::stereo::{Rectification, StereoCameras, score_surface};
 
 use super::data::Picture;
@@ -44,7 +44,7 @@ impl Judge<'_> {
         ensure!((views[1].width, views[1].height) == size, "the views differ in size");
         let mut geometry: Option<Rectification> = None;
         if !given.calibration.is_empty() {
-            let calibration = panoscope_calibration::read(&given.calibration)?;
+            let calibration = panoscope_data::calibration::read(&given.calibration)?;
             geometry = Some(packet::rectification(&calibration)?);
             if given.rectify {
                 let cameras = StereoCameras {

@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Catalog, GraphOptions};
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 use toml::{Table, Value};
 
 use super::data::Picture;
@@ -106,7 +106,7 @@ impl OwnGraph {
         save(&file("left.png"), left)?;
         save(&file("right.png"), right)?;
         let size = (left.width as u32, left.height as u32);
-        panoscope_calibration::write(&file("scope.yml"), &level::calibration(size))?;
+        panoscope_data::calibration::write(&file("scope.yml"), &level::calibration(size))?;
         let text = |name: &str| Value::from(file(name).to_string_lossy().into_owned());
         let params = [("left", "left.png"), ("right", "right.png"), ("calibration", "scope.yml")];
         let params: Table = params.into_iter().map(|(param, name)| (param.to_owned(), text(name))).collect();

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::error::{Context, FileAction, OnFile, Result, bail, ensure};
+use panoscope_data::truth::maps;
 use panoscope_imaging::stereo::FloatImage;
-use panoscope_truth::maps;
 
 /// What a file of truth holds.
 pub enum Loaded {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use panoscope_graph::GraphOptions;
-use panoscope_loader::graph_file;
+use panoscope_host::loader::graph_file;
 
 use crate::error::{EvalError, Result};
 use crate::inputs::wiring::Wiring;

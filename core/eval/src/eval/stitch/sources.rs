@@ -76,7 +76,7 @@ fn text(path: &Path) -> Value {
 /// Plays the Hamlyn pairs of a folder; their calibration is put into `work`.
 pub fn hamlyn(folder: &Path, work: &Path) -> Result<Source> {
     let file = work.join("hamlyn.yml");
-    panoscope_calibration::write(&file, &level::calibration(HAMLYN))?;
+    panoscope_data::calibration::write(&file, &level::calibration(HAMLYN))?;
     let params = [
         ("left", text(&folder.join("left"))),
         ("right", text(&folder.join("right"))),

@@ -6,8 +6,8 @@ use foxglove::Encode;
 use foxglove::messages::{PoseInFrame, Timestamp};
 use panoscope_abi::Tick;
 use panoscope_base::packet;
-use panoscope_formats::fields::{self, Fields, JsonFields};
-use panoscope_formats::{Pixels, json};
+use panoscope_data::formats::fields::{self, Fields, JsonFields};
+use panoscope_data::formats::{Pixels, json};
 
 use super::schemas::Schema;
 use super::{frames, messages};

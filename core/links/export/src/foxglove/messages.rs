@@ -9,9 +9,9 @@ use foxglove::messages::{
 };
 use panoscope_abi as abi;
 use panoscope_base::packet::Detections;
-use panoscope_calibration::ros::CameraInfo;
-use panoscope_formats::array::{self, ArrayFormat};
-use panoscope_formats::{Pixels, ply, still};
+use panoscope_data::calibration::ros::CameraInfo;
+use panoscope_data::formats::array::{self, ArrayFormat};
+use panoscope_data::formats::{Pixels, ply, still};
 
 use super::frames::{self, LEFT_RECTIFIED, MM};
 

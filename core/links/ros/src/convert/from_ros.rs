@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use image::{DynamicImage, ImageFormat, ImageReader, Limits};
 use panoscope_abi as abi;
-use panoscope_calibration::ros::{CameraInfo as Info, CameraInfoError};
+use panoscope_data::calibration::ros::{CameraInfo as Info, CameraInfoError};
 
 use crate::messages::{
     CameraInfo, CompressedImage, Detection2DArray, DisparityImage, Image, JointState, PointCloud2, PointField,
@@ -382,7 +382,7 @@ mod tests {
     use std::borrow::Cow;
 
     use panoscope_base::View;
-    use panoscope_formats::Pixels;
+    use panoscope_data::formats::Pixels;
 
     use super::*;
     use crate::convert::{detections_message, disparity_message, header, image_message, points_message};

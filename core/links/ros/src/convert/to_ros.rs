@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use panoscope_abi as abi;
 use panoscope_base::View;
 use panoscope_base::packet;
-use panoscope_calibration::ros::CameraInfo as Info;
-use panoscope_formats::{Pixels, still};
+use panoscope_data::calibration::ros::CameraInfo as Info;
+use panoscope_data::formats::{Pixels, still};
 
 use crate::messages::{
     BoundingBox2D, Bytes, CameraInfo, CompressedImage, Detection2D, Detection2DArray, DisparityImage, Header, Image,

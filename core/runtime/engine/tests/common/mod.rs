@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::{GraphText, check};
-use panoscope_loader::Loader;
+use panoscope_host::loader::Loader;
 
 /// Longest that any graph here may take.
 pub const PATIENCE: Duration = Duration::from_secs(60);

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::{Picture, Truth, files, picture_called, size_of};
+use panoscope_data::truth::labels;
 use panoscope_imaging::detect::Object;
-use panoscope_truth::labels;
 
 use crate::error::{Context, FileAction, OnFile, Result, bail};
 use crate::session::{Session, note};

@@ -4,8 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use super::{Picture, Truth, files, outlined, size_of};
+use panoscope_data::truth::labels::{self, LabelError, YoloShape};
 use panoscope_imaging::detect::{Mask, Object};
-use panoscope_truth::labels::{self, LabelError, YoloShape};
 
 use crate::error::{EvalError, FileAction, OnFile, Result, bail};
 

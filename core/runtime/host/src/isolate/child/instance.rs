@@ -1,0 +1,293 @@
+//! One instance in the child: the requests of its lane, one after the other.
+
+use std::cell::Cell;
+use std::ffi::c_void;
+use std::time::{Duration, Instant};
+
+use panoscope_abi::{self as abi, Frame, NodeType, PortRange, Status, Str};
+use panoscope_engine::isolation::STATUS_DIED;
+
+use super::table::{self, CallFrame, ChildLane};
+use super::{Child, EXIT_PROTOCOL, describe, leave, pools};
+use crate::isolate::lane::{Lost, Side};
+use crate::isolate::wire::{BadMessage, Kind, Params, Reader, Writer};
+
+/// How long a process that describes plugins waits for the next question.
+const MAX_IDLE: Duration = Duration::from_secs(10);
+/// Longest position of a source that is sent with every tick.
+const MAX_POSITION_BYTES: usize = 16 << 10;
+
+thread_local! {
+    /// The node type whose `open` runs on this thread.
+    static OPENING: Cell<Option<&'static NodeType>> = const { Cell::new(None) };
+}
+
+/// The node type whose `open` runs on this thread: for node types that share their functions.
+pub fn opening() -> Option<&'static NodeType> {
+    OPENING.get()
+}
+
+/// The instance of a lane.
+struct Instance<'c> {
+    child: &'c Child,
+    lane: &'c ChildLane,
+    /// `None` before it is open.
+    node_type: Option<&'static NodeType>,
+    raw: *mut c_void,
+    host: abi::Host,
+    node: String,
+    params: Params,
+    state: Vec<u8>,
+    inputs: Vec<Frame>,
+    ranges: Vec<PortRange>,
+    outputs: Vec<Frame>,
+    /// Formats of each output, one bit each.
+    formats: Vec<u32>,
+    /// Where a source is after the last call; empty for none.
+    position: Vec<u8>,
+    /// The tick of the last call as the node left it.
+    made_at: abi::Tick,
+}
+
+/// Serves the requests of a lane until its instance is closed.
+pub(super) fn serve(child: &Child, lane: &ChildLane) {
+    let _visit = child.pool.visit();
+    let mut this = Instance {
+        child,
+        lane,
+        node_type: None,
+        raw: std::ptr::null_mut(),
+        host: abi::Host { ..*child.host },
+        node: String::new(),
+        params: Params::default(),
+        state: Vec::new(),
+        inputs: Vec::new(),
+        ranges: Vec::new(),
+        outputs: Vec::new(),
+        formats: Vec::new(),
+        position: Vec::new(),
+        made_at: abi::Tick::default(),
+    };
+    let (mut message, mut out) = (Vec::new(), Vec::new());
+    // A process that only describes plugins leaves when it is not needed for a while.
+    let mut deadline = None;
+    loop {
+        let kind = match lane.lane.receive_until(Side::Child, &mut message, deadline) {
+            Ok(kind) => kind,
+            Err(Lost::Late) => leave(0),
+            Err(_) => return,
+        };
+        if let Kind::Describe | Kind::Validate = kind {
+            lane.begin(&mut out);
+            let mut reader = Reader(&message);
+            let done = table::within(lane, || match kind {
+                Kind::Describe => describe::describe(child, &mut reader, &mut out),
+                _ => describe::validate(child, &mut reader, &mut out),
+            });
+            if done.is_err() {
+                leave(EXIT_PROTOCOL);
+            }
+            lane.lane.post(Side::Child, Kind::Done, &out);
+            deadline = Some(Instant::now() + MAX_IDLE);
+            continue;
+        }
+        let served = table::within(lane, || this.request(kind, &message));
+        let Ok(status) = served else { leave(EXIT_PROTOCOL) };
+        lane.begin(&mut out);
+        // A plugin's own status of this number would be taken for the end of the process.
+        Writer(&mut out).i32(if status == STATUS_DIED { abi::STATUS_ERROR } else { status });
+        if kind == Kind::Process {
+            this.write_outputs(&mut out);
+        }
+        let is_over = kind == Kind::Close || this.node_type.is_none();
+        lane.lane.post(Side::Child, Kind::Done, &out);
+        if is_over {
+            return;
+        }
+    }
+}
+
+impl<'c> Instance<'c> {
+    fn request(&mut self, kind: Kind, message: &[u8]) -> Result<Status, BadMessage> {
+        let mut reader = Reader(message);
+        if kind == Kind::Open {
+            return self.open(&mut reader);
+        }
+        let node_type = self.node_type.ok_or(BadMessage)?;
+        let (raw, host) = (self.raw, &raw const self.host);
+        Ok(match kind {
+            Kind::Process => return self.process(node_type, &mut reader),
+            Kind::Close => {
+                if let Some(close) = node_type.close {
+                    // SAFETY: opened by `open` and closed once.
+                    unsafe { close(raw) };
+                }
+                abi::STATUS_OK
+            }
+            Kind::SaveState => {
+                let mut state = Vec::new();
+                let status = table::save_state(node_type, raw, &self.host, &mut state);
+                self.lane.send_state(&state);
+                status
+            }
+            Kind::LoadPart => {
+                self.state.extend_from_slice(reader.bytes()?);
+                abi::STATUS_OK
+            }
+            Kind::LoadState => {
+                let state = std::mem::take(&mut self.state);
+                match node_type.load_state {
+                    // SAFETY: an open instance that only this thread uses; the bytes live until the call returns.
+                    Some(load) => unsafe { load(raw, state.as_ptr(), state.len()) },
+                    None => abi::STATUS_INVALID,
+                }
+            }
+            Kind::Finish => match node_type.finish_function() {
+                Some(finish) => {
+                    let mut call = self.call(abi::Tick::default());
+                    // SAFETY: an open instance that only this thread uses; table and handle live until the call returns.
+                    unsafe { finish(raw, host, (&raw mut call).cast()) }
+                }
+                None => abi::STATUS_OK,
+            },
+            _ => return Err(BadMessage),
+        })
+    }
+
+    /// The target of a call's handle, without inputs and outputs.
+    fn call(&self, tick: abi::Tick) -> CallFrame<'c> {
+        self.lane.forget_sent();
+        CallFrame {
+            lane: self.lane,
+            node: self.node.clone(),
+            tick,
+            outputs: std::ptr::null_mut(),
+            outputs_len: 0,
+            formats: &[],
+            random: None,
+            file: String::new(),
+        }
+    }
+
+    fn open(&mut self, reader: &mut Reader<'_>) -> Result<Status, BadMessage> {
+        let (plugin, index, flags, threads) = (reader.u32()?, reader.u32()?, reader.u32()?, reader.u32()?);
+        let outputs_read = reader.u64()?;
+        self.node = reader.text()?.to_owned();
+        let graph_dir = reader.text()?;
+        self.params = reader.params()?;
+        self.host.threads = threads;
+        let found = self.child.node_type(plugin, index);
+        let node_type = match found {
+            Ok(node_type) => node_type,
+            Err(error) => {
+                let words = error.to_string();
+                let mut call = self.call(abi::Tick::default());
+                if let Some(fail) = self.host.fail {
+                    // SAFETY: the handle and the words live until the call returns.
+                    unsafe { fail((&raw mut call).cast(), Str::borrow(&words)) };
+                }
+                return Ok(abi::STATUS_ERROR);
+            }
+        };
+        let mut call = self.call(abi::Tick::default());
+        let mut open_call = abi::OpenCall {
+            struct_size: size_of::<abi::OpenCall>() as u32,
+            flags,
+            host: &raw const self.host,
+            call: (&raw mut call).cast(),
+            node_id: Str::borrow(&self.node),
+            params: self.params.values.as_ptr(),
+            params_len: self.params.values.len(),
+            graph_dir: Str::borrow(graph_dir),
+            outputs_read,
+        };
+        let mut raw = std::ptr::null_mut();
+        OPENING.set(Some(node_type));
+        let status = match node_type.open {
+            // SAFETY: the plugin contract; everything that the call points to lives until it returns, the table as long as the instance.
+            Some(open) => unsafe { open(&raw mut open_call, &raw mut raw) },
+            None => abi::STATUS_INVALID,
+        };
+        OPENING.set(None);
+        if status == abi::STATUS_OK {
+            // SAFETY: a validated descriptor of a plugin that stays mapped.
+            let outputs = (0..node_type.outputs_len).map(|at| unsafe { (*node_type.outputs.add(at)).formats });
+            self.formats = outputs.collect();
+            (self.raw, self.node_type) = (raw, Some(node_type));
+        }
+        Ok(status)
+    }
+
+    fn process(&mut self, node_type: &NodeType, reader: &mut Reader<'_>) -> Result<Status, BadMessage> {
+        let (flags, tick) = (reader.u32()?, reader.tick()?);
+        let (outputs_read, params_version) = (reader.u64()?, reader.u64()?);
+        if reader.u32()? == 1 {
+            self.params = reader.params()?;
+        }
+        self.ranges.clear();
+        for _ in 0..reader.count(8)? {
+            self.ranges.push(PortRange { first: reader.u32()?, count: reader.u32()? });
+        }
+        self.inputs.clear();
+        for _ in 0..reader.count(1)? {
+            let frame = reader.frame()?;
+            let data = if frame.is_empty() { std::ptr::null_mut() } else { pools::resolve(frame.buffer) };
+            if data.is_null() && !frame.is_empty() {
+                return Err(BadMessage);
+            }
+            self.inputs.push(Frame { data, ..frame });
+        }
+        let outputs_len = usize::try_from(reader.u64()?).map_err(|_| BadMessage)?;
+        if outputs_len != self.formats.len() {
+            return Err(BadMessage);
+        }
+        self.lane.receive_sent(outputs_len, reader)?;
+        self.outputs.clear();
+        self.outputs.resize(outputs_len, Frame::EMPTY);
+        let outputs = self.outputs.as_mut_ptr();
+        let node = std::mem::take(&mut self.node);
+        let (lane, formats, file) = (self.lane, &self.formats[..], String::new());
+        let mut frame = CallFrame { lane, node, tick, outputs, outputs_len, formats, random: None, file };
+        let mut call = abi::Call {
+            struct_size: size_of::<abi::Call>() as u32,
+            flags,
+            host: &raw const self.host,
+            call: (&raw mut frame).cast(),
+            tick,
+            inputs: self.inputs.as_ptr(),
+            inputs_len: self.inputs.len(),
+            input_ranges: self.ranges.as_ptr(),
+            input_ranges_len: self.ranges.len(),
+            outputs,
+            outputs_len,
+            params: self.params.values.as_ptr(),
+            params_len: self.params.values.len(),
+            params_version,
+            outputs_read,
+        };
+        let status = match node_type.process {
+            // SAFETY: the plugin contract: an open instance that only this thread uses, and a call whose parts outlive it.
+            Some(process) => unsafe { process(self.raw, &raw mut call) },
+            None => abi::STATUS_INVALID,
+        };
+        self.made_at = call.tick;
+        self.node = frame.node;
+        self.position.clear();
+        if node_type.flags & abi::NODE_SOURCE != 0 && status == abi::STATUS_OK {
+            // If the process dies, the next instance goes on here.
+            let saved = table::save_state(node_type, self.raw, &self.host, &mut self.position);
+            if saved != abi::STATUS_OK || self.position.len() > MAX_POSITION_BYTES {
+                self.position.clear();
+            }
+        }
+        Ok(status)
+    }
+
+    /// The tick and the outputs as the node left them, and where a source is.
+    fn write_outputs(&self, out: &mut Vec<u8>) {
+        let mut out = Writer(out);
+        out.tick(&self.made_at).u64(self.outputs.len() as u64);
+        self.outputs.iter().for_each(|frame| _ = out.frame(frame));
+        out.bytes(&self.position);
+    }
+}

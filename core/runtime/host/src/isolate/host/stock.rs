@@ -1,0 +1,61 @@
+//! Buffers that the host reserves for the next call of an instance, so that its outputs are made without asking.
+
+use panoscope_abi::{BufferId, Frame};
+use panoscope_engine::memory::{FrameRef, memory, room_for};
+
+use super::process::Process;
+use crate::isolate::wire::Writer;
+
+/// A buffer is replaced when the output needs less than this share of it.
+const MIN_SHARE: usize = 4;
+
+/// At most one buffer per output, as large as the output was when it was made last.
+#[derive(Default)]
+pub(super) struct Stock {
+    outputs: Vec<Reserve>,
+}
+
+#[derive(Default)]
+struct Reserve {
+    wanted_bytes: usize,
+    buffer: Option<FrameRef>,
+}
+
+impl Stock {
+    /// The node made an output of this many bytes.
+    pub fn note(&mut self, output: u32, len: usize) {
+        let len = room_for(len);
+        if let Some(reserve) = self.outputs.get_mut(output as usize)
+            && (len > reserve.wanted_bytes || len < reserve.wanted_bytes / MIN_SHARE)
+        {
+            *reserve = Reserve { wanted_bytes: len, buffer: None };
+        }
+    }
+
+    /// Reserves what is missing, and writes what there is: for each output a buffer and its size, size 0 for none.
+    pub fn write(&mut self, outputs_len: usize, process: &Process, out: &mut Writer<'_>) {
+        self.outputs.resize_with(outputs_len, Reserve::default);
+        for reserve in &mut self.outputs {
+            if reserve.buffer.is_none() && reserve.wanted_bytes > 0 {
+                reserve.buffer = buffer(reserve.wanted_bytes, process);
+            }
+            match &reserve.buffer {
+                Some(buffer) => out.buffer(buffer.frame().buffer).u64(buffer.frame().len as u64),
+                None => out.buffer(BufferId::default()).u64(0),
+            };
+        }
+    }
+
+    /// The buffer of an output, which the child has used.
+    pub fn take(&mut self, output: u32) -> Option<FrameRef> {
+        self.outputs.get_mut(output as usize)?.buffer.take()
+    }
+}
+
+/// A buffer in the memory of the process; `None` while frame memory is used up.
+fn buffer(len: usize, process: &Process) -> Option<FrameRef> {
+    let (buffer, data) = memory().allocate_in(process.domain(), len).ok()?;
+    // SAFETY: the one reference of a new buffer of at least `len` bytes.
+    let frame = unsafe { FrameRef::adopt(Frame { buffer, data, len, ..Frame::EMPTY }) };
+    process.give_pool(buffer).ok().map(|()| frame)
+}

@@ -1,0 +1,168 @@
+//! The host's end of a connection: a process that the host takes for the process of a group.
+
+use std::ffi::OsStr;
+use std::fs::File;
+use std::io;
+use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+use std::os::unix::ffi::OsStrExt;
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+use super::{RelayError, Settings};
+use crate::isolate::PROTOCOL;
+use crate::isolate::lane::{Lane, Side};
+use crate::isolate::socket::{self, Tag};
+use crate::isolate::wire::{BadMessage, Kind, Reader};
+use panoscope_engine::isolation::Deny;
+
+/// The connection to the host.
+pub struct Link {
+    socket: OwnedFd,
+    /// What the group is to be like.
+    pub settings: Settings,
+}
+
+/// Something that the host gives.
+pub enum Given {
+    /// A pool of frames, to map.
+    Pool {
+        /// Its number.
+        number: u32,
+        /// Its size in bytes, which is sealed.
+        len: usize,
+        /// Whether the group writes it. Others are open for reading only.
+        is_own: bool,
+        /// Its bytes.
+        file: File,
+    },
+    /// A plugin.
+    Plugin {
+        /// Its number.
+        id: u32,
+        /// Where the host found it.
+        path: PathBuf,
+        /// A copy of its bytes.
+        image: File,
+    },
+    /// A lane of a new instance.
+    Lane(LinkLane),
+}
+
+impl Link {
+    /// Takes the socket that is this process's standard input, and the host's first message.
+    ///
+    /// # Errors
+    /// There is no host, or it is of another version.
+    pub fn take() -> io::Result<Self> {
+        // SAFETY: plain system calls; standard input is the socket that the host gave, and nothing else in this process uses it.
+        let socket = unsafe {
+            let socket = libc::fcntl(0, libc::F_DUPFD_CLOEXEC, 3);
+            if socket < 0 {
+                return Err(io::Error::last_os_error());
+            }
+            let nothing = File::open("/dev/null")?;
+            libc::dup2(nothing.as_raw_fd(), 0);
+            // A terminal's Ctrl-C goes to all processes of the command; the host ends this one when it is done.
+            for signal in [libc::SIGINT, libc::SIGHUP, libc::SIGTERM, libc::SIGPIPE] {
+                libc::signal(signal, libc::SIG_IGN);
+            }
+            OwnedFd::from_raw_fd(socket)
+        };
+        let (message, _) = socket::receive(socket.as_fd())?;
+        let settings = hello(&message)
+            .map_err(|_| io::Error::other("the programs are of different versions; install both again"))?;
+        Ok(Self { socket, settings })
+    }
+
+    /// Waits for what the host gives next; `None` when the host is gone.
+    ///
+    /// # Errors
+    /// The host is of another build, or memory cannot be mapped.
+    pub fn next(&self) -> io::Result<Option<Given>> {
+        let (message, file) = socket::receive(self.socket.as_fd())?;
+        if message.is_empty() {
+            return Ok(None);
+        }
+        read(&message, file).map(Some)
+    }
+}
+
+fn read(message: &[u8], file: Option<OwnedFd>) -> io::Result<Given> {
+    let bad = |_| io::Error::other(RelayError::Bad);
+    let file = File::from(file.ok_or(BadMessage).map_err(bad)?);
+    let mut reader = Reader(message);
+    let number = |reader: &mut Reader<'_>| reader.u32().map_err(bad);
+    match Tag::of(number(&mut reader)?) {
+        Some(Tag::Pool) => {
+            let number = number(&mut reader)?;
+            let len = usize::try_from(reader.u64().map_err(bad)?).map_err(|_| bad(BadMessage))?;
+            let is_own = reader.u32().map_err(bad)? == 1;
+            Ok(Given::Pool { number, len, is_own, file })
+        }
+        Some(Tag::Plugin) => {
+            let id = number(&mut reader)?;
+            let path = PathBuf::from(OsStr::from_bytes(reader.bytes().map_err(bad)?));
+            Ok(Given::Plugin { id, path, image: file })
+        }
+        Some(Tag::Lane) => Ok(Given::Lane(LinkLane(Lane::map(&file)?))),
+        Some(Tag::Hello) | None => Err(bad(BadMessage)),
+    }
+}
+
+fn hello(message: &[u8]) -> Result<Settings, BadMessage> {
+    let mut reader = Reader(message);
+    let (tag, protocol, threads) = (reader.u32()?, reader.u32()?, reader.u32()?);
+    if tag != Tag::Hello as u32 || protocol != PROTOCOL {
+        return Err(BadMessage);
+    }
+    let memory_bytes = reader.u64()?;
+    let deny = Deny { network: reader.u32()? == 1, new_files: reader.u32()? == 1 };
+    Ok(Settings { threads, memory_bytes, deny })
+}
+
+/// What a link knows of its connection.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LinkNumbers {
+    /// The other machine's clock minus this one's, ns, and its largest error; `None` while it is unknown.
+    pub clock: Option<(i64, u64)>,
+    /// Time there and back of the last probe, ns.
+    pub round_trip_ns: u64,
+    /// Bytes sent.
+    pub sent_bytes: u64,
+    /// Bytes received.
+    pub received_bytes: u64,
+}
+
+/// The process's side of a lane.
+pub struct LinkLane(Lane);
+
+impl LinkLane {
+    /// Waits for a message of the host; returns its kind.
+    ///
+    /// # Errors
+    /// The host is gone, or of another build.
+    pub fn receive(&self, message: &mut Vec<u8>) -> Result<u32, RelayError> {
+        Ok(self.0.receive(Side::Child, message)? as u32)
+    }
+
+    /// Passes a message on to the host.
+    ///
+    /// # Errors
+    /// There is no such kind.
+    pub fn post(&self, kind: u32, message: &[u8]) -> Result<(), RelayError> {
+        let kind = Kind::of(kind).ok_or(RelayError::Bad)?;
+        self.0.post(Side::Child, kind, message);
+        Ok(())
+    }
+
+    /// Shows the host what is known of the connection.
+    pub fn show(&self, numbers: &LinkNumbers) {
+        let link = self.0.link();
+        let (offset_ns, uncertainty_ns) = numbers.clock.unwrap_or_default();
+        link.clock_offset_ns.store(offset_ns, Ordering::Relaxed);
+        link.clock_uncertainty_ns.store(uncertainty_ns, Ordering::Relaxed);
+        link.round_trip_ns.store(numbers.round_trip_ns, Ordering::Relaxed);
+        link.sent_bytes.store(numbers.sent_bytes, Ordering::Relaxed);
+        link.received_bytes.store(numbers.received_bytes, Ordering::Relaxed);
+    }
+}

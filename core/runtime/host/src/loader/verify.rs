@@ -1,0 +1,339 @@
+//! Opens a graph under its lock: nothing of it is used before it was compared, and what was compared is what is used.
+//!
+//! The order is what keeps the promise:
+//!
+//! 1. The graph's files, the plugins, their libraries and the programs are compared on disk. No code of a plugin has run so far.
+//! 2. The plugins are loaded, each from a sealed copy whose hash is compared once more before it is mapped. Now their node types say which
+//!    parameters name files.
+//! 3. Those files are copied into sealed memory, and the copies are compared. ONNX Runtime is loaded from its copy.
+//! 4. Nodes get the paths of the copies instead of those of the files, whenever they open.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use panoscope_base::onnx;
+use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, ParamKind, ParamValue, check};
+
+use crate::loader::depends::{self, DataFile, Named};
+use crate::loader::lock::{Difference, Lock};
+use crate::loader::locked_file::{Kind, LockedFile};
+use crate::loader::sealed::{self, Fingerprint, SealedWriter};
+use crate::loader::search::{Loader, search_path};
+
+/// Why a graph was not opened under its lock.
+#[derive(Debug, thiserror::Error)]
+pub enum VerifyError {
+    /// Files differ from the lock.
+    #[error("the graph differs from its lock:\n{}", .0.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n"))]
+    Differs(Vec<Difference>),
+    /// The graph has mistakes.
+    #[error("{}", .0.render(false).trim_end())]
+    Check(Diagnostics),
+    /// ONNX Runtime was compared, but cannot be loaded.
+    #[error("ONNX Runtime is as it was locked, but cannot be loaded: {0}")]
+    Runtime(String),
+}
+
+/// A graph whose code and files are as they were locked.
+pub struct Verified {
+    /// The graph; [`Seal::apply`] makes its nodes read the sealed copies.
+    pub graph: Graph,
+    /// Node types of its plugins.
+    pub catalog: Catalog,
+    /// Its plugins; loads no others.
+    pub loader: Loader,
+    /// What was odd but not wrong.
+    pub warnings: Diagnostics,
+    /// The files that its nodes may read.
+    pub seal: Arc<Seal>,
+}
+
+/// A graph would read a file that its lock does not have, or that is not as it was locked.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{param}` of `{node}` names {file}, which {reason}", file = file.display())]
+pub struct NotLocked {
+    /// The node.
+    pub node: String,
+    /// The parameter.
+    pub param: String,
+    /// The file.
+    pub file: PathBuf,
+    /// Why it is not read and what to do: continues a sentence about the file.
+    pub reason: &'static str,
+}
+
+/// The files that the nodes of a verified graph may read, each a copy in memory that nobody can change.
+#[derive(Debug, Default)]
+pub struct Seal {
+    files: Mutex<SealedFiles>,
+    folder: PathBuf,
+}
+
+#[derive(Debug, Default)]
+struct SealedFiles {
+    /// Paths of the copies by the files they were made of, under each of [`names_of`].
+    copies: BTreeMap<PathBuf, PathBuf>,
+    /// Files that were compared and are read from disk: recorded pictures, which may be larger than the memory.
+    inputs: BTreeSet<PathBuf>,
+    /// Files that were not as they were locked; they are compared again when a graph is to read them.
+    withheld: Vec<DataFile>,
+    /// What the lock says of files, where some are withheld.
+    locked: Vec<LockedFile>,
+}
+
+impl Seal {
+    /// Copies files into sealed memory. Returns the fingerprints of what was copied, in the same order, empty for a file that cannot be read; and
+    /// the copy of ONNX Runtime, if it is among them.
+    pub fn of(files: &[DataFile], folder: &Path) -> (Self, Vec<LockedFile>, Option<PathBuf>) {
+        let mut seal = SealedFiles::default();
+        let (mut locked, mut runtime) = (Vec::with_capacity(files.len()), None);
+        let mut at = 0;
+        while let Some(file) = files.get(at) {
+            let weights = files[at + 1..].iter().take_while(|next| next.kind == Kind::Weights).count();
+            let group = &files[at..=at + weights];
+            at += group.len();
+            if file.kind == Kind::Input {
+                let fingerprint = Fingerprint::of_file(&file.path).unwrap_or_default();
+                seal.inputs.extend(names_of(&file.path));
+                locked.push((file, fingerprint));
+                continue;
+            }
+            match copy(group) {
+                Ok((path, fingerprints)) => {
+                    if file.kind == Kind::Runtime {
+                        runtime = Some(path);
+                    } else {
+                        seal.copies.extend(names_of(&file.path).map(|name| (name, path.clone())));
+                    }
+                    locked.extend(group.iter().zip(fingerprints));
+                }
+                Err(_) => locked.extend(group.iter().map(|file| (file, Fingerprint::default()))),
+            }
+        }
+        let locked = locked.into_iter().map(|(file, Fingerprint { bytes, sha256 })| LockedFile {
+            kind: file.kind,
+            name: file.name.clone(),
+            bytes,
+            sha256,
+        });
+        (Self { files: Mutex::new(seal), folder: folder.to_owned() }, locked.collect(), runtime)
+    }
+
+    /// Withholds the files that are not as the lock says; `now` has the fingerprints of `files`.
+    fn withhold(&mut self, files: &[DataFile], now: &[LockedFile], lock: &Lock) {
+        let sealed = self.files.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let differs = |name: &str| {
+            let of_file = now.iter().filter(|file| file.name == name || file.name.starts_with(&format!("{name}/")));
+            of_file.into_iter().any(|file| file.sha256.is_empty() || !lock.files.contains(file))
+        };
+        for file in files.iter().filter(|file| file.kind != Kind::Weights && differs(&file.name)) {
+            for name in names_of(&file.path) {
+                sealed.copies.remove(&name);
+                sealed.inputs.remove(&name);
+            }
+            sealed.withheld.push(file.clone());
+        }
+        sealed.locked.clone_from(&lock.files);
+    }
+
+    /// Makes the nodes of a graph read the sealed copies of their files.
+    ///
+    /// # Errors
+    /// A parameter names a file that was not compared with the lock or differs from it; the graph is then not to be used.
+    pub fn apply(&self, graph: &mut Graph, catalog: &Catalog) -> Result<(), NotLocked> {
+        let mut files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
+        files.compare_withheld(&self.folder);
+        files.apply(graph, catalog, &self.folder)
+    }
+}
+
+impl SealedFiles {
+    /// Seals withheld files that are by now as they were locked.
+    fn compare_withheld(&mut self, folder: &Path) {
+        for file in std::mem::take(&mut self.withheld) {
+            let group = file.clone().with_weights();
+            let (seal, now, _) = Seal::of(&group, folder);
+            if now.iter().all(|file| !file.sha256.is_empty() && self.locked.contains(file)) {
+                let seal = seal.files.into_inner().unwrap_or_else(PoisonError::into_inner);
+                self.copies.extend(seal.copies);
+                self.inputs.extend(seal.inputs);
+            } else {
+                self.withheld.push(file);
+            }
+        }
+    }
+
+    /// What a node reads for a file: its copy; the file itself where it was only compared, or is a copy already.
+    fn path_for(&self, file: &Path) -> Option<PathBuf> {
+        if let Some(copy) = names_of(file).find_map(|name| self.copies.get(&name).cloned()) {
+            return Some(copy);
+        }
+        let is_compared = names_of(file).any(|name| self.inputs.contains(&name));
+        let is_copy = self.copies.values().any(|copy| copy == file);
+        (is_compared || is_copy).then(|| file.to_owned())
+    }
+
+    fn apply(&self, graph: &mut Graph, catalog: &Catalog, folder: &Path) -> Result<(), NotLocked> {
+        for node in &mut graph.nodes {
+            let node_type = &catalog.node_types[node.type_index];
+            for (param, value) in node_type.params.iter().zip(&mut node.params) {
+                // First, because the file itself may be gone by now.
+                if let ParamValue::Path(file) = value
+                    && !param.writes
+                    && let Some(copy) = self.path_for(file)
+                {
+                    *value = ParamValue::Path(copy);
+                    continue;
+                }
+                let not_locked = |file: &PathBuf| NotLocked {
+                    node: node.id.clone(),
+                    param: param.name.clone(),
+                    file: file.clone(),
+                    reason: match self.withheld.iter().any(|withheld| names_of(&withheld.path).eq(names_of(file))) {
+                        true => "is not as it was locked; restore it, or lock the graph again with it",
+                        false => "the lock of the graph does not have; lock the graph again with it",
+                    },
+                };
+                match depends::files_of(param, value, folder) {
+                    None => {}
+                    Some(Named::One(file)) => return Err(not_locked(&file)),
+                    Some(Named::Listed(files)) => {
+                        let copies = files.iter().map(|file| self.path_for(file).ok_or_else(|| not_locked(file)));
+                        let copies = copies.collect::<Result<Vec<PathBuf>, NotLocked>>()?;
+                        // A source keeps its text: it is more than a list of files.
+                        if copies != files {
+                            let texts: Vec<String> = copies.iter().map(|path| path.display().to_string()).collect();
+                            *value = ParamValue::Text(texts.join(";"));
+                        }
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The names under which a file is known: absolute without `.` and `..`, and with links followed. The first also finds the copy of a file that
+/// was removed or replaced since.
+fn names_of(file: &Path) -> impl Iterator<Item = PathBuf> {
+    let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    let mut plain = PathBuf::new();
+    for part in whole.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir => _ = plain.pop(),
+            part => plain.push(part),
+        }
+    }
+    let real = file.canonicalize().ok().filter(|real| *real != plain);
+    std::iter::once(plain).chain(real)
+}
+
+/// Copies a file, or a model with the files of its weights, into sealed memory; returns the copy's path and the fingerprint of each file.
+fn copy(group: &[DataFile]) -> std::io::Result<(PathBuf, Vec<Fingerprint>)> {
+    let mut writer = SealedWriter::new(&group[0].path)?;
+    let mut fingerprints = vec![writer.append_file(&group[0].path)?];
+    for weights in &group[1..] {
+        let mut file = std::fs::File::open(&weights.path)?;
+        let len = file.metadata()?.len();
+        writer.append(&onnx::bundle_header(weights.location.as_deref().unwrap_or_default(), len))?;
+        let fingerprint = writer.append_from(&mut file)?;
+        if fingerprint.bytes != len {
+            return Err(std::io::Error::other(format!("{} changed while it was read", weights.path.display())));
+        }
+        fingerprints.push(fingerprint);
+    }
+    let names = group.iter().map(|file| file.location.as_deref().unwrap_or_default());
+    let contents: Vec<String> = names.zip(&fingerprints).map(|(name, f)| format!("{name}\0{}", f.sha256)).collect();
+    Ok((sealed::keep(contents.join("\0"), writer.seal()?, &group[0].path), fingerprints))
+}
+
+/// Loads ONNX Runtime from its sealed copy, before a node does from its file: nodes use the one that is loaded.
+fn load_runtime(copy: &Path) -> Result<(), VerifyError> {
+    // SAFETY: this runs the library's constructors; its bytes were compared with the lock, whose author answers for them.
+    let library = unsafe { libloading::os::unix::Library::open(Some(copy), libc::RTLD_NOW | libc::RTLD_LOCAL) };
+    // Its threads and statics outlive any handle.
+    library.map(std::mem::forget).map_err(|error| VerifyError::Runtime(error.to_string()))
+}
+
+/// The plugins that may run before a graph is opened, to ask for its arguments: those of its lock, or none where a plugin or library of the graph
+/// differs from it. Parts and overlays may still be missing, so they are not compared.
+pub fn loader_before_opening(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Loader {
+    let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(&lock.files);
+    let mut now = depends::code(text, loader.found(), extra_plugins);
+    now.retain(|file| matches!(file.kind, Kind::Plugin | Kind::Library));
+    match now.iter().all(|file| lock.files.contains(file)) {
+        true => loader,
+        false => Loader::default(),
+    }
+}
+
+/// Opens a graph under its lock once more, after an earlier process did: loads its plugins, and seals the files that are as they were locked. A graph
+/// that reads another file is refused until that one is as it was locked, too.
+///
+/// # Errors
+/// Code or ONNX Runtime differs from the lock, or the graph has mistakes.
+pub fn reopen(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<(Loader, Arc<Seal>), VerifyError> {
+    let loader = locked_code(text, lock, extra_plugins)?;
+    let catalog = loader.catalog_of(text);
+    let mut unasked = without_checks(&catalog);
+    for param in unasked.node_types.iter_mut().flat_map(|node_type| &mut node_type.params) {
+        if let ParamKind::Path { must_exist, .. } = &mut param.kind {
+            *must_exist = false;
+        }
+    }
+    let (graph, _) = check(text, &unasked).into_result().map_err(VerifyError::Check)?;
+    let folder = text.path().parent().unwrap_or(Path::new(""));
+    let files = depends::data(&graph, &catalog, folder);
+    let (mut seal, now, runtime) = Seal::of(&files, folder);
+    same_files(lock, &now.iter().filter(|file| file.kind == Kind::Runtime).cloned().collect::<Vec<_>>(), |kind| {
+        kind == Kind::Runtime
+    })?;
+    seal.withhold(&files, &now, lock);
+    if let Some(runtime) = runtime {
+        load_runtime(&runtime)?;
+    }
+    Ok((loader, Arc::new(seal)))
+}
+
+/// The plugins of a graph whose code is as it was locked; none was loaded yet.
+fn locked_code(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<Loader, VerifyError> {
+    let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(&lock.files);
+    same_files(lock, &depends::code(text, loader.found(), extra_plugins), Kind::is_code)?;
+    Ok(loader)
+}
+
+fn same_files(lock: &Lock, now: &[LockedFile], is_among: impl Fn(Kind) -> bool) -> Result<(), VerifyError> {
+    match lock.differences_among(now, is_among) {
+        differences if differences.is_empty() => Ok(()),
+        differences => Err(VerifyError::Differs(differences)),
+    }
+}
+
+/// Node types without the plugins' own checks, which read files.
+fn without_checks(catalog: &Catalog) -> Catalog {
+    let mut unasked = catalog.clone();
+    unasked.node_types.iter_mut().for_each(|node_type| node_type.validator = None);
+    unasked
+}
+
+/// Opens a graph under its lock. `extra_plugins` are those that the lock has besides the graph's own.
+///
+/// # Errors
+/// See [`VerifyError`]. Where files of step 1 differ, no plugin was loaded.
+pub fn open(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<Verified, VerifyError> {
+    let loader = locked_code(text, lock, extra_plugins)?;
+    let catalog = loader.catalog_of(text);
+    // The files are not compared yet.
+    let (graph, _) = check(text, &without_checks(&catalog)).into_result().map_err(VerifyError::Check)?;
+    let folder = text.path().parent().unwrap_or(Path::new(""));
+    let files = depends::data(&graph, &catalog, folder);
+    let (seal, now, runtime) = Seal::of(&files, folder);
+    same_files(lock, &now, |kind| !kind.is_code())?;
+    if let Some(runtime) = runtime {
+        load_runtime(&runtime)?;
+    }
+    let (graph, warnings) = check(text, &catalog).into_result().map_err(VerifyError::Check)?;
+    Ok(Verified { graph, catalog, loader, warnings, seal: Arc::new(seal) })
+}

@@ -1,4 +1,0 @@
-//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
-
-mod data_sets;
-mod files;

@@ -1,0 +1,273 @@
+//! A sequence of a data set: its files, and what they mean.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::calibration::{FileError, KittiCameras};
+use crate::truth::masks::Code;
+use panoscope_abi::Calibration;
+
+use crate::data_sets::picture_size;
+
+/// Pictures that belong together, with what is known of them.
+#[derive(Clone, Debug)]
+pub struct Sequence {
+    /// The data set.
+    pub data_set: &'static str,
+    /// Its path below the folder that was searched.
+    pub name: String,
+    /// Its folder.
+    pub folder: PathBuf,
+    /// The pictures.
+    pub pictures: Pictures,
+    /// Columns and rows of the first picture as it is stored; `None` for videos.
+    pub size: Option<(u32, u32)>,
+    /// Part of each stored view that is the picture, x, y, width, height in px: the rest is a black border. Masks are cut alike.
+    pub crop: Option<[u32; 4]>,
+    /// Calibration of both views.
+    pub calibration: Option<CalibrationFiles>,
+    /// True disparity, depth or points.
+    pub truth: Option<Truth>,
+    /// True objects.
+    pub labels: Option<Labels>,
+    /// What a user should know before relying on it.
+    pub remarks: Vec<String>,
+}
+
+/// The files of the views.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Pictures {
+    /// One file for each picture; `right` has as many as `left`, or none where there is one view.
+    Files {
+        /// Left view.
+        left: Vec<PathBuf>,
+        /// Right view.
+        right: Vec<PathBuf>,
+    },
+    /// One video of both views.
+    Video {
+        /// The file.
+        file: PathBuf,
+        /// Where the views are in its pictures.
+        stacked: Stacked,
+    },
+}
+
+/// Where the views of a video are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stacked {
+    /// The left view above the right one.
+    TopBottom,
+    /// The left view on the left.
+    SideBySide,
+}
+
+/// Files that state the cameras.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CalibrationFiles {
+    /// One list of files for the whole sequence, or one for each picture. A list is empty where a picture has none.
+    pub sets: Vec<Vec<PathBuf>>,
+    /// Which cameras of a KITTI file the views are.
+    pub kitti: Option<KittiCameras>,
+}
+
+impl CalibrationFiles {
+    /// One set for all pictures.
+    pub fn one(files: Vec<PathBuf>) -> Self {
+        Self { sets: vec![files], kitti: None }
+    }
+
+    /// Whether every picture has files of its own.
+    pub fn is_per_picture(&self) -> bool {
+        self.sets.len() > 1
+    }
+
+    /// Index of the set of a picture.
+    pub fn set_of(&self, picture: usize) -> usize {
+        if self.is_per_picture() { picture } else { 0 }
+    }
+
+    /// Reads the calibration of a picture; `None` where it has none.
+    ///
+    /// # Errors
+    /// Names the file that is missing or damaged.
+    pub fn read(&self, picture: usize) -> Result<Option<Calibration>, FileError> {
+        match self.sets.get(self.set_of(picture)).map(Vec::as_slice) {
+            None | Some([]) => Ok(None),
+            Some([file]) => match self.kitti {
+                Some(cameras) => crate::calibration::read_kitti(file, cameras).map(Some),
+                None => crate::calibration::read(std::slice::from_ref(file)).map(Some),
+            },
+            Some(files) => crate::calibration::read(files).map(Some),
+        }
+    }
+}
+
+/// What the files of the truth hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Holds {
+    /// Disparity of the left rectified view.
+    Disparity,
+    /// Depth of the left rectified view.
+    Depth,
+    /// Points of the raw left camera, one for each pixel of the raw left view.
+    Points,
+    /// The same, with those of the right view in the rows below.
+    StackedPoints,
+}
+
+impl Holds {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Disparity => "disparity",
+            Self::Depth => "depth",
+            Self::Points | Self::StackedPoints => "points",
+        }
+    }
+}
+
+/// True maps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Truth {
+    /// For each picture its file, if it has one. Shorter than the pictures where the rest has none.
+    pub files: Vec<Option<PathBuf>>,
+    /// What they hold.
+    pub holds: Holds,
+    /// What their numbers are divided by to get px or mm.
+    pub divisor: f32,
+}
+
+impl Truth {
+    /// Truth for the pictures that have a file; `None` when none has.
+    pub(crate) fn of(files: Vec<Option<PathBuf>>, holds: Holds, divisor: f32) -> Option<Self> {
+        files.iter().any(Option::is_some).then_some(Self { files, holds, divisor })
+    }
+
+    /// Number of pictures with truth.
+    pub fn count(&self) -> usize {
+        self.files.iter().flatten().count()
+    }
+}
+
+/// True objects.
+#[derive(Clone, Debug)]
+pub enum Labels {
+    /// VOC or YOLO files: for each picture its file, if it has one.
+    Boxes {
+        /// The files.
+        files: Vec<Option<PathBuf>>,
+        /// Names of the classes, in the order of the data set, as far as it states one.
+        classes: Vec<String>,
+    },
+    /// Pictures of classes.
+    Masks(Masks),
+}
+
+impl Labels {
+    /// Number of pictures with labels.
+    pub fn count(&self) -> usize {
+        match self {
+            Self::Boxes { files, .. } => files.iter().flatten().count(),
+            Self::Masks(masks) => masks.files.iter().filter(|files| !files.is_empty()).count(),
+        }
+    }
+
+    /// Names of the classes.
+    pub fn classes(&self) -> &[String] {
+        match self {
+            Self::Boxes { classes, .. } => classes,
+            Self::Masks(masks) => &masks.classes,
+        }
+    }
+
+    /// In words.
+    pub fn words(&self) -> &'static str {
+        match self {
+            Self::Boxes { .. } => "boxes",
+            Self::Masks(_) => "masks",
+        }
+    }
+}
+
+/// Pictures of classes.
+#[derive(Clone, Debug)]
+pub struct Masks {
+    /// Names of the classes, as the data set calls them.
+    pub classes: Vec<String>,
+    /// For each picture its masks; none where it has no labels.
+    pub files: Vec<Vec<MaskFile>>,
+}
+
+/// One mask.
+#[derive(Clone, Debug)]
+pub struct MaskFile {
+    /// The file.
+    pub path: PathBuf,
+    /// What its pixels mean.
+    pub layers: Arc<[MaskLayer]>,
+}
+
+/// The pixels of one class.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MaskLayer {
+    /// Which pixels.
+    pub code: Code,
+    /// Index of the class.
+    pub class: u32,
+}
+
+impl Sequence {
+    /// A sequence of picture files without anything else. `right` may be empty.
+    pub(crate) fn of_files(
+        data_set: &'static str,
+        name: String,
+        folder: &Path,
+        left: Vec<PathBuf>,
+        right: Vec<PathBuf>,
+    ) -> Self {
+        let size = left.first().and_then(|file| picture_size::of(file));
+        let folder = folder.to_owned();
+        let pictures = Pictures::Files { left, right };
+        Self {
+            data_set,
+            name,
+            folder,
+            pictures,
+            size,
+            crop: None,
+            calibration: None,
+            truth: None,
+            labels: None,
+            remarks: vec![],
+        }
+    }
+
+    /// A video of both views without anything else.
+    pub(crate) fn of_video(
+        data_set: &'static str,
+        name: String,
+        folder: &Path,
+        file: PathBuf,
+        stacked: Stacked,
+    ) -> Self {
+        let whole = Self::of_files(data_set, name, folder, vec![], vec![]);
+        Self { pictures: Pictures::Video { file, stacked }, ..whole }
+    }
+
+    /// Number of pictures; `None` for videos, which must be opened to know.
+    pub fn count(&self) -> Option<usize> {
+        match &self.pictures {
+            Pictures::Files { left, .. } => Some(left.len()),
+            Pictures::Video { .. } => None,
+        }
+    }
+
+    /// Number of views.
+    pub fn views(&self) -> usize {
+        match &self.pictures {
+            Pictures::Files { right, .. } if right.is_empty() => 1,
+            _ => 2,
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! Files around images. Nothing here knows a graph.
+//!
+//! - [`calibration`]: stereo calibrations, their packet and their files, printed boards, files of images that a pattern matches.
+//! - [`truth`]: ground truth in files: maps of disparity and depth, points, boxes, images of classes.
+//! - [`data_sets`]: the folder layouts of public data sets.
+//! - [`formats`]: encoders of images, arrays, clouds and the fields of packets.
+
+#![forbid(unsafe_code)]
+
+pub mod calibration;
+pub mod data_sets;
+pub mod formats;
+pub mod truth;
