@@ -74,6 +74,10 @@ params = { path = "marks.csv" }
 /// A window reads this much, and then no more.
 const READ_BYTES: usize = 64 << 10;
 const MINUTES: f64 = 0.15;
+/// Memory of the phantom's scene.
+const SCENE_MB: f64 = 40.0;
+/// Samples among which some are of moments without an edit.
+const MIN_SAMPLES: usize = 30;
 
 /// Passes on what windows send to `to`, and the beginning of what they are sent.
 fn relay_that_stops(listener: TcpListener, to: u16) {
@@ -162,8 +166,10 @@ fn hours_leave_memory_threads_files_and_queues_level() {
     let (warm, rest) = seconds.split_at(seconds.len() / 3);
     let (first, last) = rest.split_at(rest.len() / 2);
     assert!(!warm.is_empty() && !first.is_empty(), "{csv}");
+    // An edit of the phantom has two scenes in memory while it opens: on a busy machine all samples of a short run may be of such moments.
+    let opening_mb = if last.len() < MIN_SAMPLES { SCENE_MB } else { 0.0 };
     for (what, value, tolerated) in [
-        ("resident MB", (|s: &Second| s.resident_mb) as fn(&Second) -> f64, 0.01 * warm[0].resident_mb),
+        ("resident MB", (|s: &Second| s.resident_mb) as fn(&Second) -> f64, 0.01 * warm[0].resident_mb + opening_mb),
         // A hundred frames that are on their way.
         ("MB of frames", |s| s.waiting_mb, 0.3),
         // Of a process that is starting. One that stays with each edit or kill would be dozens.

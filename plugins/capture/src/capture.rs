@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
+use panoscope_data::bit_depth::{Deep, Remark, White};
 use panoscope_media::input::monotonic_ns;
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
@@ -10,7 +11,6 @@ use panoscope_node::{
 };
 
 use crate::crop::{self, Halves};
-use crate::depth::Depth;
 use crate::kept_frames::KeptFrames;
 use crate::pairing::Grabbed;
 use crate::position::{Position, ViewPosition};
@@ -59,7 +59,7 @@ pub struct Capture {
     /// One per source; a split source serves two views.
     views: Views,
     halves: Option<Halves>,
-    depth: Depth,
+    depth: White,
     white: f32,
     kept: KeptFrames,
     frame: u64,
@@ -246,9 +246,18 @@ impl Capture {
         let views = self.views.locked();
         let guards: Vec<_> =
             views.iter().map(|view| view.lock().unwrap_or_else(std::sync::PoisonError::into_inner)).collect();
-        let pictures = guards.iter().map(|view| (view.name.as_str(), &view.picture));
+        let images = guards.iter().filter_map(|view| {
+            let is_float = view.picture.is_float();
+            Some(Deep { name: &view.name, peak: view.picture.peak()?, is_float })
+        });
         let series = || guards.iter().flat_map(|view| view.source.peaks()).collect();
-        self.white = self.depth.white(cx, bits, pictures, series)?;
+        let (white, remark) = self.depth.of(bits, images, series).map_err(|error| NodeError::new(error.to_string()))?;
+        match remark {
+            Some(Remark::Info(words)) => cx.info(&words),
+            Some(Remark::Warning(words)) => cx.warn(&words),
+            None => {}
+        }
+        self.white = white;
         Ok(())
     }
 
@@ -304,7 +313,7 @@ impl Capture {
         Ok(Self {
             views,
             halves,
-            depth: Depth::default(),
+            depth: White::default(),
             white: 255.0,
             kept: KeptFrames::default(),
             frame: 0,
@@ -484,6 +493,9 @@ impl Node for Capture {
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let calibration = params.read_calibration(open.graph_dir())?;
+        if let Some(doubt) = calibration.as_ref().and_then(panoscope_data::calibration::doubt) {
+            open.warn(&format!("calibration {}: {doubt}", params.calibration));
+        }
         let texts = params.source_texts()?;
         let texts: Vec<String> = texts.into_iter().map(|(_, text)| text.to_owned()).collect();
         let names = texts.iter().map(|text| SourceName::parse(text, open.graph_dir()));

@@ -4,7 +4,6 @@ mod boxes;
 pub mod capture;
 pub mod crop;
 pub mod data_set;
-mod depth;
 pub mod devices;
 mod exchanged;
 mod kept_frames;

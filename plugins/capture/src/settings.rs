@@ -229,6 +229,8 @@ impl Settings {
         let calibration = self.read_calibration(folder);
         if let Err(error) = &calibration {
             check.error("calibration", error.message(), "");
+        } else if let Some(doubt) = calibration.iter().flatten().find_map(panoscope_data::calibration::doubt) {
+            check.warning("calibration", doubt, "");
         } else if self.calibration.trim().is_empty() && check.is_read("calibration") == Some(true) {
             let message = "output `calibration` is read and stays empty: no calibration file is given";
             check.warning("calibration", message, "give a file, as in calibration = \"stereo.yaml\"");

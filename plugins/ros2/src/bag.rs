@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use panoscope_node::{Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Result, Validation};
-use panoscope_ros::bag::{BagError, BagReader, BagTopic, survey};
+use panoscope_ros::bag::{BagError, BagReader, BagTopic, RawMessage, survey};
 use panoscope_ros::cdr::{CdrError, Message};
 use panoscope_ros::messages;
 
 pub use crate::incoming::Out;
-use crate::incoming::{Incoming, Role, info_topic};
+use crate::incoming::{Arrived, Incoming, Ready, Role, info_topic};
 
 /// Parameters.
 #[derive(Params)]
@@ -43,6 +43,9 @@ pub struct Settings {
     /// Views whose stamps are further apart are no pair.
     #[param(default = 5.0, range = 0.0..=1000.0, unit = "ms", reopen)]
     pub tolerance_ms: f64,
+    /// Bit depth of images with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
+    #[param(default = 0, range = 0..=16, unit = "bit", reopen)]
+    pub bit_depth: u32,
 }
 
 /// The topics that are read, by what is named and what the bag has.
@@ -101,11 +104,55 @@ pub struct Bag {
     ticks: u64,
     /// Ticks that a predecessor made.
     skip: u64,
+    /// Messages that could not be read.
+    left_out: u64,
+    /// What was wrong with the last of them.
+    last_error: Option<NodeError>,
 }
 
 /// Another attempt would read the same bytes.
 fn wrong(error: BagError) -> NodeError {
     NodeError::lasting(error.to_string())
+}
+
+impl Bag {
+    /// What a message completes.
+    ///
+    /// # Errors
+    /// It cannot be read; the next one can.
+    fn take(&mut self, message: &RawMessage, out: &Out<'_>) -> Result<Option<(i64, Ready)>> {
+        let named = |words: String| NodeError::lasting(format!("{}: {words}", self.path.display()));
+        let RawMessage { topic, message, log_ns, data } = message;
+        let (head, body) = data.split_first_chunk::<4>().ok_or_else(|| named(short(topic)))?;
+        let encoding = u16::from_be_bytes([head[0], head[1]]);
+        let arrived = Arrived { topic, message, log_ns: *log_ns, encoding, body };
+        self.incoming.take(arrived, out).map_err(|error| named(error.to_string()))
+    }
+
+    /// Ends the source and reports what was not played.
+    ///
+    /// # Errors
+    /// Nothing could be read, or, in batch mode, most images found no partner.
+    fn end(&mut self, cx: &Context<'_>, params: &Settings) -> Result<()> {
+        if self.ticks == 0
+            && let Some(error) = self.last_error.take()
+        {
+            return Err(error);
+        }
+        let alone = self.incoming.without_partner();
+        if alone > 0 {
+            let (all, tolerance) = (alone + self.incoming.paired, params.tolerance_ms);
+            let words = format!(
+                "{alone} of {all} images of the two views have no partner within {tolerance} ms (`tolerance_ms`) and were left out"
+            );
+            if cx.is_batch() && alone > self.incoming.paired {
+                return Err(NodeError::ended_early(words));
+            }
+            cx.warn(&words);
+        }
+        cx.end();
+        Ok(())
+    }
 }
 
 impl Node for Bag {
@@ -139,39 +186,29 @@ impl Node for Bag {
         }
         let path = open.graph_dir().join(params.path.trim());
         let topics = survey(&path).map_err(wrong)?;
-        let incoming = Incoming::new(roles(params, &topics)?, params.tolerance_ms);
+        let incoming = Incoming::new(roles(params, &topics)?, params.tolerance_ms, params.bit_depth);
         let mut read: Vec<&str> = incoming.roles().map(|(topic, _)| topic).collect();
         read.sort_unstable();
         open.info(&format!("reads {}", read.join(", ")));
         let reader = BagReader::open(&path).map_err(wrong)?;
-        Ok(Self { path, reader, incoming, ticks: 0, skip: 0 })
+        Ok(Self { path, reader, incoming, ticks: 0, skip: 0, left_out: 0, last_error: None })
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, _: &Settings) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &Settings) -> Result<()> {
         loop {
             let next = self.reader.next(|topic, message| self.incoming.wants(topic, message));
             let message = match next {
                 Ok(Some(message)) => message,
-                Ok(None) => {
-                    cx.end();
-                    return Ok(());
-                }
+                Ok(None) => return self.end(cx, params),
                 Err(error @ BagError::CutOff { .. }) => {
                     cx.warn(&format!("{error}; what came before was played"));
-                    cx.end();
-                    return Ok(());
+                    return self.end(cx, params);
                 }
                 Err(error) => return Err(wrong(error)),
             };
-            let named = |words: String| NodeError::lasting(format!("{}: {words}", self.path.display()));
-            let (head, body) = message.data.split_first_chunk::<4>().ok_or_else(|| named(short(&message.topic)))?;
-            let number = u16::from_be_bytes([head[0], head[1]]);
-            if number == ZSTD {
-                let words =
-                    format!("messages of `{}` are compressed one by one, which is not read here", message.topic);
-                return Err(named(format!("{words}; write the bag again with `ros2 bag convert`")));
-            }
-            match self.incoming.take(&message.topic, &message.message, (number, body)) {
+            let ready = self.take(&message, &out);
+            self.incoming.report(cx);
+            match ready {
                 Ok(None) => {}
                 Ok(Some((stamp_ns, ready))) => {
                     self.ticks += 1;
@@ -179,9 +216,19 @@ impl Node for Bag {
                         continue;
                     }
                     self.incoming.set_time(cx, stamp_ns);
+                    cx.metric("unpaired", self.incoming.unpaired as f64);
                     return self.incoming.write(cx, ready, &mut out);
                 }
-                Err(error) => return Err(named(error.to_string())),
+                Err(error) => {
+                    self.left_out += 1;
+                    cx.metric("left_out", self.left_out as f64);
+                    // A bag of damaged messages does not fill the log.
+                    if self.left_out.is_power_of_two() {
+                        let message = if self.left_out == 1 { "message was" } else { "messages were" };
+                        cx.warn(&format!("{error}; {} {message} left out so far", self.left_out));
+                    }
+                    self.last_error = Some(error);
+                }
             }
         }
     }
@@ -196,9 +243,6 @@ impl Node for Bag {
         Ok(())
     }
 }
-
-/// First bytes of a message that is compressed on its own.
-const ZSTD: u16 = 0x28b5;
 
 fn short(topic: &str) -> String {
     format!("`{topic}`: {}", CdrError::Short { len: 0 })

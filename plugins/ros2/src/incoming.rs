@@ -2,12 +2,15 @@
 
 use std::collections::{HashMap, VecDeque};
 
+use panoscope_data::bit_depth::{Deep, Remark, White};
 use panoscope_data::calibration::ros as camera;
 use panoscope_node::abi::{Calibration, CloudPoint, Joints, Pose};
 use panoscope_node::{Bgr8, Context, Depth, Disparity, LabeledDetections, NodeError, PointCloud, Ports, Result, Slot};
 use panoscope_ros::cdr::{self, CdrError, Message};
 use panoscope_ros::convert::{self, Boxes, ConvertError, Picture, Samples};
 use panoscope_ros::messages;
+
+use crate::times::Times;
 
 /// Pictures of a view that wait for their partner.
 const MAX_WAITING: usize = 8;
@@ -72,6 +75,23 @@ impl Role {
     }
 }
 
+impl Role {
+    /// Whether somebody reads what its messages become.
+    fn is_read(self, out: &Out<'_>) -> bool {
+        match self {
+            // A view is also the partner of the other one.
+            Self::View(_) => out.left.is_read() || out.right.is_read() || out.calibration.is_read(),
+            Self::Info(_) => out.calibration.is_read(),
+            Self::Depth => out.depth.is_read(),
+            Self::Disparity => out.disparity.is_read(),
+            Self::Cloud => out.cloud.is_read(),
+            Self::Detections => out.detections.is_read(),
+            Self::Pose => out.pose.is_read(),
+            Self::Joints => out.joints.is_read(),
+        }
+    }
+}
+
 /// Where the camera of a picture's topic is: beside it.
 pub fn info_topic(picture: &str) -> Option<String> {
     let plain = picture.strip_suffix("/compressed").unwrap_or(picture);
@@ -94,6 +114,28 @@ pub enum Ready {
     Pose(Pose),
     /// Joints.
     Joints(Joints),
+}
+
+/// A message as it came.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrived<'m> {
+    /// Its topic.
+    pub topic: &'m str,
+    /// Its type.
+    pub message: &'m str,
+    /// When it was recorded or received, ns.
+    pub log_ns: i64,
+    /// Number of its encoding.
+    pub encoding: u16,
+    /// Its fields.
+    pub body: &'m [u8],
+}
+
+impl<'m> Arrived<'m> {
+    fn decode<M: serde::Deserialize<'m>>(&self) -> std::result::Result<M, IncomingError> {
+        let damaged = |cause| IncomingError::Bytes { topic: self.topic.to_owned(), cause };
+        cdr::decode_body(self.encoding, self.body).map_err(damaged)
+    }
 }
 
 /// Why a message was left out.
@@ -125,16 +167,24 @@ pub struct Incoming {
     waiting: [VecDeque<(i64, Picture)>; 2],
     infos: [Option<camera::CameraInfo>; 2],
     calibration: Option<Calibration>,
-    /// Why there is no calibration; said once.
+    /// Why there is no calibration; reported once.
     calibration_problem: Option<String>,
-    /// Pictures without a partner.
+    /// Images without a partner.
     pub unpaired: u64,
+    /// Images with one.
+    pub paired: u64,
+    times: Times,
+    white: White,
+    bit_depth: u32,
+    /// Warnings that wait for the next report.
+    remarks: Vec<String>,
     last_ns: Option<i64>,
 }
 
 impl Incoming {
-    /// Reads topics with these roles. Views that are further apart than the tolerance do not belong together.
-    pub fn new(roles: impl IntoIterator<Item = (String, Role)>, tolerance_ms: f64) -> Self {
+    /// Reads topics with these roles. Views that are further apart than the tolerance do not belong together. `bit_depth` is that of images with
+    /// more than eight bits, 0 if it is to be found.
+    pub fn new(roles: impl IntoIterator<Item = (String, Role)>, tolerance_ms: f64, bit_depth: u32) -> Self {
         let roles: HashMap<String, Role> = roles.into_iter().filter(|(topic, _)| !topic.is_empty()).collect();
         let is_pair = [0, 1].iter().all(|view| roles.values().any(|role| *role == Role::View(*view)));
         Self {
@@ -146,6 +196,11 @@ impl Incoming {
             calibration: None,
             calibration_problem: None,
             unpaired: 0,
+            paired: 0,
+            times: Times::default(),
+            white: White::default(),
+            bit_depth,
+            remarks: Vec::new(),
             last_ns: None,
         }
     }
@@ -163,68 +218,87 @@ impl Incoming {
         })
     }
 
-    /// Takes the fields of a message, whose encoding has this number. Returns the time of its data and what is complete now.
+    /// Takes a message whose outputs are read. Returns the time of its data and what is complete now.
     ///
     /// # Errors
     /// It is damaged, or not readable here; what came before stays.
     pub fn take(
         &mut self,
-        topic: &str,
-        message: &str,
-        (number, body): (u16, &[u8]),
+        arrived: Arrived<'_>,
+        out: &Out<'_>,
     ) -> std::result::Result<Option<(i64, Ready)>, IncomingError> {
-        let Some(role) = self.roles.get(topic).copied() else { return Ok(None) };
-        let bytes = |cause| IncomingError::Bytes { topic: topic.to_owned(), cause };
-        let value = |cause| IncomingError::Value { topic: topic.to_owned(), cause };
-        Ok(match role {
+        let Some(role) = self.roles.get(arrived.topic).copied().filter(|role| role.is_read(out)) else {
+            return Ok(None);
+        };
+        let value = |cause| IncomingError::Value { topic: arrived.topic.to_owned(), cause };
+        let (stamp, ready) = match role {
             Role::View(view) => {
-                let (stamp, picture) = if message == messages::CompressedImage::TYPE {
-                    let found: messages::CompressedImage<'_> = cdr::decode_body(number, body).map_err(bytes)?;
+                let (stamp, picture) = if arrived.message == messages::CompressedImage::TYPE {
+                    let found: messages::CompressedImage<'_> = arrived.decode()?;
                     (found.header.stamp, convert::compressed(&found).map_err(value)?)
                 } else {
-                    let found: messages::Image<'_> = cdr::decode_body(number, body).map_err(bytes)?;
+                    let found: messages::Image<'_> = arrived.decode()?;
                     (found.header.stamp, convert::picture(&found).map_err(value)?)
                 };
-                self.view(view, stamp.ns(), picture)
+                let stamp_ns = self.time(&arrived, stamp);
+                return Ok(self.view(view, stamp_ns, picture));
             }
             Role::Info(view) => {
-                let found: messages::CameraInfo = cdr::decode_body(number, body).map_err(bytes)?;
-                let info = convert::camera_info(&found).map_err(value)?;
-                if self.infos[view] != Some(info) {
-                    self.infos[view] = Some(info);
-                    self.calibrate();
-                }
-                None
+                self.camera(view, convert::camera_info(&arrived.decode()?));
+                return Ok(None);
             }
             Role::Depth => {
-                let found: messages::Image<'_> = cdr::decode_body(number, body).map_err(bytes)?;
+                let found: messages::Image<'_> = arrived.decode()?;
                 let (width, height, mm) = convert::depth_mm(&found).map_err(value)?;
-                Some((found.header.stamp.ns(), Ready::Depth(width, height, mm)))
+                (found.header.stamp, Ready::Depth(width, height, mm))
             }
             Role::Disparity => {
-                let found: messages::DisparityImage<'_> = cdr::decode_body(number, body).map_err(bytes)?;
+                let found: messages::DisparityImage<'_> = arrived.decode()?;
                 let (width, height, px) = convert::disparity(&found).map_err(value)?;
-                Some((found.header.stamp.ns(), Ready::Disparity(width, height, px)))
+                (found.header.stamp, Ready::Disparity(width, height, px))
             }
             Role::Cloud => {
-                let found: messages::PointCloud2<'_> = cdr::decode_body(number, body).map_err(bytes)?;
+                let found: messages::PointCloud2<'_> = arrived.decode()?;
                 let (width, height, points) = convert::cloud(&found).map_err(value)?;
-                Some((found.header.stamp.ns(), Ready::Cloud(width, height, points)))
+                (found.header.stamp, Ready::Cloud(width, height, points))
             }
             Role::Detections => {
-                let found: messages::Detection2DArray = cdr::decode_body(number, body).map_err(bytes)?;
-                Some((found.header.stamp.ns(), Ready::Detections(convert::boxes(&found).map_err(value)?)))
+                let found: messages::Detection2DArray = arrived.decode()?;
+                (found.header.stamp, Ready::Detections(convert::boxes(&found).map_err(value)?))
             }
             Role::Pose => {
-                let found: messages::PoseStamped = cdr::decode_body(number, body).map_err(bytes)?;
-                let child = topic.rsplit('/').next().unwrap_or("");
-                Some((found.header.stamp.ns(), Ready::Pose(convert::pose(&found, child))))
+                let found: messages::PoseStamped = arrived.decode()?;
+                let child = arrived.topic.rsplit('/').next().unwrap_or("");
+                (found.header.stamp, Ready::Pose(convert::pose(&found, child)))
             }
             Role::Joints => {
-                let found: messages::JointState = cdr::decode_body(number, body).map_err(bytes)?;
-                Some((found.header.stamp.ns(), Ready::Joints(convert::joints(&found).map_err(value)?)))
+                let found: messages::JointState = arrived.decode()?;
+                (found.header.stamp, Ready::Joints(convert::joints(&found).map_err(value)?))
             }
-        })
+        };
+        Ok(Some((self.time(&arrived, stamp), ready)))
+    }
+
+    /// Time of a message's data, ns.
+    fn time(&mut self, arrived: &Arrived<'_>, stamp: messages::Time) -> i64 {
+        let (time_ns, remark) = self.times.of(arrived.topic, stamp.ns(), arrived.log_ns);
+        self.remarks.extend(remark);
+        time_ns
+    }
+
+    /// Takes the camera of a view. One that cannot be used takes the calibration, not the images.
+    fn camera(&mut self, view: usize, info: std::result::Result<camera::CameraInfo, ConvertError>) {
+        match info {
+            Ok(info) if self.infos[view] == Some(info) => {}
+            Ok(info) => {
+                self.infos[view] = Some(info);
+                self.calibrate();
+            }
+            Err(error) => {
+                self.infos[view] = None;
+                self.no_calibration(format!("the camera of the {} view: {error}", ["left", "right"][view]));
+            }
+        }
     }
 
     /// Pairs a picture with the nearest one of the other view.
@@ -250,6 +324,7 @@ impl Incoming {
         // What is older than the pair has no partner any more.
         self.unpaired += index as u64 + self.waiting[view].len() as u64;
         self.waiting[view].clear();
+        self.paired += 2;
         let (other_ns, other) = self.waiting[1 - view].drain(..=index).next_back()?;
         let views = if view == 0 { vec![picture, other] } else { vec![other, picture] };
         // The left picture's time is that of the pair.
@@ -260,11 +335,21 @@ impl Incoming {
         let [Some(left), Some(right)] = &self.infos else { return };
         match camera::calibration(left, right) {
             Ok(calibration) => self.calibration = Some(calibration),
-            Err(error) => {
-                self.calibration = None;
-                self.calibration_problem = Some(error.to_string());
-            }
+            Err(error) => self.no_calibration(error.to_string()),
         }
+    }
+
+    fn no_calibration(&mut self, problem: String) {
+        self.calibration = None;
+        if self.calibration_problem.as_ref() != Some(&problem) {
+            self.remarks.push(format!("no calibration: {problem}"));
+            self.calibration_problem = Some(problem);
+        }
+    }
+
+    /// Images of both views that found no partner, those that still wait among them.
+    pub fn without_partner(&self) -> u64 {
+        self.unpaired + self.waiting.iter().map(|waiting| waiting.len() as u64).sum::<u64>()
     }
 
     /// Sets the time of a tick. Times that do not grow become the next nanosecond, because ticks of a source follow each other.
@@ -281,19 +366,42 @@ impl Incoming {
         cx.set_capture_ns(next);
     }
 
+    /// Warns of what was found since the last call.
+    pub fn report(&mut self, cx: &Context<'_>) {
+        self.remarks.drain(..).for_each(|remark| cx.warn(&remark));
+    }
+
+    /// The value that is white in these views.
+    fn white(&mut self, cx: &Context<'_>, views: &[Picture]) -> Result<f32> {
+        let deep =
+            views.iter().zip(["the left image", "the right image"]).filter_map(|(view, name)| match &view.samples {
+                Samples::Gray16(pixels) => {
+                    let peak = f32::from(pixels.iter().copied().max().unwrap_or(0));
+                    Some(Deep { name, peak, is_float: false })
+                }
+                _ => None,
+            });
+        let found = self.white.of(self.bit_depth, deep, Vec::new);
+        let (white, remark) = found.map_err(|error| NodeError::new(error.to_string()))?;
+        match remark {
+            Some(Remark::Info(words)) => cx.info(&words),
+            Some(Remark::Warning(words)) => cx.warn(&words),
+            None => {}
+        }
+        Ok(white)
+    }
+
     /// Writes outputs that are read.
     ///
     /// # Errors
     /// No frame memory is left.
     pub fn write(&mut self, cx: &Context<'_>, ready: Ready, out: &mut Out<'_>) -> Result<()> {
-        if let Some(problem) = self.calibration_problem.take() {
-            cx.warn(&format!("no calibration: {problem}"));
-        }
         match ready {
             Ready::Views(views) => {
+                let white = self.white(cx, &views)?;
                 for (slot, picture) in [&mut out.left, &mut out.right].into_iter().zip(views) {
                     if slot.is_read() {
-                        write_picture(slot, &picture)?;
+                        write_picture(slot, &picture, white)?;
                     }
                 }
                 if let Some(calibration) = self.calibration.filter(|_| out.calibration.is_read()) {
@@ -343,8 +451,8 @@ impl Incoming {
     }
 }
 
-/// Writes a picture as BGR; 16 bits by their upper byte.
-fn write_picture(slot: &mut Slot<'_, Bgr8>, picture: &Picture) -> Result<()> {
+/// Writes a picture as BGR; `white` is the value of 16 bits that becomes 255.
+fn write_picture(slot: &mut Slot<'_, Bgr8>, picture: &Picture, white: f32) -> Result<()> {
     let gray = |out: &mut dyn Iterator<Item = u8>, to: &mut [u8]| {
         to.as_chunks_mut::<3>().0.iter_mut().zip(out).for_each(|(pixel, value)| *pixel = [value; 3]);
     };
@@ -352,7 +460,10 @@ fn write_picture(slot: &mut Slot<'_, Bgr8>, picture: &Picture) -> Result<()> {
     match &picture.samples {
         Samples::Bgr8(pixels) => out.data.copy_from_slice(pixels),
         Samples::Gray8(pixels) => gray(&mut pixels.iter().copied(), out.data),
-        Samples::Gray16(pixels) => gray(&mut pixels.iter().map(|value| (value >> 8) as u8), out.data),
+        Samples::Gray16(pixels) => {
+            // A cast of a float ends at 255.
+            gray(&mut pixels.iter().map(|value| (f32::from(*value) * (255.0 / white) + 0.5) as u8), out.data);
+        }
         Samples::F32(_) => {
             return Err(NodeError::new("a picture of floats is no view: read its topic as `depth`"));
         }
@@ -369,7 +480,7 @@ mod tests {
     }
 
     fn pair() -> Incoming {
-        Incoming::new([("/l".to_owned(), Role::View(0)), ("/r".to_owned(), Role::View(1))], 5.0)
+        Incoming::new([("/l".to_owned(), Role::View(0)), ("/r".to_owned(), Role::View(1))], 5.0, 0)
     }
 
     #[test]
@@ -378,7 +489,7 @@ mod tests {
         assert!(incoming.view(0, 0, picture(1)).is_none());
         assert!(incoming.view(0, 33_000_000, picture(2)).is_none());
         let Some((stamp, Ready::Views(views))) = incoming.view(1, 34_000_000, picture(3)) else { panic!("a pair") };
-        assert_eq!((stamp, incoming.unpaired), (33_000_000, 1));
+        assert_eq!((stamp, incoming.unpaired, incoming.paired), (33_000_000, 1, 2));
         assert_eq!(views, [picture(2), picture(3)]);
         assert!(incoming.view(1, 100_000_000, picture(4)).is_none());
         assert!(incoming.view(0, 106_000_000, picture(5)).is_none());
@@ -390,7 +501,7 @@ mod tests {
         for at in 0..100 {
             assert!(incoming.view(0, at * 33_000_000, picture(0)).is_none());
         }
-        assert_eq!((incoming.waiting[0].len(), incoming.unpaired), (MAX_WAITING, 92));
+        assert_eq!((incoming.waiting[0].len(), incoming.unpaired, incoming.without_partner()), (MAX_WAITING, 92, 100));
     }
 
     #[test]
@@ -401,11 +512,19 @@ mod tests {
     }
 
     #[test]
-    fn damaged_messages_leave_the_rest() {
-        let mut incoming = pair();
-        assert!(incoming.take("/l", messages::Image::TYPE, (1, &[1, 2, 3])).is_err());
-        assert!(incoming.take("/other", messages::Image::TYPE, (1, &[])).unwrap().is_none());
+    fn types_that_fit_the_topic_are_wanted() {
+        let incoming = pair();
         assert!(incoming.wants("/l", messages::CompressedImage::TYPE));
-        assert!(!incoming.wants("/l", messages::PoseStamped::TYPE));
+        assert!(!incoming.wants("/l", messages::PoseStamped::TYPE) && !incoming.wants("/other", messages::Image::TYPE));
+    }
+
+    #[test]
+    fn a_camera_that_cannot_be_used_is_reported_once() {
+        let mut incoming = pair();
+        let unknown = || ConvertError::Camera(camera::CameraInfoError::Model { model: "fisheye_x".to_owned() });
+        incoming.camera(1, Err(unknown()));
+        incoming.camera(1, Err(unknown()));
+        assert_eq!(incoming.remarks.len(), 1);
+        assert!(incoming.remarks[0].contains("the camera of the right view") && incoming.calibration.is_none());
     }
 }

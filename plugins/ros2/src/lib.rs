@@ -13,6 +13,7 @@ mod dds;
 mod incoming;
 pub mod publish;
 pub mod subscribe;
+mod times;
 
 use panoscope_node::{Choice, export_plugin};
 

@@ -1,13 +1,13 @@
 //! `ros2_subscribe`: topics of ROS 2 as outputs.
 
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use panoscope_node::{Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Result, Validation};
 
 use crate::Networks;
 use crate::dds::{Encoded, MAX_DOMAIN, Member, Quality, TopicReader};
 pub use crate::incoming::Out;
-use crate::incoming::{Incoming, Role, info_topic};
+use crate::incoming::{Arrived, Incoming, Role, info_topic};
 
 /// Between two looks at the readers.
 const STEP: Duration = Duration::from_millis(2);
@@ -45,6 +45,9 @@ pub struct Settings {
     /// Views whose stamps are further apart are no pair.
     #[param(default = 5.0, range = 0.0..=1000.0, unit = "ms", reopen)]
     pub tolerance_ms: f64,
+    /// Bit depth of images with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
+    #[param(default = 0, range = 0..=16, unit = "bit", reopen)]
+    pub bit_depth: u32,
     /// Domain of DDS, ROS_DOMAIN_ID of the others.
     #[param(default = 0, range = 0..=232, reopen)]
     pub domain: u16,
@@ -124,7 +127,7 @@ impl Node for Subscribe {
             open.warn("other machines can reach this domain; whoever does can send to these topics");
         }
         let quality = Quality { is_reliable: params.reliable, depth: params.queue };
-        let incoming = Incoming::new(roles, params.tolerance_ms);
+        let incoming = Incoming::new(roles, params.tolerance_ms, params.bit_depth);
         let mut readers = Vec::new();
         for (topic, role) in incoming.roles() {
             let message = role.message(topic);
@@ -145,7 +148,11 @@ impl Node for Subscribe {
                     Err(error) => return Err(NodeError::new(format!("`{topic}`: {error}"))),
                 };
                 let Encoded { number, body } = sample.into_value();
-                match self.incoming.take(topic, message, (number, &body)) {
+                let log_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
+                let arrived = Arrived { topic, message, log_ns, encoding: number, body: &body };
+                let ready = self.incoming.take(arrived, &out);
+                self.incoming.report(cx);
+                match ready {
                     Ok(None) => {}
                     Ok(Some((stamp_ns, ready))) => {
                         self.first = index + 1;

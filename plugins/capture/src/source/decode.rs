@@ -8,6 +8,7 @@ use std::time::Duration;
 use panoscope_media::input::{CameraMode, Input, InputName, InputOptions, Signal};
 use tiff::ColorType;
 use tiff::decoder::DecodingResult;
+use tiff::tags::Tag;
 
 use super::compressed::{decode, decode_jpeg};
 use super::error::PictureError;
@@ -41,16 +42,44 @@ pub fn decode_picture(bytes: &[u8]) -> Option<Result<Picture, PictureError>> {
         Ok(image::ImageFormat::Tiff) => decode_tiff(bytes),
         Ok(image::ImageFormat::Bmp) => plain::bmp(bytes),
         Ok(image::ImageFormat::Pnm) => plain::pnm(bytes),
+        // A BigTIFF, which the guess does not know.
+        _ if bytes.starts_with(b"II+\0") || bytes.starts_with(b"MM\0+") => decode_tiff(bytes),
         _ => return None,
     })
 }
 
-/// Decodes a TIFF of 8 or 16 bits without sign, or of floats.
+/// Pages of a TIFF beside smaller copies of another page.
+fn pages(decoder: &mut tiff::decoder::Decoder<Cursor<&[u8]>>) -> Result<usize, tiff::TiffError> {
+    /// Bit of the tag that tells a smaller copy.
+    const REDUCED: u32 = 1;
+    let mut count = 0;
+    loop {
+        let kind = decoder.find_tag_unsigned::<u32>(Tag::NewSubfileType)?;
+        count += usize::from(kind.unwrap_or(0) & REDUCED == 0);
+        if !decoder.more_images() {
+            decoder.seek_to_image(0)?;
+            return Ok(count);
+        }
+        decoder.next_image()?;
+    }
+}
+
+/// Decodes a TIFF with one page of 8 or 16 bits without sign, or of floats.
 fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
-    let damaged = |cause: tiff::TiffError| PictureError::Tiff { cause };
+    let damaged = |cause: tiff::TiffError| match cause {
+        tiff::TiffError::UnsupportedError(kind) => PictureError::Unsupported { format: format!("TIFF, {kind}") },
+        cause => PictureError::Tiff { cause },
+    };
     let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(damaged)?;
     let (width, height) = decoder.dimensions().map_err(damaged)?;
+    let pages = pages(&mut decoder).map_err(damaged)?;
+    if pages > 1 {
+        return Err(PictureError::Pages { count: pages });
+    }
     let color = decoder.colortype().map_err(damaged)?;
+    if color.bit_depth() < 8 {
+        return Err(PictureError::Unsupported { format: format!("TIFF, {color:?}") });
+    }
     let channels = match color {
         ColorType::Gray(_) => 1,
         ColorType::GrayA(_) => 2,

@@ -149,6 +149,12 @@ pub enum PictureError {
         /// The decoder's error.
         cause: tiff::TiffError,
     },
+    /// A file of several images.
+    #[error("it holds {count} pages: write each to a file of its own")]
+    Pages {
+        /// How many.
+        count: usize,
+    },
     /// Parts of the picture are not in the file.
     #[error("the image is damaged: parts of it cannot be decoded")]
     Incomplete,

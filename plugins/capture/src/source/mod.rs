@@ -26,7 +26,7 @@ pub use demands::{Clock, Demands, Grab, Lock};
 pub use elements::unknown_element;
 pub use error::{CaptureError, PictureError};
 pub use name::SourceName;
-pub use picture::{Picture, Samples, white_of_bits};
+pub use picture::{Picture, Samples};
 pub use stream::Stream;
 
 use images::Images;

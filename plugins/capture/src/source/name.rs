@@ -33,7 +33,7 @@ fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, CaptureError> {
 impl SourceName {
     /// Reads `text`; relative paths stand in `folder`.
     ///
-    /// - a number or `/dev/videoN`: a camera
+    /// - a number that is no file's name, or `/dev/videoN`: a camera
     /// - a text with `!` that is no file's name: a GStreamer pipeline
     /// - `scheme://...`: a stream of the network; its user and password may be names of environment variables, see [`panoscope_base::secret`]
     /// - `dir/*.png`, `img_%04d.png`, or a folder: images in the order of their numbers
@@ -54,7 +54,10 @@ impl SourceName {
             return Ok(Self::Images(files));
         }
         let device = text.strip_prefix("/dev/video").unwrap_or(text);
-        if let Ok(number) = device.parse::<u16>() {
+        // What exists as a file goes first.
+        if let Ok(number) = device.parse::<u16>()
+            && (device != text || !folder.join(text).exists())
+        {
             let path = PathBuf::from(format!("/dev/video{number}"));
             if !path.exists() {
                 return Err(CaptureError::NoDevice { path, present: devices::in_words() });
@@ -144,6 +147,9 @@ mod tests {
         assert!(matches!(SourceName::parse("videotestsrc ! appsink", &folder), Ok(SourceName::Pipeline(_))));
         fs::write(folder.join("wow!.png"), b"").unwrap();
         assert!(matches!(SourceName::parse("wow!.png", &folder), Ok(SourceName::Image(_))));
+        fs::create_dir_all(folder.join("7")).unwrap();
+        fs::copy(folder.join("img_1.png"), folder.join("7/a_1.png")).unwrap();
+        assert!(matches!(SourceName::parse("7", &folder), Ok(SourceName::Images(_))));
         let error = SourceName::parse("/dev/video4711", &folder).unwrap_err().to_string();
         assert!(error.contains("/dev/video4711"), "{error}");
         fs::remove_dir_all(&folder).unwrap();

@@ -52,14 +52,6 @@ impl Default for Picture {
     }
 }
 
-/// Bits that cameras have.
-const BITS: [u32; 5] = [8, 10, 12, 14, 16];
-
-/// The value that is white with so many bits.
-pub fn white_of_bits(bits: u32) -> f32 {
-    ((1u32 << bits.clamp(1, 16)) - 1) as f32
-}
-
 impl Picture {
     /// Forgets the pixels: after a failure nothing of the picture before is left to be shown.
     pub fn clear(&mut self) {
@@ -87,15 +79,9 @@ impl Picture {
         }
     }
 
-    /// The least white of a usual bit depth that holds a picture with this `peak`.
-    ///
-    /// # Errors
-    /// The peak, when no depth holds it.
-    pub fn white_for(&self, peak: f32) -> Result<f32, f32> {
-        if matches!(self.samples, Samples::Float(_)) && peak <= 1.0 {
-            return Ok(1.0);
-        }
-        BITS.into_iter().map(white_of_bits).find(|white| peak <= *white).ok_or(peak)
+    /// Whether its values are floats.
+    pub fn is_float(&self) -> bool {
+        matches!(self.samples, Samples::Float(_))
     }
 
     /// Writes columns `x..` of row `y` as eight bits; `white` becomes 255, what is brighter too.
@@ -167,18 +153,11 @@ mod tests {
     }
 
     #[test]
-    fn values_are_scaled_by_the_depth_that_holds_them() {
+    fn values_are_scaled_to_white() {
         let deep = Picture { width: 1, height: 1, samples: Samples::Sixteen(vec![0, 2048, 4095]) };
-        let white = deep.white_for(deep.peak().unwrap()).unwrap();
-        assert_eq!(white, 4095.0);
-        assert_eq!(row(&deep, white), [0, 128, 255]);
+        assert_eq!((deep.peak(), row(&deep, 4095.0)), (Some(4095.0), vec![0, 128, 255]));
         assert_eq!(row(&deep, 1023.0), [0, 255, 255]);
         let float = Picture { width: 2, height: 1, samples: Samples::Float(vec![-1.0, 0.5, 1.0, f32::NAN, 0.25, 0.0]) };
-        let white = float.white_for(float.peak().unwrap()).unwrap();
-        assert_eq!((white, row(&float, white)), (1.0, vec![0, 128, 255, 0, 64, 0]));
-        for (peak, white) in [(200.0, 255.0), (256.0, 1023.0), (16_000.0, 16_383.0), (65_535.0, 65_535.0)] {
-            assert_eq!(float.white_for(peak), Ok(white));
-        }
-        assert_eq!(float.white_for(1e6), Err(1e6));
+        assert_eq!((float.peak(), row(&float, 1.0)), (Some(1.0), vec![0, 128, 255, 0, 64, 0]));
     }
 }

@@ -20,6 +20,8 @@ use crate::part10::MAX_ENTRY_BYTES;
 const CONNECT_WAIT: Duration = Duration::from_secs(10);
 /// Longest silence of a server. One that stores a long video may take its time.
 const ANSWER_WAIT: Duration = Duration::from_secs(60);
+/// Longest wait for the answer to the request for an association, which needs no search.
+const ASSOCIATE_WAIT: Duration = Duration::from_secs(10);
 /// Longest time for one response, however slowly its bytes come.
 const RESPONSE_WAIT: Duration = Duration::from_secs(120);
 /// Most bytes of a PDU, both ways.
@@ -63,7 +65,7 @@ impl Association {
             .max_pdu_length(MAX_PDU)
             .strict(true)
             .connection_timeout(CONNECT_WAIT)
-            .read_timeout(ANSWER_WAIT)
+            .read_timeout(ASSOCIATE_WAIT)
             .write_timeout(ANSWER_WAIT);
         for (class, syntaxes) in contexts {
             // One context for each syntax, so that the server's choice is known for each.
@@ -71,7 +73,9 @@ impl Association {
                 options = options.with_presentation_context((*class).to_owned(), vec![(*syntax).to_owned()]);
             }
         }
-        let link = options.establish(peer.address.as_str()).map_err(|error| refusal(peer, &error))?;
+        let mut link = options.establish(peer.address.as_str()).map_err(|error| refusal(peer, &error))?;
+        let longer = link.inner_stream().set_read_timeout(Some(ANSWER_WAIT));
+        longer.map_err(|error| DicomError::Broken { peer: peer.address.clone(), problem: error.to_string() })?;
         let most = link.acceptor_max_pdu_length();
         if most < MIN_PDU {
             let problem = format!("it takes only {most} bytes at once; {MIN_PDU} are the fewest");
@@ -212,9 +216,7 @@ impl Association {
     }
 
     fn silence(&self, error: &UlError) -> DicomError {
-        let is_timeout =
-            chain(error).contains("Resource temporarily unavailable") || matches!(error, UlError::Timeout { .. });
-        match is_timeout {
+        match is_timeout(error) {
             true => self.broken(format!("no answer within {} s", ANSWER_WAIT.as_secs())),
             false => self.broken(chain(error)),
         }
@@ -245,11 +247,31 @@ pub fn parse_command(bytes: &[u8]) -> Result<Set, CommandError> {
     read.map_err(|error| CommandError::Decode { reason: chain(&error) })
 }
 
+/// Whether an error is the end of a wait.
+fn is_timeout(error: &UlError) -> bool {
+    let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(error);
+    while let Some(error) = cause {
+        let io = error.downcast_ref::<std::io::Error>().map(std::io::Error::kind);
+        if matches!(io, Some(std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut)) {
+            return true;
+        }
+        cause = error.source();
+    }
+    matches!(error, UlError::Timeout { .. })
+}
+
 fn refusal(peer: &Peer, error: &UlError) -> DicomError {
     let address = peer.address.clone();
     match error {
-        UlError::ToAddress { .. } | UlError::Connect { .. } | UlError::Timeout { .. } => {
+        UlError::Connect { .. } | UlError::ToAddress { .. } => {
             DicomError::Unreachable { peer: address, cause: chain(error) }
+        }
+        error if is_timeout(error) => {
+            let wait_s = ASSOCIATE_WAIT.as_secs();
+            let problem = format!(
+                "it accepts connections and gives no answer within {wait_s} s: is this the port of a DICOM server?"
+            );
+            DicomError::Broken { peer: address, problem }
         }
         UlError::Rejected { association_rj, .. } => DicomError::Refused {
             peer: address,
@@ -268,4 +290,25 @@ fn refusal(peer: &Peer, error: &UlError) -> DicomError {
 
 fn aborted(peer: String) -> DicomError {
     DicomError::Broken { peer, problem: "it aborted the association".to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+    use std::time::Instant;
+
+    use super::*;
+
+    #[test]
+    fn a_server_that_never_answers_is_named() {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let address = listener.local_addr().expect("an address").to_string();
+        let title = || "PANOSCOPE".parse().expect("a title");
+        let peer = Peer { address: address.clone(), calling: title(), called: title() };
+        let start = Instant::now();
+        let error = Association::open(&peer, &[("1.2.840.10008.1.1", &["1.2.840.10008.1.2"])]);
+        let words = error.err().expect("no association").to_string();
+        assert!(words.contains(&address) && words.contains("no answer within 10 s"), "{words}");
+        assert!(start.elapsed() < ANSWER_WAIT, "it waits for the answer to a question");
+    }
 }

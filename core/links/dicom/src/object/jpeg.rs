@@ -13,6 +13,29 @@ pub struct Jpeg {
     pub sampling: u8,
     /// Whether an Adobe marker says that three components are RGB.
     pub is_rgb: bool,
+    /// Whether the file has its end.
+    pub is_whole: bool,
+}
+
+/// Whether the marker of the end follows. In compressed data 0xFF is followed by 0 or by a marker; other segments have a length.
+fn has_end(mut bytes: &[u8]) -> bool {
+    loop {
+        let Some(start) = bytes.windows(2).position(|pair| pair[0] == 0xFF && ![0, 0xFF].contains(&pair[1])) else {
+            return false;
+        };
+        let (marker, rest) = (bytes[start + 1], &bytes[start + 2..]);
+        bytes = match marker {
+            0xD9 => return true,
+            // Restarts have no length; after the head of a scan its data follow.
+            0xD0..=0xD7 => rest,
+            _ => {
+                let Some(length) = rest.first_chunk().map(|length| usize::from(u16::from_be_bytes(*length))) else {
+                    return false;
+                };
+                rest.get(length..).unwrap_or_default()
+            }
+        };
+    }
 }
 
 /// Reads the markers up to the frame's.
@@ -36,7 +59,9 @@ pub fn parse(bytes: &[u8]) -> Option<Jpeg> {
                 let &[bits, h1, h0, w1, w0, components, ..] = segment else { return None };
                 let size = (u16::from_be_bytes([w1, w0]), u16::from_be_bytes([h1, h0]));
                 let sampling = *segment.get(7)?;
-                return Some(Jpeg { size, is_baseline: marker == 0xC0 && bits == 8, components, sampling, is_rgb });
+                let is_baseline = marker == 0xC0 && bits == 8;
+                let is_whole = has_end(&bytes[at + 2 + length..]);
+                return Some(Jpeg { size, is_baseline, components, sampling, is_rgb, is_whole });
             }
             0xD9 | 0xDA => return None,
             _ => {}
@@ -57,8 +82,9 @@ mod tests {
         JpegEncoder::new(&mut bytes).write_image(&[9; 24 * 16 * 3], 24, 16, image::ExtendedColorType::Rgb8).unwrap();
         let jpeg = parse(&bytes).unwrap();
         assert_eq!((jpeg.size, jpeg.components, jpeg.is_baseline, jpeg.is_rgb), ((24, 16), 3, true, false));
+        assert!(jpeg.is_whole);
         for end in 0..bytes.len() {
-            let _ = parse(&bytes[..end]);
+            assert!(parse(&bytes[..end]).is_none_or(|jpeg| !jpeg.is_whole), "{end} of {}", bytes.len());
         }
         assert_eq!(parse(&[0xFF, 0xD8, 0xFF, 0xE0, 0, 0]), None);
         assert_eq!(parse(b"\x89PNG"), None);

@@ -171,6 +171,9 @@ enum StillError {
     /// It cannot be decoded.
     #[error(transparent)]
     Decode(#[from] image::ImageError),
+    /// A JPEG without its end.
+    #[error("the JPEG is cut off: its end is missing")]
+    CutOff,
     /// It is empty or too large.
     #[error("{width} x {height} px; DICOM holds at most 65535 in each direction")]
     Size { width: u32, height: u32 },
@@ -181,6 +184,9 @@ enum StillError {
 
 fn pixels(bytes: Vec<u8>) -> Result<((u16, u16), Pixels), StillError> {
     if let Some(found) = jpeg::parse(&bytes).filter(|found| found.is_baseline && found.size.0 > 0 && found.size.1 > 0) {
+        if !found.is_whole {
+            return Err(StillError::CutOff);
+        }
         let photometric = match (found.components, found.is_rgb) {
             (1, _) => Some("MONOCHROME2"),
             (3, true) => Some("RGB"),

@@ -47,6 +47,20 @@ pub enum BagError {
         /// What is there instead, and what to do.
         hint: &'static str,
     },
+    /// Messages of another generation.
+    #[error("{} has messages of ROS 1: convert it with `rosbags-convert`", .path.display())]
+    Ros1 {
+        /// The bag.
+        path: PathBuf,
+    },
+    /// Messages that are compressed one by one.
+    #[error("messages of `{topic}` in {} are compressed one by one, which is not read here: write the bag again with `ros2 bag convert`", .path.display())]
+    PackedMessage {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+    },
     /// A file that ends early: its recorder did not finish it.
     #[error("{} ends in the middle of a record after {messages} messages: its recorder did not finish it", .path.display())]
     CutOff {

@@ -1,7 +1,9 @@
 //! Bags: folders with MCAP files and `metadata.yaml`, as `ros2 bag` writes them.
 
 mod error;
+mod fields;
 mod reader;
+mod scan;
 mod writer;
 
 pub use error::BagError;

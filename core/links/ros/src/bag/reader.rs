@@ -1,25 +1,31 @@
-//! Reads a bag, message by message, in the order of its files.
+//! Reads a bag, message by message, in the order of their log times.
+//!
+//! Recorders write messages as they come, and some programs write one topic after the other. So the parts of all files are found first, by the heads
+//! of their records, and opened by their times; those that overlap are open at once.
 //!
 //! Nothing of a bag is trusted: records and unpacked chunks have a largest length, and memory is taken as bytes come. The readers of the crate `mcap`
 //! are not used, because they panic at damaged chunks, give up a chunk that is cut off, and take memory by lengths that they have not compared.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use mcap::records::op;
 
 use super::error::BagError;
+use super::fields::Fields;
+use super::scan::{Channels, End, Form, HEAD_BYTES, MAX_RECORD_BYTES, Part, Scan};
 
-/// Longest record: a picture of 8K with four bytes a pixel is half of it.
-const MAX_RECORD_BYTES: u64 = 256 << 20;
-/// Bytes before the body of a record: its kind and its length.
-const HEAD_BYTES: usize = 9;
-/// Channels and schemas of a file.
-const MAX_CHANNELS: usize = 10_000;
-/// Messages of a file that [`survey`] looks at.
+/// Most bytes of parts that are open at once because their times overlap.
+const MAX_OPEN_BYTES: u64 = 2 << 30;
+/// Messages of a bag that [`survey`] looks at.
 const SURVEYED: u64 = 2000;
+
+/// First bytes of a message that is compressed on its own: CDR begins with a 0.
+const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// A message as it is stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,255 +49,131 @@ pub struct BagTopic {
     pub message: String,
 }
 
-/// Records of an unpacked chunk.
-#[derive(Default)]
-struct Chunk {
-    bytes: Vec<u8>,
-    at: usize,
-    /// The file ended within it.
-    is_cut: bool,
-}
-
-/// A file that is being read, from any stream.
-struct Open<R> {
+/// A file of a bag.
+struct Source {
     path: PathBuf,
-    input: R,
-    has_begun: bool,
-    chunk: Chunk,
-    /// Names of types by schema.
-    schemas: HashMap<u16, String>,
-    /// Topic and type by channel; `None` for messages that are not in CDR.
-    channels: HashMap<u16, Option<(String, String)>>,
+    /// The bytes of one that is in memory.
+    bytes: Option<Arc<[u8]>>,
+    channels: Channels,
+    /// How it ends; taken once that was told.
+    end: Option<End>,
+    /// Messages so far.
     messages: u64,
 }
 
-impl<R: Read> Open<R> {
-    fn new(path: PathBuf, input: R) -> Self {
-        let (schemas, channels) = (HashMap::new(), HashMap::new());
-        Self { path, input, has_begun: false, chunk: Chunk::default(), schemas, channels, messages: 0 }
+trait Input: Read + Seek + Send {}
+
+impl<R: Read + Seek + Send> Input for R {}
+
+impl Source {
+    fn input(&self) -> io::Result<Box<dyn Input>> {
+        Ok(match &self.bytes {
+            Some(bytes) => Box::new(Cursor::new(Arc::clone(bytes))),
+            None => Box::new(File::open(&self.path)?),
+        })
+    }
+
+    fn failed(&self, cause: io::Error) -> BagError {
+        BagError::Read { path: self.path.clone(), cause }
     }
 
     fn damaged(&self, words: impl Into<String>) -> BagError {
         BagError::Damaged { path: self.path.clone(), messages: self.messages, words: words.into() }
     }
+}
 
-    fn cut_off(&self) -> BagError {
-        BagError::CutOff { path: self.path.clone(), messages: self.messages }
+/// Unpacks the body of a chunk; of one that is cut off, what can be unpacked.
+fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
+    let mut fields = Fields(body);
+    // Times of the first and the last message, size, checksum, name of the compression, size of what is packed.
+    let head = (|| {
+        let (_start, _end, size, crc) = (fields.u64()?, fields.u64()?, fields.u64()?, fields.u32()?);
+        let name_len = fields.u32()? as usize;
+        Some((size, crc, fields.bytes(name_len)?, fields.u64()?))
+    })();
+    let Some((size, crc, name, packed_len)) = head else {
+        return if is_cut { Ok(Vec::new()) } else { Err("the head of a chunk does not fit it".to_owned()) };
+    };
+    if size > MAX_RECORD_BYTES {
+        return Err(format!("a chunk of {size} bytes is longer than {MAX_RECORD_BYTES}"));
     }
-
-    /// Up to `len` bytes; fewer where the file ends.
-    fn bytes(&mut self, len: u64) -> Result<Vec<u8>, BagError> {
-        if len > MAX_RECORD_BYTES {
-            return Err(self.damaged(format!("a record of {len} bytes is too long")));
+    let packed = &fields.0[..usize::try_from(packed_len).unwrap_or(usize::MAX).min(fields.0.len())];
+    let mut bytes = Vec::new();
+    let unpacked = match name {
+        b"" => packed.take(size).read_to_end(&mut bytes),
+        b"zstd" => zstd::stream::read::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes)),
+        b"lz4" => lz4::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes)),
+        other => {
+            let name = String::from_utf8_lossy(other).chars().take(20).collect::<String>();
+            return Err(format!("chunks compressed with `{name}` are not read here"));
         }
-        let mut bytes = Vec::new();
-        match self.input.by_ref().take(len).read_to_end(&mut bytes) {
-            Ok(_) => Ok(bytes),
-            Err(cause) => Err(BagError::Read { path: self.path.clone(), cause }),
-        }
-    }
-
-    /// `N` bytes.
-    fn array<const N: usize>(&mut self) -> Result<[u8; N], BagError> {
-        self.bytes(N as u64)?.try_into().map_err(|_| self.cut_off())
-    }
-
-    /// The next record of the chunk: its kind and where its bytes are; `None` at the end of the chunk.
-    fn in_chunk(&mut self) -> Result<Option<(u8, std::ops::Range<usize>)>, BagError> {
-        let Chunk { bytes, at, is_cut } = &self.chunk;
-        let rest = bytes.get(*at..).unwrap_or_default();
-        if rest.is_empty() && !is_cut {
-            return Ok(None);
-        }
-        let whole = rest.split_first_chunk::<HEAD_BYTES>().and_then(|([opcode, len @ ..], body)| {
-            let len = usize::try_from(u64::from_le_bytes(*len)).ok().filter(|len| *len <= body.len())?;
-            Some((*opcode, *at + HEAD_BYTES..*at + HEAD_BYTES + len))
-        });
-        match whole {
-            Some((opcode, range)) => {
-                self.chunk.at = range.end;
-                Ok(Some((opcode, range)))
-            }
-            None if *is_cut => Err(self.cut_off()),
-            None => Err(self.damaged("a record does not fit its chunk")),
+    };
+    if !is_cut {
+        unpacked.map_err(|error| format!("a chunk cannot be unpacked: {error}"))?;
+        if bytes.len() as u64 != size || crc != 0 && crc32fast::hash(&bytes) != crc {
+            return Err("a chunk has other bytes than were written".to_owned());
         }
     }
+    Ok(bytes)
+}
 
-    /// Reads and unpacks a chunk of `len` bytes. Of one that is cut off, what can be unpacked.
-    fn open_chunk(&mut self, len: u64) -> Result<(), BagError> {
-        let body = self.bytes(len)?;
-        let is_cut = (body.len() as u64) < len;
-        // Times of the first and the last message, size, checksum, name of the compression.
-        let fields = body.split_first_chunk::<32>().map(|(head, rest)| (*head, rest));
-        let Some((head, rest)) = fields else {
-            return Err(if is_cut { self.cut_off() } else { self.damaged("a chunk has no head") });
-        };
-        let number = |at: usize| u64::from_le_bytes(std::array::from_fn(|byte| head[at + byte]));
-        let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|byte| head[at + byte]));
-        let (size, crc, name_len) = (number(16), word(24), word(28) as usize);
-        let named =
-            rest.split_at_checked(name_len).and_then(|(name, rest)| Some((name, rest.split_first_chunk::<8>()?)));
-        let Some((name, (packed_len, packed))) = named else {
-            return Err(if is_cut { self.cut_off() } else { self.damaged("the head of a chunk does not fit it") });
-        };
-        if size > MAX_RECORD_BYTES {
-            return Err(self.damaged(format!("a chunk of {size} bytes is too long")));
-        }
-        let packed_len = usize::try_from(u64::from_le_bytes(*packed_len)).unwrap_or(usize::MAX);
-        let packed = &packed[..packed_len.min(packed.len())];
-        let mut bytes = Vec::new();
-        let unpacked = match name {
-            b"" => packed.take(size).read_to_end(&mut bytes),
-            b"zstd" => {
-                zstd::stream::read::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes))
-            }
-            b"lz4" => lz4::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes)),
-            other => {
-                let name = String::from_utf8_lossy(other).chars().take(20).collect::<String>();
-                return Err(self.damaged(format!("chunks compressed with `{name}` are not read here")));
-            }
-        };
-        if !is_cut {
-            if let Err(error) = unpacked {
-                return Err(self.damaged(format!("a chunk cannot be unpacked: {error}")));
-            }
-            if bytes.len() as u64 != size || crc != 0 && crc32fast::hash(&bytes) != crc {
-                return Err(self.damaged("a chunk has other bytes than were written"));
-            }
-        }
-        self.chunk = Chunk { bytes, at: 0, is_cut };
-        Ok(())
-    }
+/// A message of a part that is open. The oldest comes first, of equal times the one that was found first.
+struct Waiting {
+    log_ns: u64,
+    number: u64,
+    file: usize,
+    channel: u16,
+    /// The bytes of its part and where its data is in them.
+    part: Arc<Vec<u8>>,
+    data: std::ops::Range<usize>,
+}
 
-    /// The next message that is wanted; `None` at the end.
-    fn next(&mut self, wants: &mut dyn FnMut(&str, &str) -> bool) -> Result<Option<RawMessage>, BagError> {
-        if !self.has_begun {
-            self.has_begun = true;
-            if !self.array::<8>().is_ok_and(|magic| magic[..] == *mcap::MAGIC) {
-                return Err(self.damaged("it does not begin like an MCAP file"));
-            }
-        }
-        loop {
-            if let Some((opcode, range)) = self.in_chunk()? {
-                let bytes = std::mem::take(&mut self.chunk.bytes);
-                let found = self.record(opcode, &bytes[range], wants);
-                self.chunk.bytes = bytes;
-                match found? {
-                    Some(message) => return Ok(Some(message)),
-                    None => continue,
-                }
-            }
-            let [opcode, len @ ..] = self.array::<HEAD_BYTES>()?;
-            let len = u64::from_le_bytes(len);
-            match opcode {
-                op::FOOTER | op::DATA_END => return Ok(None),
-                op::CHUNK => self.open_chunk(len)?,
-                op::SCHEMA | op::CHANNEL | op::MESSAGE => {
-                    let body = self.bytes(len)?;
-                    if (body.len() as u64) < len {
-                        return Err(self.cut_off());
-                    }
-                    if let Some(message) = self.record(opcode, &body, wants)? {
-                        return Ok(Some(message));
-                    }
-                }
-                _ => {
-                    let skipped = io::copy(&mut self.input.by_ref().take(len), &mut io::sink());
-                    let skipped = skipped.map_err(|cause| BagError::Read { path: self.path.clone(), cause })?;
-                    if skipped < len {
-                        return Err(self.cut_off());
-                    }
-                }
-            }
-        }
-    }
-
-    /// Takes a record. Returns it if it is a message that is wanted.
-    fn record(
-        &mut self,
-        opcode: u8,
-        body: &[u8],
-        wants: &mut dyn FnMut(&str, &str) -> bool,
-    ) -> Result<Option<RawMessage>, BagError> {
-        let mut fields = Fields(body);
-        let misfit = || self.damaged("a record lacks fields of its kind");
-        match opcode {
-            op::SCHEMA => {
-                if self.schemas.len() >= MAX_CHANNELS {
-                    return Err(self.damaged("it has more than 10,000 types"));
-                }
-                let (id, name) = fields.u16().zip(fields.text()).ok_or_else(misfit)?;
-                self.schemas.insert(id, name.to_owned());
-            }
-            op::CHANNEL => {
-                if self.channels.len() >= MAX_CHANNELS {
-                    return Err(self.damaged("it has more than 10,000 topics"));
-                }
-                let (id, schema) = fields.u16().zip(fields.u16()).ok_or_else(misfit)?;
-                let (topic, encoding) = fields.text().zip(fields.text()).ok_or_else(misfit)?;
-                let known = self.schemas.get(&schema).filter(|_| encoding == "cdr");
-                self.channels.insert(id, known.map(|message| (topic.to_owned(), message.clone())));
-            }
-            op::MESSAGE => {
-                let head = (fields.u16(), fields.array::<4>(), fields.u64(), fields.u64());
-                let (Some(channel), Some(_sequence), Some(log_ns), Some(_published_ns)) = head else {
-                    return Err(misfit());
-                };
-                self.messages += 1;
-                let Some(channel) = self.channels.get(&channel) else {
-                    return Err(self.damaged("a message belongs to no topic"));
-                };
-                let Some((topic, message)) = channel else { return Ok(None) };
-                if wants(topic, message) {
-                    let log_ns = i64::try_from(log_ns).unwrap_or(i64::MAX);
-                    let (topic, message) = (topic.clone(), message.clone());
-                    return Ok(Some(RawMessage { topic, message, log_ns, data: fields.0.to_vec() }));
-                }
-            }
-            _ => {}
-        }
-        Ok(None)
+impl Waiting {
+    fn key(&self) -> (u64, u64) {
+        (self.log_ns, self.number)
     }
 }
 
-/// Fields of a record, in order. Lengths are compared with the bytes that are there before anything is copied.
-struct Fields<'b>(&'b [u8]);
-
-impl<'b> Fields<'b> {
-    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (head, rest) = self.0.split_first_chunk::<N>()?;
-        self.0 = rest;
-        Some(*head)
+impl PartialEq for Waiting {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
     }
+}
 
-    fn u16(&mut self) -> Option<u16> {
-        self.array().map(u16::from_le_bytes)
+impl Eq for Waiting {}
+
+impl PartialOrd for Waiting {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
     }
+}
 
-    fn u64(&mut self) -> Option<u64> {
-        self.array().map(u64::from_le_bytes)
-    }
-
-    fn text(&mut self) -> Option<&'b str> {
-        let len = usize::try_from(u32::from_le_bytes(self.array()?)).ok()?;
-        let (text, rest) = self.0.split_at_checked(len)?;
-        self.0 = rest;
-        std::str::from_utf8(text).ok()
+impl Ord for Waiting {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.key().cmp(&other.key())
     }
 }
 
 /// Reads a bag.
 pub struct BagReader {
-    files: VecDeque<PathBuf>,
-    open: Option<Open<File>>,
+    files: Vec<Source>,
+    /// Parts with their files that are not open yet, by their first times.
+    parts: VecDeque<(usize, Part)>,
+    waiting: BinaryHeap<Reverse<Waiting>>,
+    /// Messages that were found so far.
+    found: u64,
+    /// The file that was read last.
+    input: Option<(usize, Box<dyn Input>)>,
+    /// Parts in memory, for their size.
+    open: Vec<std::sync::Weak<Vec<u8>>>,
 }
 
 /// The MCAP files of a bag: the file itself, or those of a folder in the order of their numbers.
-fn files(path: &Path) -> Result<VecDeque<PathBuf>, BagError> {
+fn files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let read = |cause| BagError::Read { path: path.to_owned(), cause };
     if !path.is_dir() {
         fs::metadata(path).map_err(read)?;
-        return Ok(VecDeque::from([path.to_owned()]));
+        return Ok(vec![path.to_owned()]);
     }
     let all: Vec<PathBuf> = fs::read_dir(path)
         .map_err(read)?
@@ -317,16 +199,113 @@ fn files(path: &Path) -> Result<VecDeque<PathBuf>, BagError> {
         let number = name[name.len() - digits..].parse::<u64>().unwrap_or(0);
         (name[..name.len() - digits].to_owned(), number)
     });
-    Ok(found.into())
+    Ok(found)
 }
 
 impl BagReader {
     /// Opens a bag: its folder, or one MCAP file.
     ///
     /// # Errors
-    /// There is none.
+    /// There is none, or a file cannot be read.
     pub fn open(path: &Path) -> Result<Self, BagError> {
-        Ok(Self { files: files(path)?, open: None })
+        Self::of(files(path)?.into_iter().map(|path| (path, None)))
+    }
+
+    fn of(files: impl IntoIterator<Item = (PathBuf, Option<Arc<[u8]>>)>) -> Result<Self, BagError> {
+        let mut reader = Self {
+            files: Vec::new(),
+            parts: VecDeque::new(),
+            waiting: BinaryHeap::new(),
+            found: 0,
+            input: None,
+            open: Vec::new(),
+        };
+        let mut parts = Vec::new();
+        for (path, bytes) in files {
+            let mut source = Source { path, bytes, channels: Channels::default(), end: None, messages: 0 };
+            let scan = source.input().and_then(Scan::of).map_err(|cause| source.failed(cause))?;
+            let keeps_order = scan.channels.is_empty();
+            let mut last_ns = 0;
+            for mut part in scan.parts {
+                // Topics that are only announced within chunks are known in the order of the chunks.
+                last_ns = if keeps_order { part.start_ns.max(last_ns) } else { part.start_ns };
+                part.start_ns = last_ns;
+                parts.push((reader.files.len(), part));
+            }
+            (source.channels, source.end) = (scan.channels, Some(scan.end));
+            reader.files.push(source);
+        }
+        parts.sort_by_key(|(_, part)| part.start_ns);
+        reader.parts = parts.into();
+        Ok(reader)
+    }
+
+    /// The bytes of a part as records.
+    fn records(&mut self, file: usize, part: &Part) -> Result<Vec<u8>, BagError> {
+        let source = &self.files[file];
+        let mut input = match self.input.take() {
+            Some((known, input)) if known == file => input,
+            _ => source.input().map_err(|cause| source.failed(cause))?,
+        };
+        let mut body = Vec::new();
+        let read =
+            input.seek(SeekFrom::Start(part.at)).and_then(|_| input.by_ref().take(part.len).read_to_end(&mut body));
+        read.map_err(|cause| source.failed(cause))?;
+        self.input = Some((file, input));
+        match part.form {
+            Form::Records => Ok(body),
+            form => unpack(&body, form == Form::CutChunk).map_err(|words| source.damaged(words)),
+        }
+    }
+
+    /// Opens a part: its messages that are wanted wait for their turn.
+    fn open_part(
+        &mut self,
+        (file, part): (usize, Part),
+        wants: &mut dyn FnMut(&str, &str) -> bool,
+    ) -> Result<(), BagError> {
+        self.open.retain(|part| part.strong_count() > 0);
+        let open_bytes: u64 = self.open.iter().filter_map(std::sync::Weak::upgrade).map(|part| part.len() as u64).sum();
+        if open_bytes > MAX_OPEN_BYTES {
+            let words = "more than 2 GiB of its chunks overlap in time; write it again with `ros2 bag convert`";
+            return Err(self.files[file].damaged(words));
+        }
+        let bytes = Arc::new(self.records(file, &part)?);
+        self.open.push(Arc::downgrade(&bytes));
+        let source = &mut self.files[file];
+        let mut at = 0;
+        while at < bytes.len() {
+            let record = Fields(&bytes[at..]).record();
+            let body = at + HEAD_BYTES;
+            let end = record.and_then(|(_, len)| body.checked_add(usize::try_from(len).ok()?));
+            let (Some((opcode, _)), Some(end)) = (record, end.filter(|end| *end <= bytes.len())) else {
+                return match part.form {
+                    Form::CutChunk => Ok(()),
+                    _ => Err(source.damaged("a record does not fit its chunk")),
+                };
+            };
+            at = end;
+            if opcode != op::MESSAGE {
+                source.channels.take(opcode, &bytes[body..end]).map_err(|words| source.damaged(words))?;
+                continue;
+            }
+            let mut fields = Fields(&bytes[body..end]);
+            let head = (fields.u16(), fields.array::<4>(), fields.u64(), fields.u64());
+            let (Some(channel), Some(_number), Some(log_ns), Some(_published_ns)) = head else {
+                return Err(source.damaged("a record lacks fields of its kind"));
+            };
+            source.messages += 1;
+            let Some(known) = source.channels.get(channel) else {
+                return Err(source.damaged("a message belongs to no topic"));
+            };
+            if known.is_some_and(|(topic, message)| wants(topic, message)) {
+                let (number, data) = (self.found, end - fields.0.len()..end);
+                self.found += 1;
+                let part = Arc::clone(&bytes);
+                self.waiting.push(Reverse(Waiting { log_ns, number, file, channel, part, data }));
+            }
+        }
+        Ok(())
     }
 
     /// The next message for whose topic and type `wants` is true; `None` at the end.
@@ -335,21 +314,39 @@ impl BagReader {
     /// A file cannot be read, ends early or is damaged.
     pub fn next(&mut self, mut wants: impl FnMut(&str, &str) -> bool) -> Result<Option<RawMessage>, BagError> {
         loop {
-            if self.open.is_none() {
-                let Some(path) = self.files.pop_front() else { return Ok(None) };
-                let file = File::open(&path).map_err(|cause| BagError::Read { path: path.clone(), cause })?;
-                self.open = Some(Open::new(path, file));
+            let first_ns = self.waiting.peek().map(|Reverse(waiting)| waiting.log_ns);
+            let is_due = |(_, part): &(usize, Part)| first_ns.is_none_or(|first_ns| part.start_ns <= first_ns);
+            if self.parts.front().is_some_and(is_due)
+                && let Some(part) = self.parts.pop_front()
+            {
+                self.open_part(part, &mut wants)?;
+                continue;
             }
-            let Some(open) = &mut self.open else { return Ok(None) };
-            match open.next(&mut wants) {
-                Ok(Some(message)) => return Ok(Some(message)),
-                Ok(None) => self.open = None,
-                Err(error) => {
-                    self.open = None;
-                    return Err(error);
+            let Some(Reverse(Waiting { log_ns, file, channel, part, data, .. })) = self.waiting.pop() else {
+                return self.end().map_or(Ok(None), Err);
+            };
+            let source = &self.files[file];
+            if let Some(Some((topic, message))) = source.channels.get(channel) {
+                if part[data.clone()].starts_with(&ZSTD) {
+                    return Err(BagError::PackedMessage { path: source.path.clone(), topic: topic.to_owned() });
                 }
+                return Ok(Some(RawMessage {
+                    topic: topic.to_owned(),
+                    message: message.to_owned(),
+                    log_ns: i64::try_from(log_ns).unwrap_or(i64::MAX),
+                    data: part[data].to_vec(),
+                }));
             }
         }
+    }
+
+    /// What is wrong with the end of a file, each told once.
+    fn end(&mut self) -> Option<BagError> {
+        self.files.iter_mut().find_map(|source| match source.end.take()? {
+            End::Whole => None,
+            End::CutOff => Some(BagError::CutOff { path: source.path.clone(), messages: source.messages }),
+            End::Damaged(words) => Some(source.damaged(words)),
+        })
     }
 
     /// The messages of an MCAP file that is in memory.
@@ -357,8 +354,8 @@ impl BagReader {
     /// # Errors
     /// It is damaged.
     pub fn read_bytes(bytes: &[u8], mut take: impl FnMut(RawMessage)) -> Result<(), BagError> {
-        let mut open = Open::new(PathBuf::from("bytes"), bytes);
-        while let Some(message) = open.next(&mut |_, _| true)? {
+        let mut reader = Self::of([(PathBuf::from("bytes"), Some(bytes.into()))])?;
+        while let Some(message) = reader.next(|_, _| true)? {
             take(message);
         }
         Ok(())
@@ -368,22 +365,25 @@ impl BagReader {
 /// The topics among the first messages of a bag. A bag that ends early has those before its end.
 ///
 /// # Errors
-/// There is no bag, or it is damaged before its first message.
+/// There is no bag, it is damaged before its first message, or its messages are none that are read here.
 pub fn survey(path: &Path) -> Result<Vec<BagTopic>, BagError> {
     let mut reader = BagReader::open(path)?;
-    let (mut found, mut looked) = (BTreeMap::new(), 0);
-    let end = reader.next(|topic, message| {
-        if !found.contains_key(topic) {
-            found.insert(topic.to_owned(), message.to_owned());
+    let (mut found, mut read) = (BTreeMap::new(), 0);
+    while read < SURVEYED {
+        let next = reader.next(|topic, message| {
+            if !found.contains_key(topic) {
+                found.insert(topic.to_owned(), message.to_owned());
+            }
+            true
+        });
+        match next {
+            Ok(Some(_)) => read += 1,
+            Err(error) if found.is_empty() || matches!(error, BagError::PackedMessage { .. }) => return Err(error),
+            Ok(None) | Err(_) => break,
         }
-        looked += 1;
-        // The one that is wanted is the last that is read.
-        looked >= SURVEYED
-    });
-    if let Err(error) = end
-        && found.is_empty()
-    {
-        return Err(error);
+    }
+    if found.is_empty() && reader.files.iter().any(|file| file.channels.is_ros1) {
+        return Err(BagError::Ros1 { path: path.to_owned() });
     }
     Ok(found.into_iter().map(|(topic, message)| BagTopic { topic, message }).collect())
 }
@@ -427,6 +427,37 @@ mod tests {
         let error = BagReader::read_bytes(&bytes[..bytes.len() / 2], |_| cut += 1).unwrap_err();
         assert!(matches!(error, BagError::CutOff { .. } | BagError::Damaged { .. }), "{error}");
         fs::remove_dir_all(&folder).unwrap();
+    }
+
+    /// A file with a message of each topic at these times, written in this order, in chunks or without.
+    fn unsorted(times: &[(&str, u64)], chunk_bytes: Option<u64>, is_whole: bool) -> Vec<u8> {
+        let options = mcap::WriteOptions::new().compression(None).use_chunks(chunk_bytes.is_some());
+        let options = options.chunk_size(chunk_bytes).emit_summary_records(is_whole);
+        let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+        let schema = writer.add_schema("geometry_msgs/msg/PoseStamped", "ros2msg", b"").unwrap();
+        for (topic, log_time) in times {
+            let channel_id = writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap();
+            let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time: *log_time, publish_time: 0 };
+            writer.write_to_known_channel(&header, &[0; 40]).unwrap();
+        }
+        writer.finish().unwrap();
+        writer.into_inner().into_inner()
+    }
+
+    #[test]
+    fn messages_come_in_the_order_of_their_log_times() {
+        let left = (0..40).map(|at| ("/left", 10 * at));
+        let times: Vec<(&str, u64)> = left.chain((0..40).map(|at| ("/right", 10 * at + 1))).collect();
+        for chunk_bytes in [None, Some(100), Some(900), Some(1 << 20)] {
+            let mut read = Vec::new();
+            let bytes = unsorted(&times, chunk_bytes, true);
+            BagReader::read_bytes(&bytes, |message| read.push((message.log_ns, message.topic))).unwrap();
+            assert!(read.len() == 80 && read.is_sorted(), "{chunk_bytes:?}: {read:?}");
+            // Without a summary the topic of the second half is only known in the order of the chunks.
+            let mut read = 0;
+            BagReader::read_bytes(&unsorted(&times, chunk_bytes, false), |_| read += 1).unwrap();
+            assert_eq!(read, 80, "{chunk_bytes:?}");
+        }
     }
 
     #[test]

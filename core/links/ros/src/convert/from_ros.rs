@@ -4,8 +4,9 @@ use std::io::Cursor;
 
 use image::{DynamicImage, ImageFormat, ImageReader, Limits};
 use panoscope_abi as abi;
-use panoscope_data::calibration::ros::{CameraInfo as Info, CameraInfoError};
+use panoscope_data::calibration::ros::{CameraInfo as Info, CameraInfoError, Window};
 
+use super::bayer;
 use crate::messages::{
     CameraInfo, CompressedImage, Detection2DArray, DisparityImage, Image, JointState, PointCloud2, PointField,
     PoseStamped, point_type,
@@ -38,7 +39,9 @@ pub enum ConvertError {
         len: usize,
     },
     /// An encoding of pictures that is not read.
-    #[error("the encoding `{encoding}` is not read here: mono8, bgr8, rgb8, bgra8, rgba8, mono16, 16UC1 and 32FC1 are")]
+    #[error(
+        "the encoding `{encoding}` is not read here: mono8, bgr8, rgb8, bgra8, rgba8, mono16, 16UC1, 32FC1 and bayer_*8 are"
+    )]
     Encoding {
         /// Its name.
         encoding: String,
@@ -115,6 +118,7 @@ pub fn picture(message: &Image<'_>) -> Result<Picture, ConvertError> {
     let Image { width, height, step, .. } = *message;
     let pixel: u64 = match message.encoding.as_str() {
         "mono8" | "8UC1" => 1,
+        other if bayer::is_bayer(other) => 1,
         "mono16" | "16UC1" => 2,
         "bgr8" | "rgb8" | "8UC3" => 3,
         "bgra8" | "rgba8" | "8UC4" | "32FC1" => 4,
@@ -124,6 +128,7 @@ pub fn picture(message: &Image<'_>) -> Result<Picture, ConvertError> {
     checked(width, height, step, row_bytes, message.data.len())?;
     let rows = (0..height as usize).map(|row| &message.data[row * step as usize..][..row_bytes as usize]);
     let samples = match message.encoding.as_str() {
+        encoding if bayer::is_bayer(encoding) => Samples::Bgr8(bayer::colours(encoding, &rows.collect::<Vec<_>>())),
         "mono8" | "8UC1" => Samples::Gray8(rows.flatten().copied().collect()),
         "bgr8" | "8UC3" => Samples::Bgr8(rows.flatten().copied().collect()),
         "rgb8" => {
@@ -370,11 +375,13 @@ pub fn joints(message: &JointState) -> Result<abi::Joints, ConvertError> {
 /// What a message states of a camera.
 ///
 /// # Errors
-/// The distortion model is unknown.
+/// The distortion model is unknown, or its numbers are those of no camera.
 pub fn camera_info(message: &CameraInfo) -> Result<Info, ConvertError> {
     let size = (message.width, message.height);
     let matrices = (&message.k, &message.r, &message.p);
-    Ok(Info::of_message(size, &message.distortion_model, &message.d, matrices)?)
+    let (roi, binning) = (&message.roi, (message.binning_x, message.binning_y));
+    let window = Window { binning, offset_px: (roi.x_offset, roi.y_offset), size_px: (roi.width, roi.height) };
+    Ok(Info::of_message(size, &message.distortion_model, &message.d, matrices, window)?)
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Packets as messages and back.
 
+mod bayer;
 mod from_ros;
 mod to_ros;
 

@@ -38,3 +38,30 @@ pub use view::ViewState;
 
 /// Rows of the 3x3 unit matrix, one after the other.
 pub(crate) const EYE3: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+
+/// Shortest baseline that a stereo scope has, mm. Below it the unit is most likely another one.
+const MIN_BASELINE_MM: f64 = 0.5;
+
+/// Why nine numbers by rows are no camera matrix; `None` if they are.
+pub(crate) fn no_camera_matrix(matrix: &[f64; 9]) -> Option<&'static str> {
+    let near = |at: usize, value: f64| (matrix[at] - value).abs() <= 1e-6 * matrix[0].abs().max(1.0);
+    if near(6, 0.0) && near(7, 0.0) && near(8, 1.0) && near(3, 0.0) {
+        return None;
+    }
+    let is_transposed = near(2, 0.0) && near(5, 0.0) && near(8, 1.0);
+    Some(if is_transposed {
+        "is transposed: the principal point belongs into the last column, and the last row is 0 0 1"
+    } else {
+        "is no camera matrix: its last row is not 0 0 1, or its second row does not begin with 0"
+    })
+}
+
+/// What makes a calibration doubtful although its numbers fit together; for a warning.
+pub fn doubt(calibration: &panoscope_abi::Calibration) -> Option<String> {
+    let baseline_mm = calibration.baseline_mm;
+    (baseline_mm < MIN_BASELINE_MM).then(|| {
+        format!(
+            "its cameras are only {baseline_mm:.4} mm apart: lengths of this file are in mm, is its translation in m? All distances would be 1000 times too small"
+        )
+    })
+}

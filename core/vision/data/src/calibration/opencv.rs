@@ -8,6 +8,7 @@ use panoscope_abi::{Calibration, Camera};
 use crate::calibration::EYE3;
 use crate::calibration::document::Node;
 use crate::calibration::error::Mistake;
+use crate::calibration::no_camera_matrix;
 
 /// Names in use for the same matrices; the first is what is written.
 const LEFT_MATRIX: [&str; 6] =
@@ -69,6 +70,15 @@ fn distortion(documents: &[Node], names: &[&str]) -> Result<[f64; 14]> {
     Ok(out)
 }
 
+/// A camera matrix by rows.
+fn camera_matrix(documents: &[Node], names: &[&str], what: &str) -> Result<[f64; 9]> {
+    let matrix: [f64; 9] = needed(documents, names, what)?;
+    if let (Some(words), Some(found)) = (no_camera_matrix(&matrix), find(documents, names)) {
+        return Err((found.index, found.node.mistake(format!("`{}` {words}", found.name))));
+    }
+    Ok(matrix)
+}
+
 /// Width and height; zero when no document states them, as in the output of OpenCV's sample.
 fn size(documents: &[Node]) -> Result<(u32, u32)> {
     let pixels = |names: &[&str]| -> Result<Option<u32>> {
@@ -97,8 +107,8 @@ fn camera(size: (u32, u32), k: &[f64; 9], distortion: [f64; 14]) -> Camera {
 /// The packet of one or more documents together; a mistake comes with the index of its document.
 pub(crate) fn packet(documents: &[Node]) -> Result<Calibration> {
     let size = size(documents)?;
-    let left: [f64; 9] = needed(documents, &LEFT_MATRIX, "the left camera matrix")?;
-    let right: [f64; 9] = needed(documents, &RIGHT_MATRIX, "the right camera matrix")?;
+    let left = camera_matrix(documents, &LEFT_MATRIX, "the left camera matrix")?;
+    let right = camera_matrix(documents, &RIGHT_MATRIX, "the right camera matrix")?;
     let rotation = needed(documents, &["R", "rotation"], "the rotation between the cameras")?;
     let translation: [f64; 3] = needed(documents, &["T", "translation"], "the translation between the cameras")?;
     let (left, right) = (

@@ -2,8 +2,10 @@
 
 use panoscope_abi::{Calibration, Camera};
 
+use crate::calibration::EYE3;
 use crate::calibration::document::Node;
 use crate::calibration::error::Mistake;
+use crate::calibration::no_camera_matrix;
 
 const MM_PER_M: f64 = 1000.0;
 
@@ -40,6 +42,23 @@ pub enum CameraInfoError {
         /// Name of the model.
         model: String,
     },
+    /// A rotation that turns nothing into nothing.
+    #[error(
+        "its rectification R is all zero: calibrate the cameras again, or set R to the identity if the views are rectified"
+    )]
+    NoRotation,
+    /// A window that has no pixels.
+    #[error("its binning {x} x {y} leaves no pixels of {width}x{height}")]
+    Window {
+        /// Columns that are one.
+        x: u32,
+        /// Rows that are one.
+        y: u32,
+        /// Columns before binning.
+        width: u32,
+        /// Rows before binning.
+        height: u32,
+    },
     /// Numbers of a camera that is not calibrated.
     #[error(
         "the cameras are not calibrated as a stereo pair: the projection of the right one has no focal length or no baseline"
@@ -49,6 +68,10 @@ pub enum CameraInfoError {
 
 /// The coefficients of a model, in the order of the packet.
 fn coefficients(model: &str, all: &[f64]) -> Result<[f64; 14], CameraInfoError> {
+    // Some drivers write one zero for a camera without distortion.
+    if all.iter().all(|value| *value == 0.0) && all.len() <= 14 {
+        return Ok([0.0; 14]);
+    }
     let longest = match model {
         "plumb_bob" | "" => 5,
         "rational_polynomial" => 14,
@@ -62,20 +85,82 @@ fn coefficients(model: &str, all: &[f64]) -> Result<[f64; 14], CameraInfoError> 
     Ok(distortion)
 }
 
+/// The part of a sensor that an image shows, as a message `sensor_msgs/msg/CameraInfo` states it. K and P are those of the whole sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Window {
+    /// Columns and rows of the sensor that are one in the image; 0 is 1.
+    pub binning: (u32, u32),
+    /// First column and row.
+    pub offset_px: (u32, u32),
+    /// Columns and rows of the sensor; 0 is all.
+    pub size_px: (u32, u32),
+}
+
+impl Window {
+    fn binning(&self) -> (u32, u32) {
+        (self.binning.0.max(1), self.binning.1.max(1))
+    }
+
+    /// Size of the image of a sensor.
+    fn size_of_image(&self, sensor: (u32, u32)) -> Result<(u32, u32), CameraInfoError> {
+        let (x, y) = self.binning();
+        let of = |part: u32, whole: u32| if part == 0 { whole } else { part };
+        let (width, height) = (of(self.size_px.0, sensor.0), of(self.size_px.1, sensor.1));
+        let size = (width / x, height / y);
+        // A size of 0 is not stated.
+        if (width > 0 && size.0 == 0) || (height > 0 && size.1 == 0) {
+            return Err(CameraInfoError::Window { x, y, width, height });
+        }
+        Ok(size)
+    }
+
+    /// A matrix of the whole sensor, of `N / 3` columns, as one of the image. Rows count in px of the sensor; the third column has the offset.
+    fn of_image<const N: usize>(&self, mut matrix: [f64; N]) -> [f64; N] {
+        let columns = N / 3;
+        let (x, y) = self.binning();
+        for (row, (offset, step)) in [(self.offset_px.0, x), (self.offset_px.1, y)].into_iter().enumerate() {
+            let row = &mut matrix[row * columns..][..columns];
+            row[2] -= f64::from(offset);
+            row.iter_mut().for_each(|value| *value /= f64::from(step));
+        }
+        matrix
+    }
+}
+
 impl CameraInfo {
-    /// From the fields of a message `sensor_msgs/msg/CameraInfo`: size in px, model, its coefficients, and the matrices K, R and P by rows.
+    /// From the fields of a message `sensor_msgs/msg/CameraInfo`: size in px, model, its coefficients, the matrices K, R and P by rows, and the part
+    /// of the sensor that is in the image.
     ///
     /// # Errors
-    /// The model or its coefficients are unknown.
+    /// The model or its coefficients are unknown, R is all zero, or no pixels are left.
     pub fn of_message(
-        (width, height): (u32, u32),
+        size: (u32, u32),
         model: &str,
         coefficients_of_model: &[f64],
         (k, r, p): (&[f64; 9], &[f64; 9], &[f64; 12]),
+        window: Window,
     ) -> Result<Self, CameraInfoError> {
         let distortion = coefficients(model, coefficients_of_model)?;
+        if *r == [0.0; 9] {
+            return Err(CameraInfoError::NoRotation);
+        }
+        let (width, height) = window.size_of_image(size)?;
+        let k = window.of_image(*k);
         let camera = Camera { width, height, fx: k[0], fy: k[4], cx: k[2], cy: k[5], distortion };
-        Ok(Self { camera, rectification: *r, projection: *p })
+        Ok(Self { camera, rectification: *r, projection: window.of_image(*p) })
+    }
+
+    /// Whether its images are rectified already: no distortion, no rotation, and the projection of the camera itself.
+    fn is_rectified(&self) -> bool {
+        let Camera { fx, fy, cx, cy, distortion, .. } = self.camera;
+        let near = |a: f64, b: f64| (a - b).abs() <= 1e-6 * fx.abs();
+        let p = &self.projection;
+        distortion == [0.0; 14]
+            && self.rectification.iter().zip(&EYE3).all(|(a, b)| (a - b).abs() <= 1e-9)
+            && near(p[0], fx)
+            && near(p[5], fy)
+            && near(p[2], cx)
+            && near(p[6], cy)
     }
 
     /// The model and the matrices of a camera for a message: model, coefficients, K, R, P. Without a rectification in the calibration R is the
@@ -110,6 +195,9 @@ fn info(document: &Node) -> Result<CameraInfo, Mistake> {
         })
     };
     let k: [f64; 9] = get("camera_matrix")?.exactly("camera_matrix")?;
+    if let Some(words) = no_camera_matrix(&k) {
+        return Err(get("camera_matrix")?.mistake(format!("`camera_matrix` {words}")));
+    }
     let mut distortion = [0.0; 14];
     if let Some(node) = document.get("distortion_coefficients") {
         let all = node.numbers("distortion_coefficients")?;
@@ -167,7 +255,50 @@ fn pair(left: &CameraInfo, right: &CameraInfo) -> Calibration {
         right_projection: in_mm(right.projection),
         baseline_mm: shift_mm.abs(),
         rms_px: f64::NAN,
-        is_rectified: 0,
+        is_rectified: u32::from(left.is_rectified() && right.is_rectified()),
         reserved: 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const K: [f64; 9] = [400.0, 0.0, 320.0, 0.0, 410.0, 240.0, 0.0, 0.0, 1.0];
+    const P: [f64; 12] = [400.0, 0.0, 320.0, -2.0, 0.0, 410.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+
+    fn info(d: &[f64], r: &[f64; 9], window: Window) -> Result<CameraInfo, CameraInfoError> {
+        CameraInfo::of_message((640, 480), "plumb_bob", d, (&K, r, &P), window)
+    }
+
+    #[test]
+    fn matrices_are_those_of_the_image_that_is_sent() {
+        let window = Window { binning: (2, 2), offset_px: (40, 20), size_px: (320, 240) };
+        let found = info(&[], &EYE3, window).unwrap();
+        let Camera { width, height, fx, fy, cx, cy, .. } = found.camera;
+        assert_eq!((width, height, fx, fy, cx, cy), (160, 120, 200.0, 205.0, 140.0, 110.0));
+        // The baseline stays.
+        assert_eq!((found.projection[3] / found.projection[0], found.projection[2]), (-0.005, 140.0));
+        let whole = info(&[], &EYE3, Window::default()).unwrap();
+        assert_eq!((whole.camera.width, whole.camera.cx, whole.projection), (640, 320.0, P));
+        let wrong = Window { binning: (1000, 1), ..Window::default() };
+        assert!(matches!(info(&[], &EYE3, wrong), Err(CameraInfoError::Window { .. })));
+    }
+
+    #[test]
+    fn no_distortion_may_be_written_in_any_length_and_no_rotation_is_an_error() {
+        assert_eq!(info(&[0.0], &EYE3, Window::default()).unwrap().camera.distortion, [0.0; 14]);
+        let count = info(&[0.1], &EYE3, Window::default());
+        assert!(matches!(count, Err(CameraInfoError::Coefficients { count: 1, .. })));
+        assert_eq!(info(&[], &[0.0; 9], Window::default()), Err(CameraInfoError::NoRotation));
+    }
+
+    #[test]
+    fn cameras_of_rectified_views_say_so() {
+        let of = |d: &[f64]| {
+            let left = info(d, &EYE3, Window::default()).unwrap();
+            calibration(&left, &left).unwrap().is_rectified
+        };
+        assert_eq!((of(&[0.0; 5]), of(&[0.1, 0.0, 0.0, 0.0, 0.0])), (1, 0));
     }
 }
