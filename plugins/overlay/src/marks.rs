@@ -92,6 +92,18 @@ pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen) 
     }
 }
 
+/// Name of a class; empty if it has none, or one that the font cannot draw.
+fn drawable_label<'f>(detections: &Detections<'f>, class_index: u32) -> &'f str {
+    let label = detections.label(class_index);
+    if draw::is_drawable(label) { label } else { "" }
+}
+
+/// A name among those of the items that the font cannot draw.
+pub fn undrawable_label<'f>(detections: &Detections<'f>) -> Option<&'f str> {
+    let mut labels = detections.items().iter().map(|item| detections.label(item.class_index));
+    labels.find(|label| !draw::is_drawable(label))
+}
+
 /// Class, score and track number of each rectangle, where `labels` has space; a label without space is skipped.
 pub fn box_labels(
     out: &mut ViewMut<'_, u8>,
@@ -102,7 +114,7 @@ pub fn box_labels(
 ) {
     for item in detections.items().iter().filter(|item| item.score >= pen.min_score) {
         words.clear();
-        let label = detections.label(item.class_index);
+        let label = drawable_label(detections, item.class_index);
         if label.is_empty() {
             let _ = write!(words, "class {}", item.class_index);
         } else {
@@ -141,7 +153,7 @@ pub fn box_keys(
         let inset = 2.0 * pen.text_scale + pen.line_px;
         bar::dots(out, (x.max(0.0) + inset, y.max(0.0) + inset), key, pen.text_scale);
         words.clear();
-        let label = detections.label(item.class_index);
+        let label = drawable_label(detections, item.class_index);
         if label.is_empty() {
             let _ = write!(words, "class {}", item.class_index);
         } else {

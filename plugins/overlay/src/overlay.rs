@@ -197,6 +197,8 @@ pub struct Overlay {
     bar: Bar,
     /// Indices of the boxes that are shown, in the order of their tracks.
     shown: Vec<usize>,
+    /// A label that cannot be drawn was reported.
+    has_warned: bool,
 }
 
 impl Overlay {
@@ -287,7 +289,7 @@ impl Node for Overlay {
         Ok(Self::default())
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
         let frame = (input.image.width(), input.image.height());
         let offset = match params.offset_px.as_slice() {
             [] => (0.0, 0.0),
@@ -297,6 +299,11 @@ impl Node for Overlay {
         let homography = input.homography.filter(|_| params.show_registration);
         let roi = input.roi.filter(|_| params.show_roi);
         let boxes = input.instances.map(|i| i.detections()).or(input.detections).filter(|_| params.show_boxes);
+        if let Some(label) = boxes.as_ref().and_then(marks::undrawable_label)
+            && !std::mem::replace(&mut self.has_warned, true)
+        {
+            cx.warn(&format!("the font has no letters for the class `{label}`: its number is written"));
+        }
         let instances = input.instances.filter(|_| params.show_masks);
         let mask = input.mask.filter(|_| params.show_masks);
         let tip = input.tip.filter(|_| params.show_tip);

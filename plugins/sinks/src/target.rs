@@ -134,7 +134,21 @@ pub fn check_path(
         let message = format!("cannot write {}: {} is a file, not a folder", path.display(), file.display());
         check.error("path", message, "choose another folder, or move that file away");
     }
+    let text = path.to_string_lossy();
+    if let Some(printf) = printf_number(&text) {
+        let message = format!("`{printf}` stays as it is: each file replaces the one before");
+        check.warning("path", message, "write {seq} for the number of the tick, {seq:4} for four digits");
+    }
     Some(ending)
+}
+
+/// A place for a number as other programs write it, such as `%04d`.
+fn printf_number(text: &str) -> Option<&str> {
+    text.match_indices('%').find_map(|(start, _)| {
+        let rest = &text[start + 1..];
+        let digits = rest.bytes().take_while(u8::is_ascii_digit).count();
+        rest[digits..].starts_with('d').then(|| &text[start..start + digits + 2])
+    })
 }
 
 /// Claims the pattern of a node that replaces whole files, such as `out/{seq}.png`, and returns the one to write. Folders before the first place
@@ -420,6 +434,13 @@ impl Pattern {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_as_other_programs_write_them_are_found() {
+        assert_eq!(printf_number("out/still_%04d.png"), Some("%04d"));
+        assert_eq!(printf_number("100%/a_%d.png"), Some("%d"));
+        assert_eq!((printf_number("50%_done.png"), printf_number("{seq}.png")), (None, None));
+    }
 
     #[test]
     fn place_holders_are_filled_in() {

@@ -56,6 +56,12 @@ fn pixels(size: u32) -> PxScale {
     PxScale::from(size as f32 / SIZE_PARTS * CAPITAL_HEIGHT / CAPITAL)
 }
 
+/// Whether the font has every letter of a text.
+pub fn is_drawable(text: &str) -> bool {
+    let Some(font) = FONT.as_ref() else { return false };
+    text.chars().all(|character| character.is_whitespace() || glyph_of(font, character) != GlyphId(0))
+}
+
 /// From a letter's pen to the next one's, px.
 pub fn advance(character: char, scale: f32) -> f32 {
     FONT.as_ref().map_or(0.0, |font| font.as_scaled(pixels(rounded(scale))).h_advance(glyph_of(font, character)))

@@ -17,6 +17,7 @@ mod surface;
 mod text;
 
 pub use colormap::{Colormap, colorize};
+pub use font::is_drawable;
 pub use labels::{Area, Labels};
 pub use overlay::{ScaleBar, blend_mask, scale_bar};
 pub use rims::{GradientLimit, Rims};

@@ -104,6 +104,12 @@ mod tests {
     }
 
     #[test]
+    fn what_the_font_lacks_is_known() {
+        assert!(font::is_drawable("Łódź 12 µm ±0.3") && font::is_drawable(""));
+        assert!(!font::is_drawable("手术钳") && !font::is_drawable("hook 钳"));
+    }
+
+    #[test]
     fn the_second_time_is_the_same() {
         let (w, h) = (160, 40);
         let written = || {
