@@ -1,6 +1,7 @@
 //! Pictures that the node `capture` decodes itself: PNG, EXR, TIFF, JPEG, BMP, PNM; masks of classes.
 
 use panoscope_capture::source::decode_picture;
+use panoscope_data::bit_depth::white_for;
 use panoscope_data::truth::masks::{Code, MaskPicture};
 use panoscope_media::input::jpeg;
 
@@ -26,15 +27,10 @@ pub fn run(bytes: &[u8]) {
             // Rows of three values; each value takes a byte or more.
             assert!(picture.bytes() >= 3 * picture.width * picture.height);
             // As the node uses it: the depth that holds the brightest value, then rows of eight bits.
-            let white = match picture.peak() {
-                None => 255.0,
-                Some(peak) => match picture.white_for(peak) {
-                    Ok(white) => white,
-                    Err(peak) => {
-                        assert!(peak > 65_535.0, "{peak}");
-                        return;
-                    }
-                },
+            let peak = picture.peak();
+            let Some(white) = peak.map_or(Some(255.0), |peak| white_for(peak, picture.is_float())) else {
+                assert!(peak.is_some_and(|peak| peak > 65_535.0), "{peak:?}");
+                return;
             };
             let mut row = vec![0; 3 * picture.width];
             for y in [0, picture.height - 1] {
