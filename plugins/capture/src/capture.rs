@@ -14,7 +14,7 @@ use crate::crop::{self, Halves};
 use crate::kept_frames::KeptFrames;
 use crate::pairing::Grabbed;
 use crate::position::{Position, ViewPosition};
-use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings};
+use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings, Shown};
 use crate::source::{Clock, Demands, Lock, SourceName, Stream};
 use crate::timing::{Time, Timing};
 use crate::views::{View, Views, pair_by_numbers, same_files};
@@ -208,6 +208,9 @@ impl Capture {
             let view = &mut *view;
             if view.is_there {
                 view.result = view.source.retrieve(&mut view.picture);
+                if params.orientation == Shown::Upright {
+                    view.picture.turn_upright();
+                }
             } else {
                 view.picture.clear();
             }
@@ -407,8 +410,14 @@ impl Capture {
                 cx.info(&format!("the calibration states no size: it is assumed to be that of view {view}"));
             }
             if (camera.width as usize, camera.height as usize) != (rect.width, rect.height) {
+                let is_turned = (camera.height as usize, camera.width as usize) == (rect.width, rect.height);
+                let help = if is_turned {
+                    ": `orientation` chooses whether pictures are turned as their file says"
+                } else {
+                    ""
+                };
                 return Err(NodeError::new(format!(
-                    "calibration: it was made for views of {}x{}, view {view} is {}x{}",
+                    "calibration: it was made for views of {}x{}, view {view} is {}x{}{help}",
                     camera.width, camera.height, rect.width, rect.height
                 )));
             }

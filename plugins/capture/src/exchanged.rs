@@ -19,6 +19,8 @@ pub struct FileView {
     pub file: PathBuf,
     /// Part of the picture.
     pub rect: Rect,
+    /// The picture is turned as its file says.
+    pub is_upright: bool,
 }
 
 /// What was compared last: a graph is checked at each edit, and reading two images takes a while.
@@ -63,11 +65,14 @@ fn compare(views: &[FileView; 2], calibration: &Calibration) -> Option<OrderEvid
 
 /// BGR pixels of a view of this size.
 fn pixels(view: &FileView, (width, height): (u32, u32)) -> Option<Vec<u8>> {
-    let FileView { file, rect } = view;
+    let FileView { file, rect, is_upright } = view;
     if (rect.width, rect.height) != (width as usize, height as usize) || rect.is_empty() {
         return None;
     }
-    let picture: Picture = read(file).ok()?;
+    let mut picture: Picture = read(file).ok()?;
+    if *is_upright {
+        picture.turn_upright();
+    }
     let holds = rect.x + rect.width <= picture.width && rect.y + rect.height <= picture.height;
     if !holds || picture.peak().is_some() {
         return None;

@@ -40,6 +40,15 @@ pub enum Pace {
     Off,
 }
 
+/// How the node turns pictures whose file says that they are to be turned.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shown {
+    /// As the file says.
+    Upright,
+    /// Not at all.
+    AsStored,
+}
+
 /// How the node handles a damaged picture.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnDamage {
@@ -102,6 +111,9 @@ pub struct Settings {
     /// How a damaged picture of a file is handled. Damaged pictures of live sources are counted and leave their tick empty.
     #[param(default = "fail")]
     pub on_damage: OnDamage,
+    /// How pictures are turned whose file says that they are to be (EXIF of images, the display matrix of videos).
+    #[param(default = "upright", reopen)]
+    pub orientation: Shown,
     /// Bit depth of pictures with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
     #[param(default = 0, range = 0..=16)]
     pub bit_depth: u32,
@@ -176,6 +188,7 @@ impl Settings {
             lock_white_balance: false,
             lock_after: 0,
             on_damage: OnDamage::Fail,
+            orientation: Shown::Upright,
             bit_depth: 0,
             tolerance_ms: 0.0,
             timeout_s: TIMEOUT_S,
@@ -311,13 +324,13 @@ impl Settings {
                 SourceName::Images(files) => files.first()?,
                 _ => return None,
             };
-            let (width, height) = name.picture_size()?;
+            let (width, height) = name.picture_size(self.orientation == Shown::Upright)?;
             let whole = Rect::whole(width, height);
             let mut rect = self.halves().map_or(whole, |halves| halves.of(whole, view));
             if let Some(crop) = crop::of_view(&self.crop, view, if is_split { 2 } else { names.len() }).ok()? {
                 rect = crop::part(rect, crop).ok()?;
             }
-            Some(FileView { file: file.clone(), rect })
+            Some(FileView { file: file.clone(), rect, is_upright: self.orientation == Shown::Upright })
         };
         let (Some(left), Some(right)) = (view(0), view(1)) else { return };
         if let Some(OrderEvidence { pairs, fitting, .. }) = exchanged([left, right], calibration) {

@@ -7,6 +7,7 @@ mod data_sets;
 mod lost_view;
 mod missing_decoder;
 mod opening;
+mod orientation;
 mod pairs;
 mod rtsp;
 #[path = "../../../core/vision/data/tests/samples/mod.rs"]

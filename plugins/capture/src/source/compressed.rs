@@ -2,7 +2,8 @@
 
 use std::io::Cursor;
 
-use image::{DynamicImage, ImageError, ImageReader};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
 use panoscope_media::input::jpeg;
 
 use super::error::PictureError;
@@ -14,7 +15,13 @@ use super::plain::bgr_of_rgb;
 /// # Errors
 /// A picture that is damaged.
 pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, PictureError> {
-    let picture = image::load_from_memory_with_format(bytes, format).map_err(|cause| match cause {
+    let decoded = || {
+        let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder()?;
+        // A tag that cannot be read turns nothing.
+        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        Ok((DynamicImage::from_decoder(decoder)?, orientation))
+    };
+    let (picture, orientation) = decoded().map_err(|cause| match cause {
         ImageError::Limits(_) => {
             let size = ImageReader::with_format(Cursor::new(bytes), format).into_dimensions();
             size.map_or_else(
@@ -35,7 +42,7 @@ pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, Pictu
         }
         _ => Samples::Eight(bgr_of_rgb(picture.into_rgb8().into_raw()).into()),
     };
-    Ok(Picture { width, height, samples })
+    Ok(Picture { orientation, ..Picture::new((width, height), samples) })
 }
 
 /// Decodes a JPEG, or a frame of a Motion JPEG, which may lack the standard Huffman tables.

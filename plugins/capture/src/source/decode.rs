@@ -5,6 +5,7 @@ use std::io::Cursor;
 use std::path::Path;
 use std::time::Duration;
 
+use image::metadata::Orientation;
 use panoscope_media::input::{CameraMode, Input, InputName, InputOptions, Signal};
 use tiff::ColorType;
 use tiff::decoder::DecodingResult;
@@ -76,6 +77,7 @@ fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
     if pages > 1 {
         return Err(PictureError::Pages { count: pages });
     }
+    let tag = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(damaged)?;
     let color = decoder.colortype().map_err(damaged)?;
     if color.bit_depth() < 8 {
         return Err(PictureError::Unsupported { format: format!("TIFF, {color:?}") });
@@ -100,7 +102,11 @@ fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
         DecodingResult::I16(_) => return Err(PictureError::Unsupported { format: "signed 16-bit".to_owned() }),
         _ => return Err(PictureError::Unsupported { format: format!("{color:?}") }),
     };
-    let picture = Picture { width, height, samples };
+    let orientation = tag.and_then(|tag| Orientation::from_exif(u8::try_from(tag).ok()?));
+    let picture = Picture {
+        orientation: orientation.unwrap_or(Orientation::NoTransforms),
+        ..Picture::new((width, height), samples)
+    };
     let values = 3 * width * height;
     let is_whole = match &picture.samples {
         Samples::Eight(bgr) => bgr.len() == values,

@@ -6,6 +6,7 @@ use gstreamer as gst;
 use gstreamer_video::prelude::*;
 use gstreamer_video::video_frame::Readable;
 use gstreamer_video::{VideoColorRange, VideoConverter, VideoFormat, VideoFrame, VideoInfo};
+use image::metadata::Orientation;
 use panoscope_media::input::{Received, YUV_FORMATS, jpeg};
 use panoscope_media::{Component, FromYuv, Plane, yuv_to_bgr};
 
@@ -27,6 +28,15 @@ impl Frames {
     /// # Errors
     /// Why it must not be shown.
     pub fn of_sample(&mut self, received: &Received<'_>) -> Result<Picture, FrameError> {
+        let mut picture = self.stored(received)?;
+        if let Some(orientation) = Orientation::from_exif(received.exif_orientation) {
+            picture.orientation = orientation;
+        }
+        Ok(picture)
+    }
+
+    /// The picture as it is stored.
+    fn stored(&mut self, received: &Received<'_>) -> Result<Picture, FrameError> {
         if let Some(reason) = &received.damage {
             return Err(FrameError::Damaged { reason: reason.clone() });
         }
@@ -98,12 +108,12 @@ fn of_yuv(frame: &VideoFrame<Readable>) -> Option<Picture> {
     let (width, height) = (frame.width() as usize, frame.height() as usize);
     let mut bgr = vec![0; 3 * width * height];
     yuv_to_bgr(FromYuv::new(red_share, blue_share, is_full_range), components, (width, height), 3 * width, &mut bgr);
-    Some(Picture { width, height, samples: Samples::Eight(bgr.into()) })
+    Some(Picture::new((width, height), Samples::Eight(bgr.into())))
 }
 
 fn decoded(frame: VideoFrame<Readable>) -> Picture {
     let (width, height) = (frame.width() as usize, frame.height() as usize);
-    Picture { width, height, samples: Samples::Decoded(Arc::new(frame)) }
+    Picture::new((width, height), Samples::Decoded(Arc::new(frame)))
 }
 
 fn deep_gray(frame: &VideoFrame<Readable>) -> Picture {
@@ -115,7 +125,7 @@ fn deep_gray(frame: &VideoFrame<Readable>) -> Picture {
         let row = row.as_chunks::<2>().0.iter().take(width);
         values.extend(row.flat_map(|bytes| [u16::from_le_bytes(*bytes); 3]));
     }
-    Picture { width, height, samples: Samples::Sixteen(values) }
+    Picture::new((width, height), Samples::Sixteen(values))
 }
 
 fn of_jpeg(buffer: &gst::BufferRef, structure: &gst::StructureRef) -> Result<Picture, FrameError> {

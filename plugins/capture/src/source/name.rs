@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use image::metadata::Orientation;
+use image::{ImageDecoder, ImageReader};
 use panoscope_base::secret::redact;
 use panoscope_data::calibration::pictures::{self, is_image, is_pattern};
 
@@ -88,14 +90,25 @@ impl SourceName {
         Ok(if is_image(&path) { Self::Image(path) } else { Self::Video(path) })
     }
 
-    /// Width and height of the first picture, read from its header; `None` for sources that must be opened to know.
-    pub fn picture_size(&self) -> Option<(usize, usize)> {
+    /// Width and height of the first picture, upright or as stored, read from its header; `None` for sources that must be opened to know.
+    pub fn picture_size(&self, is_upright: bool) -> Option<(usize, usize)> {
         let file = match self {
             Self::Image(file) => file,
             Self::Images(files) => files.first()?,
             _ => return None,
         };
-        let (width, height) = image::image_dimensions(file).ok()?;
+        let mut decoder = ImageReader::open(file).ok()?.with_guessed_format().ok()?.into_decoder().ok()?;
+        let (width, height) = decoder.dimensions();
+        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        let is_upended = is_upright
+            && matches!(
+                orientation,
+                Orientation::Rotate90
+                    | Orientation::Rotate270
+                    | Orientation::Rotate90FlipH
+                    | Orientation::Rotate270FlipH
+            );
+        let (width, height) = if is_upended { (height, width) } else { (width, height) };
         Some((width as usize, height as usize))
     }
 

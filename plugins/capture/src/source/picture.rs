@@ -5,6 +5,7 @@ use std::sync::Arc;
 use gstreamer_video::VideoFrame;
 use gstreamer_video::prelude::*;
 use gstreamer_video::video_frame::Readable;
+use image::metadata::Orientation;
 
 /// Blue, green, red of every pixel.
 #[derive(Clone, Debug)]
@@ -28,16 +29,18 @@ pub struct Picture {
     pub height: usize,
     /// Its values.
     pub samples: Samples,
+    /// How it is to be turned to be shown.
+    pub orientation: Orientation,
 }
 
 impl Clone for Picture {
     fn clone(&self) -> Self {
-        Self { width: self.width, height: self.height, samples: self.samples.clone() }
+        Self { samples: self.samples.clone(), ..*self }
     }
 
     /// Keeps the memory of the picture before: a block per picture is mapped and cleared by the system each time.
     fn clone_from(&mut self, source: &Self) {
-        (self.width, self.height) = (source.width, source.height);
+        (self.width, self.height, self.orientation) = (source.width, source.height, source.orientation);
         match (&mut self.samples, &source.samples) {
             (Samples::Sixteen(own), Samples::Sixteen(new)) => own.clone_from(new),
             (Samples::Float(own), Samples::Float(new)) => own.clone_from(new),
@@ -48,16 +51,82 @@ impl Clone for Picture {
 
 impl Default for Picture {
     fn default() -> Self {
-        Self { width: 0, height: 0, samples: Samples::Eight(Arc::default()) }
+        Self::new((0, 0), Samples::Eight(Arc::default()))
     }
 }
 
+/// The pixels of a picture of three values a pixel, turned: the size of the result and its pixels.
+fn turned<T: Copy>(
+    values: &[T],
+    (width, height): (usize, usize),
+    orientation: Orientation,
+) -> ((usize, usize), Vec<T>) {
+    use Orientation::{FlipHorizontal, FlipVertical, Rotate90, Rotate90FlipH, Rotate180, Rotate270, Rotate270FlipH};
+    let is_upended = matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH);
+    let size = if is_upended { (height, width) } else { (width, height) };
+    let mut out = Vec::with_capacity(values.len());
+    for y in 0..size.1 {
+        for x in 0..size.0 {
+            let (right, down) = (size.0 - 1 - x, size.1 - 1 - y);
+            let (column, row) = match orientation {
+                Orientation::NoTransforms => (x, y),
+                Rotate90 => (y, right),
+                Rotate180 => (right, down),
+                Rotate270 => (down, x),
+                FlipHorizontal => (right, y),
+                FlipVertical => (x, down),
+                Rotate90FlipH => (y, x),
+                Rotate270FlipH => (down, right),
+            };
+            let start = 3 * (row * width + column);
+            out.extend_from_slice(&values[start..start + 3]);
+        }
+    }
+    (size, out)
+}
+
 impl Picture {
+    /// A picture that is shown as it is stored.
+    pub fn new((width, height): (usize, usize), samples: Samples) -> Self {
+        Self { width, height, samples, orientation: Orientation::NoTransforms }
+    }
+
+    /// Turns it as its file says that it is to be shown.
+    pub fn turn_upright(&mut self) {
+        let orientation = std::mem::replace(&mut self.orientation, Orientation::NoTransforms);
+        if orientation == Orientation::NoTransforms || self.width * self.height == 0 {
+            return;
+        }
+        let size = (self.width, self.height);
+        let mut of_decoder = Vec::new();
+        let (size, samples) = match &self.samples {
+            Samples::Decoded(_) => {
+                of_decoder.resize(3 * size.0 * size.1, 0);
+                for (y, row) in of_decoder.chunks_exact_mut(3 * size.0).enumerate() {
+                    self.write_row(0, y, 255.0, row);
+                }
+                let (size, bgr) = turned(&of_decoder, size, orientation);
+                (size, Samples::Eight(bgr.into()))
+            }
+            Samples::Eight(bgr) => {
+                let (size, bgr) = turned(bgr, size, orientation);
+                (size, Samples::Eight(bgr.into()))
+            }
+            Samples::Sixteen(bgr) => {
+                let (size, bgr) = turned(bgr, size, orientation);
+                (size, Samples::Sixteen(bgr))
+            }
+            Samples::Float(bgr) => {
+                let (size, bgr) = turned(bgr, size, orientation);
+                (size, Samples::Float(bgr))
+            }
+        };
+        *self = Self::new(size, samples);
+    }
+
     /// Forgets the pixels: after a failure nothing of the picture before is left to be shown.
     pub fn clear(&mut self) {
-        self.width = 0;
-        self.height = 0;
-        self.samples = Samples::Eight(Arc::default());
+        *self = Self::default();
     }
 
     /// Bytes of memory.
@@ -128,18 +197,14 @@ mod tests {
     #[test]
     fn a_picture_shares_its_bytes_and_keeps_its_memory_for_deeper_values() {
         let mut picture = Picture::default();
-        let eight = Picture { width: 30, height: 2, samples: Samples::Eight(Arc::new(vec![7; 180])) };
+        let eight = Picture::new((30, 2), Samples::Eight(Arc::new(vec![7; 180])));
         picture.clone_from(&eight);
         assert_eq!((picture.width, picture.height, picture.bytes()), (30, 2, 180));
         let (Samples::Eight(own), Samples::Eight(shared)) = (&picture.samples, &eight.samples) else {
             panic!("eight bits")
         };
         assert!(Arc::ptr_eq(own, shared), "shown again without a copy");
-        let deep = |value: u16, count: usize| Picture {
-            width: count / 3,
-            height: 1,
-            samples: Samples::Sixteen(vec![value; count]),
-        };
+        let deep = |value: u16, count: usize| Picture::new((count / 3, 1), Samples::Sixteen(vec![value; count]));
         let address = |picture: &Picture| match &picture.samples {
             Samples::Sixteen(bgr) => bgr.as_ptr(),
             _ => panic!("sixteen bits"),
@@ -152,12 +217,28 @@ mod tests {
         assert_eq!(picture.bytes(), 0);
     }
 
+    /// The eight orientations of EXIF, against the library's own turning.
+    #[test]
+    fn pictures_are_turned_as_their_tag_says() {
+        let rgb = image::RgbImage::from_fn(3, 2, |x, y| image::Rgb([x as u8, y as u8, (3 * y + x) as u8]));
+        for orientation in (1..=8).filter_map(Orientation::from_exif) {
+            let mut expected = image::DynamicImage::ImageRgb8(rgb.clone());
+            expected.apply_orientation(orientation);
+            let mut picture = Picture::new((3, 2), Samples::Eight(Arc::new(rgb.as_raw().clone())));
+            picture.orientation = orientation;
+            picture.turn_upright();
+            let Samples::Eight(turned) = &picture.samples else { panic!("eight bits") };
+            assert_eq!((picture.width, picture.height), (expected.width() as usize, expected.height() as usize));
+            assert_eq!(turned[..], expected.as_bytes()[..], "{orientation:?}");
+        }
+    }
+
     #[test]
     fn values_are_scaled_to_white() {
-        let deep = Picture { width: 1, height: 1, samples: Samples::Sixteen(vec![0, 2048, 4095]) };
+        let deep = Picture::new((1, 1), Samples::Sixteen(vec![0, 2048, 4095]));
         assert_eq!((deep.peak(), row(&deep, 4095.0)), (Some(4095.0), vec![0, 128, 255]));
         assert_eq!(row(&deep, 1023.0), [0, 255, 255]);
-        let float = Picture { width: 2, height: 1, samples: Samples::Float(vec![-1.0, 0.5, 1.0, f32::NAN, 0.25, 0.0]) };
+        let float = Picture::new((2, 1), Samples::Float(vec![-1.0, 0.5, 1.0, f32::NAN, 0.25, 0.0]));
         assert_eq!((float.peak(), row(&float, 1.0)), (Some(1.0), vec![0, 128, 255, 0, 64, 0]));
     }
 }

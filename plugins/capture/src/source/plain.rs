@@ -54,7 +54,7 @@ pub fn bmp(bytes: &[u8]) -> Result<Picture, PictureError> {
             }
         }
     }
-    Ok(Picture { width: columns, height: rows, samples: Samples::Eight(bgr.into()) })
+    Ok(Picture::new((columns, rows), Samples::Eight(bgr.into())))
 }
 
 /// Decodes a binary PGM or PPM of 8 or 16 bits.
@@ -109,7 +109,7 @@ pub fn pnm(bytes: &[u8]) -> Result<Picture, PictureError> {
         let values: Vec<u16> = data.as_chunks::<2>().0.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
         Samples::Sixteen(bgr(&values, channels))
     };
-    Ok(Picture { width, height, samples })
+    Ok(Picture::new((width, height), samples))
 }
 
 /// BGR of interleaved gray or RGB values, with or without alpha.

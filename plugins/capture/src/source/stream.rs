@@ -282,6 +282,9 @@ impl Stream {
                 "its pixels are {width}:{height}: they are kept as they are, so fx and fy of its calibration differ by this ratio"
             ));
         }
+        if format.exif_orientation > 1 {
+            parts.push("its file says that it is to be turned (`orientation`)".to_owned());
+        }
         if format.is_interlaced {
             parts.push("its pictures are interlaced: each is made of the upper field".to_owned());
         }

@@ -79,6 +79,8 @@ pub struct Format {
     pub pixel_aspect: (i32, i32),
     /// The stream has fields, which are made whole pictures.
     pub is_interlaced: bool,
+    /// How its pictures are to be turned to be shown, as EXIF counts: 1 is as they are.
+    pub exif_orientation: u8,
 }
 
 /// What the pipeline's threads and its reader share, whatever the reader makes of samples.
@@ -129,6 +131,7 @@ impl Shared {
             fps: fps.filter(|fps| *fps > 0.1 && *fps <= 1000.0),
             pixel_aspect: aspect,
             is_interlaced,
+            exif_orientation: format.exif_orientation,
         };
     }
 
@@ -193,6 +196,8 @@ pub struct Received<'s> {
     pub sample: &'s gst::Sample,
     /// Why the picture must not be shown.
     pub damage: Option<String>,
+    /// How the stream's pictures are to be turned, as EXIF counts; 0 where it does not say.
+    pub exif_orientation: u8,
 }
 
 /// A running pipeline and what its reader made of its samples.
@@ -302,7 +307,8 @@ impl<T: Send + 'static> Input<T> {
                 let noted = pts.and_then(|pts| shared.arrivals.of(pts.nseconds()));
                 let nominal = || Some(nanos(sink.base_time()? + running?));
                 let arrived_ns = noted.or_else(nominal).unwrap_or(now_ns).min(now_ns);
-                let content = convert(Received { sample: &sample, damage });
+                let exif_orientation = locked(&shared.format).exif_orientation;
+                let content = convert(Received { sample: &sample, damage, exif_orientation });
                 if !queue.push(stream_ns, arrived_ns, content) {
                     return Err(gst::FlowError::Eos);
                 }
@@ -420,6 +426,21 @@ impl<T: Send + 'static> Drop for Input<T> {
     }
 }
 
+/// GStreamer's name of an orientation as EXIF counts; 0 for others.
+fn exif_of(orientation: &str) -> u8 {
+    let names = [
+        "rotate-0",
+        "flip-rotate-0",
+        "rotate-180",
+        "flip-rotate-180",
+        "flip-rotate-270",
+        "rotate-90",
+        "flip-rotate-90",
+        "rotate-270",
+    ];
+    names.iter().position(|name| *name == orientation).map_or(0, |index| index as u8 + 1)
+}
+
 /// Reads a message of the bus, on the thread that posts it.
 fn heard(shared: &Shared, message: &gst::Message) {
     match message.view() {
@@ -427,6 +448,11 @@ fn heard(shared: &Shared, message: &gst::Message) {
         gst::MessageView::Warning(warning) => {
             if let Some(source) = warning.src() {
                 shared.guards.warned(source, warning.error().message());
+            }
+        }
+        gst::MessageView::Tag(tag) => {
+            if let Some(orientation) = tag.tags().get::<gst::tags::ImageOrientation>() {
+                locked(&shared.format).exif_orientation = exif_of(orientation.get());
             }
         }
         gst::MessageView::Element(element) => {
