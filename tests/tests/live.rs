@@ -21,3 +21,8 @@ fn topics_go_to_ros_and_back() {
 fn rerun_receives_a_running_graph() {
     run_python_tests("rerun_live.py", "rerun, pyarrow");
 }
+
+#[test]
+fn the_python_package_is_typed() {
+    run_python_tests("type_checks.py", "mypy");
+}

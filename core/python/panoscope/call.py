@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def _now() -> Outputs:
     now = getattr(_running, "now", None)
     if now is None:
         raise RuntimeError("this works only while the node's `process` runs, on its own thread")
-    return now
+    return cast(Outputs, now)
 
 
 def empty(shape: tuple[int, ...], dtype: Any = "u1", output: str | None = None) -> np.ndarray:
@@ -51,7 +51,7 @@ def empty(shape: tuple[int, ...], dtype: Any = "u1", output: str | None = None) 
         raise ValueError(f"there is no output `{output}`; the outputs are {', '.join(now.index)}")
     kind = now.ports[index].kind
     allocate = getattr(kind, "allocate", None)
-    array = allocate(now.call, index, tuple(shape), np.dtype(dtype)) if allocate else None
+    array: np.ndarray | None = allocate(now.call, index, tuple(shape), np.dtype(dtype)) if allocate else None
     if array is not None:
         now.made[index] = array
     else:
@@ -67,17 +67,17 @@ def empty_like(image: np.ndarray, output: str | None = None) -> np.ndarray:
 
 def tick() -> tuple[int, int, int]:
     """Source, number and capture time (ns of media time) of the tick."""
-    return _now().call.tick()
+    return cast(tuple[int, int, int], _now().call.tick())
 
 
 def clock_ns() -> int:
     """The host's monotonic clock. What a node makes must not depend on it."""
-    return _now().call.clock_ns()
+    return int(_now().call.clock_ns())
 
 
 def age_ms(input: int | None = None) -> float:
     """Age of the light of the tick, or of a frame by its position among all input frames, in ms; NaN where it is unknown."""
-    return _now().call.age_ns(0xFFFF_FFFF if input is None else input) / 1e6
+    return float(_now().call.age_ns(0xFFFF_FFFF if input is None else input)) / 1e6
 
 
 def metric(name: str, value: float) -> None:

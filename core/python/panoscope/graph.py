@@ -12,7 +12,7 @@ import weakref
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from . import _native, installation
 from .errors import Diagnostic, EditError, GraphError, RunError
@@ -99,7 +99,7 @@ class Running:
 
     def set(self, param: str, value: Any) -> str:
         """Sets ``node.param`` from the next tick on; returns what changed."""
-        return self.native.set(param, _json(value))
+        return str(self.native.set(param, _json(value)))
 
     def get(self, param: str) -> Any:
         """Value of ``node.param`` now."""
@@ -107,17 +107,17 @@ class Running:
 
     def apply(self, text: str) -> str:
         """Makes the running graph the one of ``text``: checked, and done whole or not at all. Returns what changed."""
-        return self.native.apply(text)
+        return str(self.native.apply(text))
 
     @property
     def text(self) -> str:
         """Text of the running graph, in one piece."""
-        return self.native.text()
+        return str(self.native.text())
 
     @property
     def report(self) -> dict[str, Any]:
         """Counters and times so far."""
-        return json.loads(self.native.report())
+        return cast(dict[str, Any], json.loads(self.native.report()))
 
     @property
     def dropped(self) -> int:
@@ -125,10 +125,12 @@ class Running:
         return self._closed["dropped"] if self._closed else 0
 
     def _close(self) -> dict[str, Any]:
-        if self._closed is None:
-            self._closed = json.loads(self.native.close(_PATIENCE_S))
-            self._log()
-        return self._closed
+        if self._closed is not None:
+            return self._closed
+        closed: dict[str, Any] = json.loads(self.native.close(_PATIENCE_S))
+        self._closed = closed
+        self._log()
+        return closed
 
     def stop(self) -> None:
         """Ends the run and completes its files. Packets that were not taken are lost."""
@@ -298,7 +300,7 @@ class Graph:
     @property
     def name(self) -> str:
         """Its name."""
-        return self.native.name
+        return str(self.native.name)
 
     def __enter__(self) -> Graph:
         return self
@@ -310,7 +312,8 @@ class Graph:
         """The graph as a picture, for notebooks; needs the program ``dot`` of Graphviz."""
         if shutil.which("dot") is None:
             return None
-        return subprocess.run(["dot", "-Tsvg"], input=self.native.dot(), capture_output=True, text=True, check=True).stdout
+        drawn = subprocess.run(["dot", "-Tsvg"], input=str(self.native.dot()), capture_output=True, text=True, check=True)
+        return drawn.stdout
 
     def __repr__(self) -> str:
         return f"<graph {self.name}: {self.path}>"

@@ -233,7 +233,8 @@ def _param(cls: type, name: str, declared: Param, annotation: Any) -> ParamType:
     where = f"{cls.__name__}.{name}"
     low, high = declared.range or (-math.inf, math.inf)
     flags = (_REOPEN if declared.reopen else 0) | (_MUST_EXIST if declared.must_exist else 0) | (_WRITES if declared.writes else 0)
-    number, text, floats, default = 0.0, "", (), declared.default
+    number, text, default = 0.0, "", declared.default
+    floats: tuple[float, ...] = ()
     if declared.choices:
         if default not in declared.choices:
             raise NodeError(f"{where}: the default {default!r} is none of {', '.join(declared.choices)}")

@@ -7,14 +7,14 @@ plain data are NumPy records with the fields of the contract.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias, cast
 
 import numpy as np
 
 BYTES, GRAY8, BGR8, RGBA8, GRAY16, F32, CLOUD = range(7)
 """Formats of a frame, as the plugin interface numbers them."""
 
-_PIXELS = {
+_PIXELS: dict[int, tuple[np.dtype[Any], int]] = {
     GRAY8: (np.dtype("u1"), 1),
     BGR8: (np.dtype("u1"), 3),
     RGBA8: (np.dtype("u1"), 4),
@@ -140,7 +140,7 @@ class RecordKind(Kind):
     dtype: np.dtype
 
     def decode(self, view: Any) -> np.record:
-        return np.asarray(view).view(self.dtype).view(np.recarray)[0]
+        return cast(np.record, np.asarray(view).view(self.dtype).view(np.recarray)[0])
 
     def encode(self, value: Any, output: Output) -> None:
         if not isinstance(value, np.void) or value.dtype != self.dtype:
@@ -327,46 +327,38 @@ def record(packet: str, **fields: Any) -> np.record:
     new = np.zeros(1, RECORDS[packet]).view(np.recarray)
     for name, value in fields.items():
         new[name] = value
-    return new[0]
+    return cast(np.record, new[0])
 
 
-def _plane(packet: str, *formats: int) -> Any:
-    return Annotated[np.ndarray, PlaneKind(packet, formats)]
-
-
-def _record(packet: str) -> Any:
-    return Annotated[np.record, RecordKind(packet, RECORDS[packet])]
-
-
-Gray8 = _plane("image", GRAY8)
+Gray8: TypeAlias = Annotated[np.ndarray, PlaneKind("image", (GRAY8,))]
 """Image, one byte per pixel. As an input it takes colour too: the host converts."""
-Bgr8 = _plane("image", BGR8)
+Bgr8: TypeAlias = Annotated[np.ndarray, PlaneKind("image", (BGR8,))]
 """Image, blue, green and red bytes."""
-Rgba8 = _plane("image", RGBA8)
+Rgba8: TypeAlias = Annotated[np.ndarray, PlaneKind("image", (RGBA8,))]
 """Image, red, green, blue and alpha bytes."""
-Gray16 = _plane("image", GRAY16)
+Gray16: TypeAlias = Annotated[np.ndarray, PlaneKind("image", (GRAY16,))]
 """Image, one 16-bit number per pixel."""
-GrayF32 = _plane("image", F32)
+GrayF32: TypeAlias = Annotated[np.ndarray, PlaneKind("image", (F32,))]
 """Image, one float per pixel."""
-AnyImage = _plane("image", GRAY8, BGR8, RGBA8, GRAY16, F32)
+AnyImage: TypeAlias = Annotated[np.ndarray, PlaneKind("image", (GRAY8, BGR8, RGBA8, GRAY16, F32,))]
 """Image of any format."""
-Mask = _plane("mask", GRAY8)
+Mask: TypeAlias = Annotated[np.ndarray, PlaneKind("mask", (GRAY8,))]
 """0 or 255."""
-Disparity = _plane("disparity", F32)
+Disparity: TypeAlias = Annotated[np.ndarray, PlaneKind("disparity", (F32,))]
 """Pixels of the left rectified view, positive; NaN is unmatched."""
-Confidence = _plane("confidence", F32)
+Confidence: TypeAlias = Annotated[np.ndarray, PlaneKind("confidence", (F32,))]
 """0 (unreliable) to 1."""
-Depth = _plane("depth", F32)
+Depth: TypeAlias = Annotated[np.ndarray, PlaneKind("depth", (F32,))]
 """mm along the left rectified camera's axis; NaN is unknown."""
-Cloud = Annotated[np.ndarray, CloudKind()]
-Scalar = Annotated[float, ScalarKind()]
-Text = Annotated[str, TextKind()]
-Homography = _record("homography")
-Roi = _record("roi")
-Calibration = _record("calibration")
-Tip = _record("tip")
-Pose = _record("pose")
-Joints = _record("joints")
+Cloud: TypeAlias = Annotated[np.ndarray, CloudKind()]
+Scalar: TypeAlias = Annotated[float, ScalarKind()]
+Text: TypeAlias = Annotated[str, TextKind()]
+Homography: TypeAlias = Annotated[np.record, RecordKind("homography", RECORDS["homography"])]
+Roi: TypeAlias = Annotated[np.record, RecordKind("roi", RECORDS["roi"])]
+Calibration: TypeAlias = Annotated[np.record, RecordKind("calibration", RECORDS["calibration"])]
+Tip: TypeAlias = Annotated[np.record, RecordKind("tip", RECORDS["tip"])]
+Pose: TypeAlias = Annotated[np.record, RecordKind("pose", RECORDS["pose"])]
+Joints: TypeAlias = Annotated[np.record, RecordKind("joints", RECORDS["joints"])]
 KIND_OF_CLASS = {Table: TableKind(), Detections: DetectionsKind()}
 _KINDS: dict[str, Kind] = {
     **{kind.packet: kind for kind in (ScalarKind(), TextKind(), InstancesKind(), *KIND_OF_CLASS.values())},

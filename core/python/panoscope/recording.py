@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .graph import Graph
 
 
-class Recording(Mapping):
+class Recording(Mapping[str, Series]):
     """A recording: ``ps.Recording("a.mcap")["scope.left"][10]``. Packets are read from the file when they are asked for."""
 
     def __init__(self, path: str | os.PathLike[str], *, trust_plugins: bool = True) -> None:

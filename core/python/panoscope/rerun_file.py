@@ -50,7 +50,7 @@ _Entities = Iterator[tuple[tuple[str, ...], list[Any]]]
 
 def _rerun() -> Any:
     try:
-        import rerun
+        import rerun  # type: ignore[import-not-found, unused-ignore]
     except ImportError as error:
         where = f"{sys.executable} -m pip install rerun-sdk"
         raise PanoscopeError(
@@ -153,7 +153,10 @@ def _label(labels: Sequence[str], box: np.record) -> str:
 
 def _method(recording: Recording, port: str) -> str:
     """Which method of :class:`_Entity` shows the packets of a port."""
-    view, _ = recording.native.read(port, 0)
+    read = recording.native.read(port, 0)
+    if read is None:
+        raise RecordingError(f"{recording.path} has no packets of `{port}`")
+    view = read[0]
     # Pixels and points are shown without their plugin; plain data need the name of their type.
     default = {BYTES: None, CLOUD: "cloud"}.get(view.format, "image")
     try:

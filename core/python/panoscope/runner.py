@@ -51,10 +51,11 @@ class Runner:
         self.outputs = calls.Outputs(node_type.outputs)
         self.only_formats = node_type.outputs[0].kind.formats if len(node_type.outputs) == 1 and not node_type.returns_dict else 0
         """Formats of the output, if there is one."""
-        self.node = node_type.cls.__new__(node_type.cls)
+        cls: Any = node_type.cls
+        self.node = cls.__new__(cls)
         self.node.node_name, self.node.graph_folder = node, graph_folder
         self.set_params(values)
-        init = node_type.cls.__init__
+        init = cls.__init__
         if init is not object.__init__:
             init(self.node)
 
@@ -66,7 +67,7 @@ class Runner:
     def process(self, call: Any, views: tuple[Any, ...]) -> None:
         """One tick: a view, a list of views or none for each input."""
         node_type = self.type
-        arguments = []
+        arguments: list[Any] = []
         for port, view in zip(node_type.inputs, views):
             decode = port.kind.decode
             if port.flags & nodes.LIST:
@@ -85,7 +86,7 @@ class Runner:
         """Makes the output an input that the node returned as it came, without a look at its bytes. Others are left to the output's type."""
         for argument, view in zip(arguments, views):
             if argument is result and view is not None and self.only_formats >> view.format & 1:
-                return call.forward_view(0, view)
+                return bool(call.forward_view(0, view))
         return False
 
     def _give(self, call: Any, result: Any) -> None:

@@ -39,7 +39,7 @@ class Packet:
         return f"<{self.output} at tick {self.tick}: {value}>"
 
 
-class Series(Sequence):
+class Series(Sequence[Any]):
     """Values of an output in the order of their ticks. ``series[3]`` is a value, ``series[10:20]`` a part, ``np.asarray(series)`` all in one array."""
 
     def __init__(self, output: str, packet: Callable[[int], Packet], indices: Sequence[int]) -> None:
@@ -94,7 +94,7 @@ class Series(Sequence):
         return f"<{self.output}: {len(self)} values>"
 
 
-class Result(Mapping):
+class Result(Mapping[str, Series]):
     """What a run gave: ``result["points.depth"]`` is the :class:`Series` of a watched output."""
 
     def __init__(self, watch: Sequence[str]) -> None:

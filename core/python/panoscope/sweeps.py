@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from . import installation
 from .errors import GraphError, RunError
@@ -82,12 +82,12 @@ def sweep(
     )  # fmt: skip
     words = [*graph.words(), *(f"--measure={name}" for name in measures)]
     words += [f"{name}={word(value)}" for name, value in options if value is not None]
-    is_study = not isinstance(params, str) or len(measures) > 1 or jobs > 1 or not (random is search is out is None)
+    is_study = not isinstance(params, str) or len(measures) > 1 or jobs > 1 or any(option is not None for option in (random, search, out))
     with tempfile.TemporaryDirectory(prefix="panoscope-") as folder:
         if isinstance(params, str) and not is_study:
             table = Path(folder) / "sweep.json"
             _run([*words, f"--param={params}", f"--json={table}"], table)
-            return json.loads(table.read_text())
+            return cast(list[dict[str, Any]], json.loads(table.read_text()))
         table = Path(folder) / "sweep.csv"
         named = {params: None} if isinstance(params, str) else params
         words += [f"--param={name}" if values is None else f"--param={name}={_values(values)}" for name, values in named.items()]

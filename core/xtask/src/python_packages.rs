@@ -27,17 +27,18 @@ pub const NUMPY: Packages =
 pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 
 /// What Panoscope is tested beside: readers of the files that `panoscope export` and `panoscope dicom` write, a client of Foxglove's protocol, bags and DDS of ROS 2,
-/// OpenCV, and what runs notebooks; 1.1 GB. foxglove-sdk is
+/// OpenCV, what runs notebooks, and a checker of types; 1.1 GB. foxglove-sdk is
 /// of the version of the crate `foxglove`: schemas are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
-    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, nbclient, numpy, PIL, pydicom, pyigtl, rerun, rosbags, websockets",
+    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, mypy, nbclient, numpy, PIL, pydicom, pyigtl, rerun, rosbags, websockets",
     requirements: &[
         "cyclonedds==11.0.1",
         "foxglove-sdk==0.30.3",
         "ipykernel>=6,<8",
         "mcap==1.6.0",
         "mcap-protobuf-support==0.6.0",
+        "mypy>=1.15,<3",
         "nbclient>=0.10,<0.12",
         "numpy>=1.24,<3",
         "opencv-python-headless>=4.10,<5",
