@@ -24,7 +24,8 @@ class Brighter:
     light: int = ps.param(10, range=(0, 255))
 
     def process(self, image: ps.Gray8, mask: ps.Mask, tip: ps.Tip, boxes: ps.Detections, rows: ps.Table) -> ps.Gray8:
-        return np.minimum(image, 255 - self.light) + self.light
+        bright: ps.Gray8 = np.minimum(image, 255 - self.light) + self.light
+        return bright
 
 
 def of_run(path: Path) -> float:
