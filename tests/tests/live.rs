@@ -26,3 +26,8 @@ fn rerun_receives_a_running_graph() {
 fn the_python_package_is_typed() {
     run_python_tests("type_checks.py", "mypy");
 }
+
+#[test]
+fn results_become_tables_of_other_libraries() {
+    run_python_tests("tables.py", "pandas, polars, pyarrow");
+}

@@ -7,6 +7,7 @@ from typing import Any, Callable
 
 import numpy as np
 
+from .columns import Columns, of_packets
 from .packets import decode
 from .pictures import png
 
@@ -39,7 +40,7 @@ class Packet:
         return f"<{self.output} at tick {self.tick}: {value}>"
 
 
-class Series(Sequence[Any]):
+class Series(Sequence[Any], Columns):
     """Values of an output in the order of their ticks. ``series[3]`` is a value, ``series[10:20]`` a part, ``np.asarray(series)`` all in one array."""
 
     def __init__(self, output: str, packet: Callable[[int], Packet], indices: Sequence[int]) -> None:
@@ -54,6 +55,10 @@ class Series(Sequence[Any]):
         if isinstance(index, slice):
             return Series(self.output, self._packet, self._indices[index])
         return self.packet(index).value
+
+    def holds_arrays(self) -> bool:
+        """Whether its values are pixels or points."""
+        return len(self) > 0 and isinstance(self[0], np.ndarray)
 
     def packet(self, index: int) -> Packet:
         """A value with its tick and age."""
@@ -78,6 +83,10 @@ class Series(Sequence[Any]):
         """Age of each value when it was made, in ms."""
         return np.array([packet.age_ms for packet in self.packets()], "f8")
 
+    def columns(self) -> dict[str, list[Any]]:
+        """Columns ``tick``, ``capture_ns``, ``age_ms`` and those of the values: a row for each value, each row of a table, each box."""
+        return of_packets(self.packets())
+
     def stack(self) -> np.ndarray:
         """All values in one array; its first axis is the tick."""
         values = list(self)
@@ -94,7 +103,7 @@ class Series(Sequence[Any]):
         return f"<{self.output}: {len(self)} values>"
 
 
-class Result(Mapping[str, Series]):
+class Result(Mapping[str, Series], Columns):
     """What a run gave: ``result["points.depth"]`` is the :class:`Series` of a watched output."""
 
     def __init__(self, watch: Sequence[str]) -> None:
@@ -116,6 +125,18 @@ class Result(Mapping[str, Series]):
     def __getitem__(self, output: str) -> Series:
         packets = self._packets[output]
         return Series(output, packets.__getitem__, range(len(packets)))
+
+    def columns(self) -> dict[str, list[Any]]:
+        """The columns of all outputs without pixels, one below the other; column ``output`` names them."""
+        parts = [(output, series.columns()) for output, series in self.items() if not series.holds_arrays()]
+        names = dict.fromkeys(name for _, columns in parts for name in columns)
+        whole: dict[str, list[Any]] = {"output": [], **{name: [] for name in names}}
+        for output, columns in parts:
+            count = len(columns["tick"])
+            whole["output"] += [output] * count
+            for name in names:
+                whole[name] += columns.get(name, [None] * count)
+        return whole
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._packets)

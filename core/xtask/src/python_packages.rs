@@ -31,7 +31,7 @@ pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 /// of the version of the crate `foxglove`: schemas are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
-    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, mypy, nbclient, numpy, PIL, pydicom, pyigtl, rerun, rosbags, websockets",
+    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, mypy, nbclient, numpy, pandas, PIL, polars, pydicom, pyigtl, rerun, rosbags, websockets",
     requirements: &[
         "cyclonedds==11.0.1",
         "foxglove-sdk==0.30.3",
@@ -42,7 +42,9 @@ pub const PEERS: Packages = Packages {
         "nbclient>=0.10,<0.12",
         "numpy>=1.24,<3",
         "opencv-python-headless>=4.10,<5",
+        "pandas>=2,<4",
         "pillow",
+        "polars>=1,<2",
         "pydicom>=3,<4",
         "pyigtl==0.3.4",
         "rerun-sdk==0.41.0",
