@@ -1,24 +1,116 @@
-//! Mistakes of a node's author, and what the compiler says about them. `TRYBUILD=overwrite` renews the expected messages.
+//! Mistakes of a node's author, and what the compiler says about them. `PANOSCOPE_RENEW=1` renews the expected messages.
 //!
 //! `compile_fail` holds messages that the derives word themselves. Those in `compile_fail_rustc` come through rustc, whose frame
 //! around our words changes from version to version: they are compared on the version that they were recorded with.
+//!
+//! Each case is given to rustc with the library that the tests link, so that nothing is built for them.
 
-use std::process::Command;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
 
 const RECORDED_WITH: &str = "rustc 1.95.";
 
+fn rustc() -> Command {
+    let mut rustc = Command::new(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()));
+    rustc.current_dir(env!("CARGO_MANIFEST_DIR"));
+    rustc
+}
+
+/// Builds of this package beside this program, newest first: one of them has the dependencies that are there.
+fn libraries() -> Vec<PathBuf> {
+    let program = std::env::current_exe().expect("a program");
+    let folder = program.parent().expect("a folder").read_dir().expect("a folder").flatten();
+    let mut found: Vec<_> = folder
+        .filter(|entry| {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            name.starts_with("libpanoscope_node-") && name.ends_with(".rlib")
+        })
+        .map(|entry| (entry.metadata().and_then(|about| about.modified()).expect("a time"), entry.path()))
+        .collect();
+    found.sort();
+    found.into_iter().rev().map(|(_, path)| path).collect()
+}
+
+fn compile(case: &Path, library: &Path) -> Output {
+    let out = std::env::temp_dir().join(format!("panoscope_messages_{}", std::process::id()));
+    std::fs::create_dir_all(&out).expect("a folder");
+    let dependencies = format!("dependency={}", library.parent().expect("a folder").display());
+    let mut rustc = rustc();
+    rustc.args(["--edition=2024", "--emit=metadata", "--error-format=human", "-L", &dependencies, "--extern"]);
+    rustc.arg(format!("panoscope_node={}", library.display())).arg("--out-dir").arg(out).arg(case);
+    rustc.env_remove("RUSTC_WORKSPACE_WRAPPER").output().expect("rustc starts")
+}
+
+/// What rustc says, without what depends on where the files are and on lines of other files than the case.
+fn words(output: &Output) -> String {
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    let here = format!("{}/", env!("CARGO_MANIFEST_DIR"));
+    let text = text.replace(&here, "").replace("core/contract/node/", "");
+    let (mut lines, mut is_elsewhere) = (Vec::new(), false);
+    for line in text.lines() {
+        let is_closing = ["error: aborting due to", "For more information about", "Some errors have detailed"];
+        if is_closing.iter().any(|start| line.starts_with(start)) {
+            continue;
+        }
+        match line.trim_start().split_once(' ') {
+            Some((":::", place)) => {
+                is_elsewhere = true;
+                let file = place.split(':').next().unwrap_or(place);
+                lines.push(format!("  ::: {file}"));
+                continue;
+            }
+            Some(("-->", _)) => is_elsewhere = false,
+            _ => is_elsewhere &= line.contains('|'),
+        }
+        let numbered = line.split_once('|').filter(|_| is_elsewhere);
+        lines.push(numbered.map_or_else(|| line.to_owned(), |(_, code)| format!("   |{code}")));
+    }
+    lines.join("\n").trim().to_owned() + "\n"
+}
+
+fn cases(folder: &str) -> Vec<PathBuf> {
+    let folder = PathBuf::from("tests").join(folder);
+    let there = Path::new(env!("CARGO_MANIFEST_DIR")).join(&folder).read_dir().expect("a folder").flatten();
+    let mut cases: Vec<PathBuf> = there.map(|entry| folder.join(entry.file_name())).collect();
+    cases.retain(|path| path.extension().is_some_and(|extension| extension == "rs"));
+    cases.sort();
+    assert!(!cases.is_empty(), "{}", folder.display());
+    cases
+}
+
+/// The mistake of a case that is not answered as it is written down.
+fn difference(case: &Path, library: &Path) -> Option<String> {
+    let output = compile(case, library);
+    let (file, said) = (Path::new(env!("CARGO_MANIFEST_DIR")).join(case).with_extension("stderr"), words(&output));
+    if std::env::var_os("PANOSCOPE_RENEW").is_some() {
+        std::fs::write(&file, &said).expect("written");
+    }
+    let expected = std::fs::read_to_string(&file).unwrap_or_default();
+    let name = case.display();
+    match output.status.success() {
+        true => Some(format!("{name}: it compiles")),
+        false if said != expected => Some(format!("{name}: expected\n{expected}\nthe compiler says\n{said}")),
+        false => None,
+    }
+}
+
 #[test]
 fn mistakes_are_named() {
-    let cases = trybuild::TestCases::new();
-    cases.pass("tests/compile_pass/*.rs");
-    cases.compile_fail("tests/compile_fail/*.rs");
-    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let version =
-        Command::new(rustc).arg("--version").output().map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
+    let pass = cases("compile_pass");
+    let fits = |library: &PathBuf| pass.iter().all(|case| compile(case, library).status.success());
+    let libraries = libraries();
+    let library = libraries.iter().find(|library| fits(library)).unwrap_or_else(|| {
+        let said = libraries.first().map(|library| words(&compile(&pass[0], library)));
+        panic!("{} does not compile: {said:?}", pass[0].display())
+    });
+    let version = rustc().arg("--version").output().map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
+    let mut all = cases("compile_fail");
     match version {
-        Ok(version) if version.starts_with(RECORDED_WITH) => cases.compile_fail("tests/compile_fail_rustc/*.rs"),
+        Ok(version) if version.starts_with(RECORDED_WITH) => all.extend(cases("compile_fail_rustc")),
         other => {
             panoscope_testing::skipped!("compile_fail_rustc was recorded with {RECORDED_WITH}x, this is {other:?}")
         }
     }
+    let wrong: Vec<String> = all.iter().filter_map(|case| difference(case, library)).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n\n"));
 }
