@@ -31,13 +31,17 @@ fn libraries() -> Vec<PathBuf> {
     found.into_iter().rev().map(|(_, path)| path).collect()
 }
 
-fn compile(case: &Path, library: &Path) -> Output {
-    let out = std::env::temp_dir().join(format!("panoscope_messages_{}", std::process::id()));
-    std::fs::create_dir_all(&out).expect("a folder");
+fn out_folder() -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("panoscope_messages_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    folder
+}
+
+fn compile(case: &Path, library: &Path, emit: &str) -> Output {
     let dependencies = format!("dependency={}", library.parent().expect("a folder").display());
     let mut rustc = rustc();
-    rustc.args(["--edition=2024", "--emit=metadata", "--error-format=human", "-L", &dependencies, "--extern"]);
-    rustc.arg(format!("panoscope_node={}", library.display())).arg("--out-dir").arg(out).arg(case);
+    rustc.args(["--edition=2024", emit, "--error-format=human", "-L", &dependencies, "--extern"]);
+    rustc.arg(format!("panoscope_node={}", library.display())).arg("--out-dir").arg(out_folder()).arg(case);
     rustc.env_remove("RUSTC_WORKSPACE_WRAPPER").output().expect("rustc starts")
 }
 
@@ -80,7 +84,7 @@ fn cases(folder: &str) -> Vec<PathBuf> {
 
 /// The mistake of a case that is not answered as it is written down.
 fn difference(case: &Path, library: &Path) -> Option<String> {
-    let output = compile(case, library);
+    let output = compile(case, library, "--emit=metadata");
     let (file, said) = (Path::new(env!("CARGO_MANIFEST_DIR")).join(case).with_extension("stderr"), words(&output));
     if std::env::var_os("PANOSCOPE_RENEW").is_some() {
         std::fs::write(&file, &said).expect("written");
@@ -97,10 +101,15 @@ fn difference(case: &Path, library: &Path) -> Option<String> {
 #[test]
 fn mistakes_are_named() {
     let pass = cases("compile_pass");
-    let fits = |library: &PathBuf| pass.iter().all(|case| compile(case, library).status.success());
+    let runs = |case: &PathBuf, library: &Path| {
+        let program = out_folder().join(case.file_stem().expect("a name"));
+        compile(case, library, "--emit=link").status.success()
+            && Command::new(program).status().is_ok_and(|s| s.success())
+    };
+    let fits = |library: &PathBuf| pass.iter().all(|case| runs(case, library));
     let libraries = libraries();
     let library = libraries.iter().find(|library| fits(library)).unwrap_or_else(|| {
-        let said = libraries.first().map(|library| words(&compile(&pass[0], library)));
+        let said = libraries.first().map(|library| words(&compile(&pass[0], library, "--emit=link")));
         panic!("{} does not compile: {said:?}", pass[0].display())
     });
     let version = rustc().arg("--version").output().map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
@@ -113,4 +122,5 @@ fn mistakes_are_named() {
     }
     let wrong: Vec<String> = all.iter().filter_map(|case| difference(case, library)).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n\n"));
+    let _ = std::fs::remove_dir_all(out_folder());
 }
