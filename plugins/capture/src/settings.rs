@@ -357,7 +357,7 @@ impl Settings {
                 Err(error) => return check.error("crop", error.to_string(), ""),
             };
             let name = names.get(if self.split == Split::None { view } else { 0 }).and_then(Option::as_ref);
-            let checked = match name.and_then(SourceName::picture_size) {
+            let checked = match name.and_then(|name| name.picture_size(self.orientation == Shown::Upright)) {
                 Some((width, height)) => {
                     let whole = Rect::whole(width, height);
                     crop::part(self.halves().map_or(whole, |halves| halves.of(whole, view)), crop).map(drop)

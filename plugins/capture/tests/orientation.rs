@@ -71,8 +71,14 @@ fn photographs_are_turned_as_their_exif_data_say() {
 fn videos_are_turned_as_their_display_matrix_says() {
     let folder = Folder::new("matrix");
     let path = folder.0.join("a.mp4");
-    let encoder = "x264enc tune=zerolatency ! h264parse ! taginject tags=\"image-orientation=rotate-90\" ! qtmux";
+    let encoder = "x264enc tune=zerolatency ! h264parse ! qtmux";
     encode(&path, 25.0, SIZE, encoder, (0..5).map(|index| (index, quadrants())));
+    // The display matrix of the head of the track, in 16.16 and 2.30: a quarter turn clockwise.
+    let mut bytes = std::fs::read(&path).unwrap();
+    let head = bytes.windows(4).position(|name| name == b"tkhd").expect("a track") + 44;
+    let matrix: [i32; 9] = [0, 1 << 16, 0, -(1 << 16), 0, 0, 48 << 16, 0, 1 << 30];
+    bytes[head..head + 36].copy_from_slice(&matrix.map(i32::to_be_bytes).concat());
+    std::fs::write(&path, bytes).unwrap();
     let all = drain(&mut folder.open(r#"left = "a.mp4""#));
     assert_eq!(all.len(), 5);
     for out in &all {

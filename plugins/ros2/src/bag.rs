@@ -44,7 +44,7 @@ pub struct Settings {
     #[param(default = 5.0, range = 0.0..=1000.0, unit = "ms", reopen)]
     pub tolerance_ms: f64,
     /// Bit depth of images with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
-    #[param(default = 0, range = 0..=16, unit = "bit", reopen)]
+    #[param(default = 0, range = 0..=16, reopen)]
     pub bit_depth: u32,
 }
 

@@ -132,7 +132,7 @@ pub struct Arrived<'m> {
 }
 
 impl<'m> Arrived<'m> {
-    fn decode<M: serde::Deserialize<'m>>(&self) -> std::result::Result<M, IncomingError> {
+    fn decode<M: Message + serde::Deserialize<'m>>(&self) -> std::result::Result<M, IncomingError> {
         let damaged = |cause| IncomingError::Bytes { topic: self.topic.to_owned(), cause };
         cdr::decode_body(self.encoding, self.body).map_err(damaged)
     }

@@ -9,10 +9,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 const RECORDED_WITH: &str = "rustc 1.95.";
+/// Folder of this package in the workspace.
+const HERE: &str = "core/contract/node/";
 
 fn rustc() -> Command {
     let mut rustc = Command::new(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()));
-    rustc.current_dir(env!("CARGO_MANIFEST_DIR"));
+    // The library names its own sources from here.
+    rustc.current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.."));
     rustc
 }
 
@@ -41,15 +44,15 @@ fn compile(case: &Path, library: &Path, emit: &str) -> Output {
     let dependencies = format!("dependency={}", library.parent().expect("a folder").display());
     let mut rustc = rustc();
     rustc.args(["--edition=2024", emit, "--error-format=human", "-L", &dependencies, "--extern"]);
-    rustc.arg(format!("panoscope_node={}", library.display())).arg("--out-dir").arg(out_folder()).arg(case);
+    rustc.arg(format!("panoscope_node={}", library.display())).arg("--out-dir").arg(out_folder());
+    rustc.arg(Path::new(HERE).join(case));
     rustc.env_remove("RUSTC_WORKSPACE_WRAPPER").output().expect("rustc starts")
 }
 
 /// What rustc says, without what depends on where the files are and on lines of other files than the case.
 fn words(output: &Output) -> String {
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    let here = format!("{}/", env!("CARGO_MANIFEST_DIR"));
-    let text = text.replace(&here, "").replace("core/contract/node/", "");
+    let text = text.replace(HERE, "");
     let (mut lines, mut is_elsewhere) = (Vec::new(), false);
     for line in text.lines() {
         let is_closing = ["error: aborting due to", "For more information about", "Some errors have detailed"];

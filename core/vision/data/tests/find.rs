@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::samples::{HEIGHT, Tree, WIDTH};
+use crate::samples::{self, HEIGHT, Tree, WIDTH};
 use panoscope_data::data_sets::{DataSetError, Found, Holds, KNOWN, Labels, Pictures, Sequence, Stacked, find};
 use panoscope_testing::Folder;
 

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
 use panoscope_media::input::jpeg;
 
 use super::error::PictureError;
@@ -17,6 +17,9 @@ use super::plain::bgr_of_rgb;
 pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, PictureError> {
     let decoded = || {
         let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder()?;
+        let mut limits = Limits::default();
+        limits.reserve(decoder.total_bytes())?;
+        decoder.set_limits(limits)?;
         // A tag that cannot be read turns nothing.
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         Ok((DynamicImage::from_decoder(decoder)?, orientation))
