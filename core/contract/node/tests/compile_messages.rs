@@ -46,31 +46,35 @@ fn compile(case: &Path, library: &Path, emit: &str) -> Output {
     rustc.args(["--edition=2024", emit, "--error-format=human", "-L", &dependencies, "--extern"]);
     rustc.arg(format!("panoscope_node={}", library.display())).arg("--out-dir").arg(out_folder());
     rustc.arg(Path::new(HERE).join(case));
-    rustc.env_remove("RUSTC_WORKSPACE_WRAPPER").output().expect("rustc starts")
+    // `export_plugin!` reads them.
+    let about = [("CARGO_PKG_NAME", "case"), ("CARGO_PKG_VERSION", "1.0.0"), ("CARGO_PKG_DESCRIPTION", "A case.")];
+    rustc.envs(about).output().expect("rustc starts")
 }
 
 /// What rustc says, without what depends on where the files are and on lines of other files than the case.
 fn words(output: &Output) -> String {
-    let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    let text = text.replace(HERE, "");
+    const CLOSING: [&str; 3] = ["error: aborting due to", "For more information about", "Some errors have detailed"];
+    let text = String::from_utf8_lossy(&output.stderr).replace(HERE, "");
     let (mut lines, mut is_elsewhere) = (Vec::new(), false);
-    for line in text.lines() {
-        let is_closing = ["error: aborting due to", "For more information about", "Some errors have detailed"];
-        if is_closing.iter().any(|start| line.starts_with(start)) {
+    for line in text.lines().filter(|line| !CLOSING.iter().any(|start| line.starts_with(start))) {
+        let inner = line.trim_start();
+        if let Some(place) = inner.strip_prefix("--> ").or_else(|| inner.strip_prefix("::: ")) {
+            is_elsewhere = !place.starts_with("tests/");
+            let place = if is_elsewhere { place.split(':').next().unwrap_or(place) } else { place };
+            lines.push(format!(" {} {place}", &inner[..3]));
             continue;
         }
-        match line.trim_start().split_once(' ') {
-            Some((":::", place)) => {
-                is_elsewhere = true;
-                let file = place.split(':').next().unwrap_or(place);
-                lines.push(format!("  ::: {file}"));
-                continue;
+        // The margin is as wide as the largest number of a line, in whichever file.
+        lines.push(match inner.split_once('|') {
+            Some((number, code)) if number.trim_end().bytes().all(|byte| byte.is_ascii_digit()) => {
+                let number = if is_elsewhere { "" } else { number.trim_end() };
+                format!("{number:>2} |{code}")
             }
-            Some(("-->", _)) => is_elsewhere = false,
-            _ => is_elsewhere &= line.contains('|'),
-        }
-        let numbered = line.split_once('|').filter(|_| is_elsewhere);
-        lines.push(numbered.map_or_else(|| line.to_owned(), |(_, code)| format!("   |{code}")));
+            _ if inner.starts_with("= ") => format!("   {inner}"),
+            _ if inner.starts_with("and ") && inner.ends_with(" others") => "          and others".to_owned(),
+            _ if line.starts_with(' ') => format!("          {inner}"),
+            _ => line.to_owned(),
+        });
     }
     lines.join("\n").trim().to_owned() + "\n"
 }
