@@ -31,6 +31,7 @@ mod readme;
 mod real_sources;
 mod record;
 mod recovery;
+mod reported_files;
 #[path = "../../core/vision/data/tests/samples/mod.rs"]
 mod samples;
 mod service;

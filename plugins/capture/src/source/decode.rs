@@ -78,7 +78,12 @@ fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
         return Err(PictureError::Pages { count: pages });
     }
     let tag = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(damaged)?;
+    const APART: u16 = 2;
     let color = decoder.colortype().map_err(damaged)?;
+    let planes = decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).map_err(damaged)?;
+    if planes == Some(APART) && color.num_samples() > 1 {
+        return Err(PictureError::Unsupported { format: "TIFF, one plane for each colour".to_owned() });
+    }
     if color.bit_depth() < 8 {
         return Err(PictureError::Unsupported { format: format!("TIFF, {color:?}") });
     }

@@ -162,6 +162,7 @@ pub fn compressed(message: &CompressedImage<'_>) -> Result<Picture, ConvertError
     let kind = match message.data.get(..4) {
         Some([0x89, b'P', b'N', b'G']) => ImageFormat::Png,
         Some([0xff, 0xd8, ..]) => ImageFormat::Jpeg,
+        None if message.data.is_empty() => return Err(wrong("it is empty".to_owned())),
         _ => return Err(wrong("it is neither JPEG nor PNG".to_owned())),
     };
     let mut reader = ImageReader::with_format(Cursor::new(&message.data[..]), kind);
