@@ -8,7 +8,7 @@ use panoscope_ros::cdr::{CdrError, Message};
 use panoscope_ros::messages;
 
 pub use crate::incoming::Out;
-use crate::incoming::{Arrived, Incoming, Ready, Role, info_topic};
+use crate::incoming::{Arrived, Incoming, IncomingError, Ready, Role, info_topic};
 
 /// Parameters.
 #[derive(Params)]
@@ -108,6 +108,8 @@ pub struct Bag {
     left_out: u64,
     /// What was wrong with the last of them.
     last_error: Option<NodeError>,
+    /// The first message whose bytes are damaged.
+    damage: Option<String>,
 }
 
 /// Another attempt would read the same bytes.
@@ -126,18 +128,27 @@ impl Bag {
         let (head, body) = data.split_first_chunk::<4>().ok_or_else(|| named(short(topic)))?;
         let encoding = u16::from_be_bytes([head[0], head[1]]);
         let arrived = Arrived { topic, message, log_ns: *log_ns, encoding, body };
-        self.incoming.take(arrived, out).map_err(|error| named(error.to_string()))
+        self.incoming.take(arrived, out).map_err(|error| {
+            let words = named(error.to_string());
+            if matches!(error, IncomingError::Bytes { .. }) {
+                self.damage.get_or_insert_with(|| words.message().to_owned());
+            }
+            words
+        })
     }
 
     /// Ends the source and reports what was not played.
     ///
     /// # Errors
-    /// Nothing could be read, or, in batch mode, most images found no partner.
+    /// Nothing could be read, or, in batch mode, a message is damaged or most images found no partner.
     fn end(&mut self, cx: &Context<'_>, params: &Settings) -> Result<()> {
         if self.ticks == 0
             && let Some(error) = self.last_error.take()
         {
             return Err(error);
+        }
+        if let Some(damage) = self.damage.take().filter(|_| cx.is_batch()) {
+            return Err(NodeError::ended_early(format!("{damage}; what is whole was played")));
         }
         let alone = self.incoming.without_partner();
         if alone > 0 {
@@ -191,7 +202,7 @@ impl Node for Bag {
         read.sort_unstable();
         open.info(&format!("reads {}", read.join(", ")));
         let reader = BagReader::open(&path).map_err(wrong)?;
-        Ok(Self { path, reader, incoming, ticks: 0, skip: 0, left_out: 0, last_error: None })
+        Ok(Self { path, reader, incoming, ticks: 0, skip: 0, left_out: 0, last_error: None, damage: None })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &Settings) -> Result<()> {
