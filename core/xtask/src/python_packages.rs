@@ -27,11 +27,11 @@ pub const NUMPY: Packages =
 pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 
 /// What Panoscope is tested beside: readers of the files that `panoscope export` and `panoscope dicom` write, a client of Foxglove's protocol, bags and DDS of ROS 2,
-/// OpenCV, and what runs notebooks; 1.1 GB. foxglove-sdk is
-/// of the version of the crate `foxglove`: schemas are compared.
+/// OpenCV, ONNX Runtime, and what runs notebooks; 1.2 GB. foxglove-sdk is
+/// of the version of the crate `foxglove`: schemas are compared; onnxruntime of that of `crate::onnxruntime`: values are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
-    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, nbclient, numpy, PIL, pydicom, pyigtl, rerun, rosbags, websockets",
+    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, nbclient, numpy, onnxruntime, PIL, pydicom, pyigtl, rerun, rosbags, websockets",
     requirements: &[
         "cyclonedds==11.0.1",
         "foxglove-sdk==0.30.3",
@@ -40,6 +40,7 @@ pub const PEERS: Packages = Packages {
         "mcap-protobuf-support==0.6.0",
         "nbclient>=0.10,<0.12",
         "numpy>=1.24,<3",
+        "onnxruntime==1.31.1",
         "opencv-python-headless>=4.10,<5",
         "pillow",
         "pydicom>=3,<4",
