@@ -193,8 +193,12 @@ fn graph_of(path: &Path, model: &Signature) -> Option<String> {
     let file = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let file = quoted(&file.to_string_lossy());
     match task {
-        Some("detect" | "pose") => return Some(detector_graph("yolo", "detections", &file)),
-        Some("segment") => return Some(detector_graph("mask_rcnn", "instances", &file)),
+        Some("detect") => return Some(detector_graph("yolo", "detections = \"network.detections\"", &file)),
+        Some("pose") => {
+            let drawn = "detections = \"network.detections\", tip = \"network.tip0\"";
+            return Some(detector_graph("yolo", drawn, &file));
+        }
+        Some("segment") => return Some(detector_graph("mask_rcnn", "instances = \"network.instances\"", &file)),
         _ => {}
     }
     let ports = input_ports(&model.inputs);
@@ -278,12 +282,12 @@ fn shown(port: Option<&str>) -> String {
 }
 
 /// The graph for an export that `yolo` or `mask_rcnn` reads without a table.
-fn detector_graph(node_type: &str, output: &str, file: &str) -> String {
+fn detector_graph(node_type: &str, drawn: &str, file: &str) -> String {
     format!(
         "name = \"network\"\nmode = \"live\"\nplugins = [\"phantom\", \"overlay\", \"tools\", \"sinks\"]\n\n\
          [nodes.scope]\ntype = \"phantom\"\nparams = {{ seed = 7, tools = 2 }}\n\n\
          [nodes.network]\ntype = \"{node_type}\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {file} }}\n\n\
-         [nodes.drawn]\ntype = \"overlay\"\ninputs = {{ image = \"scope.left\", {output} = \"network.{output}\" }}\n\n\
+         [nodes.drawn]\ntype = \"overlay\"\ninputs = {{ image = \"scope.left\", {drawn} }}\n\n\
          [nodes.still]\ntype = \"write_images\"\ninputs = {{ image = \"drawn.image\" }}\n\
          params = {{ path = \"out/network.png\", at_end = true }}\n\n{ISOLATED}"
     )

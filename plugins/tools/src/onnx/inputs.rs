@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use panoscope_base::gray::bgr_to_gray;
+use panoscope_imaging::SharedMut;
 use panoscope_node::{Parallel, View, ViewMut};
 
 use super::mismatch::{Mismatch, size_text};
@@ -27,6 +28,8 @@ pub struct NetworkInput {
     /// What sides are filled up to, px, where the size follows the image.
     multiple: Option<usize>,
     letterbox: Letterbox,
+    normalization: Normalization,
+    normalized: Vec<f32>,
     packed: Packed,
     gray: Vec<u8>,
 }
@@ -85,12 +88,13 @@ impl NetworkInput {
             let count = rule.mean.len().max(rule.std.len());
             return Err(wrong(format!("{count} numbers of `mean` or `std`, one for each channel: 1x3xHxW or 1xHxWx3")));
         }
-        let form = pixel_form(rule, input.element);
         Ok(Self {
             port: rule.port,
             size: size.into(),
+            normalization: Normalization::new(rule, input.element),
+            normalized: Vec::new(),
             input,
-            form,
+            form: pixel_form(rule),
             multiple,
             letterbox: Letterbox::default(),
             packed: Packed::default(),
@@ -103,18 +107,22 @@ impl NetworkInput {
         if let Some(multiple) = self.multiple {
             self.size = (image.width.next_multiple_of(multiple), image.height.next_multiple_of(multiple));
         }
+        let (mut image, plane) = (image, self.size.0 * self.size.1);
         if self.input.channels == 1 && image.channels > 1 {
-            self.gray.resize(image.width * image.height, 0);
-            bgr_to_gray(&image, &mut ViewMut::new(&mut self.gray, image.width, image.height, 1));
-            let gray = View::new(&self.gray, image.width, image.height, 1);
-            return self.letterbox.fit(gray, self.size, &self.form, pool);
+            let (width, height) = (image.width, image.height);
+            self.gray.resize(width * height, 0);
+            bgr_to_gray(&image, &mut ViewMut::new(&mut self.gray, width, height, 1));
+            image = View::new(&self.gray, width, height, 1);
         }
-        self.letterbox.fit(image, self.size, &self.form, pool)
+        let placement = self.letterbox.fit(image, self.size, &self.form, pool);
+        let values = &self.letterbox.input[..self.input.channels * plane];
+        self.normalization.apply(values, plane, &mut self.normalized, pool);
+        placement
     }
 
     /// The input of a run, after [`Self::prepare`].
     pub fn run_input(&mut self) -> RunInput<'_> {
-        self.input.run_input(&self.letterbox.input, self.size, &mut self.packed)
+        self.input.run_input(&self.normalized, self.size, &mut self.packed)
     }
 
     /// Checks that another view has the size of this one's.
@@ -134,25 +142,61 @@ impl NetworkInput {
     }
 }
 
-/// `(v - mean) * gain` for `v` in 0..255, from the rule's range, mean and deviation.
-fn pixel_form(rule: &InputRule, element: Element) -> PixelForm {
-    let [low, high] = rule.range.unwrap_or(match element {
-        Element::F32 | Element::F16 => [0.0, 1.0],
-        Element::U8 => [0.0, 255.0],
-        Element::I8 => [-128.0, 127.0],
-    });
-    let of = |numbers: &[f32], c: usize, default: f32| match numbers {
-        [] => default,
-        [one] => *one,
-        all => all.get(c).copied().unwrap_or(default),
-    };
-    let step = f64::from(high - low) / 255.0;
-    let mean = |c: usize| (f64::from(of(&rule.mean, c, 0.0) - low) / step) as f32;
-    let gain = |c: usize| (step / f64::from(of(&rule.std, c, 1.0))) as f32;
+/// The values that a network takes for 0 to 255, computed in the order of its training's usual code, so that they are equal to the last bit: a network
+/// with a wide range of answers turns differences of its input in the eighth digit into ones that are seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Normalization {
+    range: [f32; 2],
+    mean: [f32; 3],
+    std: [f32; 3],
+}
+
+/// Values of a plane that one task computes.
+const VALUES_PER_CHUNK: usize = 1 << 16;
+
+impl Normalization {
+    fn new(rule: &InputRule, element: Element) -> Self {
+        let of = |numbers: &[f32], default: f32| match numbers {
+            [] => [default; 3],
+            [one] => [*one; 3],
+            all => std::array::from_fn(|c| all.get(c).copied().unwrap_or(default)),
+        };
+        let range = rule.range.unwrap_or(match element {
+            Element::F32 | Element::F16 => [0.0, 1.0],
+            Element::U8 => [0.0, 255.0],
+            Element::I8 => [-128.0, 127.0],
+        });
+        Self { range, mean: of(&rule.mean, 0.0), std: of(&rule.std, 1.0) }
+    }
+
+    /// What `value`, 0 to 255, becomes in `channel`.
+    fn of(&self, value: f32, channel: usize) -> f32 {
+        let [low, high] = self.range;
+        (value / 255.0 * (high - low) + low - self.mean[channel]) / self.std[channel]
+    }
+
+    /// Computes planes of `plane` values.
+    fn apply(&self, values: &[f32], plane: usize, out: &mut Vec<f32>, pool: &dyn Parallel) {
+        out.resize(values.len(), 0.0);
+        let shared = SharedMut::new(out);
+        let chunks = plane.div_ceil(VALUES_PER_CHUNK);
+        pool.run(values.len() / plane.max(1) * chunks, &|index| {
+            let (channel, chunk) = (index / chunks, index % chunks);
+            let begin = channel * plane + chunk * VALUES_PER_CHUNK;
+            let count = VALUES_PER_CHUNK.min(plane - chunk * VALUES_PER_CHUNK);
+            // SAFETY: each chunk writes its own values.
+            let out = unsafe { shared.part(begin, count) };
+            out.iter_mut().zip(&values[begin..]).for_each(|(out, value)| *out = self.of(*value, channel));
+        });
+    }
+}
+
+/// The image as it is, 0 to 255, in the network's order of colours.
+fn pixel_form(rule: &InputRule) -> PixelForm {
     PixelForm {
         rgb: rule.order != Some(Order::Bgr),
-        mean: [mean(0), mean(1), mean(2)],
-        gain: [gain(0), gain(1), gain(2)],
+        mean: [0.0; 3],
+        gain: [1.0; 3],
         fit: match rule.fit {
             FitRule::Stretch => Fit::Stretch,
             FitRule::Letterbox => Fit::Corner,
@@ -165,13 +209,16 @@ fn pixel_form(rule: &InputRule, element: Element) -> PixelForm {
 
 #[cfg(test)]
 mod tests {
+    use panoscope_imaging::Serial;
+
     use super::*;
     use crate::onnx::table::PortTable;
 
     #[test]
-    fn range_mean_and_deviation_become_one_step() {
+    fn range_mean_and_deviation_are_applied_in_this_order() {
         for (keys, element, bytes, values) in [
             ("", Element::F32, [0.0, 255.0], [0.0, 1.0]),
+            ("", Element::F32, [1.0, 254.0], [1.0 / 255.0, 254.0 / 255.0]),
             ("", Element::U8, [0.0, 255.0], [0.0, 255.0]),
             ("", Element::I8, [0.0, 255.0], [-128.0, 127.0]),
             ("range = [-1, 1]", Element::F32, [0.0, 255.0], [-1.0, 1.0]),
@@ -180,11 +227,10 @@ mod tests {
         ] {
             let text = format!("[inputs.a]\nport = \"image\"\n{keys}\n[outputs.m]\nport = \"mask\"");
             let table = PortTable::parse("t", &text).expect("a table");
-            let form = pixel_form(&table.inputs["a"], element);
-            for (byte, value) in bytes.iter().zip(values) {
-                let got = (byte - form.mean[0]) * form.gain[0];
-                assert!((got - value).abs() < 1e-4, "{keys}: {byte} becomes {got} instead of {value}");
-            }
+            let normalization = Normalization::new(&table.inputs["a"], element);
+            let mut out = Vec::new();
+            normalization.apply(&bytes, 2, &mut out, &Serial);
+            assert_eq!(out, values, "{keys}");
         }
     }
 }
