@@ -97,7 +97,8 @@ pub fn run(path: &Path, as_json: bool) -> Result<End> {
 /// An input that may be an image.
 struct ImageShape {
     channels: u64,
-    has_open_size: bool,
+    /// Columns and rows; `None` for any number.
+    size: [Option<u64>; 2],
 }
 
 fn image_shape(declared: &Declared) -> Option<ImageShape> {
@@ -109,13 +110,13 @@ fn image_shape(declared: &Declared) -> Option<ImageShape> {
         _ => return None,
     };
     let is_channels = |n: Option<u64>| matches!(n, Some(1 | 3));
-    let (channels, sides) = match dims {
-        [c, h, w] if is_channels(c) => (c, [h, w]),
-        [h, w, c] if is_channels(c) => (c, [h, w]),
-        [None, h, w] => (Some(3), [h, w]),
+    let (channels, size) = match dims {
+        [c, h, w] if is_channels(c) => (c, [w, h]),
+        [h, w, c] if is_channels(c) => (c, [w, h]),
+        [None, h, w] => (Some(3), [w, h]),
         _ => return None,
     };
-    Some(ImageShape { channels: channels.unwrap_or(3), has_open_size: sides.contains(&None) })
+    Some(ImageShape { channels: channels.unwrap_or(3), size })
 }
 
 /// Ports of the inputs, guessed from their names, else by their order.
@@ -186,6 +187,45 @@ fn line_of(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
+/// The table of a model's inputs and outputs, and the ports of the outputs.
+fn table_of(model: &Signature, shapes: &[ImageShape], ports: &[Option<&'static str>]) -> (String, Vec<&'static str>) {
+    let mut table = String::new();
+    for ((input, shape), port) in model.inputs.iter().zip(shapes).zip(ports.iter().flatten()) {
+        let order = if shape.channels == 1 { "gray" } else { "rgb" };
+        let range = match input.element {
+            Some("u8") => "[0, 255]",
+            Some("i8") => "[-128, 127]",
+            _ => "[0, 1]",
+        };
+        let size = match shape.size {
+            [Some(_), Some(_)] => String::new(),
+            [None, None] => "fit = \"multiple\"\nmultiple = 32\n".to_owned(),
+            [width, height] => format!("size = [{}, {}]\n", width.unwrap_or(640), height.unwrap_or(480)),
+        };
+        let _ = writeln!(
+            table,
+            "[inputs.{}]\nport = \"{port}\"\norder = \"{order}\"\nrange = {range}\n{size}",
+            key(&input.name)
+        );
+    }
+    let mut made: Vec<&'static str> = Vec::new();
+    for output in &model.outputs {
+        let port = output_port(output, ports.contains(&Some("right")));
+        let Some(port) = port.filter(|port| *port == "detections" || !made.contains(port)) else {
+            let _ = writeln!(table, "# [outputs.{}]: {output}\n# port = \"...\"\n", key(&output.name));
+            continue;
+        };
+        made.push(port);
+        let unit = match port {
+            "disparity" | "flow" => "unit = \"px\"\n",
+            "depth" => "unit = \"mm\"\n",
+            _ => "",
+        };
+        let _ = writeln!(table, "[outputs.{}]\nport = \"{port}\"\n{unit}", key(&output.name));
+    }
+    (table, made)
+}
+
 /// The graph for a model; none where no node takes its inputs.
 fn graph_of(path: &Path, model: &Signature) -> Option<String> {
     let shapes: Vec<ImageShape> = model.inputs.iter().map(image_shape).collect::<Option<_>>()?;
@@ -205,36 +245,7 @@ fn graph_of(path: &Path, model: &Signature) -> Option<String> {
     if shapes.is_empty() || ports.contains(&None) {
         return None;
     }
-    let mut table = String::new();
-    for ((input, shape), port) in model.inputs.iter().zip(&shapes).zip(ports.iter().flatten()) {
-        let order = if shape.channels == 1 { "gray" } else { "rgb" };
-        let range = match input.element {
-            Some("u8") => "[0, 255]",
-            Some("i8") => "[-128, 127]",
-            _ => "[0, 1]",
-        };
-        let size = if shape.has_open_size { "fit = \"multiple\"\nmultiple = 32\n" } else { "" };
-        let _ = writeln!(
-            table,
-            "[inputs.{}]\nport = \"{port}\"\norder = \"{order}\"\nrange = {range}\n{size}",
-            key(&input.name)
-        );
-    }
-    let mut made: Vec<&str> = Vec::new();
-    for output in &model.outputs {
-        let port = output_port(output, ports.contains(&Some("right")));
-        let Some(port) = port.filter(|port| *port == "detections" || !made.contains(port)) else {
-            let _ = writeln!(table, "# [outputs.{}]: {output}\n# port = \"...\"\n", key(&output.name));
-            continue;
-        };
-        made.push(port);
-        let unit = match port {
-            "disparity" | "flow" => "unit = \"px\"\n",
-            "depth" => "unit = \"mm\"\n",
-            _ => "",
-        };
-        let _ = writeln!(table, "[outputs.{}]\nport = \"{port}\"\n{unit}", key(&output.name));
-    }
+    let (table, made) = table_of(model, &shapes, &ports);
     let mut graph = String::from(
         "name = \"network\"\nmode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"overlay\", \"tools\", \"sinks\"]\n\n",
     );
@@ -251,7 +262,8 @@ fn graph_of(path: &Path, model: &Signature) -> Option<String> {
     let inputs: Vec<String> = ports.iter().flatten().map(|port| from(port)).collect();
     let _ = writeln!(graph, "[nodes.network]\ntype = \"onnx\"\ninputs = {{ {} }}\n", inputs.join(", "));
     let _ = writeln!(graph, "[nodes.network.params]\nmodel = {file}\ntable = '''\n{}\n'''\n", table.trim_end());
-    graph.push_str(&shown(made.first().copied()));
+    let view = if is_pair { "rectify.left" } else { "scope.left" };
+    graph.push_str(&shown(made.first().copied(), view));
     graph.push_str(ISOLATED);
     Some(graph)
 }
@@ -259,8 +271,8 @@ fn graph_of(path: &Path, model: &Signature) -> Option<String> {
 /// A model that crashes or hangs its library ends only its own process.
 const ISOLATED: &str = "[isolate]\ntools = \"networks\"\n";
 
-/// Nodes that draw an output into a picture file.
-fn shown(port: Option<&str>) -> String {
+/// Nodes that draw an output of a network that looks at `view` into a picture file.
+fn shown(port: Option<&str>, view: &str) -> String {
     let still = |from: &str| {
         format!(
             "[nodes.still]\ntype = \"write_images\"\ninputs = {{ {from} }}\nparams = {{ path = \"out/network.png\", at_end = true }}\n\n"
@@ -271,12 +283,12 @@ fn shown(port: Option<&str>) -> String {
             let colours = format!("[nodes.colours]\ntype = \"colorize\"\ninputs = {{ {map} = \"network.{map}\" }}\n\n");
             colours + &still("image = \"colours.image\"")
         }
-        Some("mask") => still("mask = \"network.mask\""),
-        Some("image") => still("image = \"network.image\""),
-        Some("detections") => {
-            let boxes = "[nodes.boxes]\ntype = \"overlay\"\ninputs = { image = \"scope.left\", detections = \"network.detections\" }\n\n";
-            boxes.to_owned() + &still("image = \"boxes.image\"")
+        Some(drawn @ ("mask" | "detections")) => {
+            let inputs = format!("image = \"{view}\", {drawn} = \"network.{drawn}\"");
+            format!("[nodes.drawn]\ntype = \"overlay\"\ninputs = {{ {inputs} }}\n\n")
+                + &still("image = \"drawn.image\"")
         }
+        Some("image") => still("image = \"network.image\""),
         _ => "# Wire `network.flow_x` and `network.flow_y`, or another output, to your own node.\n\n".to_owned(),
     }
 }

@@ -63,7 +63,7 @@ pub struct OnnxParams {
     #[param(default = "", reopen, must_exist, file)]
     model: PathBuf,
     /// Table of inputs and outputs as TOML text, as in `[inputs.left] port = "left"` and `[outputs.disparity] port = "disparity"` on lines of their own.
-    /// Empty: the file `table_file`. `panoscope describe MODEL.onnx` prints a table, [the plugins' page](README.md) lists the keys.
+    /// Empty: the file `table_file`. `panoscope describe MODEL.onnx` prints a table; the README of the plugins lists the keys.
     #[param(default = "", reopen)]
     table: String,
     /// File with the same keys. Empty: the model's name with the extension `toml`, in its folder.
