@@ -121,6 +121,7 @@ fn refusal(graph: &str, source: &str) -> Option<(&'static str, &'static str)> {
         (_, "four_files") => Some(("it looks at two views", NO_SCOPE)),
         (_, "cameras_on_arm") if has_tip => None,
         (_, "cameras_on_arm") => Some(("it follows no tip that an arm could follow", "there is no node `follow`")),
+        ("stereo_network_judged", _) => Some(("it asks for a network", "argument `model` is not given")),
         ("arm_closed_loop", _) => Some(("without an arm there is no loop", "has no output `")),
         // panorama.toml takes them.
         ("panorama_files", "phantom" | "side_by_side" | "data_set") => {

@@ -36,6 +36,11 @@ fn a_matcher_of_opencv_in_python_gives_the_bytes_of_the_plugin() {
 }
 
 #[test]
+fn a_stereo_network_gives_the_values_of_onnx_runtime_in_python() {
+    run_python_tests("any_network.py", "onnxruntime");
+}
+
+#[test]
 fn the_tutorial_runs() {
     run_python_tests("tutorial.py", "ipykernel, nbclient");
 }

@@ -70,6 +70,86 @@ fn a_good_model_passes() {
     std::fs::remove_dir_all(folder).expect("removed");
 }
 
+/// What `describe` says of a file; exit code, standard output, standard error.
+fn describe(file: &Path, arguments: &[&str]) -> (i32, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
+    let output = command.arg("describe").arg(file).args(arguments).output().expect("it starts");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code().unwrap_or(-1), text(&output.stdout), text(&output.stderr))
+}
+
+#[test]
+fn a_model_is_described_with_a_graph_that_runs_it() {
+    let Some(plugins) = plugins(&["phantom", "stereo", "overlay", "tools", "sinks"]) else { return };
+    let folder = std::env::temp_dir().join(format!("panoscope_models_described_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let task = |task: &[u8]| field(14, &[field(1, b"task"), field(2, task)].concat());
+    for (name, model, parts) in [
+        (
+            "depth",
+            constant("depth", [1, 64, 64]),
+            ["type = \"onnx\"", "[inputs.images]\nport = \"image\"", "[outputs.depth]\nport = \"depth\""],
+        ),
+        (
+            "odd name",
+            constant("it's a mask", [1, 64, 64]),
+            ["type = \"onnx\"", "[outputs.\"it\\u0027s a mask\"]", "port = \"mask\""],
+        ),
+        (
+            "boxes",
+            constant("output0", [1, 84, 84]),
+            ["type = \"onnx\"", "[outputs.output0]\nport = \"detections\"", "overlay"],
+        ),
+        (
+            "pose",
+            [constant("output0", [1, 84, 84]), task(b"pose")].concat(),
+            ["type = \"yolo\"", "network.tip0", "task: pose"],
+        ),
+        (
+            "segment",
+            [constant("output0", [1, 84, 84]), task(b"segment")].concat(),
+            ["type = \"mask_rcnn\"", "network.instances", "task: segment"],
+        ),
+    ] {
+        let file = folder.join("m.onnx");
+        std::fs::write(&file, &model).expect("a file");
+        let (code, said, _) = describe(&file, &[]);
+        assert_eq!(code, 0, "{name}: {said}");
+        assert!(said.contains("  images: f32 1x3x64x64\n") && said.contains("(ONNX, opset 13)"), "{name}: {said}");
+        assert!(parts.iter().all(|part| said.contains(part)), "{name}: {parts:?} in {said}");
+        let (_, json, _) = describe(&file, &["--json"]);
+        let about: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+        assert_eq!(about["inputs"][0]["shape"], serde_json::json!([1, 3, 64, 64]), "{name}");
+        let graph = about["graph"].as_str().expect("a graph");
+        assert!(said.ends_with(graph), "{name}: {said}");
+        let path = folder.join("graph.toml");
+        std::fs::write(&path, graph).expect("a file");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
+        let output =
+            command.env("PANOSCOPE_PLUGIN_PATH", &plugins).arg("check").arg(&path).output().expect("it starts");
+        let words = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+        // The model of a segmenter has no masks; the graph is right.
+        let is_right = output.status.success() || (name == "segment" && words.contains("error[model-refused]"));
+        assert!(is_right && !words.contains("warning[unused"), "{name}: {words}");
+    }
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
+#[test]
+fn what_cannot_be_described_is_refused() {
+    let folder = std::env::temp_dir().join(format!("panoscope_models_undescribed_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let file = folder.join("m.onnx");
+    let (code, _, words) = describe(&file, &[]);
+    assert!(code == 2 && words.contains("cannot read the model") && words.contains("m.onnx"), "{words}");
+    std::fs::write(&file, &weird()[..40]).expect("a file");
+    let (code, _, words) = describe(&file, &[]);
+    assert!(code == 2 && words.contains("m.onnx is not a whole ONNX file"), "{words}");
+    let (code, _, words) = describe(&folder.join("folder.onnx").join(".."), &[]);
+    assert!(code == 2 && words.contains("error"), "{words}");
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
 /// A field of a protobuf message.
 fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
     let mut out = vec![number << 3 | 2];

@@ -132,7 +132,7 @@ fn add_needs(text: &str, folder: &Path, depth: usize, needs: &mut Needs) -> bool
         needs.machine |= word("on").is_some();
         if let Some(name) = word("type") {
             let name = name.rsplit('/').next().unwrap_or(name);
-            finds_instruments |= matches!(name, "yolo" | "mask_rcnn");
+            finds_instruments |= matches!(name, "yolo" | "mask_rcnn" | "onnx");
             needs.guard |= matches!(name, "arm_serial" | "arm_ur");
         }
         let Some(part) = word("graph").map(|file| folder.join(file)) else { continue };

@@ -27,11 +27,11 @@ pub const NUMPY: Packages =
 pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 
 /// What Panoscope is tested beside: readers of the files that `panoscope export` and `panoscope dicom` write, a client of Foxglove's protocol, bags and DDS of ROS 2,
-/// OpenCV, what runs notebooks, and a checker of types; 1.1 GB. foxglove-sdk is
-/// of the version of the crate `foxglove`: schemas are compared.
+/// OpenCV, ONNX Runtime, what runs notebooks, tables, and a checker of types; 1.4 GB. foxglove-sdk is
+/// of the version of the crate `foxglove`: schemas are compared; onnxruntime of that of `crate::onnxruntime`: values are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
-    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, mypy, nbclient, numpy, pandas, PIL, polars, pydicom, pyigtl, rerun, rosbags, websockets",
+    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, mypy, nbclient, numpy, onnxruntime, pandas, PIL, polars, pydicom, pyigtl, rerun, rosbags, websockets",
     requirements: &[
         "cyclonedds==11.0.1",
         "foxglove-sdk==0.30.3",
@@ -41,6 +41,7 @@ pub const PEERS: Packages = Packages {
         "mypy>=1.15,<3",
         "nbclient>=0.10,<0.12",
         "numpy>=1.24,<3",
+        "onnxruntime==1.31.1",
         "opencv-python-headless>=4.10,<5",
         "pandas>=2,<4",
         "pillow",

@@ -4,7 +4,7 @@ use panoscope_imaging::lit::HeldMask;
 
 use crate::export_kind::ExportKind;
 use crate::letterbox::Placement;
-use crate::model::Tensor;
+use crate::session::Tensor;
 
 /// Outputs that do not fit the kind of export.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -156,7 +156,7 @@ impl Decoder<'_> {
         match self.kind {
             ExportKind::YoloxRaw => self.yolox(floats, &first.shape),
             ExportKind::YoloxDecoded | ExportKind::YoloV5 => self.rows(floats, &first.shape),
-            ExportKind::YoloV8 { masks } => self.columns(floats, &first.shape, masks),
+            ExportKind::YoloV8 { extra } => self.columns(floats, &first.shape, extra),
             ExportKind::EndToEnd => self.end_to_end(floats, &first.shape),
             ExportKind::Detr => self.detr(outputs),
         }
@@ -206,14 +206,14 @@ impl Decoder<'_> {
         Ok(())
     }
 
-    fn columns(&mut self, values: &[f32], shape: &[usize], masks: usize) -> Result<(), DecodeError> {
+    fn columns(&mut self, values: &[f32], shape: &[usize], extra: usize) -> Result<(), DecodeError> {
         let [.., len, rows] = *shape else { return Err(DecodeError::Dimensions { kind: "YOLOv8" }) };
-        if len < 5 + masks || values.len() < rows * len {
+        if len < 5 + extra || values.len() < rows * len {
             return Err(DecodeError::Rows { kind: "YOLOv8", rows, values: len });
         }
         for row in 0..rows {
             let at = |k: usize| values[k * rows + row];
-            let (class, score) = best((4..len - masks).map(at));
+            let (class, score) = best((4..len - extra).map(at));
             if score > self.min_score {
                 self.push_centre([at(0), at(1), at(2), at(3)], score, class, row);
             }

@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use crate::finite::Rows;
-use crate::letterbox::{Fit, PixelForm};
-use crate::model::Tensor;
+use crate::letterbox::{BORDER, Fit, PixelForm};
+use crate::session::{Tensor, list_text};
 
 /// A model of no known kind.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{path} answers {shapes} to a picture of {width}x{height}: expected 1x{cells}x(5+C) (YOLOX), 1x{anchors}x(5+C) (YOLOv5), 1x(4+C)x{cells} (YOLOv8 and later), 1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`",
+    "{path} answers {shapes} to a picture of {width}x{height}: expected 1x{cells}x(5+C) (YOLOX), 1x{anchors}x(5+C) (YOLOv5), 1x(4+C)x{cells} (YOLOv8 and later), 1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`, or with `family` in a table of `onnx`",
     path = path.display(), anchors = 3 * cells
 )]
 pub struct UnknownKind {
@@ -34,12 +34,12 @@ pub enum ExportKind {
     YoloxDecoded,
     /// 1 x N x (5 + C), three anchors a cell (YOLOv5, v7).
     YoloV5,
-    /// 1 x (4 + C + masks) x N (YOLOv8, 9, 11, 12; with mask coefficients: their -seg forms).
+    /// 1 x (4 + C + extra) x N (YOLOv8, 9, 11, 12; their -seg forms with mask coefficients, their -pose forms with keypoints).
     YoloV8 {
-        /// Mask coefficients at the end of each column.
-        masks: usize,
+        /// Mask coefficients or numbers of keypoints at the end of each column.
+        extra: usize,
     },
-    /// 1 x N x 6, corners, score, class (YOLOv10, YOLO26).
+    /// 1 x N x (6 + keypoints), corners, score, class (YOLOv10, YOLO26).
     EndToEnd,
     /// Logits 1 x N x C and boxes 1 x N x 4 in shares of the input (DETR family).
     Detr,
@@ -48,11 +48,9 @@ pub enum ExportKind {
 impl ExportKind {
     /// Form of the pixels that the family takes.
     pub fn pixel_form(self) -> PixelForm {
-        let unit = PixelForm { rgb: true, mean: [0.0; 3], gain: [1.0 / 255.0; 3], fit: Fit::Centre };
+        let unit = PixelForm { rgb: true, mean: [0.0; 3], gain: [1.0 / 255.0; 3], fit: Fit::Centre, border: BORDER };
         match self {
-            Self::YoloxRaw | Self::YoloxDecoded => {
-                PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner }
-            }
+            Self::YoloxRaw | Self::YoloxDecoded => PixelForm { rgb: false, gain: [1.0; 3], fit: Fit::Corner, ..unit },
             Self::Detr => PixelForm { fit: Fit::Stretch, ..unit },
             _ => unit,
         }
@@ -68,9 +66,9 @@ impl ExportKind {
         let last = |i: usize| outputs.get(i).and_then(|t| t.shape.last().copied()).unwrap_or(0);
         match self {
             Self::YoloxRaw | Self::YoloxDecoded | Self::YoloV5 => last(0).saturating_sub(5),
-            Self::YoloV8 { masks } => {
+            Self::YoloV8 { extra } => {
                 let rows = outputs.first().and_then(|t| t.shape.get(1).copied()).unwrap_or(0);
-                rows.saturating_sub(4 + masks)
+                rows.saturating_sub(4 + extra)
             }
             Self::EndToEnd => 0,
             Self::Detr => outputs.iter().find_map(|t| t.shape.last().copied().filter(|&n| n != 4)).unwrap_or(0),
@@ -83,15 +81,8 @@ fn cells(input: (usize, usize)) -> usize {
     [8, 16, 32].iter().map(|s| (input.0 / s) * (input.1 / s)).sum()
 }
 
-fn shapes(outputs: &[Tensor<'_>]) -> String {
-    let one = |t: &Tensor<'_>| {
-        format!("`{}` {}", t.name, t.shape.iter().map(ToString::to_string).collect::<Vec<_>>().join("x"))
-    };
-    outputs.iter().map(one).collect::<Vec<_>>().join(", ")
-}
-
 /// Recognises the kind from the outputs of the model at `path` for a picture of `input` px (width, height). `end_to_end`: the file's metadata says that
-/// suppression is inside.
+/// suppression is inside. `keypoints`: numbers of the keypoints of a box by the file's metadata, 0 where it has none.
 ///
 /// # Errors
 /// Shapes of no known kind.
@@ -99,22 +90,30 @@ pub fn recognise(
     path: &Path,
     input: (usize, usize),
     end_to_end: bool,
+    keypoints: usize,
     outputs: &[Tensor<'_>],
 ) -> Result<ExportKind, UnknownKind> {
     let n = cells(input);
     let unknown = || {
         let (width, height) = input;
-        Err(UnknownKind { path: path.to_owned(), shapes: shapes(outputs), width, height, cells: n })
+        Err(UnknownKind { path: path.to_owned(), shapes: list_text(outputs), width, height, cells: n })
     };
     let ranks: Vec<&[usize]> = outputs.iter().map(|t| t.shape.as_slice()).collect();
     match ranks[..] {
-        [[1, rows, 6]] if end_to_end || (*rows <= 1000 && *rows != n && *rows != 3 * n) => Ok(ExportKind::EndToEnd),
+        [[1, rows, len]]
+            if *len == 6 + keypoints && (end_to_end || (*rows <= 1000 && *rows != n && *rows != 3 * n)) =>
+        {
+            Ok(ExportKind::EndToEnd)
+        }
+        [[1, len, rows]] if keypoints > 0 && *rows == n && *len > 4 + keypoints => {
+            Ok(ExportKind::YoloV8 { extra: keypoints })
+        }
         [[1, rows, len]] if *rows == n && *len > 5 => Ok(ExportKind::YoloxRaw),
         [[1, rows, len], ..] if *rows == 3 * n && *len > 5 => Ok(ExportKind::YoloV5),
-        [[1, len, rows]] if *rows == n && *len > 4 => Ok(ExportKind::YoloV8 { masks: 0 }),
+        [[1, len, rows]] if *rows == n && *len > 4 => Ok(ExportKind::YoloV8 { extra: 0 }),
         // Boxes with mask coefficients, and the prototypes they weight.
         [[1, len, rows], [1, masks, _, _]] if *rows == n && *len > 4 + *masks => {
-            Ok(ExportKind::YoloV8 { masks: *masks })
+            Ok(ExportKind::YoloV8 { extra: *masks })
         }
         [[1, a, x], [1, b, y]] if a == b && (*x == 4) != (*y == 4) => Ok(ExportKind::Detr),
         _ => unknown(),

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::model::Tensor;
+use crate::session::Tensor;
 
 /// A network whose outputs are unusable.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -77,7 +77,7 @@ fn has_usable_row(values: &[f32], shape: &[usize], rows: Rows) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::Values;
+    use crate::session::Values;
 
     fn count(values: &[f32], shape: &[usize], rows: Rows) -> Result<usize, BrokenNetwork> {
         let tensor = Tensor { name: "out", shape: shape.to_vec(), data: Values::Float(values) };

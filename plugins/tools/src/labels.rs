@@ -13,6 +13,16 @@ pub enum LabelsError {
         /// The system's error.
         cause: std::io::Error,
     },
+    /// More or fewer names than the model has classes.
+    #[error("{model} has {classes} classes, the label table has {names} names", model = model.display())]
+    Count {
+        /// The model.
+        model: PathBuf,
+        /// Its classes.
+        classes: usize,
+        /// Names of the table.
+        names: usize,
+    },
     /// All lines are empty.
     #[error("{path} holds no names", path = path.display())]
     Empty {
@@ -30,6 +40,23 @@ pub fn from_file(path: &Path) -> Result<Vec<String>, LabelsError> {
         std::fs::read_to_string(path).map_err(|cause| LabelsError::Unreadable { path: path.to_owned(), cause })?;
     let names: Vec<String> = text.trim_end().lines().map(|l| l.trim().to_owned()).collect();
     if names.iter().all(String::is_empty) { Err(LabelsError::Empty { path: path.to_owned() }) } else { Ok(names) }
+}
+
+/// Names of the `classes` of a model, separated by line feeds: those of `file`, where it is not empty, else those of the model's `metadata`, else
+/// numbers. 0 classes: as many as there are names.
+///
+/// # Errors
+/// A file that cannot be read, or another number of names.
+pub fn table(model: &Path, metadata: Option<&str>, file: &Path, classes: usize) -> Result<String, LabelsError> {
+    let mut names = match file.as_os_str().is_empty() {
+        true => metadata.and_then(from_metadata).unwrap_or_default(),
+        false => from_file(file)?,
+    };
+    if classes > 0 && !names.is_empty() && names.len() != classes {
+        return Err(LabelsError::Count { model: model.to_owned(), classes, names: names.len() });
+    }
+    (names.len()..classes).for_each(|i| names.push(format!("class {i}")));
+    Ok(names.join("\n"))
 }
 
 /// Reads `{0: 'grasper', 1: "hook"}` and `['grasper', 'hook']`, as exports write them.

@@ -14,21 +14,25 @@ pub struct PixelForm {
     pub gain: [f32; 3],
     /// Placement of the picture in the input.
     pub fit: Fit,
+    /// The gray beside the picture, 0..255.
+    pub border: f32,
 }
 
 /// Placement of the picture in the network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
-    /// Sides kept in proportion, upper left corner, gray 114 beside it (YOLOX).
+    /// Sides kept in proportion, upper left corner (YOLOX).
     Corner,
-    /// Sides kept in proportion, in the middle, gray 114 around it (Ultralytics).
+    /// Sides kept in proportion, in the middle (Ultralytics).
     Centre,
     /// Filled, proportions lost (DETR).
     Stretch,
+    /// Size kept, upper left corner; the input is at least as large.
+    Keep,
 }
 
-/// The gray beside the picture.
-const BORDER: f32 = 114.0;
+/// The gray beside the picture that detectors of the YOLO families learn with.
+pub const BORDER: f32 = 114.0;
 
 /// From picture to input: `input = picture * scale + offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,7 +53,7 @@ impl Placement {
         if fit == Fit::Stretch {
             return Self { scale: [tw / w, th / h], offset: [0.0; 2], size: [to.0, to.1] };
         }
-        let scale = (tw / w).min(th / h);
+        let scale = if fit == Fit::Keep { 1.0 } else { (tw / w).min(th / h) };
         let round = |v: f32, limit: usize| ((v * scale).round() as usize).clamp(1, limit.max(1));
         let size = [round(w, to.0), round(h, to.1)];
         let free = [(to.0 - size[0]) / 2, (to.1 - size[1]) / 2];
@@ -122,7 +126,7 @@ impl Letterbox {
                 let placement = Placement::new(w, h, to, form.fit);
                 self.columns = taps(placement.size[0], placement.scale[0], w, channels);
                 self.rows = taps(placement.size[1], placement.scale[1], h, 1);
-                let order = |c: usize| (BORDER - form.mean[c]) * form.gain[c];
+                let order = |c: usize| (form.border - form.mean[c]) * form.gain[c];
                 self.input.clear();
                 (0..3).for_each(|c| self.input.resize((c + 1) * to.0 * to.1, order(c)));
                 self.lines.clear();
@@ -179,7 +183,7 @@ mod tests {
 
     use super::*;
 
-    const PLAIN: PixelForm = PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner };
+    const PLAIN: PixelForm = PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner, border: BORDER };
 
     /// Bilinear by the formula, pixel by pixel.
     fn expected(picture: &[u8], (w, h): (usize, usize), channel: usize, x: f32, y: f32) -> f32 {
@@ -200,9 +204,10 @@ mod tests {
                 120,
                 90,
                 (64, 64),
-                PixelForm { rgb: true, mean: [10.0, 20.0, 30.0], gain: [0.5, 0.25, 2.0], fit: Fit::Centre },
+                PixelForm { rgb: true, mean: [10.0, 20.0, 30.0], gain: [0.5, 0.25, 2.0], fit: Fit::Centre, ..PLAIN },
             ),
             (1, 1, (32, 32), PixelForm { fit: Fit::Stretch, ..PLAIN }),
+            (40, 30, (64, 32), PixelForm { fit: Fit::Keep, border: 7.0, ..PLAIN }),
         ] {
             let picture: Vec<u8> = (0..w * h * 3).map(|i| (i * 37 % 251) as u8).collect();
             let mut letterbox = Letterbox::default();
@@ -215,7 +220,7 @@ mod tests {
                     let value = if inside {
                         expected(&picture, (w, h), from, (u + 0.5) / p.scale[0] - 0.5, (v + 0.5) / p.scale[1] - 0.5)
                     } else {
-                        BORDER
+                        form.border
                     };
                     let want = (value - form.mean[c]) * form.gain[c];
                     let got = letterbox.input[c * to.0 * to.1 + y * to.0 + x];

@@ -1,6 +1,7 @@
 //! Finding surgical instruments: boxes, masks, tips.
 //!
-//! `yolo` runs a detector, `mask_rcnn` a model that also segments; both read the exports that people have, through ONNX Runtime. `tool_tip`
+//! `yolo` runs a detector, `mask_rcnn` a model that also segments; both read the exports that people have, through ONNX Runtime. `onnx` runs
+//! any other network, as a table says. `tool_tip`
 //! finds the tip of the instrument in what they found, `tip_track` follows it over time. `skill` measures how skilfully tips are moved, `proximity` how
 //! near they are to tissue and to each other; `evaluate_proximity` judges its warnings, `evaluate_detections` boxes.
 
@@ -11,16 +12,20 @@ pub mod evaluate_proximity;
 pub mod export_kind;
 pub mod finite;
 pub mod hidden_jaw;
+pub mod image_input;
+pub mod keypoints;
 pub mod labels;
 pub mod letterbox;
 pub mod mask_rcnn;
 pub mod model;
+pub mod onnx;
 pub mod onnx_file;
 pub mod pictures;
 pub mod provider;
 pub mod proximity;
 pub mod runtime_library;
 pub mod second_view;
+pub mod session;
 pub mod shaft;
 pub mod silhouette;
 pub mod skill;
@@ -35,6 +40,7 @@ use panoscope_node::export_plugin;
 export_plugin![
     yolo::Yolo,
     mask_rcnn::MaskRcnn,
+    onnx::Onnx,
     tool_tip::ToolTip,
     tip_track::TipTrack,
     skill::Skill,

@@ -15,10 +15,10 @@ use panoscope_node::{
 use crate::candidates::{Candidate, Decoder, Suppression, keep_lit, suppress};
 use crate::export_kind::ExportKind;
 use crate::finite::{Rows, count_bad};
-use crate::letterbox::{Fit, PixelForm, Placement};
-use crate::model::{Tensor, Values};
+use crate::letterbox::{BORDER, Fit, PixelForm, Placement};
 use crate::pictures::{self, Familiarity, Unlike};
 use crate::provider::Provider;
+use crate::session::{Tensor, Values, list_text};
 use crate::track::Tracker;
 use crate::yolo::{Network, check_labels, detection, picture_of};
 
@@ -148,12 +148,10 @@ fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<NetworkOutputs<'a
     let (Some((shape, boxes)), Some((_, scores)), Some((mask_shape, masks))) =
         (floats(2, Some(4)), floats(1, None), masks)
     else {
-        let dims = |t: &Tensor<'_>| t.shape.iter().map(ToString::to_string).collect::<Vec<_>>().join("x");
-        let found: Vec<String> = outputs.iter().map(|t| format!("`{}` {}", t.name, dims(t))).collect();
         return Err(error!(
             "{} answers {}, expected boxes Nx4, scores N, labels N and masks Nx1xHxW",
             path.display(),
-            found.join(", ")
+            list_text(outputs)
         ));
     };
     let labels = outputs
@@ -278,10 +276,11 @@ fn rows_of(is_yolo: bool) -> Rows {
 }
 
 fn pixel_form(family: Family) -> PixelForm {
+    let unit = PixelForm { rgb: true, mean: [0.0; 3], gain: [1.0 / 255.0; 3], fit: Fit::Corner, border: BORDER };
     match family {
-        Family::Detectron2 => PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner },
-        Family::YoloSeg => ExportKind::YoloV8 { masks: 32 }.pixel_form(),
-        _ => PixelForm { rgb: true, mean: [0.0; 3], gain: [1.0 / 255.0; 3], fit: Fit::Corner },
+        Family::Detectron2 => PixelForm { rgb: false, gain: [1.0; 3], ..unit },
+        Family::YoloSeg => ExportKind::YoloV8 { extra: 32 }.pixel_form(),
+        _ => unit,
     }
 }
 
@@ -299,6 +298,10 @@ impl Node for MaskRcnn {
     fn open(open: &Open<'_>, params: &MaskRcnnParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);
         let mut network = Network::open(open, &params.model, params.threads, size, params.provider)?;
+        network.model.refuse_tasks(
+            &["detect", "pose", "obb", "classify"],
+            "`mask_rcnn` reads boxes with masks; for boxes or keypoints use `yolo`",
+        )?;
         let (w, h) = network.model.input_size();
         let gray = vec![0.5f32; 3 * w * h];
         let named = network.model.metadata("family").map(str::to_owned);
@@ -386,7 +389,7 @@ impl Node for MaskRcnn {
                 let [1, masks, height, width] = prototypes.shape[..] else {
                     return Err(error!("prototypes are {:?}, expected 1xMxHxW", prototypes.shape));
                 };
-                let kind = ExportKind::YoloV8 { masks };
+                let kind = ExportKind::YoloV8 { extra: masks };
                 let mut decoder = Decoder {
                     kind,
                     input: net,

@@ -7,7 +7,8 @@
 use panoscope_node::{Choice, Context};
 
 use crate::calibration::numbers;
-use crate::model::{Model, Tensor};
+use crate::model::Model;
+use crate::session::Tensor;
 
 /// Name of the output.
 const OUTPUT: &str = "features";
@@ -224,7 +225,7 @@ impl Familiarity {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::Values;
+    use crate::session::Values;
 
     fn read(
         channels: Option<usize>,

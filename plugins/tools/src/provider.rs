@@ -1,8 +1,10 @@
 //! What computes a network: the processor, or an execution provider of ONNX Runtime for a GPU or another accelerator.
 
+use std::path::Path;
+
 use ort::ep;
 use ort::session::builder::SessionBuilder;
-use panoscope_node::Choice;
+use panoscope_node::{Choice, Open};
 
 /// Execution providers by name. One that ONNX Runtime cannot use here leaves the network to the processor.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +33,17 @@ impl Provider {
             Self::Openvino => "OpenVINO",
             Self::Rocm => "ROCm",
             Self::Migraphx => "MIGraphX",
+        }
+    }
+
+    /// Warns that the processor runs the network at `path` because of `reason`, where there is one.
+    pub fn warn_if_refused(self, open: &Open<'_>, path: &Path, reason: Option<&str>) {
+        if let Some(reason) = reason {
+            open.warn(&format!(
+                "{} cannot run {} ({reason}); the processor does. Name an ONNX Runtime with that provider in ORT_DYLIB_PATH, or set `provider = \"cpu\"`",
+                self.title(),
+                path.display()
+            ));
         }
     }
 

@@ -3,16 +3,18 @@
 use std::path::PathBuf;
 
 use panoscope_imaging::lit::HeldMask;
-use panoscope_node::abi::{Detection, Scalar};
+use panoscope_node::abi::{Detection, Scalar, Tip};
 use panoscope_node::{
     AnyImage, Bgr8, Choice, Context, Gray8, Image, LabeledDetections, Mask, Node, NodeInfo, Open, Parallel, Params,
-    Ports, Result, Slot, TextPacket, Validation, View, error,
+    Ports, Result, Slot, TableData, TextPacket, Validation, View, error,
 };
+use serde::Deserialize;
 
 use crate::calibration::{Calibration, Rule};
 use crate::candidates::{Candidate, Decoder, Suppression, keep_lit, suppress};
 use crate::export_kind::{ExportKind, recognise};
 use crate::finite::count_bad;
+use crate::keypoints::{KeypointShape, Keypoints};
 use crate::labels;
 use crate::letterbox::Letterbox;
 use crate::model::Model;
@@ -40,12 +42,25 @@ pub struct Out<'f> {
     unlikeness: Slot<'f, Scalar>,
     /// What a screen says while the images are too unlike those that the model learned from; else empty text.
     text: Slot<'f, TextPacket>,
+    /// First keypoint of the box with the highest score, in px, without a position in space. Empty where the model gives no keypoints or finds nothing.
+    tip0: Slot<'f, Tip>,
+    /// Second keypoint of that box.
+    tip1: Slot<'f, Tip>,
+    /// Third keypoint of that box.
+    tip2: Slot<'f, Tip>,
+    /// Fourth keypoint of that box.
+    tip3: Slot<'f, Tip>,
+    /// All keypoints of all boxes: a row each, with the number of its box in `detections`, its own number, its position in px and its score. Empty where
+    /// the model gives no keypoints.
+    keypoints: Slot<'f, TableData>,
 }
 
 /// Families of exports.
-#[derive(Choice, Clone, Copy, PartialEq, Eq)]
+#[derive(Choice, Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
 pub enum Layout {
     /// Told from shapes and metadata.
+    #[default]
     Auto,
     /// YOLOX as its tools export it: boxes relative to the grid.
     Yolox,
@@ -53,7 +68,7 @@ pub enum Layout {
     YoloxDecoded,
     /// YOLOv5 and v7: three anchors a cell.
     Yolov5,
-    /// YOLOv8 and later, without non-maximum suppression inside.
+    /// YOLOv8 and later, without non-maximum suppression inside; the model's metadata say whether it gives keypoints.
     Yolov8,
     /// Corners, score, class: YOLOv10, YOLO26.
     EndToEnd,
@@ -62,14 +77,14 @@ pub enum Layout {
 }
 
 impl Layout {
-    /// The kind that was named, if one was.
-    fn kind(self) -> Option<ExportKind> {
+    /// The kind that was named, if one was. `keypoints`: numbers of the keypoints of a box.
+    pub(crate) fn kind(self, keypoints: usize) -> Option<ExportKind> {
         match self {
             Self::Auto => None,
             Self::Yolox => Some(ExportKind::YoloxRaw),
             Self::YoloxDecoded => Some(ExportKind::YoloxDecoded),
             Self::Yolov5 => Some(ExportKind::YoloV5),
-            Self::Yolov8 => Some(ExportKind::YoloV8 { masks: 0 }),
+            Self::Yolov8 => Some(ExportKind::YoloV8 { extra: keypoints }),
             Self::EndToEnd => Some(ExportKind::EndToEnd),
             Self::Detr => Some(ExportKind::Detr),
         }
@@ -184,32 +199,13 @@ impl Network {
         // Paths come resolved against the graph file's folder.
         let path = model.to_owned();
         let model = Model::open(model, threads, size, provider)?;
-        if let Some(reason) = model.refused() {
-            open.warn(&format!(
-                "{} cannot run {} ({reason}); the processor does. Name an ONNX Runtime with that provider in ORT_DYLIB_PATH, or set `provider = \"cpu\"`",
-                provider.title(),
-                path.display()
-            ));
-        }
+        provider.warn_if_refused(open, &path, model.refused());
         Ok(Self { model, letterbox: Letterbox::default(), labels: String::new(), path, damage: Damage::default() })
     }
 
-    /// Fills the label table: the file's names, else the model's, else numbers.
+    /// Fills the label table, see [`labels::table`].
     pub fn name_classes(&mut self, file: &std::path::Path, classes: usize) -> Result<()> {
-        let mut names = if file.as_os_str().is_empty() {
-            self.model.metadata("names").and_then(labels::from_metadata).unwrap_or_default()
-        } else {
-            labels::from_file(file)?
-        };
-        if classes > 0 && !names.is_empty() && names.len() != classes {
-            return Err(error!(
-                "{} has {classes} classes, the label table has {} names",
-                self.model.path().display(),
-                names.len()
-            ));
-        }
-        (names.len()..classes).for_each(|i| names.push(format!("class {i}")));
-        self.labels = names.join("\n");
+        self.labels = labels::table(self.model.path(), self.model.metadata("names"), file, classes)?;
         Ok(())
     }
 }
@@ -231,6 +227,7 @@ pub struct Yolo {
     /// Index of the class `unknown`, where the label table has it.
     unknown: Option<u32>,
     familiarity: Familiarity,
+    keypoints: Keypoints,
     candidates: Vec<Candidate>,
     items: Vec<Detection>,
     lit: HeldMask,
@@ -274,15 +271,20 @@ impl Node for Yolo {
     fn open(open: &Open<'_>, params: &YoloParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);
         let mut network = Network::open(open, &params.model, params.threads, size, params.provider)?;
+        network.model.refuse_tasks(
+            &["obb", "classify"],
+            "`yolo` reads upright boxes and keypoints; export a model that detects",
+        )?;
         // One run on a gray picture gives the shapes of the outputs and warms the network up.
         let (w, h) = network.model.input_size();
         let gray = vec![0.5f32; 3 * w * h];
         let path = network.model.path().to_owned();
         let end_to_end = network.model.metadata("end2end").is_some_and(|v| v.eq_ignore_ascii_case("true"));
-        let chosen = params.layout.kind();
+        let pose = network.model.metadata("kpt_shape").and_then(KeypointShape::from_metadata).unwrap_or_default();
+        let chosen = params.layout.kind(pose.len());
         let (kind, classes, channels) = network.model.run(&gray, |outputs| -> Result<_> {
             let (outputs, features) = pictures::split(outputs);
-            let kind = chosen.map_or_else(|| recognise(&path, (w, h), end_to_end, outputs), Ok)?;
+            let kind = chosen.map_or_else(|| recognise(&path, (w, h), end_to_end, pose.len(), outputs), Ok)?;
             count_bad(&path, outputs, kind.rows())?;
             let channels = features.and_then(|tensor| tensor.shape.get(1).copied());
             Ok((kind, kind.classes(outputs), channels))
@@ -304,6 +306,7 @@ impl Node for Yolo {
             calibration,
             unknown,
             familiarity,
+            keypoints: Keypoints::new(pose),
             candidates: Vec::new(),
             items: Vec::new(),
             lit: HeldMask::default(),
@@ -335,12 +338,13 @@ impl Node for Yolo {
         };
         let Network { model, letterbox, labels, path, damage } = &mut self.network;
         let rows = self.kind.rows();
-        let familiarity = &mut self.familiarity;
+        let (familiarity, keypoints, kind) = (&mut self.familiarity, &mut self.keypoints, self.kind);
         let (bad, unlikeness) = model.run(&letterbox.input, |outputs| -> Result<_> {
             let (outputs, features) = pictures::split(outputs);
             let unlikeness = familiarity.unlikeness(features, placement.size);
             let bad = count_bad(path, outputs, rows)?;
             decoder.decode(outputs)?;
+            keypoints.collect(outputs, kind, decoder.out, &placement);
             Ok((bad, unlikeness))
         })??;
         damage.report(cx, path, bad);
@@ -371,6 +375,8 @@ impl Node for Yolo {
         if params.track {
             self.tracker.follow(&mut self.items, cx.tick().capture_ns, params.vote_s, self.unknown);
         }
+        let tips = [&mut out.tip0, &mut out.tip1, &mut out.tip2, &mut out.tip3];
+        self.keypoints.write(&self.candidates, &self.items, tips, &mut out.keypoints)?;
         out.detections.set_detections(&self.items, labels, (picture.width, picture.height))
     }
 }

@@ -135,7 +135,7 @@ fn a_model_that_takes_no_picture_is_named() {
     for input in [vec![1, 5], vec![2, 3, 64, 64], vec![1, 4, 64, 64]] {
         let path = TinyModel { input, ..good() }.write(&home, "m.onnx");
         let error = opens_or_says(&path).expect_err("refused");
-        assert!(error.contains("expected one picture: f32 1x3xHxW"), "{error}");
+        assert!(error.contains("expected one image: f32 or f16, 1x3xHxW or 1xHxWx3"), "{error}");
     }
     // Weights where a picture belongs.
     let held = tensor("images", &[1, 3, 8, 8], &Fixed::Floats(vec![0.0; 192]));
@@ -177,7 +177,7 @@ fn weights_that_a_host_appended_to_a_model_are_used() {
     let first_value = |path: &Path| {
         let mut model = Model::open(path, 1, (64, 64), Provider::Cpu).unwrap_or_else(|error| panic!("{error}"));
         let picture = vec![0.0; 3 * 64 * 64];
-        let read = |tensors: &[panoscope_tools::model::Tensor<'_>]| {
+        let read = |tensors: &[panoscope_tools::session::Tensor<'_>]| {
             tensors.first().and_then(|tensor| tensor.data.floats().map(|floats| (floats.len(), floats[0])))
         };
         model.run(&picture, read).expect("it runs")

@@ -1,10 +1,13 @@
 //! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
 
 mod exports;
+mod foreign_exports;
 mod hidden_jaws;
 mod hostile_campaign;
 mod hostile_models;
 mod moving_tips;
+mod odd_models;
+mod onnx_node;
 mod tiny_onnx;
 mod tips;
 mod training;

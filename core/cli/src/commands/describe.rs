@@ -1,25 +1,32 @@
 //! `panoscope describe`.
 
+use std::path::Path;
+
 use anyhow::Result;
 use panoscope_graph::{NodeKind, NodeType, Param, ParamKind, Port};
 use panoscope_host::loader::Loader;
 use panoscope_host::loader::graph_file;
 
 use crate::End;
+use crate::commands::describe_model;
 use crate::terminal::{log, out};
 
 /// Arguments of `describe`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Node type, or `plugin/type` where two plugins offer one name.
+    /// Node type, or `plugin/type` where two plugins offer one name; or an ONNX file, for what the network wants and a graph that runs it.
+    #[arg(value_name = "NODE_TYPE")]
     node_type: String,
-    /// As JSON, a list with one entry per plugin that offers it.
+    /// As JSON: a list with one entry per plugin that offers it; of an ONNX file one object.
     #[arg(long)]
     json: bool,
 }
 
-/// Shows a node type; loads only the plugins that offer it.
+/// Shows a node type, or a model. Loads only the plugins that offer the type.
 pub fn run(arguments: &Arguments) -> Result<End> {
+    if describe_model::is_model(&arguments.node_type) {
+        return describe_model::run(Path::new(&arguments.node_type), arguments.json);
+    }
     let loader = graph_file::all_plugins();
     let (plugin, name) = match arguments.node_type.split_once('/') {
         Some((plugin, name)) => (Some(plugin), name),

@@ -4,6 +4,7 @@ pub mod audit;
 pub mod check;
 pub mod compare;
 pub mod describe;
+pub mod describe_model;
 pub mod devices;
 pub mod doctor;
 pub mod dot;

@@ -2,6 +2,7 @@
 //!
 //! Field numbers are those of `onnx.proto3`.
 
+pub mod signature;
 pub mod work;
 
 use std::ffi::OsStr;

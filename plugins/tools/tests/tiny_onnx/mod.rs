@@ -38,9 +38,26 @@ impl Message {
 }
 
 /// Values of an output.
+#[derive(Clone)]
 pub enum Fixed {
     Floats(Vec<f32>),
+    Halves(Vec<f32>),
     Ints(Vec<i64>),
+    Bytes(Vec<u8>),
+    SignedBytes(Vec<i8>),
+}
+
+impl Fixed {
+    /// Element type and bytes.
+    fn raw(&self) -> (i64, Vec<u8>) {
+        match self {
+            Self::Floats(v) => (FLOAT, v.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Self::Halves(v) => (HALF, v.iter().flat_map(|x| half::f16::from_f32(*x).to_le_bytes()).collect()),
+            Self::Ints(v) => (INT64, v.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Self::Bytes(v) => (BYTE, v.clone()),
+            Self::SignedBytes(v) => (SIGNED, v.iter().map(|x| *x as u8).collect()),
+        }
+    }
 }
 
 /// A model whose answer does not depend on the picture.
@@ -50,8 +67,12 @@ pub struct TinyModel {
     pub metadata: Vec<(&'static str, String)>,
 }
 
-const FLOAT: i64 = 1;
-const INT64: i64 = 7;
+pub const FLOAT: i64 = 1;
+pub const BYTE: i64 = 2;
+pub const SIGNED: i64 = 3;
+pub const INT64: i64 = 7;
+pub const HALF: i64 = 10;
+pub const DOUBLE: i64 = 11;
 
 /// Name, element type and shape of an input or output.
 pub fn value_info(name: &str, kind: i64, dims: &[i64]) -> Message {
@@ -63,31 +84,73 @@ pub fn value_info(name: &str, kind: i64, dims: &[i64]) -> Message {
 
 /// A named tensor.
 pub fn tensor(name: &str, dims: &[i64], values: &Fixed) -> Message {
-    let (kind, raw): (i64, Vec<u8>) = match values {
-        Fixed::Floats(v) => (FLOAT, v.iter().flat_map(|x| x.to_le_bytes()).collect()),
-        Fixed::Ints(v) => (INT64, v.iter().flat_map(|x| x.to_le_bytes()).collect()),
-    };
+    let (kind, raw) = values.raw();
     let m = dims.iter().fold(Message::default(), |m, &d| m.int(1, d));
     m.int(2, kind).text(8, name).bytes(9, &raw)
 }
 
-impl TinyModel {
+/// Name, element type and shape of an input or output.
+pub type Port = (&'static str, i64, Vec<i64>);
+
+/// A model with the inputs, steps and constants that a test gives it.
+#[derive(Default)]
+pub struct WiredModel {
+    pub inputs: Vec<Port>,
+    /// Operator, names of its inputs, name of its output, and what a `Cast` casts to.
+    pub steps: Vec<(&'static str, Vec<String>, String, Option<i64>)>,
+    pub held: Vec<(String, Vec<i64>, Fixed)>,
+    pub outputs: Vec<Port>,
+    pub metadata: Vec<(&'static str, String)>,
+}
+
+impl WiredModel {
+    /// With one more output, a constant.
+    pub fn with(mut self, name: &'static str, dims: &[i64], values: Fixed) -> Self {
+        let held = format!("{name}_held");
+        self.steps.push(("Identity", vec![held.clone()], name.to_owned(), None));
+        self.outputs.push((name, values.raw().0, dims.to_vec()));
+        self.held.push((held, dims.to_vec(), values));
+        self
+    }
+
     pub fn bytes(&self) -> Vec<u8> {
         let mut graph = Message::default();
-        for (name, _, _) in &self.outputs {
-            let node = Message::default().text(1, &format!("{name}_held")).text(2, name).text(4, "Identity");
+        for (operator, inputs, output, cast) in &self.steps {
+            let mut node = inputs.iter().fold(Message::default(), |node, input| node.text(1, input));
+            node = node.text(2, output).text(4, operator);
+            if let Some(kind) = cast {
+                node = node.message(5, &Message::default().text(1, "to").int(3, *kind).int(20, 2));
+            }
             graph = graph.message(1, &node);
         }
         graph = graph.text(2, "tiny");
-        for (name, dims, values) in &self.outputs {
-            graph = graph.message(5, &tensor(&format!("{name}_held"), dims, values));
+        for (name, dims, values) in &self.held {
+            graph = graph.message(5, &tensor(name, dims, values));
         }
-        graph = graph.message(11, &value_info("images", FLOAT, &self.input));
-        for (name, dims, values) in &self.outputs {
-            let kind = if matches!(values, Fixed::Floats(_)) { FLOAT } else { INT64 };
-            graph = graph.message(12, &value_info(name, kind, dims));
+        for (name, kind, dims) in &self.inputs {
+            graph = graph.message(11, &value_info(name, *kind, dims));
+        }
+        for (name, kind, dims) in &self.outputs {
+            graph = graph.message(12, &value_info(name, *kind, dims));
         }
         wrap(&graph, &self.metadata)
+    }
+
+    /// Writes the file into a folder of the test's own.
+    pub fn write(&self, folder: &Path, name: &str) -> PathBuf {
+        let path = folder.join(name);
+        std::fs::write(&path, self.bytes()).expect("the test's folder can be written");
+        path
+    }
+}
+
+impl TinyModel {
+    pub fn bytes(&self) -> Vec<u8> {
+        let model = WiredModel { inputs: vec![("images", FLOAT, self.input.clone())], ..WiredModel::default() };
+        let outputs = self.outputs.iter();
+        let mut model = outputs.fold(model, |model, (name, dims, values)| model.with(name, dims, values.clone()));
+        model.metadata = self.metadata.clone();
+        model.bytes()
     }
 
     /// Writes the file into a folder of the test's own.

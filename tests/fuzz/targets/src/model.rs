@@ -1,4 +1,4 @@
-//! The walk through an ONNX file before ONNX Runtime sees it.
+//! The walk through an ONNX file before ONNX Runtime sees it, and what `panoscope describe` reads of it.
 
 use panoscope_base::onnx;
 
@@ -10,6 +10,7 @@ use crate::scratch;
 mod onnx_file;
 
 pub fn run(bytes: &[u8]) {
+    let _ = onnx::signature::signature(bytes);
     scratch::file("model/weights.bin", &[0; 16]);
     let path = scratch::file("model/m.onnx", bytes);
     match onnx_file::read(&path) {
@@ -90,6 +91,14 @@ pub fn seeds() -> Vec<Vec<u8>> {
     let most = i64::MAX as u64;
     let both = ["count", "yes"];
     let truth = || vec![vec![8, 1], field(9, &[1])];
+    // An input with one axis of any length, an output that is not a tensor, and metadata.
+    let dims = [field(1, &number(1, 3)), field(1, &field(2, b"any"))].concat();
+    let tensor_type = field(2, &field(1, &[number(1, 10), field(2, &dims)].concat()));
+    let declared = [
+        field(11, &[field(1, b"image"), tensor_type].concat()),
+        field(12, &[field(1, b"list"), field(2, &field(4, b""))].concat()),
+    ];
+    let described = [model(&declared.concat()), field(14, &[field(1, b"task"), field(2, b"pose")].concat())].concat();
     let plain = model(&[node.clone(), field(2, b"g"), tensor(b"weights.bin")].concat());
     let appended = |name: &str, bytes: &[u8]| [onnx::bundle_header(name, bytes.len() as u64), bytes.to_vec()].concat();
     let sparse = field(15, &field(1, &outside(b"weights.bin")));
@@ -130,6 +139,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
         [plain.clone(), vec![0x80]].concat(),
         [plain.clone(), vec![0xff; 11]].concat(),
         [plain, vec![11]].concat(),
+        described,
         b"no model".to_vec(),
     ]
 }

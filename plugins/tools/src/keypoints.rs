@@ -1,0 +1,152 @@
+//! Keypoints of boxes, as pose exports of YOLO give them: tips, and a table of all.
+
+use panoscope_node::abi::{Detection, Tip};
+use panoscope_node::{Result, Slot, TableData};
+
+use crate::candidates::Candidate;
+use crate::export_kind::ExportKind;
+use crate::letterbox::Placement;
+use crate::session::Tensor;
+
+/// Columns of the table of keypoints.
+const COLUMNS: [&str; 5] = ["box", "keypoint", "x_px", "y_px", "score"];
+/// Most keypoints of a box.
+const MAX_COUNT: usize = 256;
+
+/// How many keypoints a box has, and how many numbers each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct KeypointShape {
+    count: usize,
+    /// 2 (position) or 3 (and a score).
+    numbers: usize,
+}
+
+impl KeypointShape {
+    /// Reads `[2, 3]`, as exports write it under `kpt_shape`; none where the text is another.
+    pub fn from_metadata(text: &str) -> Option<Self> {
+        let inner = text.trim().strip_prefix('[')?.strip_suffix(']')?;
+        let (count, numbers) = inner.split_once(',')?;
+        let shape = Self { count: count.trim().parse().ok()?, numbers: numbers.trim().parse().ok()? };
+        ((1..=MAX_COUNT).contains(&shape.count) && matches!(shape.numbers, 2 | 3)).then_some(shape)
+    }
+
+    /// Numbers of a box.
+    pub fn len(self) -> usize {
+        self.count * self.numbers
+    }
+
+    /// Whether boxes have no keypoints.
+    pub fn is_empty(self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// The keypoints of the boxes of one run.
+#[derive(Default)]
+pub struct Keypoints {
+    shape: KeypointShape,
+    /// Rows of the boxes in the network's output.
+    rows: Vec<u32>,
+    /// x and y in px of the image and the score, of all keypoints of each row.
+    points: Vec<[f32; 3]>,
+    table: Vec<f64>,
+}
+
+impl Keypoints {
+    /// Without any box.
+    pub fn new(shape: KeypointShape) -> Self {
+        Self { shape, ..Self::default() }
+    }
+
+    /// Collects the keypoints of `candidates` from the outputs that they were decoded from.
+    pub fn collect(
+        &mut self,
+        outputs: &[Tensor<'_>],
+        kind: ExportKind,
+        candidates: &[Candidate],
+        placement: &Placement,
+    ) {
+        self.rows.clear();
+        self.points.clear();
+        let Some(tensor) = outputs.first().filter(|_| !self.shape.is_empty()) else { return };
+        let (Some(values), [_, second, third]) = (tensor.data.floats(), &tensor.shape[..]) else { return };
+        let KeypointShape { count, numbers } = self.shape;
+        for candidate in candidates {
+            let row = candidate.row as usize;
+            let number = |index: usize| match kind {
+                ExportKind::EndToEnd => values.get(row * third + 6 + index),
+                _ => values.get((second.saturating_sub(self.shape.len()) + index) * third + row),
+            };
+            self.rows.push(candidate.row);
+            for keypoint in 0..count {
+                let at = |offset: usize| number(keypoint * numbers + offset).copied().unwrap_or(f32::NAN);
+                let (x, y) = placement.back(at(0), at(1));
+                let score = if numbers == 3 { at(2).clamp(0.0, 1.0) } else { candidate.score };
+                self.points.push([x, y, score]);
+            }
+        }
+    }
+
+    /// The keypoints of a row of the output, x and y in px of the image and the score each.
+    fn of_row(&self, row: u32) -> &[[f32; 3]] {
+        let index = self.rows.iter().position(|have| *have == row);
+        let count = self.shape.count;
+        index.and_then(|index| self.points.get(index * count..(index + 1) * count)).unwrap_or(&[])
+    }
+
+    /// Makes the tips of the first box, and the table of all boxes. `items` are the boxes of `candidates`.
+    pub fn write(
+        &mut self,
+        candidates: &[Candidate],
+        items: &[Detection],
+        tips: [&mut Slot<'_, Tip>; 4],
+        table: &mut Slot<'_, TableData>,
+    ) -> Result<()> {
+        if self.shape.is_empty() {
+            return Ok(());
+        }
+        if let (Some(candidate), Some(item)) = (candidates.first(), items.first()) {
+            for (tip, &[x, y, score]) in tips.into_iter().zip(self.of_row(candidate.row)) {
+                if x.is_finite() && y.is_finite() {
+                    tip.set(Tip {
+                        u_px: f64::from(x),
+                        v_px: f64::from(y),
+                        xyz_mm: [f64::NAN; 3],
+                        score: f64::from(score),
+                        class_index: item.class_index,
+                        xyz_valid: 0,
+                        track_id: item.track_id,
+                    })?;
+                }
+            }
+        }
+        if !table.is_read() {
+            return Ok(());
+        }
+        let mut rows = std::mem::take(&mut self.table);
+        rows.clear();
+        for (index, candidate) in candidates.iter().enumerate() {
+            for (keypoint, point) in self.of_row(candidate.row).iter().enumerate() {
+                rows.extend([index as f64, keypoint as f64]);
+                rows.extend(point.iter().map(|value| f64::from(*value)));
+            }
+        }
+        let made = table.set_table(&COLUMNS, &rows);
+        self.table = rows;
+        made
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_sensible_shapes_are_read() {
+        assert_eq!(KeypointShape::from_metadata("[2, 3]"), Some(KeypointShape { count: 2, numbers: 3 }));
+        assert_eq!(KeypointShape::from_metadata(" [17,2] ").map(KeypointShape::len), Some(34));
+        for text in ["", "[]", "[2]", "[2, 4]", "[0, 3]", "[99999, 3]", "[-1, 3]", "2, 3", "[2, 3, 3]"] {
+            assert_eq!(KeypointShape::from_metadata(text), None, "{text}");
+        }
+    }
+}
