@@ -26,6 +26,8 @@ pub struct Viewpoint {
     pub clip_mm: [f32; 2],
     /// Width and height of the image.
     pub size_px: [usize; 2],
+    /// Whether a ruler states a length in mm.
+    pub has_ruler: bool,
 }
 
 impl Viewpoint {
@@ -35,7 +37,8 @@ impl Viewpoint {
 
 impl Default for Viewpoint {
     fn default() -> Self {
-        Self { yaw: 0.35, pitch: 0.25, zoom: 0.9, shift: [0.0; 2], clip_mm: [0.0, Self::FAR_MM], size_px: [960, 720] }
+        let clip_mm = [0.0, Self::FAR_MM];
+        Self { yaw: 0.35, pitch: 0.25, zoom: 0.9, shift: [0.0; 2], clip_mm, size_px: [960, 720], has_ruler: true }
     }
 }
 
@@ -159,6 +162,7 @@ impl Painter {
             // More vertices than pixels would not be visible.
             step: (points.cloud.width() / 320).max(1),
             shift: viewpoint.shift,
+            has_ruler: viewpoint.has_ruler,
             ..Orbit::default()
         };
         let projection = self.painter.paint(&points, &orbit, &mut ViewMut::new(&mut self.bgr, width, height, 3));
