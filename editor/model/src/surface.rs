@@ -218,6 +218,17 @@ mod tests {
     }
 
     #[test]
+    fn a_ruler_is_drawn_only_where_lengths_are_known() {
+        let (frame, bytes) = plane(40, 30);
+        let ruled = |has_ruler| {
+            let viewpoint = Viewpoint { size_px: [320, 240], has_ruler, ..Viewpoint::default() };
+            let (pixels, _) = Painter::default().paint(&frame, &bytes, &viewpoint).unwrap();
+            pixels.rgba.chunks_exact(4).filter(|pixel| **pixel == [230, 230, 230, 255]).count()
+        };
+        assert!(ruled(true) > 20 && ruled(false) == 0, "{} and {}", ruled(true), ruled(false));
+    }
+
+    #[test]
     fn what_is_clipped_is_not_there() {
         let (frame, bytes) = plane(40, 30);
         let viewpoint = Viewpoint { size_px: [64, 48], clip_mm: [60.0, 100.0], ..Viewpoint::default() };
