@@ -1,5 +1,6 @@
 //! Compares screenshots of the editor with golden images, and checks that every widget has a name.
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use crate::common::{Folder, Window, has_plugin, input};
@@ -15,9 +16,9 @@ const NONE: Modifiers = Modifiers::NONE;
 use crate::looks_graph::{GRAPH, TICKS};
 
 /// The window after the last tick of each source, when nothing changes any more.
-fn at_rest(folder: &Folder) -> Window {
+fn at_rest(graph: &Path) -> Window {
     let options = Options { frames: Some(TICKS), ..Options::default() };
-    let mut window = Window::open_with(&folder.write("looks.toml", GRAPH), options);
+    let mut window = Window::open_with(graph, options);
     window.until("it has ended", |app| app.session().status().phase == Phase::Ended);
     // Rates cover the last half second; previews count as old after two seconds.
     let until = Instant::now() + Duration::from_millis(3500);
@@ -41,7 +42,7 @@ fn the_editor_matches_the_golden_images() {
         return;
     }
     let folder = Folder::new("looks");
-    let mut window = at_rest(&folder);
+    let mut window = at_rest(&folder.write("looks.toml", GRAPH));
     looks(&mut window, "bench");
     window.select("level");
     looks(&mut window, "bench_node");
@@ -68,6 +69,33 @@ fn the_editor_matches_the_golden_images() {
     let now = paint(&window.harness.ctx, window.harness.output(), &window.textures, ground());
     let age = Rect::from_min_size(picture.center_top(), vec2(0.0, 48.0)).expand2(vec2(160.0, 0.0));
     compare("bench_picker", now, &[age]);
+}
+
+/// The compositions of `screen` for views of four shapes, with and without smaller images, on screens of two sizes.
+fn compositions() -> String {
+    let mut text = String::from(
+        "# What `screen` makes of views.\nname = \"screens\"\nmode = \"batch\"\nplugins = [\"flow\", \"overlay\"]\n",
+    );
+    for (shape, width, height) in [("4_3", 640, 480), ("16_9", 640, 360), ("5_4", 600, 480), ("square", 480, 480)] {
+        text += &format!(
+            "[nodes.view_{shape}]\ntype = \"frames\"\nparams = {{ width_px = {width}, height_px = {height}, rate_hz = 20.0 }}\n\
+             [nodes.alone_{shape}]\ntype = \"screen\"\ninputs = {{ main = \"view_{shape}.image\" }}\n\
+             params = {{ titles = \"panorama\" }}\n\
+             [nodes.all_{shape}]\ntype = \"screen\"\ninputs = {{ main = \"view_{shape}.image\", side = [\"view_{shape}.image\", \"view_{shape}.image\", \"view_{shape}.image\"] }}\n\
+             params = {{ width = 1920, height = 1080, titles = \"panorama; tools; surface; depth\" }}\n"
+        );
+    }
+    text
+}
+
+#[test]
+fn the_compositions_of_screens_match_the_golden_image() {
+    if !has_plugin("flow") || !has_plugin("overlay") {
+        return;
+    }
+    let folder = Folder::new("compositions");
+    let mut window = at_rest(&folder.write("screens.toml", &compositions()));
+    looks(&mut window, "bench_screens");
 }
 
 #[test]

@@ -26,6 +26,8 @@ pub struct Viewpoint {
     pub clip_mm: [f32; 2],
     /// Width and height of the image.
     pub size_px: [usize; 2],
+    /// Whether a ruler states a length in mm.
+    pub has_ruler: bool,
 }
 
 impl Viewpoint {
@@ -35,7 +37,8 @@ impl Viewpoint {
 
 impl Default for Viewpoint {
     fn default() -> Self {
-        Self { yaw: 0.35, pitch: 0.25, zoom: 0.9, shift: [0.0; 2], clip_mm: [0.0, Self::FAR_MM], size_px: [960, 720] }
+        let clip_mm = [0.0, Self::FAR_MM];
+        Self { yaw: 0.35, pitch: 0.25, zoom: 0.9, shift: [0.0; 2], clip_mm, size_px: [960, 720], has_ruler: true }
     }
 }
 
@@ -159,6 +162,7 @@ impl Painter {
             // More vertices than pixels would not be visible.
             step: (points.cloud.width() / 320).max(1),
             shift: viewpoint.shift,
+            has_ruler: viewpoint.has_ruler,
             ..Orbit::default()
         };
         let projection = self.painter.paint(&points, &orbit, &mut ViewMut::new(&mut self.bgr, width, height, 3));
@@ -211,6 +215,17 @@ mod tests {
         let length = distance_mm(a, b);
         assert!((length - 425f32.sqrt()).abs() < 0.6, "{length}");
         assert_eq!(depth_buffer.pick(1.0, 1.0), None, "nothing is there");
+    }
+
+    #[test]
+    fn a_ruler_is_drawn_only_where_lengths_are_known() {
+        let (frame, bytes) = plane(40, 30);
+        let ruled = |has_ruler| {
+            let viewpoint = Viewpoint { size_px: [320, 240], has_ruler, ..Viewpoint::default() };
+            let (pixels, _) = Painter::default().paint(&frame, &bytes, &viewpoint).unwrap();
+            pixels.rgba.chunks_exact(4).filter(|pixel| **pixel == [230, 230, 230, 255]).count()
+        };
+        assert!(ruled(true) > 20 && ruled(false) == 0, "{} and {}", ruled(true), ruled(false));
     }
 
     #[test]

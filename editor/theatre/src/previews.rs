@@ -14,6 +14,7 @@ use super::{OutputCache, Pane, Theatre, ThreeD, Verified, time};
 use panoscope_editor_model::content::Content;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::session::{Phase, Status};
+use panoscope_editor_model::surface::Viewpoint;
 use panoscope_host::audit::{ClipState, Event};
 
 /// Minimum time between two previews.
@@ -382,9 +383,11 @@ impl Theatre {
                 .insert(rig.calibration.clone(), PreviewRequest { packet, max_width: 1, ..PreviewRequest::default() });
         }
         if self.frozen.is_none() && self.raw_only.is_none() {
+            // No length is right while the calibration does not fit.
+            let has_ruler = !metric_is_on(&self.runner.counters(), "drifted");
             for pane in self.displayed() {
-                let viewpoint =
-                    (pane.packet == "cloud").then(|| self.viewpoints.get(&pane.output).copied().unwrap_or_default());
+                let kept = || self.viewpoints.get(&pane.output).copied().unwrap_or_default();
+                let viewpoint = (pane.packet == "cloud").then(|| Viewpoint { has_ruler, ..kept() });
                 requests.insert(pane.output.clone(), PreviewRequest { viewpoint, ..of(pane, MAX_WIDTH) });
             }
             if let Some(cloud) = self.plan.cloud.as_ref().filter(|_| self.measure.is_waiting()) {

@@ -2,9 +2,10 @@
 
 use panoscope_imaging::draw::{self, Colormap, ScaleBar};
 use panoscope_imaging::fit::Fit;
+use panoscope_node::abi::Scalar;
 use panoscope_node::{
     Bgr8, Choice, Confidence, Context, Depth, Disparity, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
-    Slot, Validation, View, ViewMut,
+    Slot, Validation, Value, View, ViewMut,
 };
 
 use crate::fit::{enlargement, usual_range};
@@ -30,7 +31,7 @@ impl From<Colors> for Colormap {
     }
 }
 
-/// Inputs: connect one of them.
+/// Inputs: connect one map.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Disparity in px.
@@ -39,6 +40,8 @@ pub struct In<'f> {
     pub depth: Option<Image<'f, Depth>>,
     /// Confidence, 0 to 1.
     pub confidence: Option<Image<'f, Confidence>>,
+    /// Above 0 while the calibration does not fit the views, as a matcher tells: the scale of depths then says near and far instead of mm.
+    pub drifted: Option<Value<'f, Scalar>>,
 }
 
 /// Outputs.
@@ -221,7 +224,11 @@ impl Node for Colorize {
                 labels: 5,
                 text_scale,
             };
-            draw::scale_bar(&mut picture, &bar);
+            let is_drifted = input.drifted.as_ref().is_some_and(|drifted| drifted.value > 0.0);
+            draw::scale_bar(
+                &mut picture,
+                &ScaleBar { labels: if is_drifted && unit == "mm" { 0 } else { bar.labels }, ..bar },
+            );
         }
         Ok(())
     }

@@ -41,7 +41,7 @@ pub struct Settings {
     #[param(default = 0.0, range = 0.0..=0.5, step = 0.01, unit = "ratio")]
     pub side_share: f32,
     /// Margin around pictures on a screen 720 px high; it grows with the screen.
-    #[param(default = 6, range = 0..=64, unit = "px")]
+    #[param(default = 4, range = 0..=64, unit = "px")]
     pub gap_px: usize,
     /// Titles separated by semicolons, the large picture's first. Each stands in a strip below its picture; a picture without a title has none.
     #[param(default = "")]
@@ -227,7 +227,8 @@ impl Node for Screen {
         }
         // Right below the pictures, so that no word lies on one.
         let scale = text_scale(params);
-        for ((words, cell), tile) in titles(params).zip(&self.cells).zip(tiles).filter(|(_, tile)| tile.caption > 0) {
+        let titled = |((_, cell), tile): &((&str, &Cell), &Tile)| (1..=cell.height).contains(&tile.caption);
+        for ((words, cell), tile) in titles(params).zip(&self.cells).zip(tiles).filter(titled) {
             let y = (cell.y + cell.height).saturating_sub(tile.caption) as f32;
             draw::text(&mut screen, cell.x as f32 + scale, y + TITLE_TOP * scale, words, scale, [255; 3]);
         }

@@ -3,7 +3,7 @@
 use std::f32::consts::TAU;
 
 use panoscope_imaging::draw::{Color, GradientLimit, Orbit, SurfacePainter, SurfacePoints};
-use panoscope_node::abi::Calibration;
+use panoscope_node::abi::{Calibration, Scalar};
 use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value};
 
 /// Inputs.
@@ -13,12 +13,14 @@ pub struct In<'f> {
     pub cloud: Cloud<'f>,
     /// Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
     pub calibration: Option<Value<'f, Calibration>>,
+    /// Above 0 while the calibration does not fit the views, as a matcher tells: no length is stated then.
+    pub drifted: Option<Value<'f, Scalar>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The surface from the side, with a ruler.
+    /// The surface from the side, with a ruler while lengths are known.
     pub image: Slot<'f, Bgr8>,
 }
 
@@ -109,6 +111,7 @@ impl Node for Turntable {
             step: if params.step > 0 { params.step } else { shown_step(input.cloud.width(), params.width) },
             limit: GradientLimit { max_gradient: params.max_gradient, baseline_mm },
             shading: params.shading,
+            has_ruler: !input.drifted.as_ref().is_some_and(|drifted| drifted.value > 0.0),
             ..Orbit::default()
         };
         let mut picture = out.image.alloc(params.width, params.height)?;

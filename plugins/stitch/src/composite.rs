@@ -165,8 +165,7 @@ pub struct CompositeNodeParams {
 /// The compositor of a node, and what it draws with.
 pub(crate) struct Drawer {
     pub kernel: Compositor,
-    /// Of the first two views.
-    masks: [HeldMask; 2],
+    masks: [HeldMask; MAX_VIEWS],
     device: Device,
     /// Seams found since the node was opened.
     seams: u64,
@@ -198,26 +197,38 @@ impl Drawer {
         }
     }
 
-    /// Follows the masks of `left` and `right`.
-    pub(crate) fn take_masks(
-        &mut self,
-        masks: [Option<&Image<'_, Mask>>; 2],
-        pair: [Option<&Image<'_, Bgr8>>; 2],
-    ) -> Result<()> {
-        for (view, (held, mask)) in self.masks.iter_mut().zip(masks).enumerate() {
-            if let (Some(mask), Some(image)) = (mask, pair[view])
+    /// Follows the masks of the views.
+    pub(crate) fn take_masks(&mut self, inputs: &SceneInputs<'_, '_>) -> Result<()> {
+        let given = inputs.masks.map_or(0, List::len);
+        if given > 0 && inputs.views.map(List::len) != Some(given) {
+            let count = inputs.views.map_or(0, List::len);
+            return Err(error!("{given} masks are connected for {count} views: connect one for each, or none"));
+        }
+        for (view, held) in self.masks.iter_mut().enumerate() {
+            let (mask, image) = match inputs.views {
+                Some(views) => (inputs.masks.and_then(|masks| masks.get(view)), views.get(view)),
+                None => (
+                    inputs.pair_masks.get(view).copied().flatten().copied(),
+                    inputs.pair.get(view).copied().flatten().copied(),
+                ),
+            };
+            if let (Some(mask), Some(image)) = (&mask, &image)
                 && (mask.width(), mask.height()) != (image.width(), image.height())
             {
-                let side = ["left", "right"][view];
+                let (mask_name, name) = match (inputs.views, view) {
+                    (Some(_), _) => (format!("mask {view} of `masks`"), format!("view {view} of `views`")),
+                    (None, 0) => ("`mask_left`".to_owned(), "`left`".to_owned()),
+                    (None, _) => ("`mask_right`".to_owned(), "`right`".to_owned()),
+                };
                 return Err(error!(
-                    "`mask_{side}` is {}x{}, `{side}` is {}x{}: connect the mask of this view",
+                    "{mask_name} is {}x{}, {name} is {}x{}: connect the mask of this view",
                     mask.width(),
                     mask.height(),
                     image.width(),
                     image.height()
                 ));
             }
-            if held.update(mask.map(Image::view)) {
+            if held.update(mask.as_ref().map(Image::view)) {
                 self.kernel.set_lit(view, held.part());
             }
         }
@@ -301,6 +312,8 @@ pub struct In<'f> {
     mask_left: Option<Image<'f, Mask>>,
     /// What of `right` is lit.
     mask_right: Option<Image<'f, Mask>>,
+    /// What of each of `views` is lit, in their order. Without them all is.
+    masks: Option<List<'f, Image<'f, Mask>>>,
 }
 
 /// Outputs of the composite.
@@ -328,9 +341,11 @@ pub struct Composite {
 /// Where the views of a tick come from: two of them with their homography, or a list with one homography for each but the first.
 pub(crate) struct SceneInputs<'i, 'f> {
     pub pair: [Option<&'i Image<'f, Bgr8>>; 2],
+    pub pair_masks: [Option<&'i Image<'f, Mask>>; 2],
     pub homography: Option<&'i Homography>,
     pub views: Option<&'i List<'f, Image<'f, Bgr8>>>,
     pub homographies: Option<&'i List<'f, Value<'f, Homography>>>,
+    pub masks: Option<&'i List<'f, Image<'f, Mask>>>,
 }
 
 /// The views of a tick and their maps to the first one.
@@ -496,11 +511,13 @@ impl Node for Composite {
         self.drawer.set_params(params, cx);
         let inputs = SceneInputs {
             pair: [input.left.as_ref(), input.right.as_ref()],
+            pair_masks: [input.mask_left.as_ref(), input.mask_right.as_ref()],
             homography: input.homography.as_deref(),
             views: input.views.as_ref(),
             homographies: input.homographies.as_ref(),
+            masks: input.masks.as_ref(),
         };
-        self.drawer.take_masks([input.mask_left.as_ref(), input.mask_right.as_ref()], inputs.pair)?;
+        self.drawer.take_masks(&inputs)?;
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
         if params.on_lost == OnLost::Skip && !self.drawer.kernel.accepts(views, maps, scene.state)? {

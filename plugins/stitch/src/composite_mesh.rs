@@ -102,6 +102,8 @@ pub struct In<'f> {
     mask_left: Option<Image<'f, Mask>>,
     /// What of `right` is lit.
     mask_right: Option<Image<'f, Mask>>,
+    /// What of each of `views` is lit, in their order. Without them all is.
+    masks: Option<List<'f, Image<'f, Mask>>>,
 }
 
 /// Outputs of the composite.
@@ -386,11 +388,13 @@ impl Node for CompositeMesh {
         self.drawer.set_params(&params.composite, cx);
         let inputs = SceneInputs {
             pair: [input.left.as_ref(), input.right.as_ref()],
+            pair_masks: [input.mask_left.as_ref(), input.mask_right.as_ref()],
             homography: input.homography.as_deref(),
             views: input.views.as_ref(),
             homographies: input.homographies.as_ref(),
+            masks: input.masks.as_ref(),
         };
-        self.drawer.take_masks([input.mask_left.as_ref(), input.mask_right.as_ref()], inputs.pair)?;
+        self.drawer.take_masks(&inputs)?;
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         if let Some(report) = self.follow_all(cx, &input, &scene, params)? {
             cx.metric("mesh_observations", report.observations as f64);

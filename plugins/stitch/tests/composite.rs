@@ -67,6 +67,36 @@ fn a_mask_hides_what_is_not_lit() {
     assert!(told.contains("`mask_left` is 8x8, `left` is 160x120"), "{told}");
 }
 
+#[test]
+fn masks_of_a_list_of_views_hide_what_is_not_lit() {
+    let mut node = Harness::<Composite>::from_toml("params = { canvas_margin = 0, exposure = \"none\" }").unwrap();
+    let lit = |columns: std::ops::Range<usize>| -> Vec<u8> {
+        (0..SIZE.0 * SIZE.1).map(|i| if columns.contains(&(i % SIZE.0)) { 255 } else { 0 }).collect()
+    };
+    let mut shown = |masks: &[Vec<u8>]| -> Result<(usize, usize), String> {
+        for dx in [0.0, 60.0, 120.0] {
+            node.input_image::<Bgr8>("views", SIZE.0, SIZE.1, &view());
+            if dx > 0.0 {
+                node.input_value("homographies", shift(dx, 0.0));
+            }
+        }
+        for mask in masks {
+            node.input_image::<Mask>("masks", SIZE.0, mask.len() / SIZE.0, mask);
+        }
+        let out = node.process().map_err(|error| error.to_string())?;
+        let mask = out.plane::<Mask>("mask").unwrap();
+        let row = mask.row(60);
+        Ok((row.iter().position(|v| *v > 0).unwrap(), row.iter().rposition(|v| *v > 0).unwrap() + 1))
+    };
+    assert_eq!(shown(&[]), Ok((0, 280)));
+    assert_eq!(shown(&[lit(12..160), lit(0..160), lit(0..150)]), Ok((12, 270)));
+    assert_eq!(shown(&[]), Ok((0, 280)));
+    let told = shown(&[lit(0..160), lit(0..160)]).unwrap_err();
+    assert!(told.contains("2 masks are connected for 3 views"), "{told}");
+    let told = shown(&[lit(0..160), lit(0..160), vec![255; SIZE.0]]).unwrap_err();
+    assert!(told.contains("mask 2 of `masks` is 160x1, view 2 of `views` is 160x120"), "{told}");
+}
+
 fn shift(dx: f64, dy: f64) -> Homography {
     let map = [1.0, 0.0, dx, 0.0, 1.0, dy, 0.0, 0.0, 1.0];
     Homography { left_from_right: map, rms_px: 0.5, inliers: 100, state: abi::STATE_FRESH }

@@ -60,7 +60,7 @@ impl Contour {
                 for (dx, weight_x) in WINDOW.iter().enumerate() {
                     let (u, v) = (mirrored(x, dx, width), mirrored(y, dy, height));
                     let other = &corners[v * width + u];
-                    if is_known(other) && !limit.parts(corner.world, other.world) {
+                    if is_known(other) && !limit.parts_at_rim(corner.world, other.world) {
                         share += weight_x * weight_y;
                     }
                 }
@@ -129,7 +129,7 @@ fn beyond(corners: &[Corner], size: (usize, usize), at: usize, limit: GradientLi
     let (mut sum, mut count) = ([0.0f32; 3], 0.0);
     for (near, behind) in around(size, at).filter(|(near, _)| known(near)) {
         let (a, b) = (corners[near].world, behind.filter(|index| known(index)).map(|index| corners[index].world));
-        let Some(b) = b.filter(|b| !limit.parts(a, *b) && !limit.parts(a, reference)) else {
+        let Some(b) = b.filter(|b| !limit.parts_at_rim(a, *b) && !limit.parts_at_rim(a, reference)) else {
             continue;
         };
         (sum, count) = ([0, 1, 2].map(|k| sum[k] + 2.0 * a[k] - b[k]), count + 1.0);
@@ -140,7 +140,7 @@ fn beyond(corners: &[Corner], size: (usize, usize), at: usize, limit: GradientLi
 
 /// The neighbour whose colour a continued corner takes.
 fn nearest(corners: &[Corner], size: (usize, usize), at: usize, limit: GradientLimit, world: [f32; 3]) -> Corner {
-    let fits = |index: &usize| is_known(&corners[*index]) && !limit.parts(corners[*index].world, world);
+    let fits = |index: &usize| is_known(&corners[*index]) && !limit.parts_at_rim(corners[*index].world, world);
     around(size, at).map(|(near, _)| near).find(fits).map_or(NOWHERE, |index| corners[index])
 }
 

@@ -40,7 +40,7 @@ pub struct ScaleBar<'a> {
     pub unit: &'a str,
     /// Colours of the values.
     pub map: Colormap,
-    /// Labels, two or more, evenly spaced.
+    /// Labels with numbers, two or more, evenly spaced. 0 says near and far at the ends instead.
     pub labels: usize,
     /// Scale of the text, see [`text`](super::text()).
     pub text_scale: f32,
@@ -61,7 +61,11 @@ pub fn scale_bar(out: &mut ViewMut<u8>, bar: &ScaleBar) {
         let mut label = Label::default();
         let digits = if (bar.high - bar.low).abs() < 10.0 { 1 } else { 0 };
         // A label that is too long is cut, which `Label` reports as an error.
-        let _ = write!(label, "{value:.digits$} {}", bar.unit);
+        let _ = match (bar.labels, i) {
+            (0, 0) => label.write_str("near"),
+            (0, _) => label.write_str("far"),
+            _ => write!(label, "{value:.digits$} {}", bar.unit),
+        };
         let y = bar.y as f32 + (1.0 - t) * (h - 1) as f32;
         let x = bar.x as f32 + w as f32;
         shapes::line(out, (x, y), (x + 2.0 * bar.text_scale, y), 1.0, [255; 3]);

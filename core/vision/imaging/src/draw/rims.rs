@@ -15,9 +15,6 @@ const MIN_REACH: usize = 2;
 /// ramp goes on beside such a span or beside a hole. With one limit for both, threads stay across a step where the width of its ramp varies.
 const RAMP_SHARE: f32 = 0.2;
 const RAMP_END_SHARE: f32 = 0.083;
-/// Gradient between neighbours up to which a surface goes on flat next to a ramp, as a share of the same limit.
-const FLAT_SHARE: f32 = 0.04;
-const FLAT_SLOPE: f32 = 1.5;
 /// Directions of spans.
 const ROW: u8 = 1;
 const COLUMN: u8 = 2;
@@ -32,7 +29,7 @@ const RIM_SHARE: f32 = 0.2;
 const RIM_ROUNDS: usize = 6;
 /// Neighbours of eight that a corner of a rim has, and known corners of the 25 around it, its own included: a straight rim has 15.
 const MIN_NEIGHBOURS: usize = 4;
-const MIN_AROUND: u8 = 13;
+const MIN_AROUND: u8 = 12;
 /// Corners in a row, from the picture's edge inward, that a surface has at least.
 const EDGE: usize = 6;
 /// How often rims are smoothed.
@@ -47,6 +44,8 @@ pub struct Rims {
     slants: Vec<u8>,
     is_visited: Vec<bool>,
     piece: Vec<usize>,
+    /// Corners on ramps.
+    ramps: Vec<usize>,
     /// Known corners of five in a row.
     across: Vec<u8>,
     ramp_corners: usize,
@@ -85,6 +84,16 @@ impl GradientLimit {
         step * step > self.max_gradient * self.max_gradient * (x * x + y * y).max(1e-9)
     }
 
+    /// Whether two points next to a rim lie on different surfaces. What is no step there may be the rest of a ramp.
+    pub fn parts_at_rim(self, a: Position, b: Position) -> bool {
+        self.parts(a, b) || self.is_ramp(a, b)
+    }
+
+    /// Whether a ramp goes on from one point to the other.
+    fn is_ramp(self, a: Position, b: Position) -> bool {
+        self.scaled(RAMP_END_SHARE).parts(a, b) && is_grazing(a, b)
+    }
+
     /// A limit of this share.
     fn scaled(self, share: f32) -> Self {
         Self { max_gradient: share * self.max_gradient, ..self }
@@ -99,14 +108,9 @@ impl Default for GradientLimit {
 
 /// Whether a surface through two points is seen at so small an angle that it is a step between two surfaces rather.
 fn is_grazing(a: Position, b: Position) -> bool {
-    is_steeper(a, b, GRAZING_SLOPE)
-}
-
-/// Whether the depth changes by more than `slope` times the distance across the line of sight.
-fn is_steeper(a: Position, b: Position, slope: f32) -> bool {
     let [x, y] = [0, 1].map(|k| b[k] * a[2] - a[k] * b[2]);
     let depth = b[2] - a[2];
-    depth * depth * a[2] * b[2] > slope * slope * (x * x + y * y)
+    depth * depth * a[2] * b[2] > GRAZING_SLOPE * GRAZING_SLOPE * (x * x + y * y)
 }
 
 /// The index `step` from `at`. The picture's own edge is no rim: what lies beyond it is like what lies opposite.
@@ -114,6 +118,22 @@ fn mirrored(at: isize, step: isize, end: usize) -> usize {
     let to = at + step;
     let inside = if (0..end as isize).contains(&to) { to } else { at - step };
     inside.clamp(0, end as isize - 1) as usize
+}
+
+/// Corners that share the edge of a triangle with one, and the direction of that edge; 0 across both.
+fn linked(at: usize, (width, height): (usize, usize)) -> impl Iterator<Item = (usize, u8)> {
+    let column = at % width;
+    let (left, right) = (column > 0, column + 1 < width);
+    let (above, below) = (at >= width, at / width + 1 < height);
+    let edges = [
+        left.then(|| (at - 1, ROW)),
+        right.then(|| (at + 1, ROW)),
+        above.then(|| (at - width, COLUMN)),
+        below.then(|| (at + width, COLUMN)),
+        (above && right).then(|| (at - width + 1, 0)),
+        (below && left).then(|| (at + width - 1, 0)),
+    ];
+    edges.into_iter().flatten()
 }
 
 impl Rims {
@@ -175,8 +195,7 @@ impl Rims {
     fn cut_ramps(&mut self, corners: &mut [Position], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
         let reach = (width / (2 * SPANS_PER_ROW)).max(MIN_REACH);
-        let (steep, slanted) = (limit.scaled(RAMP_SHARE), limit.scaled(RAMP_END_SHARE));
-        let is_slanted = |a: Position, b: Position| slanted.parts(a, b) && is_grazing(a, b);
+        let steep = limit.scaled(RAMP_SHARE);
         self.slants.clear();
         self.slants.resize(corners.len(), 0);
         self.is_seed.clear();
@@ -194,7 +213,7 @@ impl Rims {
                 self.is_seed[at] |= touches_hole;
                 let (a, b) = (corners[at - back * step], corners[at + forth * step]);
                 // Short spans show the noise of the match.
-                if back + forth >= reach && is_slanted(a, b) {
+                if back + forth >= reach && limit.is_ramp(a, b) {
                     self.is_visited[at] = false;
                     self.slants[at] |= if step == 1 { ROW } else { COLUMN };
                     self.is_seed[at] |= steep.parts(a, b);
@@ -203,43 +222,42 @@ impl Rims {
         }
         self.is_out.clear();
         self.is_out.resize(corners.len(), false);
-        self.ramp_corners = 0;
+        self.ramps.clear();
         for start in 0..corners.len() {
-            if !self.is_seed[start] || self.is_visited[start] {
-                continue;
-            }
-            pieces::grow(start, (width, height), &mut self.is_visited, &mut self.piece, |_, _| true);
-            for &at in &self.piece {
-                self.is_out[at] = true;
-                let (right, below) = ((at + 1) % width > 0, at + width < corners.len());
-                let next = [right.then_some(at + 1), below.then_some(at + width)];
-                let falls = next.into_iter().flatten().any(|next| is_slanted(corners[at], corners[next]));
-                self.ramp_corners += usize::from(falls);
+            if self.is_seed[start] && !self.is_visited[start] {
+                pieces::grow(start, (width, height), &mut self.is_visited, &mut self.piece, |_, _| true);
+                self.piece.iter().for_each(|at| self.is_out[*at] = true);
+                self.ramps.extend_from_slice(&self.piece);
             }
         }
-        self.put_back(corners, width, limit.scaled(FLAT_SHARE), reach / 2);
+        self.put_back(corners, width, limit);
+        let falls = |at: &&usize| {
+            linked(**at, (width, height)).any(|(to, edge)| edge > 0 && limit.is_ramp(corners[**at], corners[to]))
+        };
+        self.ramp_corners = self.ramps.iter().filter(falls).count();
         self.take_out(corners);
     }
 
-    /// Puts corners back where the surface next to them goes on flat along the span in which they are slanted, up to `reach` corners: spans are longer
-    /// than ramps.
-    fn put_back(&mut self, corners: &[Position], width: usize, flat: GradientLimit, reach: usize) {
-        self.is_visited.clear();
-        self.is_visited.extend_from_slice(&self.is_out);
-        let is_kept = |at: usize| is_known(&corners[at]) && !self.is_visited[at];
-        for at in (0..corners.len()).filter(|at| self.is_visited[*at]) {
-            let (x, y) = (at % width, at / width);
-            let goes_on = |step: isize, end: usize| {
-                let to = |k: usize| at.wrapping_add_signed(step * k as isize);
-                let first = (1..=end.min(reach)).find(|k| is_kept(to(*k)));
-                let is_flat = |a: Position, b: Position| !(flat.parts(a, b) && is_steeper(a, b, FLAT_SLOPE));
-                first.is_some_and(|n| (0..n).all(|k| is_flat(corners[to(k)], corners[to(k + 1)])))
-            };
-            let (row, column) = (self.slants[at] & ROW > 0, self.slants[at] & COLUMN > 0);
-            let along_row = goes_on(-1, x) || goes_on(1, width - 1 - x);
-            let step = width as isize;
-            let along_column = goes_on(-step, y) || goes_on(step, corners.len() / width - 1 - y);
-            self.is_out[at] = (row && !along_row) || (column && !along_column);
+    /// Puts corners back up to which a surface goes on, because spans are longer than ramps: from neighbour to neighbour along each direction in which they
+    /// are slanted. A corner that would join two surfaces stays out.
+    fn put_back(&mut self, corners: &[Position], width: usize, limit: GradientLimit) {
+        let size = (width, corners.len() / width);
+        let mut count = usize::MAX;
+        // From one side and from the other in turn.
+        self.ramps.sort_unstable();
+        while self.ramps.len() < count {
+            count = self.ramps.len();
+            let (is_out, slants) = (&mut self.is_out, &self.slants);
+            self.ramps.retain(|&at| {
+                let (mut reached, mut joins) = (0, false);
+                for (to, direction) in linked(at, size).filter(|(to, _)| is_known(&corners[*to]) && !is_out[*to]) {
+                    reached |= direction;
+                    joins |= limit.is_ramp(corners[at], corners[to]);
+                }
+                is_out[at] = joins || slants[at] & !reached != 0;
+                is_out[at]
+            });
+            self.ramps.reverse();
         }
     }
 
@@ -390,6 +408,26 @@ mod tests {
         }
         // 11 corners wide on average, most of them on the ramp.
         assert!((4 * 60..12 * 60).contains(&rims.ramp_corners()), "{}", rims.ramp_corners());
+    }
+
+    #[test]
+    fn surfaces_stay_whole_up_to_a_sharp_step() {
+        // The step alone is no surface: a corner on one side of it goes, so that nothing joins both.
+        let limit = GradientLimit { max_gradient: 1.5, baseline_mm: 5.4 };
+        let position = |at: usize| {
+            let (x, y) = ((at % 320) as f32, (at / 320) as f32);
+            let z = 750.0 * 5.4 / if x < 150.0 + 4.0 * (y / 20.0).sin() { 38.0 } else { 26.0 };
+            [(2.0 * x - 320.0) / 750.0 * z, (2.0 * y - 60.0) / 750.0 * z, z]
+        };
+        let mut corners: Vec<Position> = (0..320 * 60).map(position).collect();
+        let mut rims = Rims::default();
+        rims.clean(&mut corners, 320, limit);
+        for (y, row) in corners.chunks_exact(320).enumerate() {
+            let cut = row.iter().filter(|corner| !is_known(corner)).count();
+            let joins = row.windows(2).any(|pair| pair.iter().all(is_known) && limit.is_ramp(pair[0], pair[1]));
+            assert!(!joins && (1..=2).contains(&cut), "row {y}: {cut} cut, joined: {joins}");
+        }
+        assert!((50..90).contains(&rims.ramp_corners()), "{}", rims.ramp_corners());
     }
 
     #[test]

@@ -37,6 +37,8 @@ pub struct Orbit {
     pub shading: f32,
     /// How far the surface's middle lies from the picture's, as a part of the picture's width: right, down.
     pub shift: [f32; 2],
+    /// Whether a ruler states a length in mm.
+    pub has_ruler: bool,
 }
 
 impl Default for Orbit {
@@ -49,6 +51,7 @@ impl Default for Orbit {
             limit: GradientLimit::default(),
             shading: 0.6,
             shift: [0.0; 2],
+            has_ruler: true,
         }
     }
 }
@@ -170,7 +173,7 @@ impl SurfacePainter {
         self.cut_share
     }
 
-    /// Draws the surface into `out` (BGR) with a ruler of its length in mm at the position of its middle. Nothing known leaves the background
+    /// Draws the surface into `out` (BGR), if wanted with a ruler of its length in mm at the position of its middle. Nothing known leaves the background
     /// and returns `None`.
     pub fn paint(
         &mut self,
@@ -210,11 +213,9 @@ impl SurfacePainter {
         self.holes.fill(&mut self.corners, w, orbit.limit);
         self.positions.clear();
         self.positions.extend(self.corners.iter().map(|corner| corner.world));
-        let known = |positions: &[Position]| positions.iter().filter(|position| !position[0].is_nan()).count();
-        let before = known(&self.positions);
+        let before = self.positions.iter().filter(|position| !position[0].is_nan()).count();
         self.rims.clean(&mut self.positions, w, orbit.limit);
         let on_surfaces = before - self.rims.ramp_corners();
-        self.cut_share = on_surfaces.saturating_sub(known(&self.positions)) as f32 / on_surfaces.max(1) as f32;
         for (corner, position) in self.corners.iter_mut().zip(&self.positions) {
             match position[0].is_nan() {
                 true => *corner = NOWHERE,
@@ -222,6 +223,9 @@ impl SurfacePainter {
             }
         }
         self.contour.find(&mut self.corners, w, orbit.limit, |world| projection.project(world));
+        let is_shown = |(position, inside): &(&Position, &f32)| !position[0].is_nan() && **inside >= RIM;
+        let shown = self.positions.iter().zip(self.contour.inside()).filter(is_shown).count();
+        self.cut_share = on_surfaces.saturating_sub(shown) as f32 / on_surfaces.max(1) as f32;
         let [(sy, cy), (sp, cp)] = turn;
         light(&mut self.corners, w, [-cp * sy, sp, cp * cy], orbit.shading);
         self.depth.resize(out.width * out.height, f32::INFINITY);
@@ -237,6 +241,14 @@ impl SurfacePainter {
         }
         let shown = self.depth.iter_mut().zip(&self.is_filled);
         shown.filter(|(_, filled)| **filled).for_each(|(depth, _)| *depth = f32::INFINITY);
+        if orbit.has_ruler {
+            self.ruler(out, scale);
+        }
+        Some(projection)
+    }
+
+    /// Draws a ruler of a round length, `scale` px per mm.
+    fn ruler(&mut self, out: &mut ViewMut<'_, u8>, scale: f32) {
         let length = ruler_mm(out.width as f32 / scale);
         let (x, y) = (out.width as f32 * 0.04, out.height as f32 * 0.94);
         line(out, (x, y), (x + length * scale, y), 2.0, [230; 3]);
@@ -247,7 +259,6 @@ impl SurfacePainter {
         self.length.clear();
         let _ = write!(self.length, "{length} mm");
         text(out, x, y - 14.0 * size, &self.length, size, [230; 3]);
-        Some(projection)
     }
 
     fn half_width(&mut self, points: &dyn SurfacePoints, mx: f32) -> f32 {
@@ -270,7 +281,12 @@ impl SurfacePainter {
         }
         let is_filled = corners.iter().any(|at| self.holes.is_filled()[*at]);
         let is_whole = inside.iter().all(|v| *v >= RIM);
-        let is_steep = |a: usize, b: usize| limit.parts(t[a].world, t[b].world);
+        // Beyond its rim a surface could reach another one.
+        let is_inner = corners.iter().all(|at| !self.positions[*at][0].is_nan());
+        let is_steep = |a: usize, b: usize| {
+            let (a, b) = (t[a].world, t[b].world);
+            if is_inner { limit.parts(a, b) } else { limit.parts_at_rim(a, b) }
+        };
         if is_steep(0, 1) || is_steep(0, 2) || is_steep(1, 2) {
             return;
         }
