@@ -159,16 +159,16 @@ impl Theatre {
             self.last_packets.get(output).map(|last_packets| time::since(last_packets.at).min(requested(output)))
         };
         let has_stopped = |output: &Output| silent(output).map_or(requested(output) > FIRST, |age| age > STOPPED);
-        let silent_cameras = self.plan.cameras.iter().zip(&self.plan.camera_sources);
-        let silent_cameras =
-            silent_cameras.filter(|(c, _)| running && has_stopped(&c.output)).map(|(camera, source)| SilentCamera {
-                output: &camera.output,
-                title: camera.title(),
-                source: source.as_str(),
-                since: silent(&camera.output),
-            });
+        let cameras = self.plan.cameras.iter().zip(&self.plan.camera_sources);
+        let cameras = cameras.map(|(camera, source)| SilentCamera {
+            output: &camera.output,
+            title: camera.title(),
+            source: source.as_str(),
+            since: silent(&camera.output),
+            has_stopped: running && has_stopped(&camera.output),
+        });
         let mut named = std::mem::take(&mut self.named_lost);
-        let lost = lost::cameras(&silent_cameras.collect::<Vec<_>>(), &self.plan.cameras, &mut named, |node| {
+        let lost = lost::cameras(&cameras.collect::<Vec<_>>(), &mut named, |node| {
             // Clocks of two machines differ: of another one's faults it is not known when they were.
             counters.faults.get(node).filter(|_| self.machine.is_none())
         });

@@ -23,7 +23,7 @@ use self::marks::Mark;
 use self::screen::{Screen, Shown};
 use self::world::{CameraState, DEPTH, LEFT, RIGHT, Reading, SURFACE, Simulated, WIDE, World};
 use crate::plan::tests::node;
-use crate::{Action, Opened, Options, Output, Plan, Theatre, Verified, time};
+use crate::{Action, Opened, Options, Output, OutputCache, Pane, Plan, Theatre, Verified, time};
 
 /// Simulated time of a run, ms.
 const RUN_MS: u64 = 10_000;
@@ -151,7 +151,7 @@ impl Run {
             let output =
                 if n < 2 { world.borrow().camera(n) } else { Output::new(node, ["panorama", "image", "cloud"][n - 2]) };
             let panes = plan.views.iter().chain(&plan.cameras);
-            panes.filter(|pane| pane.output == output).map(crate::Pane::title).collect::<Vec<_>>()
+            panes.filter(|pane| pane.output == output).map(Pane::title).collect::<Vec<_>>()
         };
         let mut titles = vec![Vec::new(); usize::from(SURFACE) + 1];
         for (n, (view, node)) in
@@ -299,15 +299,31 @@ impl Run {
         self.judge_lengths(&world, screen)?;
         self.judge_notices(&world)?;
         if screen.texts.iter().any(|(_, text)| text == "LIVE") && !is_stuck {
+            let is_bright = |image: &Shown| image.marks[0].is_none_or(|(_, is_bright)| is_bright);
             let present = |image: &Shown| {
-                image.marks[0].is_some_and(|(mark, is_bright)| is_bright && world.ms - mark.light_ms <= MAX_LIVE_MS)
+                is_bright(image) && self.mark(image).is_some_and(|mark| world.ms - mark.light_ms <= MAX_LIVE_MS)
             };
-            let has_readable = screen.images.iter().any(|image| image.marks[0].is_some());
+            let has_readable = screen.images.iter().any(|image| self.mark(image).is_some());
             if has_readable && !screen.images.iter().any(present) {
                 return Err("called live, and nothing is".to_owned());
             }
         }
         Ok(())
+    }
+
+    /// What an image shows, also where something covers a part of it.
+    fn mark(&self, image: &Shown) -> Option<Mark> {
+        let theatre = self.theatre();
+        let panes = || theatre.plan.views.iter().chain(&theatre.plan.cameras);
+        let covered = || {
+            let caches = [&theatre.shown, &theatre.live];
+            let of = |cache: &OutputCache, pane: &Pane| {
+                let (texture, _) = cache.texture(&pane.output)?;
+                Mark::of(cache.pixels(&pane.output).filter(|_| texture == image.texture)?)
+            };
+            caches.into_iter().find_map(|cache| panes().find_map(|pane| of(cache, pane)))
+        };
+        image.marks[0].map(|(mark, _)| mark).or_else(covered)
     }
 
     /// Whether the title of an image names what it shows.
