@@ -404,6 +404,7 @@ impl Run {
                     if world.cameras[n] != CameraState::Silent
                         && has_sent_for_ms > MAX_WAY_MS
                         && is_dead(1 - n)
+                        && !world.is_last_word(n)
                         && world.is_running()
                         && world.ms - world.since_ms > MIN_SILENT_MS
                     {

@@ -120,6 +120,8 @@ pub struct World {
     sent: HashMap<(Output, Mark), usize>,
     /// Lights of both eyes that belong to one tick.
     pub pairs: HashSet<[u64; 2]>,
+    /// The camera that the last fault of a source names, and when, ms.
+    blamed: Option<(usize, u64)>,
     /// Since when it runs, ms.
     pub since_ms: u64,
     dice: SplitMix64,
@@ -159,6 +161,7 @@ impl World {
             cablings: vec![Cabling { is_swapped: false, is_known: false }],
             sent: HashMap::new(),
             pairs: HashSet::new(),
+            blamed: None,
             since_ms: 0,
             dice,
             run: Run::Whole,
@@ -187,6 +190,14 @@ impl World {
 
     pub fn note(&mut self, what: impl AsRef<str>) {
         self.log.push(format!("{:>6} ms: {}", self.ms, what.as_ref()));
+    }
+
+    /// Whether all that is known of cameras that send nothing is that this one is gone: the source of both says no more when it comes back, or when
+    /// the other one goes too.
+    pub fn is_last_word(&self, camera: usize) -> bool {
+        let since_ms = self.sent_ms[camera].unwrap_or(0);
+        self.reading == Reading::Together
+            && self.blamed.is_some_and(|(blamed, at_ms)| blamed == camera && at_ms + PERIOD_MS >= since_ms)
     }
 
     /// Whether cameras are read.
@@ -349,6 +360,7 @@ impl World {
             count: 1,
         };
         self.faults.insert(node, fault);
+        self.blamed = Some((camera, self.ms));
     }
 
     fn forget(&mut self) {
