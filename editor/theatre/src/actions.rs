@@ -1,10 +1,13 @@
-//! The actions of the theatre and their keys. Those of a foot pedal are in [`crate::pedal`].
+//! The actions of the theatre, what they do, and their keys. Those of a foot pedal are in [`crate::pedal`].
 
 use eframe::egui::{Event, InputState, Key, Modifiers};
 
-use panoscope_editor_texts::text;
+use panoscope_editor_texts::{language, set_language, text};
 
+use super::measure::Measure;
 use super::pedal::PedalKey;
+use super::zoom::Zoom;
+use super::{Layout, Theatre, time};
 
 /// An action of the theatre.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,5 +119,65 @@ pub fn key_name(action: Action) -> &'static str {
         Some(Key::Enter) => text!("key-enter"),
         Some(key) => key.name(),
         None => "",
+    }
+}
+
+impl Theatre {
+    /// Performs an action.
+    pub fn perform(&mut self, action: Action) {
+        let count = self.plan.views.len();
+        match action {
+            Action::Next => self.layout = self.layout.next(count),
+            Action::Previous => self.layout = self.layout.previous(count),
+            Action::One(n) if n < count => {
+                self.layout = if self.layout == Layout::One(n) { Layout::All } else { Layout::One(n) };
+            }
+            Action::One(_) => {}
+            Action::Freeze if self.shows_raw() => self.notify(text!("view-never-frozen"), false),
+            Action::Freeze if self.frozen.is_none() && !self.has_picture() => {
+                self.notify(text!("view-no-image-yet"), true)
+            }
+            Action::Freeze => {
+                self.frozen = if self.frozen.is_some() { None } else { Some(time::now()) };
+                self.measure = Measure::default();
+            }
+            Action::Still => self.still(),
+            Action::Record | Action::Again if self.machine.is_some() => self.notify(text!("attached-elsewhere"), true),
+            Action::Record => self.record(),
+            Action::Measure => self.toggle_measuring(),
+            // Stopped already: holding releases the arm.
+            Action::Stop if self.machine.is_some() => self.notify(text!("attached-elsewhere"), true),
+            Action::Stop if self.emergency => self.releasing = Some(time::now()),
+            Action::Stop => self.emergency_stop(true),
+            Action::Again => self.again(),
+            Action::More => self.page += 1,
+            Action::Checklist => self.checking ^= true,
+            Action::ZoomIn | Action::ZoomOut => self.zoom_by(action == Action::ZoomIn),
+            Action::Inset => self.inset ^= true,
+            Action::ThreeD => self.next_three_d(),
+            Action::Language => {
+                set_language(language().next());
+                self.notify(text!("language-is"), false);
+            }
+        }
+        if matches!(action, Action::Next | Action::Previous | Action::One(_)) {
+            self.zoom = Zoom::default();
+            if self.measure.is_on() {
+                self.measure = Measure::default();
+                self.frozen = None;
+            }
+        }
+    }
+
+    pub(super) fn toggle_measuring(&mut self) {
+        if self.measure.is_on() {
+            self.measure = Measure::default();
+            self.frozen = None;
+        } else if self.plan.cloud.is_none() || self.shows_raw() {
+            self.notify(text!("measure-none"), true);
+        } else {
+            self.frozen = None;
+            self.measure = Measure::begin();
+        }
     }
 }

@@ -63,8 +63,10 @@ alarms! {
     CAMERA_STUCK = Alarm, "alarm-camera-stuck";
     EMERGENCY = Alarm, "alarm-emergency";
     SWAPPED = Alarm, "alarm-swapped";
+    WAS_SWAPPED = Alarm, "alarm-was-swapped";
     STALE_IMAGE = Alarm, "alarm-image-stale";
     DRIFTED = Alarm, "alarm-drifted";
+    OUT_OF_STEP = Alarm, "alarm-out-of-step";
     CAMERA_ONLY = Alarm, "alarm-camera-only";
     STOPPED = Alarm, "alarm-stopped";
     VIEW_STOPPED = Alarm, "alarm-view-stopped";

@@ -83,6 +83,7 @@ pub(super) fn checks(facts: &Facts, known: &Known<'_>) -> Vec<Check> {
         let (state, words) = match known.plan.rig {
             _ if facts.swapped => (State::Missing, text!("check-calibration-swapped")),
             _ if facts.drifted => (State::Attention, text!("check-calibration-drifted")),
+            _ if facts.out_of_step => (State::Attention, text!("check-calibration-out-of-step")),
             None => (State::Attention, text!("check-calibration-none")),
             Some(_) if known.has_rig => (State::Ready, text!("check-calibration-fits")),
             Some(_) => (State::Missing, text!("check-calibration-waits")),

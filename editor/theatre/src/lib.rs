@@ -48,7 +48,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
-use panoscope_editor_texts::{language, set_language, text};
+use panoscope_editor_texts::text;
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{GraphOptions, ParamValue};
 
@@ -79,7 +79,7 @@ pub use three_d::ThreeD;
 use audit::Audit;
 pub use checklist::{Check, State};
 use measure::Measure;
-use notices::{Facts, Stages};
+use notices::{Doubts, Facts, Stages};
 use outage::Resuming;
 use pedal::Pedal;
 use previews::{LastPacket, Repeats};
@@ -148,6 +148,7 @@ pub struct Theatre {
     checking: bool,
     checks: Vec<Check>,
     stages: Stages,
+    doubts: Doubts,
     notices: Vec<Notice>,
     remark: Option<(String, bool, Instant)>,
     /// Since when Esc is held.
@@ -254,6 +255,7 @@ impl Theatre {
             checking: false,
             checks: Vec::new(),
             stages: Stages::default(),
+            doubts: Doubts::default(),
             notices: Vec::new(),
             remark: None,
             leaving: None,
@@ -382,6 +384,7 @@ impl Theatre {
         (self.plan, self.verified) = (opened.plan, opened.verified);
         (self.layout, self.frozen, self.measure, self.rig) = (Layout::All, None, Measure::default(), None);
         (self.zoom, self.three_d) = (Zoom::default(), ThreeD::Off);
+        self.doubts = Doubts::default();
         self.raw_camera = 0;
         self.watch_sinks();
         self.forget_images();
@@ -492,68 +495,10 @@ impl Theatre {
         self.shows_raw() || facts.stopped.contains(&pane.label) || self.is_withdrawn(pane)
     }
 
-    /// Performs an action.
-    pub fn perform(&mut self, action: Action) {
-        let count = self.plan.views.len();
-        match action {
-            Action::Next => self.layout = self.layout.next(count),
-            Action::Previous => self.layout = self.layout.previous(count),
-            Action::One(n) if n < count => {
-                self.layout = if self.layout == Layout::One(n) { Layout::All } else { Layout::One(n) };
-            }
-            Action::One(_) => {}
-            Action::Freeze if self.shows_raw() => self.notify(text!("view-never-frozen"), false),
-            Action::Freeze if self.frozen.is_none() && !self.has_picture() => {
-                self.notify(text!("view-no-image-yet"), true)
-            }
-            Action::Freeze => {
-                self.frozen = if self.frozen.is_some() { None } else { Some(time::now()) };
-                self.measure = Measure::default();
-            }
-            Action::Still => self.still(),
-            Action::Record | Action::Again if self.machine.is_some() => self.notify(text!("attached-elsewhere"), true),
-            Action::Record => self.record(),
-            Action::Measure => self.toggle_measuring(),
-            // Stopped already: holding releases the arm.
-            Action::Stop if self.machine.is_some() => self.notify(text!("attached-elsewhere"), true),
-            Action::Stop if self.emergency => self.releasing = Some(time::now()),
-            Action::Stop => self.emergency_stop(true),
-            Action::Again => self.again(),
-            Action::More => self.page += 1,
-            Action::Checklist => self.checking ^= true,
-            Action::ZoomIn | Action::ZoomOut => self.zoom_by(action == Action::ZoomIn),
-            Action::Inset => self.inset ^= true,
-            Action::ThreeD => self.next_three_d(),
-            Action::Language => {
-                set_language(language().next());
-                self.notify(text!("language-is"), false);
-            }
-        }
-        if matches!(action, Action::Next | Action::Previous | Action::One(_)) {
-            self.zoom = Zoom::default();
-            if self.measure.is_on() {
-                self.measure = Measure::default();
-                self.frozen = None;
-            }
-        }
-    }
-
     /// Whether the main view has an image.
     pub fn has_picture(&self) -> bool {
         let main = self.plan.views.get(self.layout.main());
         main.is_some_and(|m| self.shown.texture(&m.output).is_some())
-    }
-
-    fn toggle_measuring(&mut self) {
-        if self.measure.is_on() {
-            self.measure = Measure::default();
-            self.frozen = None;
-        } else if self.plan.cloud.is_none() || self.shows_raw() {
-            self.notify(text!("measure-none"), true);
-        } else {
-            self.frozen = None;
-            self.measure = Measure::begin();
-        }
     }
 
     /// Sets the text of the whole graph and runs it.

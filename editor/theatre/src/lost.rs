@@ -5,17 +5,17 @@ use std::time::Duration;
 use panoscope_editor_model::observe::Output;
 use panoscope_engine::fault::Fault;
 
-use super::{Pane, time};
+use super::time;
 
 /// How much earlier than the silence that it explains a fault may be, ms: images wait on their way to the window.
 const BEFORE_MS: u64 = 500;
 /// How much later it may be, ms: a source waits for a while before it calls a camera lost.
 const AFTER_MS: u64 = 2500;
 
-/// Time between the last images of two cameras that do not fall silent together.
-const APART: Duration = Duration::from_millis(500);
+/// Time between the last images of two cameras that do not fall silent together: longer than between two frames of the window.
+const APART: Duration = Duration::from_millis(250);
 
-/// A camera without a new image.
+/// A camera and its silence.
 pub struct SilentCamera<'a> {
     /// Its output.
     pub output: &'a Output,
@@ -25,6 +25,8 @@ pub struct SilentCamera<'a> {
     pub source: &'a str,
     /// Time since its last image; `None` when there never was one.
     pub since: Option<Duration>,
+    /// Whether that is so long that something is wrong.
+    pub has_stopped: bool,
 }
 
 /// Cameras of a notice.
@@ -36,23 +38,34 @@ pub struct LostCameras {
     pub since: Option<Duration>,
 }
 
+/// The cameras of a node that are silent: those that have stopped, and those whose last images are hardly newer, so that they will count as stopped
+/// within a moment.
+fn silent_of<'s, 'a>(cameras: &'s [SilentCamera<'a>], node: &str) -> Vec<&'s SilentCamera<'a>> {
+    let of_node = || cameras.iter().filter(|camera| camera.output.node == node);
+    let longest = of_node().filter(|camera| camera.has_stopped).filter_map(|camera| camera.since).max();
+    let is_hardly_newer = |camera: &&SilentCamera<'_>| {
+        camera.since.zip(longest).is_some_and(|(since, longest)| since > APART && since + APART >= longest)
+    };
+    of_node().filter(|camera| camera.has_stopped || is_hardly_newer(camera)).collect()
+}
+
 /// The cameras that are lost. `all` are the cameras of the graph, `fault_of` is the newest fault of a node.
 ///
 /// Where all cameras of a source are silent and its fault names some of them, only those are lost. Without such a fault they are listed together:
 /// a name that may be wrong is worse than none. That goes for a fault, too, that names another camera than one before: `named_before` are those that
 /// earlier faults of this silence have named.
 pub fn cameras<'f>(
-    silent: &[SilentCamera<'_>],
-    all: &[Pane],
+    all: &[SilentCamera<'_>],
     named_before: &mut Vec<Output>,
     fault_of: impl Fn(&str) -> Option<&'f Fault>,
 ) -> Vec<LostCameras> {
-    named_before.retain(|output| silent.iter().any(|camera| camera.output == output));
+    named_before.retain(|output| all.iter().any(|camera| camera.has_stopped && camera.output == output));
     let mut lost = Vec::new();
-    let mut nodes: Vec<&str> = silent.iter().map(|camera| camera.output.node.as_str()).collect();
+    let mut nodes: Vec<&str> =
+        all.iter().filter(|camera| camera.has_stopped).map(|camera| camera.output.node.as_str()).collect();
     nodes.dedup();
     for node in nodes {
-        let of_node: Vec<&SilentCamera<'_>> = silent.iter().filter(|camera| camera.output.node == node).collect();
+        let of_node = silent_of(all, node);
         let count = all.iter().filter(|camera| camera.output.node == node).count();
         let since = || of_node.iter().map(|camera| camera.since.unwrap_or_default());
         let apart = since().max().unwrap_or_default().saturating_sub(since().min().unwrap_or_default());
@@ -135,26 +148,27 @@ mod tests {
         }
     }
 
-    /// The titles of what is lost where both cameras of `scope` have been silent for three seconds.
-    fn both_silent(sources: [&str; 2], fault: Option<&Fault>) -> Vec<Vec<String>> {
-        let pane = |port: &str| Pane {
-            output: Output::new("scope", port),
-            packet: "image".to_owned(),
-            label: format!("{port} camera"),
-            camera: None,
+    /// The titles of what is lost where the cameras of `scope` have been silent for some ms; they have stopped from 1 s on.
+    fn lost(
+        sources: [&str; 2],
+        since_ms: [u64; 2],
+        named: &mut Vec<Output>,
+        fault: Option<&Fault>,
+    ) -> Vec<Vec<String>> {
+        let outputs = ["left", "right"].map(|port| Output::new("scope", port));
+        let camera = |n: usize| SilentCamera {
+            output: &outputs[n],
+            title: format!("{} camera", outputs[n].port),
+            source: sources[n],
+            since: Some(Duration::from_millis(since_ms[n])),
+            has_stopped: since_ms[n] > 1000,
         };
-        let all = ["left", "right"].map(pane);
-        let silent: Vec<SilentCamera<'_>> = all
-            .iter()
-            .zip(sources)
-            .map(|(pane, source)| SilentCamera {
-                output: &pane.output,
-                title: pane.title(),
-                source,
-                since: Some(Duration::from_secs(3)),
-            })
-            .collect();
-        cameras(&silent, &all, &mut Vec::new(), |_| fault).into_iter().map(|lost| lost.titles).collect()
+        cameras(&[camera(0), camera(1)], named, |_| fault).into_iter().map(|lost| lost.titles).collect()
+    }
+
+    /// Of both cameras, silent for three seconds.
+    fn both_silent(sources: [&str; 2], fault: Option<&Fault>) -> Vec<Vec<String>> {
+        lost(sources, [3000; 2], &mut Vec::new(), fault)
     }
 
     #[test]
@@ -178,33 +192,33 @@ mod tests {
 
     #[test]
     fn a_second_camera_that_is_lost_does_not_hide_the_first() {
-        let pane = |port: &str| Pane {
-            output: Output::new("scope", port),
-            packet: "image".to_owned(),
-            label: format!("{port} camera"),
-            camera: None,
-        };
-        let all = ["left", "right"].map(pane);
-        let silent = |seconds| {
-            let cameras = all.iter().zip(["0", "1"]).map(move |(pane, source)| SilentCamera {
-                output: &pane.output,
-                title: pane.title(),
-                source,
-                since: Some(Duration::from_secs(seconds)),
-            });
-            cameras.collect::<Vec<_>>()
-        };
         let mut named = Vec::new();
-        let mut titles = |silent: &[SilentCamera<'_>], number: u32| {
+        let mut titles = |since_ms: u64, number: u32| {
             let gone = fault(&format!("camera /dev/video{number} is gone after 3 frames"), Duration::ZERO);
-            let lost = cameras(silent, &all, &mut named, |_| Some(&gone));
-            lost.into_iter().map(|lost| lost.titles).collect::<Vec<_>>()
+            lost(["0", "1"], [since_ms; 2], &mut named, Some(&gone))
         };
-        assert_eq!(titles(&silent(2), 0), [["left camera"]]);
-        assert_eq!(titles(&silent(4), 1), [["left camera"]], "what came later does not explain it");
-        assert_eq!(titles(&silent(2), 1), [["left camera", "right camera"]]);
-        assert!(titles(&[], 1).is_empty());
-        assert_eq!(titles(&silent(2), 1), [["right camera"]], "another silence");
+        assert_eq!(titles(2000, 0), [["left camera"]]);
+        assert_eq!(titles(4000, 1), [["left camera"]], "what came later does not explain it");
+        assert_eq!(titles(2000, 1), [["left camera", "right camera"]]);
+        assert!(titles(0, 1).is_empty());
+        assert_eq!(titles(2000, 1), [["right camera"]], "another silence");
+    }
+
+    #[test]
+    fn cameras_that_fall_silent_together_are_never_named_one_by_one() {
+        let both = [["left camera", "right camera"]];
+        // The last image of one came a moment later.
+        for since_ms in [[1010, 990], [990, 1010], [1200, 990], [1400, 1390]] {
+            assert_eq!(lost(["0", "1"], since_ms, &mut Vec::new(), None), both, "{since_ms:?}");
+        }
+        assert!(lost(["0", "1"], [990, 970], &mut Vec::new(), None).is_empty());
+        // The other one goes on, or did so for long.
+        let later = fault("camera /dev/video1 is gone after 3 frames", Duration::from_millis(680));
+        for since_ms in [[1010, 400], [1150, 680], [1600, 1010]] {
+            assert_eq!(lost(["0", "1"], since_ms, &mut Vec::new(), Some(&later))[0], ["left camera"], "{since_ms:?}");
+        }
+        let gone = fault("camera /dev/video1 is gone after 3 frames", Duration::ZERO);
+        assert_eq!(lost(["0", "1"], [1010, 990], &mut Vec::new(), Some(&gone)), [["right camera"]]);
     }
 
     #[test]

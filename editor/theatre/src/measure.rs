@@ -92,9 +92,10 @@ impl Measure {
         self.rig = Some((rig, noise));
     }
 
-    /// Sets why no length can be relied on: while there is a reason, none is shown or saved.
+    /// Sets why no length can be relied on: while there is a reason, none is shown or saved. An image to measure in keeps its reason: that the
+    /// cameras are right again does not mend it.
     pub fn set_doubt(&mut self, doubt: Option<&'static str>) {
-        self.doubt = doubt;
+        self.doubt = doubt.or(self.doubt.filter(|_| self.on.is_some()));
     }
 
     /// Whether measuring was started.
@@ -318,7 +319,12 @@ mod tests {
         assert_eq!(measure.hint(), "No distance: in doubt");
         assert_eq!(measure.pixels().map(|still| still.height), Some(20), "a still has no length below it");
         measure.set_doubt(None);
-        assert!(measure.distance().is_some());
+        assert_eq!(measure.distance(), None, "the image is the same");
+        assert_eq!(measure.hint(), "No distance: in doubt");
+        let mut measure = Measure::begin();
+        measure.set_doubt(Some("No distance: in doubt"));
+        measure.set_doubt(None);
+        assert_eq!(measure.doubt, None, "no image is held yet");
     }
 
     #[test]

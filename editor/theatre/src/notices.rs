@@ -100,8 +100,12 @@ pub struct Facts {
     pub drifted: bool,
     /// Whether the pictures are unlike those that a detector learned from.
     pub unlike: bool,
-    /// Whether the left and right views are swapped.
+    /// Whether the left and right views are swapped, as far as is known.
     pub swapped: bool,
+    /// Whether they are not now, but were when that was last known or for an image that is still on the screen.
+    pub was_swapped: bool,
+    /// Whether the left and right views are not of one instant.
+    pub out_of_step: bool,
     /// The first difference from the lock, if the graph runs in spite of it.
     pub unlocked: Option<String>,
     /// What listens for other machines, in words.
@@ -138,6 +142,7 @@ impl Facts {
         match () {
             () if self.swapped => Some(text!("measure-swapped")),
             () if self.drifted => Some(text!("measure-drifted")),
+            () if self.out_of_step => Some(text!("measure-out-of-step")),
             () => None,
         }
     }
@@ -250,8 +255,13 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     if facts.drifted {
         notify(alarms::DRIFTED, text!("alarm-drifted").to_owned());
     }
-    if facts.swapped {
+    if facts.was_swapped {
+        notify(alarms::WAS_SWAPPED, text!("alarm-was-swapped").to_owned());
+    } else if facts.swapped {
         notify(alarms::SWAPPED, text!("alarm-swapped").to_owned());
+    }
+    if facts.out_of_step {
+        notify(alarms::OUT_OF_STEP, text!("alarm-out-of-step").to_owned());
     }
     if facts.unlike {
         notify(alarms::UNLIKE, text!("alarm-unlike").to_owned());
@@ -315,9 +325,31 @@ impl Stages {
     }
 }
 
-/// Whether a node reports a metric of this name with a value above 0.5.
-pub fn metric_is_on(counters: &Counters, metric: &str) -> bool {
-    counters.nodes.values().flat_map(|n| &n.metrics).any(|(name, value)| name == metric && *value > 0.5)
+/// What nodes last said against what is measured. It holds until they say otherwise: a graph that was started again has not looked yet.
+#[derive(Default)]
+pub struct Doubts {
+    /// The left and right views are swapped.
+    pub swapped: bool,
+    /// The calibration does not fit the views any more.
+    pub drifted: bool,
+    /// The left and right views are not of one instant.
+    pub out_of_step: bool,
+}
+
+impl Doubts {
+    /// Takes new counters.
+    pub fn update(&mut self, counters: &Counters) {
+        let Self { swapped, drifted, out_of_step } = self;
+        for (doubt, metric) in [(swapped, "views_swapped"), (drifted, "drifted"), (out_of_step, "views_late")] {
+            *doubt = metric_is_on(counters, metric).unwrap_or(*doubt);
+        }
+    }
+}
+
+/// Whether a node reports a metric of this name with a value above 0.5; `None` where none reports it.
+pub fn metric_is_on(counters: &Counters, metric: &str) -> Option<bool> {
+    let values = counters.nodes.values().flat_map(|n| &n.metrics).filter(|(name, _)| name == metric);
+    values.map(|(_, value)| *value > 0.5).reduce(|a, b| a || b)
 }
 
 #[cfg(test)]
@@ -369,6 +401,8 @@ mod tests {
         assert!(message(&facts)[0].starts_with("The calibration does not fit any more"), "{:?}", message(&facts));
         facts.age_ms = Some(3000.0);
         assert_eq!(message(&facts)[0], "Image is 3.0 s old: not the present one");
+        let doubtful = Facts { age_ms: Some(430.0), out_of_step: true, ..Facts::default() };
+        assert!(message(&doubtful)[0].starts_with("The cameras show different instants"), "{:?}", message(&doubtful));
         facts.swapped = true;
         assert_eq!(message(&facts)[0], "The left and right cameras are swapped");
         let both = LostCameras { titles: vec!["Left camera".to_owned(), "Right camera".to_owned()], since: None };

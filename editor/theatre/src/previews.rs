@@ -29,6 +29,8 @@ const WATCHED_WIDTH: usize = 64;
 pub(super) struct LastPacket {
     pub at: Instant,
     arrived_ns: Option<i64>,
+    /// Whether the views were known to be swapped while it was the last one.
+    was_swapped: bool,
 }
 
 impl LastPacket {
@@ -44,8 +46,8 @@ pub(super) struct Repeats {
     /// When the light of the first of them arrived.
     since: Instant,
     count: u32,
-    /// Of the last time that it was stuck: since when, and when the light of its next image arrived.
-    stuck: Option<(Instant, Option<i64>)>,
+    /// Of the last time that it was stuck: since when, and until when in ns of the engine's clock.
+    stuck: Option<(Instant, i64)>,
 }
 
 /// Images of a camera that are the same, with their noise, from which on it counts as stuck.
@@ -69,13 +71,16 @@ impl Theatre {
                 // The same image in another size may be a new one.
                 Some(before) if (before.width, before.height) != (new.width, new.height) => {}
                 _ if repeats.count >= MIN_REPEATS => {
-                    *repeats = Repeats { stuck: Some((repeats.since, arrived_ns)), ..first }
+                    // Not until its next light, which may be older than the last image that it repeated.
+                    let until_ns = i64::try_from(time::clock_ns()).unwrap_or(i64::MAX);
+                    *repeats = Repeats { stuck: Some((repeats.since, until_ns)), ..first }
                 }
                 _ => *repeats = Repeats { stuck: repeats.stuck, ..first },
             }
         }
         for (output, packet) in &previews {
-            let last = LastPacket { at: now, arrived_ns: self.arrived_ns(output, packet.arrived_ns) };
+            let arrived_ns = self.arrived_ns(output, packet.arrived_ns);
+            let last = LastPacket { at: now, arrived_ns, was_swapped: false };
             self.last_packets.insert(output.clone(), last);
         }
         if let Some(rig) = &self.plan.rig
@@ -101,7 +106,8 @@ impl Theatre {
         self.live.update(ctx, live.collect());
         if self.frozen.is_none() {
             if let Some(pair) = self.plan.pair.as_ref().filter(|_| self.three_d != ThreeD::Off) {
-                self.pair.take(pair, &previews);
+                let last_packets = &self.last_packets;
+                self.pair.take(pair, &previews, |eye| last_packets.get(eye)?.arrived_ns);
             }
             for output in previews.keys() {
                 self.shown_packets.extend(self.last_packets.get_key_value(output).map(|(o, last)| (o.clone(), *last)));
@@ -154,16 +160,16 @@ impl Theatre {
             self.last_packets.get(output).map(|last_packets| time::since(last_packets.at).min(requested(output)))
         };
         let has_stopped = |output: &Output| silent(output).map_or(requested(output) > FIRST, |age| age > STOPPED);
-        let silent_cameras = self.plan.cameras.iter().zip(&self.plan.camera_sources);
-        let silent_cameras =
-            silent_cameras.filter(|(c, _)| running && has_stopped(&c.output)).map(|(camera, source)| SilentCamera {
-                output: &camera.output,
-                title: camera.title(),
-                source: source.as_str(),
-                since: silent(&camera.output),
-            });
+        let cameras = self.plan.cameras.iter().zip(&self.plan.camera_sources);
+        let cameras = cameras.map(|(camera, source)| SilentCamera {
+            output: &camera.output,
+            title: camera.title(),
+            source: source.as_str(),
+            since: silent(&camera.output),
+            has_stopped: running && has_stopped(&camera.output),
+        });
         let mut named = std::mem::take(&mut self.named_lost);
-        let lost = lost::cameras(&silent_cameras.collect::<Vec<_>>(), &self.plan.cameras, &mut named, |node| {
+        let lost = lost::cameras(&cameras.collect::<Vec<_>>(), &mut named, |node| {
             // Clocks of two machines differ: of another one's faults it is not known when they were.
             counters.faults.get(node).filter(|_| self.machine.is_none())
         });
@@ -188,7 +194,9 @@ impl Theatre {
         let pair_age_ms = self.pair.age().filter(|_| self.shows_pair()).map(|age| age.as_secs_f64() * 1e3);
         let is_old = is_live && ages_ms.chain(pair_age_ms).any(|age_ms| age_ms > OLD_MS);
         let age_ms = main.filter(|_| is_live).and_then(|main| self.shown_age_ms(&main));
-        let calibrated = |metric| metric_is_on(counters, metric);
+        self.doubts.update(counters);
+        self.mark_swapped(self.doubts.swapped);
+        let is_swapped = metric_is_on(counters, "views_swapped") == Some(true);
         let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.line().to_owned());
         let nothing_runs = match &status.phase {
             Phase::Failed(why) => Some(why.clone()),
@@ -225,9 +233,11 @@ impl Theatre {
             pedal_problem: self.pedal.problem.clone(),
             recording: self.clip.is_some() || writes && self.machine.is_none(),
             written_bytes: (writes && running).then(|| self.sink_files.bytes()),
-            drifted: calibrated("drifted"),
-            unlike: calibrated("unlike"),
-            swapped: calibrated("views_swapped"),
+            drifted: self.doubts.drifted,
+            unlike: metric_is_on(counters, "unlike") == Some(true),
+            swapped: self.doubts.swapped,
+            was_swapped: !is_swapped && (self.doubts.swapped || self.shows_swapped()),
+            out_of_step: self.doubts.out_of_step,
             public: {
                 let public = self.plan.listening.iter().filter(|one| one.is_public);
                 public.map(|one| one.what.to_string()).collect()
@@ -270,7 +280,9 @@ impl Theatre {
             let camera = &self.plan.cameras[*camera];
             // What was made of its images meanwhile may come after its next one.
             let was_stuck = self.repeats.get(&camera.output).and_then(|repeats| repeats.stuck);
-            let was_stuck = was_stuck.filter(|(_, next_ns)| arrived_ns.zip(*next_ns).is_some_and(|(a, b)| a < b));
+            let was_stuck = was_stuck.filter(|(since, until_ns)| {
+                arrived_ns.is_some_and(|ns| ns < *until_ns && time::instant_of(Some(ns)) >= *since)
+            });
             self.stuck_for(camera).or(was_stuck.map(|(since, _)| time::since(since)))
         });
         let Some(stuck) = stuck.max() else { return arrived_ns };
@@ -296,6 +308,33 @@ impl Theatre {
     pub(super) fn lags(&self, output: &Output) -> bool {
         let at = |packets: &HashMap<Output, LastPacket>| packets.get(output).map(|packet| packet.at);
         at(&self.shown_packets) < at(&self.last_packets)
+    }
+
+    /// Marks the images on the screen while the views are swapped: they stay as they are when the cameras are right again.
+    fn mark_swapped(&mut self, is_swapped: bool) {
+        let packets = self.last_packets.values_mut().chain(self.shown_packets.values_mut());
+        packets.for_each(|packet| packet.was_swapped |= is_swapped);
+    }
+
+    /// Whether an image on the screen that is not present any more was the last one while the views were swapped.
+    fn shows_swapped(&self) -> bool {
+        let is_past = |output: &Output, live: bool| {
+            let packets = if live { &self.last_packets } else { &self.shown_packets };
+            let is_frozen = !live && self.frozen.is_some();
+            let is_old = || self.picture_age_ms(output, live).is_some_and(|age_ms| age_ms > OLD_MS);
+            packets.get(output).is_some_and(|packet| packet.was_swapped) && (is_frozen || is_old())
+        };
+        let is_raw_past = || self.raw().is_some_and(|raw| is_past(&raw.output, true));
+        if self.shows_raw() {
+            return is_raw_past();
+        }
+        if self.shows_pair() {
+            return self.plan.pair.iter().flatten().any(|eye| is_past(eye, false));
+        }
+        // In place of a view, and beside a frozen one, is the image of a camera.
+        let is_pane_past =
+            |pane: &Pane| if self.is_withdrawn(pane) { is_raw_past() } else { is_past(&pane.output, false) };
+        self.frozen.is_some() && is_raw_past() || self.displayed().into_iter().any(is_pane_past)
     }
 
     /// Forgets the images that views show, but not those of cameras.

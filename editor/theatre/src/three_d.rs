@@ -103,13 +103,19 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    /// Takes the images of both eyes; they are shown once both are of one tick.
-    pub fn take(&mut self, outputs: &[Output; 2], previews: &HashMap<Output, RenderedPacket>) {
+    /// Takes the images of both eyes; they are shown once both are of one tick. `arrived_ns` is when the light of an output's image arrived, also
+    /// where its camera repeats an old one.
+    pub fn take(
+        &mut self,
+        outputs: &[Output; 2],
+        previews: &HashMap<Output, RenderedPacket>,
+        arrived_ns: impl Fn(&Output) -> Option<i64>,
+    ) {
         for (waiting, output) in self.waiting.iter_mut().zip(outputs) {
             if let Some(packet) = previews.get(output)
                 && let Some(pixels) = &packet.pixels
             {
-                *waiting = Some((packet.tick.source, packet.tick.seq, pixels.clone(), packet.arrived_ns));
+                *waiting = Some((packet.tick.source, packet.tick.seq, pixels.clone(), arrived_ns(output)));
             }
         }
         if let [Some((source, seq, ..)), Some((other_source, other_seq, ..))] = &self.waiting
@@ -322,13 +328,14 @@ mod tests {
         let eyes = ["left", "right"].map(|port| Output::new("scope", port));
         let [left, right] = eyes.clone();
         let mut pair = Pair::default();
-        pair.take(&eyes, &HashMap::from([(left.clone(), packet(4, 10)), (right.clone(), packet(3, 20))]));
+        let take = |pair: &mut Pair, previews| pair.take(&eyes, &previews, |_| None);
+        take(&mut pair, HashMap::from([(left.clone(), packet(4, 10)), (right.clone(), packet(3, 20))]));
         assert_eq!(pair.tick(), None);
-        pair.take(&eyes, &HashMap::from([(right.clone(), packet(4, 20))]));
+        take(&mut pair, HashMap::from([(right.clone(), packet(4, 20))]));
         assert_eq!(pair.tick(), Some(4));
-        pair.take(&eyes, &HashMap::from([(left, packet(5, 10))]));
+        take(&mut pair, HashMap::from([(left, packet(5, 10))]));
         assert_eq!(pair.tick(), Some(4), "it stays until both have come");
-        pair.take(&eyes, &HashMap::from([(right, packet(5, 20))]));
+        take(&mut pair, HashMap::from([(right, packet(5, 20))]));
         assert_eq!(pair.tick(), Some(5));
         let (pixels, _) = pair.shown.expect("a pair");
         assert_eq!((pixels[0].rgba[0], pixels[1].rgba[0]), (10, 20));

@@ -175,6 +175,9 @@ impl OrderWatch {
             // Dark or blurred views say nothing.
             Order::Unknown => self.is_suspect = self.is_exchanged,
         }
-        cx.metric("views_swapped", f64::from(u8::from(self.is_exchanged)));
+        // Neither a first suspicion nor dark views say that the order is right.
+        if order != Order::Unknown && self.is_suspect == self.is_exchanged {
+            cx.metric("views_swapped", f64::from(u8::from(self.is_exchanged)));
+        }
     }
 }

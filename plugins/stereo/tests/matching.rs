@@ -127,6 +127,25 @@ fn swapped_views_are_named_once() -> TestResult {
 }
 
 #[test]
+fn dark_views_do_not_put_swapped_ones_in_order() -> TestResult {
+    let (left, right) = pair(slanted, 0.0);
+    let dark = vec![3; SIZE.0 * SIZE.1];
+    let mut node = Harness::<StereoBm>::from_toml("")?;
+    for (left, right, calls) in [(&right, &left, 9), (&dark, &dark, 40)] {
+        for _ in 0..calls {
+            run(&mut node, left, right)?;
+        }
+        assert_eq!((node.metric("views_swapped"), node.logs().len()), (Some(1.0), 1), "{:?}", node.logs());
+    }
+    for _ in 0..9 {
+        run(&mut node, &left, &right)?;
+    }
+    assert_eq!(node.metric("views_swapped"), Some(0.0));
+    assert!(node.logs().last().is_some_and(|line| line.message.contains("in order again")), "{:?}", node.logs());
+    Ok(())
+}
+
+#[test]
 fn blank_and_unlike_views_are_not_called_swapped() -> TestResult {
     let blank = vec![90; SIZE.0 * SIZE.1];
     let (left, _) = pair(slanted, 0.0);
@@ -136,6 +155,7 @@ fn blank_and_unlike_views_are_not_called_swapped() -> TestResult {
         let mut node = Harness::<StereoBm>::from_toml("")?;
         let out = run(&mut node, left, right)?;
         assert_eq!(node.logs(), []);
+        assert!(node.metric("views_swapped") != Some(1.0));
         assert!(density(&out, "disparity")? < 0.2, "{}", density(&out, "disparity")?);
     }
     Ok(())

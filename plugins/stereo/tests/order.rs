@@ -105,6 +105,7 @@ fn exchanged_views_are_withheld_and_named_at_once() -> TestResult {
         let mut node = Harness::<Rectify>::from_toml("")?;
         for tick in 0..8 {
             let out = run(&mut node, [&right, &left], rig.calibration())?;
+            assert!(node.metric("views_swapped") != Some(0.0), "rig {index}, tick {tick}: called in order");
             for port in ["left", "right", "calibration", "mask_left"] {
                 assert!(out.is_empty(port)?, "rig {index}, tick {tick}: `{port}` of exchanged views is handed on");
             }
@@ -159,7 +160,8 @@ fn the_same_and_unlike_views_are_not_called_swapped() -> TestResult {
         for _ in 0..8 {
             run(&mut node, views, rig.calibration())?;
         }
-        assert_eq!(node.metric("views_swapped"), Some(0.0), "{:?}", node.logs());
+        // Nor in order: who knew them to be swapped before a start still does.
+        assert_eq!(node.metric("views_swapped"), None, "{:?}", node.logs());
     }
     Ok(())
 }

@@ -54,6 +54,15 @@ impl Mark {
         (0..BLOCKS.0 * BLOCKS.1).map(move |n| (middle(n % BLOCKS.0, BLOCKS.0), middle(n / BLOCKS.0, BLOCKS.1)))
     }
 
+    /// Reads the mark of an image in memory.
+    pub fn of(pixels: &Pixels) -> Option<Self> {
+        let at = |(x, y): (f32, f32)| {
+            (y * pixels.height as f32) as usize * pixels.width + (x * pixels.width as f32) as usize
+        };
+        let brightness: Vec<f32> = Self::blocks().map(|block| f32::from(pixels.rgba[at(block) * 4])).collect();
+        Self::read(&brightness).map(|(mark, _)| mark)
+    }
+
     /// Reads a mark from the brightness of [`Self::blocks`]. Returns whether it is undimmed, too; `None` where there is none.
     pub fn read(brightness: &[f32]) -> Option<(Self, bool)> {
         let (white, black) = (*brightness.first()?, *brightness.last()?);
@@ -82,6 +91,7 @@ fn a_mark_survives_dimming_and_noise_is_none() {
     for (view, light_ms) in [(0, 0), (3, 4), (7, 1_999_996)] {
         let mark = Mark::new(view, light_ms);
         let pixels = mark.pixels();
+        assert_eq!(Mark::of(&pixels), Some(mark));
         let read = |share: f32| {
             let blocks = Mark::blocks().map(|(x, y)| {
                 let at = (y * SIZE_PX.1 as f32) as usize * SIZE_PX.0 + (x * SIZE_PX.0 as f32) as usize;

@@ -12,6 +12,8 @@ use crate::arrange::TITLE;
 pub struct Shown {
     /// What it shows, and whether it is undimmed; of each eye where rows alternate.
     pub marks: [Option<(Mark, bool)>; 2],
+    /// The texture that it is drawn with.
+    pub texture: TextureId,
     /// Its title.
     pub title: String,
     /// The age above it, ms.
@@ -31,10 +33,10 @@ impl Screen {
         let mut rects = Vec::new();
         output.shapes.iter().for_each(|ClippedShape { shape, .. }| screen.collect(shape, &mut rects));
         // The left eye before the right one.
-        rects.sort_by(|a, b| (a.left() + a.top()).total_cmp(&(b.left() + b.top())));
+        rects.sort_by(|(a, _), (b, _)| (a.left() + a.top()).total_cmp(&(b.left() + b.top())));
         let points = output.pixels_per_point;
         // As they are, and of even and of odd rows alone.
-        let pixels = rects.iter().flat_map(|rect| {
+        let pixels = rects.iter().flat_map(|(rect, _)| {
             [(1, 0), (2, 0), (2, 1)].into_iter().flat_map(move |(rows, row)| {
                 Mark::blocks().map(move |(x, y)| {
                     let at = Pos2::new(rect.left() + x * rect.width(), rect.top() + y * rect.height()) * points;
@@ -45,7 +47,7 @@ impl Screen {
         let colors = colors_at(ctx, output, textures, Color32::BLACK, &pixels.collect::<Vec<_>>());
         let brightness: Vec<f32> = colors.iter().map(|color| f32::from(color[1])).collect();
         let blocks = Mark::blocks().count();
-        for (rect, brightness) in rects.into_iter().zip(brightness.chunks_exact(3 * blocks)) {
+        for ((rect, texture), brightness) in rects.into_iter().zip(brightness.chunks_exact(3 * blocks)) {
             let above = Rect::from_min_max(Pos2::new(rect.left(), rect.top() - TITLE), rect.right_top());
             let above = screen.texts.iter().filter(|(text, _)| above.contains(text.center()));
             let (ages, titles): (Vec<_>, Vec<_>) = above
@@ -58,14 +60,16 @@ impl Screen {
             );
             let [both, even, odd] = [0, 1, 2].map(|k| Mark::read(&brightness[k * blocks..][..blocks]));
             let marks = if both.is_some() { [both; 2] } else { [even, odd] };
-            screen.images.push(Shown { marks, title, age_ms });
+            screen.images.push(Shown { marks, texture, title, age_ms });
         }
         screen
     }
 
-    fn collect(&mut self, shape: &Shape, rects: &mut Vec<Rect>) {
+    fn collect(&mut self, shape: &Shape, rects: &mut Vec<(Rect, TextureId)>) {
         match shape {
-            Shape::Mesh(mesh) if mesh.texture_id != TextureId::default() => rects.push(mesh.calc_bounds()),
+            Shape::Mesh(mesh) if mesh.texture_id != TextureId::default() => {
+                rects.push((mesh.calc_bounds(), mesh.texture_id));
+            }
             Shape::Text(text) if !text.galley.text().trim().is_empty() => {
                 self.texts.push((text.visual_bounding_rect(), text.galley.text().to_owned()));
             }

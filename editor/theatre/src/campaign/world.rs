@@ -28,7 +28,9 @@ use crate::time;
 pub const STEP_MS: u64 = 10;
 const PERIOD_MS: u64 = 30;
 /// Time until the graph says that its views are swapped, ms.
-pub const MAX_DETECTION_MS: u64 = 2000;
+const MAX_DETECTION_MS: u64 = 2000;
+/// Time until the window shows that, ms.
+const MARGIN_MS: u64 = 700;
 const COUNTERS_MS: u64 = 500;
 
 pub const LEFT: u8 = 1;
@@ -90,6 +92,15 @@ enum Run {
     Failed,
 }
 
+/// A time in which the cables were as they are.
+#[derive(Clone, Copy, Debug)]
+pub struct Cabling {
+    /// Whether they are exchanged.
+    pub is_swapped: bool,
+    /// Whether a graph had the time to see that. The window does not forget it when the graph is started again.
+    pub is_known: bool,
+}
+
 /// The simulated graph.
 pub struct World {
     pub reading: Reading,
@@ -103,8 +114,14 @@ pub struct World {
     pub sent_ms: [Option<u64>; 2],
     /// Whether the cables are exchanged, and since when, ms.
     pub swapped: (bool, u64),
+    /// All cablings so far. The last one is the present one.
+    cablings: Vec<Cabling>,
+    /// The cabling of each image that was sent, by its number.
+    sent: HashMap<(Output, Mark), usize>,
     /// Lights of both eyes that belong to one tick.
     pub pairs: HashSet<[u64; 2]>,
+    /// The camera that the last fault of a source names, and when, ms.
+    blamed: Option<(usize, u64)>,
     /// Since when it runs, ms.
     pub since_ms: u64,
     dice: SplitMix64,
@@ -119,9 +136,13 @@ pub struct World {
     requests: HashMap<Output, PreviewRequest>,
     previews: HashMap<Output, RenderedPacket>,
     counters: Arc<Counters>,
+    /// Whether the views are swapped, as a node of this run has seen it; `None` before it has looked.
+    seen_swapped: Option<bool>,
     faults: HashMap<String, Fault>,
     detection_ms: u64,
     next_harm_ms: u64,
+    /// Whether a node says that its views are not of one instant.
+    pub is_out_of_step: bool,
     /// Nothing happens by itself.
     pub is_calm: bool,
     log: Vec<String>,
@@ -137,7 +158,10 @@ impl World {
             was_stuck: [false; 2],
             sent_ms: [None; 2],
             swapped: (false, 0),
+            cablings: vec![Cabling { is_swapped: false, is_known: false }],
+            sent: HashMap::new(),
             pairs: HashSet::new(),
+            blamed: None,
             since_ms: 0,
             dice,
             run: Run::Whole,
@@ -149,9 +173,11 @@ impl World {
             requests: HashMap::new(),
             previews: HashMap::new(),
             counters: Arc::default(),
+            seen_swapped: None,
             faults: HashMap::new(),
             detection_ms: MAX_DETECTION_MS,
             next_harm_ms: 2500,
+            is_out_of_step: false,
             is_calm: false,
             log: Vec::new(),
         }
@@ -166,9 +192,28 @@ impl World {
         self.log.push(format!("{:>6} ms: {}", self.ms, what.as_ref()));
     }
 
+    /// Whether all that is known of cameras that send nothing is that this one is gone: the source of both says no more when it comes back, or when
+    /// the other one goes too.
+    pub fn is_last_word(&self, camera: usize) -> bool {
+        let since_ms = self.sent_ms[camera].unwrap_or(0);
+        self.reading == Reading::Together
+            && self.blamed.is_some_and(|(blamed, at_ms)| blamed == camera && at_ms + PERIOD_MS >= since_ms)
+    }
+
     /// Whether cameras are read.
     pub fn is_running(&self) -> bool {
         matches!(self.run, Run::Cameras { .. } | Run::Whole)
+    }
+
+    /// Whether the graph has compared the images of this cabling for a time: it compares two that are live.
+    fn has_compared_for(&self, ms: u64) -> bool {
+        let last_ms = self.swapped.1.max(self.changed_ms[0]).max(self.changed_ms[1]).max(self.since_ms);
+        self.run == Run::Whole && self.cameras == [CameraState::Live; 2] && self.ms >= last_ms + ms
+    }
+
+    /// The cabling that an image was sent with; `None` where it was not sent.
+    pub fn cabling(&self, output: &Output, mark: Mark) -> Option<Cabling> {
+        self.sent.get(&(output.clone(), mark)).map(|n| self.cablings[*n])
     }
 
     /// The output of a camera.
@@ -201,6 +246,10 @@ impl World {
         if self.ms.is_multiple_of(COUNTERS_MS) {
             self.count();
         }
+        let is_known = self.has_compared_for(MAX_DETECTION_MS + MARGIN_MS);
+        if let Some(cabling) = self.cablings.last_mut() {
+            cabling.is_known |= is_known;
+        }
     }
 
     /// Something changes.
@@ -218,10 +267,8 @@ impl World {
             }
             5 => self.set(camera, CameraState::Stuck(self.ms)),
             6 => {
-                self.swapped = (!self.swapped.0, self.ms);
-                self.stick_again();
+                self.swap();
                 self.detection_ms = self.dice.below(MAX_DETECTION_MS as usize) as u64;
-                self.note(format!("swapped: {}", self.swapped.0));
             }
             7 => {
                 let node = MADE[self.dice.below(MADE.len())].1;
@@ -231,12 +278,7 @@ impl World {
                 }
                 self.note(format!("node {node} has stopped: {is_new}"));
             }
-            8 if self.run != Run::Failed => {
-                self.note("the process dies");
-                self.recovery.crashed(phrase!("worker-crashed", signal = "SIGSEGV"), time::now());
-                self.forget();
-                self.run = Run::Down { at_ms: u64::MAX, whole: false };
-            }
+            8 if self.run != Run::Failed => self.crash(),
             9 if self.run == Run::Whole && self.recovery.takes_changes() && !self.recovery.is_starting() => self.fail(),
             _ => {
                 [0, 1].into_iter().for_each(|n| self.set(n, CameraState::Live));
@@ -259,6 +301,22 @@ impl World {
         self.note(format!("camera {n} is {state:?}"));
     }
 
+    /// The process that runs the graph ends.
+    pub fn crash(&mut self) {
+        self.note("the process dies");
+        self.recovery.crashed(phrase!("worker-crashed", signal = "SIGSEGV"), time::now());
+        self.forget();
+        self.run = Run::Down { at_ms: u64::MAX, whole: false };
+    }
+
+    /// Exchanges the cables.
+    pub fn swap(&mut self) {
+        self.swapped = (!self.swapped.0, self.ms);
+        self.cablings.push(Cabling { is_swapped: self.swapped.0, is_known: false });
+        self.stick_again();
+        self.note(format!("swapped: {}", self.swapped.0));
+    }
+
     /// The graph ends with an error.
     pub fn fail(&mut self) {
         self.note("the graph fails");
@@ -270,6 +328,15 @@ impl World {
     fn stick_again(&mut self) {
         for camera in &mut self.cameras {
             if matches!(camera, CameraState::Stuck(_)) {
+                *camera = CameraState::Stuck(self.ms);
+            }
+        }
+    }
+
+    /// What a camera repeats shows only in what is sent: one that sticks while nothing is sent sticks with the first image after that.
+    fn stick_unseen(&mut self) {
+        for (camera, sent_ms) in self.cameras.iter_mut().zip(self.sent_ms) {
+            if matches!(camera, CameraState::Stuck(ms) if sent_ms.is_none_or(|sent_ms| sent_ms < *ms)) {
                 *camera = CameraState::Stuck(self.ms);
             }
         }
@@ -293,6 +360,7 @@ impl World {
             count: 1,
         };
         self.faults.insert(node, fault);
+        self.blamed = Some((camera, self.ms));
     }
 
     fn forget(&mut self) {
@@ -301,6 +369,7 @@ impl World {
         self.counters = Arc::default();
         self.faults.clear();
         self.newest_right = None;
+        self.seen_swapped = None;
     }
 
     /// Follows starts of processes and graphs.
@@ -360,6 +429,7 @@ impl World {
         let mut lights = [self.light(0), self.light(1)];
         if self.reading == Reading::Together && lights.contains(&None) {
             lights = [None; 2];
+            self.stick_unseen();
         }
         let known = [0, 1].map(|n| lights[n].map(|light_ms| self.known(n, light_ms)));
         for n in 0..2 {
@@ -415,6 +485,7 @@ impl World {
             cloud,
             ..RenderedPacket::default()
         };
+        self.sent.insert((output.clone(), mark), self.cablings.len() - 1);
         let way_ms = self.dice.below(25) as u64;
         self.on_the_way.push_back((self.ms + takes_ms + way_ms, output, packet));
         // Images of cameras are what shows that a new process works.
@@ -425,13 +496,14 @@ impl World {
 
     /// Publishes counters.
     fn count(&mut self) {
-        let both_live = self.cameras == [CameraState::Live; 2];
-        let is_late = self.ms >= self.swapped.1 + self.detection_ms;
-        let swapped = if is_late { self.swapped.0 } else { !self.swapped.0 };
-        let before = self.counters.nodes.get("depth").is_some_and(|node| node.metrics.iter().any(|(_, v)| *v > 0.5));
-        let swapped = if both_live { swapped } else { before };
+        if self.has_compared_for(self.detection_ms) {
+            self.seen_swapped = Some(self.swapped.0);
+        }
         let mut counters = Counters::default();
-        let metrics = vec![("views_swapped".to_owned(), f64::from(u8::from(swapped)))];
+        let seen =
+            self.seen_swapped.map(|is_swapped| [("views_swapped", is_swapped), ("views_late", self.is_out_of_step)]);
+        let metrics = seen.into_iter().flatten().map(|(name, is_on)| (name.to_owned(), f64::from(u8::from(is_on))));
+        let metrics = metrics.collect();
         counters.nodes.insert("depth".to_owned(), NodeWindow { metrics, fps: 30.0, ..NodeWindow::default() });
         counters.faults.clone_from(&self.faults);
         self.counters = Arc::new(counters);

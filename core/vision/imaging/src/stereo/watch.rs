@@ -69,7 +69,7 @@ impl Watch {
         self.drifted
     }
 
-    /// Checks after a survey with few matches whether the swapped views match.
+    /// Checks after a survey with few matches whether the swapped views match. Views that match in neither order, such as dark ones, decide nothing.
     ///
     /// # Errors
     /// The same as those of the kernel.
@@ -83,9 +83,13 @@ impl Watch {
     ) -> Result<(), StereoError> {
         // A pair in the right order matches most of its shared region.
         let few = found.matched * 4 < found.pixels;
-        let swapped = few && {
-            let other = survey.look([views[1], views[0]], COARSE_WIDTH, pool)?;
-            other.matched > 3 * found.matched && other.matched * 10 > other.pixels
+        let swapped = few.then(|| survey.look([views[1], views[0]], COARSE_WIDTH, pool)).transpose()?;
+        let is_clear =
+            |of: MatchCount, other: MatchCount| of.matched > 3 * other.matched && of.matched * 10 > of.pixels;
+        let swapped = match swapped {
+            Some(swapped) if is_clear(swapped, found) => true,
+            Some(swapped) if !is_clear(found, swapped) => return Ok(()),
+            _ => false,
         };
         if swapped && !self.swapped {
             cx.warn("left and right are swapped: the disparities are negative, nothing is matched until the inputs change places");
