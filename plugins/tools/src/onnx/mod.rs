@@ -66,7 +66,7 @@ pub struct OnnxParams {
     /// Empty: the file `table_file`. `panoscope describe MODEL.onnx` prints a table; the README of the plugins lists the keys.
     #[param(default = "", reopen)]
     table: String,
-    /// File with the same keys. Empty: the model's name with the extension `toml`, in its folder.
+    /// File with the same keys. Empty: the model's name with the extension `toml`, in its folder; a lock of the graph covers it only where it is named here.
     #[param(default = "", reopen, file)]
     table_file: PathBuf,
     /// Value from which a pixel belongs to the mask, where the network gives one number per pixel.
