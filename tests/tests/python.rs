@@ -9,6 +9,7 @@ use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, Listener, Options, Outcome};
 use panoscope_host::loader::Live;
 use panoscope_host::loader::live::{Changed, FileWatch};
+use panoscope_tests::machines::program;
 use panoscope_tests::{DisturbedRun, has_python, load, root, run_disturbed, scratch};
 
 const MAX_RUN: Duration = Duration::from_secs(120);
@@ -203,8 +204,16 @@ fn an_interpreter_without_numpy_is_named_with_the_remedy() {
     if !made.as_ref().is_ok_and(|made| made.status.success()) {
         return panoscope_testing::skipped!("python3 makes no environment: {made:?}");
     }
+    let Some(program) = program() else { return panoscope_testing::skipped!("there is no program `panoscope`") };
     let text = "plugin_paths = [\".\"]\nplugins = [\"turned\"]\n[nodes.a]\ntype = \"count\"\n";
-    let mistakes = load(&folder.join("graph.toml"), text).err().expect("no NumPy");
+    std::fs::write(folder.join("graph.toml"), text).expect("a file");
+    let mut check = std::process::Command::new(program);
+    check.current_dir(&folder).args(["check", "graph.toml", "--trust-plugins"]);
+    panoscope_testing::own_settings(&mut check, &folder);
+    // NumPy of the tests is not that of the environment.
+    let output = check.env_remove("PYTHONPATH").output().expect("it starts");
+    let mistakes = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{mistakes}");
     assert!(mistakes.contains("NumPy is missing in") && mistakes.contains(".venv"), "{mistakes}");
     assert!(mistakes.contains("-m pip install numpy") && mistakes.contains("PANOSCOPE_PYTHON"), "{mistakes}");
     assert!(!mistakes.contains("replace the plugin"), "{mistakes}");
