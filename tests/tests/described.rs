@@ -102,7 +102,7 @@ fn runs_elsewhere(name: &str, isolate: impl Fn(&Path) -> GraphText) {
     let catalog = loader.catalog_of(&text);
     let me = std::process::id();
     let described = marks(&mark);
-    match panoscope_host::loader::isolated::kernel().landlock {
+    match panoscope_host::isolate::kernel().landlock {
         Some(_) => assert!(described.is_empty(), "the process that describes it makes no files"),
         None => assert!(!described.contains(&me), "another process ran it"),
     }

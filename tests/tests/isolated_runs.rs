@@ -6,7 +6,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use panoscope_engine::fault::Cause;
 use panoscope_engine::{Engine, Options, Outcome};
-use panoscope_host::loader::isolated::kernel;
+use panoscope_host::isolate::kernel;
 use panoscope_tests::{DisturbedRun, run_disturbed, scratch};
 
 /// One test at a time: they kill processes of this one.

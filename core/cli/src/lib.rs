@@ -166,7 +166,7 @@ pub fn parse<T: FromArgMatches>(mut command: clap::Command) -> T {
 /// Prepares the process: its heap and its signals. Does not return where the process is one for isolated nodes.
 pub fn prepare() {
     heap::keep_large_blocks_apart();
-    if std::env::args_os().nth(1).is_some_and(|word| word == isolated::COMMAND) {
+    if std::env::args_os().nth(1).is_some_and(|word| word == panoscope_host::isolate::COMMAND) {
         isolated::serve();
     }
     if let Err(error) = signals::install() {

@@ -175,7 +175,7 @@ fn commands_that_only_look_never_run_a_plugin_that_the_graph_brings() {
         let (code, said) = bench.run(&format!("{words} --trust-plugins"));
         assert_eq!((code, bench.ran().is_empty()), (0, false), "{words} --trust-plugins: {said}");
     }
-    if panoscope_host::loader::isolated::kernel().landlock.is_none() {
+    if panoscope_host::isolate::kernel().landlock.is_none() {
         panoscope_testing::skipped!("the trap could write its file: this kernel has no Landlock");
         return;
     }

@@ -93,7 +93,7 @@ impl Measure {
     }
 
     /// Sets why no length can be relied on: while there is a reason, none is shown or saved. An image to measure in keeps its reason: that the
-    /// cameras are right again does not mend it.
+    /// cameras are right again does not change that.
     pub fn set_doubt(&mut self, doubt: Option<&'static str>) {
         self.doubt = doubt.or(self.doubt.filter(|_| self.on.is_some()));
     }

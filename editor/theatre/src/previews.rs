@@ -423,7 +423,7 @@ impl Theatre {
         }
         if self.frozen.is_none() && self.raw_only.is_none() {
             // No length is right while the calibration does not fit.
-            let has_ruler = metric_is_on(&self.runner.counters(), "drifted") != Some(true);
+            let has_ruler = !self.doubts.drifted;
             for pane in self.displayed() {
                 let kept = || self.viewpoints.get(&pane.output).copied().unwrap_or_default();
                 let viewpoint = (pane.packet == "cloud").then(|| Viewpoint { has_ruler, ..kept() });

@@ -14,7 +14,7 @@ use crate::crop::{self, Halves};
 use crate::kept_frames::KeptFrames;
 use crate::pairing::Grabbed;
 use crate::position::{Position, ViewPosition};
-use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings, Shown};
+use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings};
 use crate::source::{Clock, Demands, Lock, SourceName, Stream};
 use crate::timing::{Time, Timing};
 use crate::views::{View, Views, pair_by_numbers, same_files};
@@ -208,7 +208,7 @@ impl Capture {
             let view = &mut *view;
             if view.is_there {
                 view.result = view.source.retrieve(&mut view.picture);
-                if params.orientation == Shown::Upright {
+                if params.is_upright() {
                     view.picture.turn_upright();
                 }
             } else {

@@ -197,6 +197,11 @@ impl Settings {
         }
     }
 
+    /// Whether pictures are turned as their files say.
+    pub fn is_upright(&self) -> bool {
+        self.orientation == Shown::Upright
+    }
+
     /// The texts that name sources, each with its parameter.
     ///
     /// # Errors
@@ -324,13 +329,13 @@ impl Settings {
                 SourceName::Images(files) => files.first()?,
                 _ => return None,
             };
-            let (width, height) = name.picture_size(self.orientation == Shown::Upright)?;
+            let (width, height) = name.picture_size(self.is_upright())?;
             let whole = Rect::whole(width, height);
             let mut rect = self.halves().map_or(whole, |halves| halves.of(whole, view));
             if let Some(crop) = crop::of_view(&self.crop, view, if is_split { 2 } else { names.len() }).ok()? {
                 rect = crop::part(rect, crop).ok()?;
             }
-            Some(FileView { file: file.clone(), rect, is_upright: self.orientation == Shown::Upright })
+            Some(FileView { file: file.clone(), rect, is_upright: self.is_upright() })
         };
         let (Some(left), Some(right)) = (view(0), view(1)) else { return };
         if let Some(OrderEvidence { pairs, fitting, .. }) = exchanged([left, right], calibration) {
@@ -357,7 +362,7 @@ impl Settings {
                 Err(error) => return check.error("crop", error.to_string(), ""),
             };
             let name = names.get(if self.split == Split::None { view } else { 0 }).and_then(Option::as_ref);
-            let checked = match name.and_then(|name| name.picture_size(self.orientation == Shown::Upright)) {
+            let checked = match name.and_then(|name| name.picture_size(self.is_upright())) {
                 Some((width, height)) => {
                     let whole = Rect::whole(width, height);
                     crop::part(self.halves().map_or(whole, |halves| halves.of(whole, view)), crop).map(drop)

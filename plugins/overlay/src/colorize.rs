@@ -40,7 +40,7 @@ pub struct In<'f> {
     pub depth: Option<Image<'f, Depth>>,
     /// Confidence, 0 to 1.
     pub confidence: Option<Image<'f, Confidence>>,
-    /// Above 0 while the calibration does not fit the views, as a matcher tells: the scale of depths then says near and far instead of mm.
+    /// Above 0 while the calibration does not fit the views, as a matcher reports: the scale of depths then says near and far instead of mm.
     pub drifted: Option<Value<'f, Scalar>>,
 }
 

@@ -32,10 +32,10 @@ pub struct Frame {
     pub side_share: f32,
 }
 
-/// Least width of a smaller picture as a share of the screen's; many pictures share the second.
+/// Smallest width of a smaller picture as a share of the screen's; many pictures share the second.
 const MIN_SIDE_SHARE: f64 = 0.16;
 const SIDE_SHARES: f64 = 0.72;
-/// Least area of the main picture and largest area that nothing covers, as shares of the screen's.
+/// Smallest area of the main picture and largest area that nothing covers, as shares of the screen's.
 const MAIN_SHARE: f64 = 0.605;
 const DEAD_SHARE: f64 = 0.075;
 /// How much an arrangement loses by a picture that is narrower, a main picture that is smaller, and an empty area that is larger than these shares, and

@@ -196,12 +196,12 @@ impl Node for Bag {
             return Err(NodeError::new("`path` is empty: give the folder of a bag"));
         }
         let path = open.graph_dir().join(params.path.trim());
-        let topics = survey(&path).map_err(wrong)?;
+        let reader = BagReader::open(&path).map_err(wrong)?;
+        let topics = reader.survey().map_err(wrong)?;
         let incoming = Incoming::new(roles(params, &topics)?, params.tolerance_ms, params.bit_depth);
         let mut read: Vec<&str> = incoming.roles().map(|(topic, _)| topic).collect();
         read.sort_unstable();
         open.info(&format!("reads {}", read.join(", ")));
-        let reader = BagReader::open(&path).map_err(wrong)?;
         Ok(Self { path, reader, incoming, ticks: 0, skip: 0, left_out: 0, last_error: None, damage: None })
     }
 

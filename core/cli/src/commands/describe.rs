@@ -4,8 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use panoscope_graph::{NodeKind, NodeType, Param, ParamKind, Port};
-use panoscope_host::loader::Loader;
-use panoscope_host::loader::graph_file;
+use panoscope_host::loader::{Loader, graph_file};
 
 use crate::End;
 use crate::commands::describe_model;

@@ -4,11 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_graph::GraphText;
-use panoscope_host::loader::Kind;
-use panoscope_host::loader::graph_file;
 use panoscope_host::loader::keys::{SecretKey, public_file};
 use panoscope_host::loader::lock::{ALWAYS_LOCKED, Lock, lock_path};
 use panoscope_host::loader::verify::{self, VerifyError};
+use panoscope_host::loader::{Kind, graph_file};
 
 use crate::End;
 use crate::given::Given;

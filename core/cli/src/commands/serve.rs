@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Result, bail};
-use panoscope_host::loader::isolated::MACHINE_PROGRAM;
+use panoscope_host::isolate::MACHINE_PROGRAM;
 
 use crate::End;
 

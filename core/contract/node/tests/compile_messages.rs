@@ -19,7 +19,7 @@ fn rustc() -> Command {
     rustc
 }
 
-/// Builds of this package beside this program, newest first: one of them has the dependencies that are there.
+/// Builds of this package next to this program, newest first: one of them has the dependencies that are there.
 fn libraries() -> Vec<PathBuf> {
     let program = std::env::current_exe().expect("a program");
     let folder = program.parent().expect("a folder").read_dir().expect("a folder").flatten();

@@ -70,7 +70,7 @@ impl Machine {
 
 /// Seconds in which so many messages pass from one zenoh session to another.
 fn zenoh_alone_s(program: &Path, bytes: usize, count: u64) -> Result<f64> {
-    let mut command = Command::new(program.with_file_name(panoscope_host::loader::isolated::MACHINE_PROGRAM));
+    let mut command = Command::new(program.with_file_name(panoscope_host::isolate::MACHINE_PROGRAM));
     command.args(["bench", &free_port()?.to_string(), &bytes.to_string(), &count.to_string()]);
     let done = command.output().map_err(|cause| system("zenoh alone", &cause))?;
     let written = String::from_utf8_lossy(&done.stdout).trim().parse();

@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::common::{flow_plugin, scratch};
 use panoscope_abi as abi;
 use panoscope_graph::{GraphText, check};
-use panoscope_host::loader::Loader;
-use panoscope_host::loader::inspect;
+use panoscope_host::loader::{Loader, inspect};
 
 /// A fresh folder with one file in it.
 fn folder_with(name: &str, file: &str, bytes: &[u8]) -> PathBuf {

@@ -27,7 +27,7 @@ pub struct Deep<'n> {
     pub is_float: bool,
 }
 
-/// What the log is told when white is found or changes.
+/// What is logged when white is found or changes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Remark {
     /// For information.

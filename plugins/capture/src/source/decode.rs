@@ -49,9 +49,9 @@ pub fn decode_picture(bytes: &[u8]) -> Option<Result<Picture, PictureError>> {
     })
 }
 
-/// Pages of a TIFF beside smaller copies of another page.
+/// Number of pages of a TIFF, smaller copies of another page not counted.
 fn pages(decoder: &mut tiff::decoder::Decoder<Cursor<&[u8]>>) -> Result<usize, tiff::TiffError> {
-    /// Bit of the tag that tells a smaller copy.
+    /// Bit of the tag that marks a smaller copy.
     const REDUCED: u32 = 1;
     let mut count = 0;
     loop {

@@ -8,6 +8,7 @@ use panoscope_base::secret::redact;
 use panoscope_data::calibration::pictures::{self, is_image, is_pattern};
 
 use super::error::CaptureError;
+use super::picture::turned_size;
 use crate::devices;
 
 /// What a text names.
@@ -100,16 +101,8 @@ impl SourceName {
         let mut decoder = ImageReader::open(file).ok()?.with_guessed_format().ok()?.into_decoder().ok()?;
         let (width, height) = decoder.dimensions();
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-        let is_upended = is_upright
-            && matches!(
-                orientation,
-                Orientation::Rotate90
-                    | Orientation::Rotate270
-                    | Orientation::Rotate90FlipH
-                    | Orientation::Rotate270FlipH
-            );
-        let (width, height) = if is_upended { (height, width) } else { (width, height) };
-        Some((width as usize, height as usize))
+        let stored = (width as usize, height as usize);
+        Some(if is_upright { turned_size(stored, orientation) } else { stored })
     }
 
     /// For messages.

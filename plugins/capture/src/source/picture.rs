@@ -55,6 +55,15 @@ impl Default for Picture {
     }
 }
 
+/// Width and height of a picture that is turned.
+pub fn turned_size((width, height): (usize, usize), orientation: Orientation) -> (usize, usize) {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    match orientation {
+        Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH => (height, width),
+        _ => (width, height),
+    }
+}
+
 /// The pixels of a picture of three values a pixel, turned: the size of the result and its pixels.
 fn turned<T: Copy>(
     values: &[T],
@@ -62,8 +71,7 @@ fn turned<T: Copy>(
     orientation: Orientation,
 ) -> ((usize, usize), Vec<T>) {
     use Orientation::{FlipHorizontal, FlipVertical, Rotate90, Rotate90FlipH, Rotate180, Rotate270, Rotate270FlipH};
-    let is_upended = matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH);
-    let size = if is_upended { (height, width) } else { (width, height) };
+    let size = turned_size((width, height), orientation);
     let mut out = Vec::with_capacity(values.len());
     for y in 0..size.1 {
         for x in 0..size.0 {

@@ -172,7 +172,7 @@ impl Doctor {
             );
             self.say(State::Optional, "real-time priority", &how);
         }
-        let panoscope_host::loader::isolated::Kernel { landlock, seccomp } = panoscope_host::loader::isolated::kernel();
+        let panoscope_host::isolate::Kernel { landlock, seccomp } = panoscope_host::isolate::kernel();
         match (landlock, seccomp) {
             (Some(version), true) => {
                 let about = format!("`deny` is enforced: network by seccomp, new files by Landlock {version}");

@@ -50,12 +50,13 @@ pub struct BagTopic {
 }
 
 /// A file of a bag.
+#[derive(Clone)]
 struct Source {
     path: PathBuf,
     /// The bytes of one that is in memory.
     bytes: Option<Arc<[u8]>>,
     channels: Channels,
-    /// How it ends; taken once that was told.
+    /// How it ends; taken once that is reported.
     end: Option<End>,
     /// Messages so far.
     messages: u64,
@@ -340,13 +341,46 @@ impl BagReader {
         }
     }
 
-    /// What is wrong with the end of a file, each told once.
+    /// What is wrong with the end of a file, each reported once.
     fn end(&mut self) -> Option<BagError> {
         self.files.iter_mut().find_map(|source| match source.end.take()? {
             End::Whole => None,
             End::CutOff => Some(BagError::CutOff { path: source.path.clone(), messages: source.messages }),
             End::Damaged(words) => Some(source.damaged(words)),
         })
+    }
+
+    /// The topics among the first messages. A bag that ends early has those before its end. What it read is not gone: the next message is still the first.
+    ///
+    /// # Errors
+    /// It is damaged before its first message, or its messages are none that are read here.
+    pub fn survey(&self) -> Result<Vec<BagTopic>, BagError> {
+        let mut ahead = Self {
+            files: self.files.clone(),
+            parts: self.parts.clone(),
+            waiting: BinaryHeap::new(),
+            found: 0,
+            input: None,
+            open: Vec::new(),
+        };
+        let (mut found, mut read) = (BTreeMap::new(), 0);
+        while read < SURVEYED {
+            let next = ahead.next(|topic, message| {
+                if !found.contains_key(topic) {
+                    found.insert(topic.to_owned(), message.to_owned());
+                }
+                true
+            });
+            match next {
+                Ok(Some(_)) => read += 1,
+                Err(error) if found.is_empty() || matches!(error, BagError::PackedMessage { .. }) => return Err(error),
+                Ok(None) | Err(_) => break,
+            }
+        }
+        if let Some(file) = ahead.files.iter().find(|file| found.is_empty() && file.channels.is_ros1) {
+            return Err(BagError::Ros1 { path: file.path.clone() });
+        }
+        Ok(found.into_iter().map(|(topic, message)| BagTopic { topic, message }).collect())
     }
 
     /// The messages of an MCAP file that is in memory.
@@ -362,30 +396,12 @@ impl BagReader {
     }
 }
 
-/// The topics among the first messages of a bag. A bag that ends early has those before its end.
+/// The topics among the first messages of a bag, see [`BagReader::survey`].
 ///
 /// # Errors
-/// There is no bag, it is damaged before its first message, or its messages are none that are read here.
+/// There is no bag, or as [`BagReader::survey`].
 pub fn survey(path: &Path) -> Result<Vec<BagTopic>, BagError> {
-    let mut reader = BagReader::open(path)?;
-    let (mut found, mut read) = (BTreeMap::new(), 0);
-    while read < SURVEYED {
-        let next = reader.next(|topic, message| {
-            if !found.contains_key(topic) {
-                found.insert(topic.to_owned(), message.to_owned());
-            }
-            true
-        });
-        match next {
-            Ok(Some(_)) => read += 1,
-            Err(error) if found.is_empty() || matches!(error, BagError::PackedMessage { .. }) => return Err(error),
-            Ok(None) | Err(_) => break,
-        }
-    }
-    if found.is_empty() && reader.files.iter().any(|file| file.channels.is_ros1) {
-        return Err(BagError::Ros1 { path: path.to_owned() });
-    }
-    Ok(found.into_iter().map(|(topic, message)| BagTopic { topic, message }).collect())
+    BagReader::open(path)?.survey()
 }
 
 #[cfg(test)]

@@ -47,7 +47,7 @@ pub struct Part {
 }
 
 /// Names of types by schema, topics and types by channel.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Channels {
     schemas: HashMap<u16, String>,
     /// `None` for messages that are not in CDR.
@@ -230,7 +230,7 @@ impl Scan {
         self.push(Part { start_ns, end_ns, at, len, form })
     }
 
-    /// Takes a message whose record lies between two offsets.
+    /// Takes a message whose record is between two offsets.
     fn message(&mut self, head: &[u8], (at, end): (u64, u64)) -> Result<(), ScanError> {
         let mut fields = Fields(head);
         let (Some(_channel), Some(_number), Some(log_ns)) = (fields.u16(), fields.array::<4>(), fields.u64()) else {

@@ -3,13 +3,12 @@
 use std::path::Path;
 
 use crate::isolate::child::LoadError;
-pub use crate::isolate::{COMMAND, Kernel, MACHINE_PROGRAM, kernel};
 use panoscope_abi::NodeType;
 
 use crate::loader::map::load_image;
 
 /// Runs the nodes of another process's graph until that process is gone. A program calls this first thing in `main` when its first argument
-/// is [`COMMAND`].
+/// is [`COMMAND`](crate::isolate::COMMAND).
 pub fn serve() -> ! {
     crate::isolate::child::serve(load)
 }

@@ -6,9 +6,9 @@
 
 use panoscope_abi::{Calibration, Camera};
 
-use crate::calibration::EYE3;
 use crate::calibration::entries::Entries;
 use crate::calibration::error::Mistake;
+use crate::calibration::{EYE3, packet_of};
 
 /// Whether a text is such a file.
 pub(crate) fn is(text: &str) -> bool {
@@ -63,18 +63,5 @@ pub(crate) fn packet(text: &str) -> Result<Calibration, Mistake> {
     let (left, right) = (camera(&entries, 0, size)?, camera(&entries, 1, size)?);
     let omega = entries.needed("Extrinsic-Omega")?.exactly()?;
     let translation: [f64; 3] = entries.needed("Extrinsic-T")?.exactly()?;
-    Ok(Calibration {
-        left,
-        right,
-        right_from_left_rotation: rotation(omega),
-        right_from_left_mm: translation,
-        rectified_from_left: EYE3,
-        rectified_from_right: EYE3,
-        left_projection: [0.0; 12],
-        right_projection: [0.0; 12],
-        baseline_mm: translation.iter().map(|t| t * t).sum::<f64>().sqrt(),
-        rms_px: f64::NAN,
-        is_rectified: 0,
-        reserved: 0,
-    })
+    Ok(packet_of([left, right], rotation(omega), translation))
 }

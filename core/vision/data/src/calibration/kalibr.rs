@@ -2,9 +2,9 @@
 
 use panoscope_abi::{Calibration, Camera};
 
-use crate::calibration::EYE3;
 use crate::calibration::document::Node;
 use crate::calibration::error::Mistake;
+use crate::calibration::packet_of;
 
 const MM_PER_M: f64 = 1000.0;
 
@@ -50,18 +50,6 @@ pub(crate) fn packet(chain: &Node) -> Result<Calibration, Mistake> {
     let pose = pose.ok_or_else(|| Mistake::whole("`cam1` has no `T_cn_cnm1`: the pose between the cameras"))?;
     let m: [f64; 16] = pose.exactly("T_cn_cnm1")?;
     let translation = [m[3], m[7], m[11]].map(|t| t * MM_PER_M);
-    Ok(Calibration {
-        left,
-        right,
-        right_from_left_rotation: std::array::from_fn(|index| m[4 * (index / 3) + index % 3]),
-        right_from_left_mm: translation,
-        rectified_from_left: EYE3,
-        rectified_from_right: EYE3,
-        left_projection: [0.0; 12],
-        right_projection: [0.0; 12],
-        baseline_mm: translation.iter().map(|t| t * t).sum::<f64>().sqrt(),
-        rms_px: f64::NAN,
-        is_rectified: 0,
-        reserved: 0,
-    })
+    let rotation = std::array::from_fn(|index| m[4 * (index / 3) + index % 3]);
+    Ok(packet_of([left, right], rotation, translation))
 }

@@ -36,8 +36,32 @@ pub use file::{KittiCameras, parse, read, read_kitti, write};
 pub use opencv::text_of;
 pub use view::ViewState;
 
+use panoscope_abi::{Calibration, Camera};
+
 /// Rows of the 3x3 unit matrix, one after the other.
 pub(crate) const EYE3: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+
+/// The packet of two cameras and the pose between them, without a rectification: callers compute it.
+pub(crate) fn packet_of(
+    [left, right]: [Camera; 2],
+    right_from_left_rotation: [f64; 9],
+    right_from_left_mm: [f64; 3],
+) -> Calibration {
+    Calibration {
+        left,
+        right,
+        right_from_left_rotation,
+        right_from_left_mm,
+        rectified_from_left: EYE3,
+        rectified_from_right: EYE3,
+        left_projection: [0.0; 12],
+        right_projection: [0.0; 12],
+        baseline_mm: right_from_left_mm.iter().map(|t| t * t).sum::<f64>().sqrt(),
+        rms_px: f64::NAN,
+        is_rectified: 0,
+        reserved: 0,
+    }
+}
 
 /// Shortest baseline that a stereo scope has, mm. Below it the unit is most likely another one.
 const MIN_BASELINE_MM: f64 = 0.5;
@@ -57,7 +81,7 @@ pub(crate) fn no_camera_matrix(matrix: &[f64; 9]) -> Option<&'static str> {
 }
 
 /// What makes a calibration doubtful although its numbers fit together; for a warning.
-pub fn doubt(calibration: &panoscope_abi::Calibration) -> Option<String> {
+pub fn doubt(calibration: &Calibration) -> Option<String> {
     let baseline_mm = calibration.baseline_mm;
     (baseline_mm < MIN_BASELINE_MM).then(|| {
         format!(

@@ -8,7 +8,7 @@ use panoscope_abi::{Calibration, Camera};
 use crate::calibration::EYE3;
 use crate::calibration::document::Node;
 use crate::calibration::error::Mistake;
-use crate::calibration::no_camera_matrix;
+use crate::calibration::{no_camera_matrix, packet_of};
 
 /// Names in use for the same matrices; the first is what is written.
 const LEFT_MATRIX: [&str; 6] =
@@ -133,18 +133,12 @@ pub(crate) fn packet(documents: &[Node]) -> Result<Calibration> {
         }
     };
     Ok(Calibration {
-        left,
-        right,
-        right_from_left_rotation: rotation,
-        right_from_left_mm: translation,
         rectified_from_left: r1,
         rectified_from_right: r2,
         left_projection: p1,
         right_projection: p2,
-        baseline_mm: translation.iter().map(|t| t * t).sum::<f64>().sqrt(),
         rms_px,
-        is_rectified: 0,
-        reserved: 0,
+        ..packet_of([left, right], rotation, translation)
     })
 }
 

@@ -6,9 +6,9 @@
 
 use panoscope_abi::{Calibration, Camera};
 
-use crate::calibration::EYE3;
 use crate::calibration::entries::Entries;
 use crate::calibration::error::Mistake;
+use crate::calibration::{EYE3, packet_of};
 
 /// Whether a text is such a file.
 pub(crate) fn is(text: &str) -> bool {
@@ -60,18 +60,5 @@ pub(crate) fn packet(text: &str) -> Result<Calibration, Mistake> {
         std::array::from_fn(|index| (0..3).map(|k| b[3 * (index / 3) + k] * a[3 * (index % 3) + k]).sum());
     let turned = |row: usize| (0..3).map(|k| rotation[3 * row + k] * left.translation_mm[k]).sum::<f64>();
     let translation: [f64; 3] = std::array::from_fn(|row| right.translation_mm[row] - turned(row));
-    Ok(Calibration {
-        left: left.camera,
-        right: right.camera,
-        right_from_left_rotation: rotation,
-        right_from_left_mm: translation,
-        rectified_from_left: EYE3,
-        rectified_from_right: EYE3,
-        left_projection: [0.0; 12],
-        right_projection: [0.0; 12],
-        baseline_mm: translation.iter().map(|t| t * t).sum::<f64>().sqrt(),
-        rms_px: f64::NAN,
-        is_rectified: 0,
-        reserved: 0,
-    })
+    Ok(packet_of([left.camera, right.camera], rotation, translation))
 }
