@@ -75,14 +75,15 @@ pub fn cameras<'f>(
             continue;
         }
         let since = of_node.iter().filter_map(|camera| camera.since).max();
-        let named = fault_of(node).filter(|fault| explains(fault, since)).map(|fault| named(&of_node, &fault.words));
-        // Later faults of the same silence, such as of attempts to open the camera again, are not needed to know it.
-        let before = || of_node.iter().copied().filter(|camera| named_before.contains(camera.output)).collect();
-        let named = named.unwrap_or_else(before);
-        let is_sure = of_node
-            .iter()
-            .filter(|camera| named_before.contains(camera.output))
-            .all(|camera| named.iter().any(|named| named.output == camera.output));
+        let before: Vec<_> = of_node.iter().copied().filter(|camera| named_before.contains(camera.output)).collect();
+        let of_fault = fault_of(node).map(|fault| (came(fault, since), named(&of_node, &fault.words)));
+        let named = match of_fault {
+            Some((Came::AtBegin, named)) => named,
+            // Of an attempt to open the camera again, or of the loss of another one: the first may be back by then.
+            Some((Came::Later, named)) if !named.is_empty() && !before.is_empty() => named,
+            _ => before.clone(),
+        };
+        let is_sure = before.iter().all(|camera| named.iter().any(|named| named.output == camera.output));
         named_before.extend(named.iter().map(|camera| camera.output.clone()));
         named_before.sort_unstable();
         named_before.dedup();
@@ -96,13 +97,22 @@ pub fn cameras<'f>(
     lost
 }
 
-/// Whether a fault came with the begin of a silence.
-fn explains(fault: &Fault, since: Option<Duration>) -> bool {
-    let now_ms = time::unix_ms();
-    since.is_none_or(|since| {
-        let begin_ms = now_ms.saturating_sub(since.as_millis() as u64);
-        (begin_ms.saturating_sub(BEFORE_MS)..=begin_ms + AFTER_MS).contains(&fault.unix_ms)
-    })
+/// When a fault came, seen from the begin of a silence.
+enum Came {
+    Before,
+    AtBegin,
+    Later,
+}
+
+/// When a fault came, seen from the begin of a silence; of a silence since ever it is the begin.
+fn came(fault: &Fault, since: Option<Duration>) -> Came {
+    let Some(since) = since else { return Came::AtBegin };
+    let begin_ms = time::unix_ms().saturating_sub(since.as_millis() as u64);
+    match fault.unix_ms {
+        at_ms if at_ms < begin_ms.saturating_sub(BEFORE_MS) => Came::Before,
+        at_ms if at_ms <= begin_ms + AFTER_MS => Came::AtBegin,
+        _ => Came::Later,
+    }
 }
 
 /// The cameras whose source a fault names.
@@ -198,10 +208,13 @@ mod tests {
             lost(["0", "1"], [since_ms; 2], &mut named, Some(&gone))
         };
         assert_eq!(titles(2000, 0), [["left camera"]]);
-        assert_eq!(titles(4000, 1), [["left camera"]], "what came later does not explain it");
-        assert_eq!(titles(2000, 1), [["left camera", "right camera"]]);
+        assert_eq!(titles(4000, 0), [["left camera"]], "it is tried again");
+        assert_eq!(titles(5000, 1), [["left camera", "right camera"]], "the first one may be back");
+        assert_eq!(titles(6000, 0), [["left camera", "right camera"]]);
         assert!(titles(0, 1).is_empty());
         assert_eq!(titles(2000, 1), [["right camera"]], "another silence");
+        assert!(titles(0, 1).is_empty());
+        assert_eq!(titles(4000, 1), [["left camera", "right camera"]], "what came later does not explain it");
     }
 
     #[test]
