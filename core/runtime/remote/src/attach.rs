@@ -15,6 +15,7 @@ use zenoh::sample::Sample;
 
 use crate::attachable::{BYE, DATA, HELLO, message, parent, split};
 use crate::clock::Offset;
+use crate::error::RemoteError;
 use crate::keys;
 use crate::link::{leave, lose, reach};
 use crate::network;
@@ -36,19 +37,20 @@ struct Connection {
 ///
 /// # Errors
 /// The program was started wrongly.
-pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Result<(), String> {
+pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Result<(), RemoteError> {
     let parent = parent()?;
-    let timeout_ms: u32 = timeout_ms.parse().map_err(|error| format!("{timeout_ms}: {error}"))?;
+    let timeout_ms: u32 =
+        timeout_ms.parse().map_err(|cause| RemoteError::NotANumber { text: timeout_ms.to_owned(), cause })?;
     let timeout = Duration::from_millis(timeout_ms.clamp(100, 60_000).into());
     if !keys::is_name(name) {
-        lose(&format!("`{name}` cannot name a machine: a name has letters, digits, _ and -"));
+        lose(&RemoteError::BadName { name: name.to_owned() }.to_string());
     }
     let (session, host) = match reach(address, timeout, plaintext, "panoscope run --attachable") {
         Ok(reached) => reached,
-        Err(words) => lose(&words),
+        Err(error) => lose(&error.to_string()),
     };
     let prefix = network::prefix(name, &host, &session.zid().to_string());
-    let from = parent.try_clone().map_err(|error| error.to_string())?;
+    let from = parent.try_clone()?;
     let connection = Arc::new(Connection {
         parent: Mutex::new(parent),
         clock: Mutex::default(),
@@ -64,27 +66,24 @@ pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Resu
             mine.heard_ns.store(system_ns(), Ordering::Relaxed);
             receive(&mine, &sample);
         };
-        session.declare_subscriber(format!("{prefix}/{key}")).callback(callback).wait().map_err(|e| e.to_string())
+        session.declare_subscriber(format!("{prefix}/{key}")).callback(callback).wait()
     };
     // They live as long as the session.
     let _up = hear("up", Connection::receive)?;
     let _pong = hear("pong", Connection::measure)?;
-    let publish = |key: &str, is_urgent| {
-        network::publisher(&session, format!("{prefix}/{key}"), is_urgent).map_err(|error| error.to_string())
-    };
+    let publish = |key: &str, is_urgent| network::publisher(&session, format!("{prefix}/{key}"), is_urgent);
     let (ping, down) = (publish("ping", true)?, publish("down", false)?);
     let called = address.to_owned();
-    let watch = network::watch_end(&down, move || lose(&format!("the connection to {called} ended")));
-    let watch = watch.map_err(|error| error.to_string())?;
+    let watch = network::watch_end(&down, move || lose(&format!("the connection to {called} ended")))?;
     let hello = [&timeout_ms.to_le_bytes()[..], crate::version().as_bytes()].concat();
-    down.put(message(HELLO, hello)).wait().map_err(|error| error.to_string())?;
+    down.put(message(HELLO, hello)).wait()?;
     connection.tell(&Frame::words(Kind::Ready, 0, &host));
     let mine = Arc::clone(&connection);
-    std::thread::Builder::new().spawn(move || mine.probe(&ping)).map_err(|error| error.to_string())?;
+    std::thread::Builder::new().spawn(move || mine.probe(&ping))?;
     let mut from = BufReader::new(from);
     while let Ok(Some(frame)) = tunnel::receive(&mut from) {
         if frame.kind == Kind::Data {
-            down.put(message(DATA, frame.bytes)).wait().map_err(|error| error.to_string())?;
+            down.put(message(DATA, frame.bytes)).wait()?;
         }
     }
     // A connection that this side closes is not lost.

@@ -16,6 +16,7 @@ use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
+use crate::error::RemoteError;
 use crate::keys::{self, Identity};
 use crate::network::{self, Address, UNNAMED};
 
@@ -38,9 +39,9 @@ pub(crate) const DATA: u8 = 2;
 pub(crate) const BYE: u8 = 3;
 
 /// The socket that the parent left as standard input.
-pub(crate) fn parent() -> Result<UnixStream, String> {
-    let socket = io::stdin().as_fd().try_clone_to_owned().map(UnixStream::from).map_err(|error| error.to_string())?;
-    socket.peer_addr().map_err(|_| "other programs of Panoscope start this one".to_owned())?;
+pub(crate) fn parent() -> Result<UnixStream, RemoteError> {
+    let socket = io::stdin().as_fd().try_clone_to_owned().map(UnixStream::from)?;
+    socket.peer_addr().map_err(|_| RemoteError::NoParent)?;
     Ok(socket)
 }
 
@@ -80,31 +81,30 @@ struct Shared {
 /// Listens until the parent ends. `name` is the one of the keys where it is empty.
 ///
 /// # Errors
-/// The address cannot be listened at, or names and keys are missing, in words.
+/// The address cannot be listened at, or names and keys are missing.
 pub fn run(
     name: &str,
     address: &str,
     identity: Option<Identity>,
     plaintext: bool,
     hosts: &[&str],
-) -> Result<(), String> {
+) -> Result<(), RemoteError> {
     let parent = parent()?;
-    let words = |error: network::NetworkError| error.to_string();
-    let address = Address::parse(address, plaintext).map_err(words)?;
+    let address = Address::parse(address, plaintext)?;
     let own = identity.as_ref().map(|identity| identity.name.clone());
     let name = if name.is_empty() { own.unwrap_or_else(|| NO_NAME.to_owned()) } else { name.to_owned() };
     if let Some(bad) = [name.as_str()].iter().chain(hosts).find(|name| !keys::is_name(name)) {
-        return Err(format!("`{bad}` cannot name a machine: a name has letters, digits, _ and -"));
+        return Err(RemoteError::BadName { name: (*bad).to_owned() });
     }
     if address.is_tls && hosts.is_empty() {
-        return Err("no machine may attach; name those that may with --allow-read or --allow-edit".to_owned());
+        return Err(RemoteError::NoWindows);
     }
     let hosts: Vec<String> = match address.is_tls {
         true => hosts.iter().map(|host| (*host).to_owned()).collect(),
         false => vec![UNNAMED.to_owned()],
     };
-    let session = network::listen(&name, &address, identity.as_ref(), &hosts).map_err(words)?;
-    let from = parent.try_clone().map_err(|error| error.to_string())?;
+    let session = network::listen(&name, &address, identity.as_ref(), &hosts)?;
+    let from = parent.try_clone()?;
     let shared = Arc::new(Shared {
         name: name.clone(),
         session,
@@ -124,13 +124,12 @@ pub fn run(
                     _ => mine.answer_probe(&host, &id, &sample),
                 }
             };
-            let declared = shared.session.declare_subscriber(pattern).callback(callback).wait();
-            subscribers.push(declared.map_err(|error| error.to_string())?);
+            subscribers.push(shared.session.declare_subscriber(pattern).callback(callback).wait()?);
         }
     }
     shared.tell(&Frame::words(Kind::Ready, 0, &name));
     let watching = Arc::clone(&shared);
-    std::thread::Builder::new().spawn(move || watching.watch()).map_err(|error| error.to_string())?;
+    std::thread::Builder::new().spawn(move || watching.watch())?;
     let mut from = BufReader::new(from);
     while let Ok(Some(frame)) = tunnel::receive(&mut from) {
         let window = lock(&shared.windows).get(&frame.session).cloned();

@@ -15,6 +15,7 @@
 pub mod attach;
 pub mod attachable;
 pub mod clock;
+pub mod error;
 mod files;
 mod h264;
 pub mod keys;

@@ -20,6 +20,7 @@ use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
 use crate::clock::Offset;
+use crate::error::RemoteError;
 use crate::files::Hashes;
 use crate::h264::{self, Decoders, Encoders};
 use crate::keys::Identity;
@@ -124,7 +125,7 @@ pub fn run(words: &[OsString]) -> ! {
     }
     let (session, host) = match reach(address, *timeout, *plaintext, "panoscope serve") {
         Ok(reached) => reached,
-        Err(words) => lose(&words),
+        Err(error) => lose(&error.to_string()),
     };
     match serve(&arguments, &link, &session, &host) {
         Ok(connection) => {
@@ -132,7 +133,7 @@ pub fn run(words: &[OsString]) -> ! {
             let _ = session.close().wait();
             leave(0)
         }
-        Err(words) => lose(&words),
+        Err(error) => lose(&error.to_string()),
     }
 }
 
@@ -142,15 +143,13 @@ pub(crate) fn reach(
     timeout: Duration,
     plaintext: bool,
     command: &'static str,
-) -> Result<(Session, String), String> {
-    let address = Address::parse(address, plaintext).map_err(|error| error.to_string())?;
+) -> Result<(Session, String), RemoteError> {
+    let address = Address::parse(address, plaintext)?;
     let identity = match address.is_tls {
         true => {
-            let folder = Identity::folder().ok_or("no folder of keys is known: set PANOSCOPE_KEYS")?;
-            let read = Identity::read(&folder);
-            Some(read.map_err(|error| {
-                format!("{error}; make keys with `panoscope keys`, and set PANOSCOPE_KEYS to this machine's folder")
-            })?)
+            let folder = Identity::folder().ok_or(RemoteError::NoKeys)?;
+            let remedy = "make keys with `panoscope keys`, and set PANOSCOPE_KEYS to this machine's folder";
+            Some(Identity::read(&folder).map_err(|cause| RemoteError::UnreadableKeys { cause, remedy })?)
         }
         false => None,
     };
@@ -165,21 +164,14 @@ pub(crate) fn reach(
             lose(&format!("{text} answers, but no connection was made within {}; is it `{command}`?", seconds(limit)));
         }
     };
-    std::thread::Builder::new().spawn(watch).map_err(|error| error.to_string())?;
+    std::thread::Builder::new().spawn(watch)?;
     // What accepts and closes at once counts as one attempt, as long as one that does not answer.
     let pause = timeout / ATTEMPTS / 2;
     let session = loop {
         match network::connect(&address, identity.as_ref()) {
             Ok(session) => break session,
             Err(_) if Instant::now() + pause < end => std::thread::sleep(pause),
-            Err(error) => {
-                let why = if address.is_tls {
-                    "; both need certificates of one authority, and that of the machine must name this address"
-                } else {
-                    ""
-                };
-                return Err(format!("{} refuses the connection: {error}{why}", address.text));
-            }
+            Err(cause) => return Err(RemoteError::Refused { address: address.text, cause, is_tls: address.is_tls }),
         }
     };
     drop(done);
@@ -187,11 +179,11 @@ pub(crate) fn reach(
 }
 
 /// Waits until something accepts connections at an address. Short attempts find a network that comes back sooner than one that the system repeats.
-fn wait_for_answer(address: &str, timeout: Duration, end: Instant, command: &str) -> Result<(), String> {
+fn wait_for_answer(address: &str, timeout: Duration, end: Instant, command: &'static str) -> Result<(), RemoteError> {
     let host = address.split_once('/').map_or(address, |(_, host)| host);
     loop {
         let begin = Instant::now();
-        let mut cause = match host.to_socket_addrs() {
+        let cause = match host.to_socket_addrs() {
             Ok(addresses) => {
                 let mut cause = "it has no address".to_owned();
                 for one in addresses {
@@ -205,20 +197,18 @@ fn wait_for_answer(address: &str, timeout: Duration, end: Instant, command: &str
             Err(error) => error.to_string(),
         };
         if Instant::now() >= end {
-            cause.insert_str(0, &format!("nothing answers at {address} within {}: ", seconds(timeout)));
-            return Err(format!("{cause}; is `{command}` running there?"));
+            return Err(RemoteError::NoAnswer { address: address.to_owned(), timeout, cause, command });
         }
         std::thread::sleep((timeout / ATTEMPTS / 2).saturating_sub(begin.elapsed()));
     }
 }
 
 /// Carries messages until the host is gone.
-fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> Result<Arc<Connection>, String> {
-    let words = |error: network::NetworkError| error.to_string();
+fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> Result<Arc<Connection>, RemoteError> {
     let prefix = network::prefix(&arguments.machine, host, &session.zid().to_string());
     let connection = Arc::new(Connection {
         arguments: arguments.clone(),
-        down: network::publisher(session, format!("{prefix}/down"), false).map_err(words)?,
+        down: network::publisher(session, format!("{prefix}/down"), false)?,
         there: Mutex::default(),
         pools: Pools::default(),
         encoders: Mutex::default(),
@@ -242,16 +232,16 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
                 lose(&bad.to_string());
             }
         };
-        session.declare_subscriber(format!("{prefix}/{key}")).callback(callback).wait().map_err(|e| e.to_string())
+        session.declare_subscriber(format!("{prefix}/{key}")).callback(callback).wait()
     };
     // They live as long as the session.
     let _up = hear("up", Connection::receive)?;
     let _pong = hear("pong", Connection::measure)?;
-    let ping = network::publisher(session, format!("{prefix}/ping"), true).map_err(words)?;
+    let ping = network::publisher(session, format!("{prefix}/ping"), true)?;
     let address = arguments.address.clone();
     let end = move || lose(&format!("the connection to {address} ended"));
     // Ends with this function: a connection that this side closes is not lost.
-    let _watch = network::watch_end(&connection.down, end).map_err(words)?;
+    let _watch = network::watch_end(&connection.down, end)?;
     let settings = link.settings;
     let hello = Message::Hello {
         version: crate::version(),
@@ -264,20 +254,20 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
     };
     connection.send(&hello, Vec::new())?;
     let mine = Arc::clone(&connection);
-    std::thread::Builder::new().spawn(move || mine.probe(&ping)).map_err(|error| error.to_string())?;
+    std::thread::Builder::new().spawn(move || mine.probe(&ping))?;
     connection.wait_until_ready()?;
     let mut lanes = 0;
-    while let Some(given) = link.next().map_err(|error| error.to_string())? {
+    while let Some(given) = link.next()? {
         match given {
             Given::Pool { number, len, is_own, file } => {
-                let pool = Pool::map(&file, len, is_own, is_own).map_err(|error| error.to_string())?;
+                let pool = Pool::map(&file, len, is_own, is_own)?;
                 connection.send(&Message::Pool { number, len: len as u64, is_own }, Vec::new())?;
                 // From here on frames of it may be sent.
                 connection.pools.add(number, pool);
             }
             Given::Plugin { id, path, image } => {
                 let mut image = image;
-                let hash = Fingerprint::of_open(&mut image).map_err(|error| error.to_string())?;
+                let hash = Fingerprint::of_open(&mut image)?;
                 let path = path.display().to_string();
                 connection.send(&Message::Plugin { id, path, sha256: hash.sha256 }, Vec::new())?;
             }
@@ -290,12 +280,12 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
                 lock(&connection.shown).push(Arc::downgrade(&lane));
                 let (mine, id) = (Arc::clone(&connection), lanes);
                 let work = move || {
-                    if let Err(words) = mine.carry(id, &lane, &received) {
-                        lose(&words);
+                    if let Err(cause) = mine.carry(id, &lane, &received) {
+                        lose(&RemoteError::Lane { cause: Box::new(cause) }.to_string());
                     }
                     lock(&mine.lanes).remove(&id);
                 };
-                std::thread::Builder::new().spawn(work).map_err(|error| error.to_string())?;
+                std::thread::Builder::new().spawn(work)?;
             }
         }
     }
@@ -304,19 +294,19 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
 
 impl Connection {
     /// Sends a message with the bytes of its frames.
-    fn send(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), String> {
+    fn send(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), RemoteError> {
         let _one_at_a_time = lock(&self.there);
         self.put(message, frames)
     }
 
-    fn put(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), String> {
+    fn put(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), RemoteError> {
         let head = message::write(message);
         let mut bytes = ZBytes::writer();
         bytes.append(ZBytes::from(head));
         frames.into_iter().for_each(|frame| bytes.append(ZBytes::from(frame)));
         let bytes = bytes.finish();
         self.sent_bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);
-        self.down.put(bytes).wait().map_err(|error| error.to_string())
+        Ok(self.down.put(bytes).wait()?)
     }
 
     /// A message of the server.
@@ -355,18 +345,14 @@ impl Connection {
         lock(&self.clock).at(system_ns())
     }
 
-    fn wait_until_ready(&self) -> Result<(), String> {
+    fn wait_until_ready(&self) -> Result<(), RemoteError> {
         let timeout = self.arguments.timeout;
         let waiting = |is_ready: &mut bool| !(*is_ready && self.offset().is_some());
         let waited = self.changed.wait_timeout_while(lock(&self.is_ready), timeout, waiting);
         let waited = waited.unwrap_or_else(PoisonError::into_inner).1;
         match waited.timed_out() {
             false => Ok(()),
-            true => Err(format!(
-                "it does not answer within {}: `panoscope serve` there has another --name than `{}`, or does not --allow this host",
-                seconds(timeout),
-                self.arguments.machine
-            )),
+            true => Err(RemoteError::NoGreeting { machine: self.arguments.machine.clone(), timeout }),
         }
     }
 
@@ -397,8 +383,7 @@ impl Connection {
     }
 
     /// Carries the messages of a lane until its instance is closed.
-    fn carry(&self, id: u32, lane: &LinkLane, received: &Receiver<Received>) -> Result<(), String> {
-        let bad = |error: &dyn std::fmt::Display| format!("its link cannot go on: {error}");
+    fn carry(&self, id: u32, lane: &LinkLane, received: &Receiver<Received>) -> Result<(), RemoteError> {
         let (mut message, mut rewritten) = (Vec::new(), Vec::new());
         let mut request = 0;
         // The host's clock minus the system's, ns.
@@ -409,32 +394,30 @@ impl Connection {
             if asked != kind::ANSWER {
                 request = asked;
             }
-            self.pass(id, asked, &mut message, &mut host_clock).map_err(|error| bad(&error))?;
+            self.pass(id, asked, &mut message, &mut host_clock)?;
             // The sender lives as long as this thread.
             let Ok(Received { turn, payload, begin }) = received.recv() else { return Ok(()) };
             let mut reader = payload.reader();
-            reader.seek(SeekFrom::Start(begin)).map_err(|error| bad(&error))?;
-            self.pools.fill(&turn.frames, true, &mut reader, id, &self.decoders).map_err(|error| bad(&error))?;
+            reader.seek(SeekFrom::Start(begin))?;
+            self.pools.fill(&turn.frames, true, &mut reader, id, &self.decoders)?;
             let (answer, is_done) = (&turn.message, turn.kind == kind::DONE);
             if is_done && request == kind::PROCESS {
-                for output in relay::outputs(answer).map_err(|error| bad(&error))? {
-                    if self.is_own(&output).map_err(|error| bad(&error))? {
+                for output in relay::outputs(answer)? {
+                    if self.is_own(&output)? {
                         lock(&self.there).own.insert((output.pool, output.offset));
                     }
                 }
             }
-            let is_over = is_done
-                && (request == kind::CLOSE
-                    || (request == kind::OPEN && !relay::succeeded(answer).map_err(|error| bad(&error))?));
+            let is_over = is_done && (request == kind::CLOSE || (request == kind::OPEN && !relay::succeeded(answer)?));
             let arrived_ns = self.arrival(&turn, host_clock).filter(|_| is_done && request == kind::PROCESS);
             let answer = match arrived_ns {
                 Some(arrived_ns) => {
-                    relay::arrived(answer, arrived_ns, &mut rewritten).map_err(|error| bad(&error))?;
+                    relay::arrived(answer, arrived_ns, &mut rewritten)?;
                     &rewritten
                 }
                 None => answer,
             };
-            lane.post(turn.kind, answer).map_err(|error| bad(&error))?;
+            lane.post(turn.kind, answer)?;
             if is_over {
                 return Ok(());
             }
@@ -458,7 +441,7 @@ impl Connection {
         asked: u32,
         message: &mut Vec<u8>,
         host_clock: &mut Option<i64>,
-    ) -> Result<(), Box<dyn std::error::Error>> {
+    ) -> Result<(), RemoteError> {
         let offset_ns = self.offset().map_or(0, |(offset_ns, _)| offset_ns);
         let mut turn = Turn { lane, kind: asked, ..Turn::default() };
         let mut inputs = Vec::new();

@@ -9,14 +9,17 @@
 //! - `bench PORT BYTES COUNT`: zenoh alone; writes the seconds that it took
 
 use std::ffi::OsString;
+use std::num::ParseIntError;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use panoscope_engine::heap;
 use panoscope_host::attach::tunnel::{ATTACH, ATTACHABLE};
 use panoscope_host::isolate::LINK_COMMAND;
+use panoscope_remote::error::RemoteError;
 use panoscope_remote::keys::{Identity, KEYS_VARIABLE, Member, make};
 use panoscope_remote::serve::{Options, Server};
 use panoscope_remote::{attach, attachable, link, network, raw, refused};
@@ -57,8 +60,8 @@ fn main() -> ExitCode {
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
-        Err(words) => {
-            eprintln!("error: {words}");
+        Err(error) => {
+            eprintln!("error: {error}");
             ExitCode::from(WRONG)
         }
     }
@@ -72,10 +75,10 @@ fn usage() -> ExitCode {
 }
 
 /// The keys of this machine, where they are needed.
-fn identity(keys: &str, is_tls: bool) -> Result<Option<Identity>, String> {
+fn identity(keys: &str, is_tls: bool) -> Result<Option<Identity>, RemoteError> {
     let folder = if keys.is_empty() { Identity::folder() } else { Some(PathBuf::from(keys)) };
-    let read =
-        |folder: PathBuf| Identity::read(&folder).map_err(|error| format!("{error}; `panoscope keys` makes keys"));
+    let unreadable = |cause| RemoteError::UnreadableKeys { cause, remedy: "`panoscope keys` makes keys" };
+    let read = |folder: PathBuf| Identity::read(&folder).map_err(unreadable);
     folder.filter(|_| is_tls).map(read).transpose()
 }
 
@@ -87,11 +90,11 @@ fn serve(
     graph_dir: &str,
     plaintext: bool,
     hosts: &[&str],
-) -> Result<(), String> {
+) -> Result<(), RemoteError> {
     let is_tls = address.starts_with("tls/");
     let identity = identity(keys, is_tls)?;
     if is_tls && hosts.is_empty() {
-        return Err("no host may run nodes here; name them with --allow, as in --allow theatre".to_owned());
+        return Err(RemoteError::NoHosts);
     }
     if plaintext && !is_tls {
         eprintln!("warning: whoever reaches {address} can run nodes here and see their pictures");
@@ -107,11 +110,12 @@ fn serve(
         plaintext,
         identity,
         hosts: hosts.iter().map(|host| (*host).to_owned()).collect(),
-        graph_dir: std::path::absolute(graph_dir).map_err(|error| format!("{graph_dir}: {error}"))?,
+        graph_dir: std::path::absolute(graph_dir)
+            .map_err(|cause| RemoteError::Path { path: graph_dir.to_owned(), cause })?,
         plugins: Vec::new(),
     };
     refused::log(|line| eprintln!("{line}"));
-    let server = Server::start(options, Box::new(|words: &str| eprintln!("{words}"))).map_err(|e| e.to_string())?;
+    let server = Server::start(options, Box::new(|words: &str| eprintln!("{words}")))?;
     println!("`{name}` listens at {address}");
     while !ENDS.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(50));
@@ -120,20 +124,21 @@ fn serve(
     Ok(())
 }
 
-fn make_keys(folder: &Path, members: &[&str]) -> Result<(), String> {
-    let members = members.iter().map(|text| Member::parse(text)).collect::<Result<Vec<_>, _>>();
-    let made = members.and_then(|members| make(folder, &members)).map_err(|error| error.to_string())?;
+fn make_keys(folder: &Path, members: &[&str]) -> Result<(), RemoteError> {
+    let members = members.iter().map(|text| Member::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let made = make(folder, &members)?;
     made.iter().for_each(|folder| println!("{}", folder.display()));
     println!("copy each folder to its machine, and name it there with --keys or {KEYS_VARIABLE};");
     println!("{} makes more keys: it stays here", folder.join("authority-key.pem").display());
     Ok(())
 }
 
-fn bench(port: &str, bytes: &str, count: &str) -> Result<(), String> {
-    let wrong = |error: std::num::ParseIntError| error.to_string();
-    let (port, bytes, count) =
-        (port.parse().map_err(wrong)?, bytes.parse().map_err(wrong)?, count.parse().map_err(wrong)?);
-    let taken = raw::publish(port, bytes, count).map_err(|error| error.to_string())?;
+fn number<N: FromStr<Err = ParseIntError>>(text: &str) -> Result<N, RemoteError> {
+    text.parse().map_err(|cause| RemoteError::NotANumber { text: text.to_owned(), cause })
+}
+
+fn bench(port: &str, bytes: &str, count: &str) -> Result<(), RemoteError> {
+    let taken = raw::publish(number(port)?, number(bytes)?, number(count)?)?;
     println!("{}", taken.as_secs_f64());
     Ok(())
 }

@@ -19,6 +19,7 @@ use zenoh::Wait;
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 
+use crate::error::RemoteError;
 use crate::files::{self, Folders};
 use crate::h264::{self, Decoders, Encoders};
 use crate::mirror::{self, Pool, Pools};
@@ -48,7 +49,8 @@ struct Group {
 pub(crate) fn run(shared: &Arc<Shared>, host: &str, id: &str, delivered: &Receiver<Delivered>, heard: &AtomicI64) {
     let words = match serve(shared, host, id, delivered, heard) {
         Ok(()) => format!("{host} ended its group"),
-        Err(words) => {
+        Err(error) => {
+            let words = error.to_string();
             let lost = message::write(&Message::Lost { words: words.clone() });
             let _ = shared.session.put(shared.key(host, id, "up"), lost).wait();
             format!("{host}: {words}")
@@ -64,7 +66,7 @@ fn serve(
     id: &str,
     delivered: &Receiver<Delivered>,
     heard: &AtomicI64,
-) -> Result<(), String> {
+) -> Result<(), RemoteError> {
     let Ok(Delivered {
         message: Message::Hello { version, group, threads, memory_bytes, deny, pixels, timeout_ms },
         ..
@@ -73,15 +75,15 @@ fn serve(
         return Ok(());
     };
     let own = crate::version();
+    let machine = || shared.options.name.clone();
     if version != own {
-        let name = &shared.options.name;
-        return Err(format!("the versions differ: {version} on the host, {own} on `{name}`; install the same on both"));
+        return Err(RemoteError::Version { host: version, own, machine: machine() });
     }
-    h264::check(pixels).map_err(|error| format!("{error} on `{}`", shared.options.name))?;
+    h264::check(pixels).map_err(|cause| RemoteError::Pixels { cause, machine: machine() })?;
     let (network, new_files) = deny;
     let settings = Settings { threads: threads.clamp(1, 1024), memory_bytes, deny: Deny { network, new_files } };
-    let process = Served::start(&group, settings).map_err(|error| error.to_string())?;
-    let up = network::publisher(&shared.session, shared.key(host, id, "up"), false).map_err(|e| e.to_string())?;
+    let process = Served::start(&group, settings)?;
+    let up = network::publisher(&shared.session, shared.key(host, id, "up"), false)?;
     let this = Arc::new(Group {
         shared: Arc::clone(shared),
         up,
@@ -104,11 +106,11 @@ fn serve(
 }
 
 impl Group {
-    fn put(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), String> {
+    fn put(&self, message: &Message, frames: Vec<Vec<u8>>) -> Result<(), RemoteError> {
         let mut bytes = ZBytes::writer();
         bytes.append(ZBytes::from(message::write(message)));
         frames.into_iter().for_each(|frame| bytes.append(ZBytes::from(frame)));
-        self.up.put(bytes.finish()).wait().map_err(|error| error.to_string())
+        Ok(self.up.put(bytes.finish()).wait()?)
     }
 
     /// Takes the messages of the host, one after the other.
@@ -119,8 +121,7 @@ impl Group {
         heard: &AtomicI64,
         patience: Duration,
         lanes: &mut HashMap<u32, Option<Sender<Turn>>>,
-    ) -> Result<(), String> {
-        let bad = |error: &dyn std::fmt::Display| error.to_string();
+    ) -> Result<(), RemoteError> {
         loop {
             let Delivered { message, payload, begin } = match delivered.recv_timeout(patience / 4) {
                 Ok(delivered) => delivered,
@@ -129,33 +130,33 @@ impl Group {
                 Err(RecvTimeoutError::Timeout) => {
                     let silent_ns = system_ns().saturating_sub(heard.load(Ordering::Relaxed)).max(0);
                     if Duration::from_nanos(silent_ns.unsigned_abs()) > patience {
-                        return Err(format!("nothing was heard of the host for {} s", patience.as_secs_f64()));
+                        return Err(RemoteError::HostSilent { silence: patience });
                     }
                     continue;
                 }
             };
             match message {
                 Message::Pool { number, len, is_own } => {
-                    let file = mirror::new_file(number, len).map_err(|error| bad(&error))?;
-                    let len = usize::try_from(len).map_err(|error| bad(&error))?;
-                    let pool = Pool::map(&file, len, is_own, true).map_err(|error| bad(&error))?;
-                    process.give_pool(number, &file, len, is_own).map_err(|_| process.death())?;
+                    let file = mirror::new_file(number, len)?;
+                    let len = usize::try_from(len)?;
+                    let pool = Pool::map(&file, len, is_own, true)?;
+                    process.give_pool(number, &file, len, is_own).map_err(|_| ended(process))?;
                     self.pools.add(number, pool);
                 }
                 Message::Plugin { id, path, sha256 } => self.plugin(process, id, Path::new(&path), &sha256)?,
                 Message::Lane { id } => {
                     if lanes.len() >= MAX_LANES {
-                        return Err(format!("more than {MAX_LANES} instances at a time"));
+                        return Err(RemoteError::TooManyLanes { max: MAX_LANES });
                     }
                     // It begins when its first turn says for which node.
                     lanes.insert(id, None);
                 }
                 Message::Turn(turn) => {
                     let mut reader = payload.reader();
-                    reader.seek(SeekFrom::Start(begin)).map_err(|error| bad(&error))?;
+                    reader.seek(SeekFrom::Start(begin))?;
                     // Here and not in the threads of lanes: a frame that one lane brings is there for the next.
                     let (frames, lane) = (&turn.frames, turn.lane);
-                    self.pools.fill(frames, false, &mut reader, lane, &self.decoders).map_err(|error| bad(&error))?;
+                    self.pools.fill(frames, false, &mut reader, lane, &self.decoders)?;
                     let own =
                         turn.frames.iter().filter(|frame| self.pools.get(frame.pool).is_ok_and(|pool| pool.is_own));
                     lock(&self.at_host).extend(own.map(|frame| (frame.pool, frame.offset)));
@@ -170,28 +171,28 @@ impl Group {
                     }
                 }
                 Message::Bye => return Ok(()),
-                Message::Hello { .. } | Message::Ready | Message::Lost { .. } => return Err(bad(&message::BadMessage)),
+                Message::Hello { .. } | Message::Ready | Message::Lost { .. } => return Err(message::BadMessage.into()),
             }
         }
     }
 
     /// Begins the lane of an instance with its first turn.
-    fn begin(self: &Arc<Self>, process: &Served, turn: &Turn) -> Result<Sender<Turn>, String> {
-        let node = relay::open(&turn.message).map_err(|error| error.to_string())?.node;
-        let lane = process.lane(&node).map_err(|_| process.death())?;
+    fn begin(self: &Arc<Self>, process: &Served, turn: &Turn) -> Result<Sender<Turn>, RemoteError> {
+        let node = relay::open(&turn.message)?.node;
+        let lane = process.lane(&node).map_err(|_| ended(process))?;
         let (sender, turns) = channel();
         let (mine, id) = (Arc::clone(self), turn.lane);
         let work = move || {
-            if let Err(words) = mine.carry(id, &lane, &turns) {
-                let _ = mine.put(&Message::Lost { words }, Vec::new());
+            if let Err(error) = mine.carry(id, &lane, &turns) {
+                let _ = mine.put(&Message::Lost { words: error.to_string() }, Vec::new());
             }
         };
-        std::thread::Builder::new().spawn(work).map_err(|error| error.to_string())?;
+        std::thread::Builder::new().spawn(work)?;
         Ok(sender)
     }
 
     /// Gives the process this machine's own file of a plugin, if it is the host's to the byte.
-    fn plugin(&self, process: &Served, id: u32, path: &Path, sha256: &str) -> Result<(), String> {
+    fn plugin(&self, process: &Served, id: u32, path: &Path, sha256: &str) -> Result<(), RemoteError> {
         let machine = &self.shared.options.name;
         let name = path.file_name().unwrap_or(path.as_os_str());
         let folders = search_path(&self.shared.options.plugins);
@@ -199,22 +200,25 @@ impl Group {
         let found = loader.found().find(|found| found.file.file_name() == Some(name));
         let Some(PluginFile { file, note, .. }) = found else {
             let folders: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
-            return Err(format!(
-                "plugin {} (SHA-256 {sha256} on the host) is not installed on `{machine}`: put it into one of {}",
-                path.display(),
-                folders.join(", ")
-            ));
+            return Err(RemoteError::PluginMissing {
+                path: path.to_owned(),
+                sha256: sha256.to_owned(),
+                machine: machine.clone(),
+                folders: folders.join(", "),
+            });
         };
-        let unreadable = |error: std::io::Error| format!("plugin {} on `{machine}`: {error}", file.display());
+        let unreadable = |cause| RemoteError::PluginUnreadable { file: file.clone(), machine: machine.clone(), cause };
         // The copy is what is compared and what runs.
         let mut copy = SealedWriter::new(file).map_err(unreadable)?;
         let own = copy.append_from(&mut File::open(file).map_err(unreadable)?).map_err(unreadable)?.sha256;
         if own != sha256 {
-            return Err(format!(
-                "plugin {} differs: SHA-256 {sha256} on the host, {own} on `{machine}` ({}); install the same build on both",
-                path.display(),
-                file.display()
-            ));
+            return Err(RemoteError::PluginDiffers {
+                path: path.into(),
+                sha256: sha256.into(),
+                own: own.into(),
+                machine: machine.as_str().into(),
+                file: file.as_path().into(),
+            });
         }
         let folder = |file: &Path| -> PathBuf { file.parent().unwrap_or(Path::new("")).join(&note.name) };
         // Files that come with a plugin are in a folder of its name beside it.
@@ -222,12 +226,11 @@ impl Group {
         let image = copy.seal().map_err(unreadable)?;
         // Opened again, so that the position is at its begin and the process cannot move it.
         let image = File::open(panoscope_host::loader::sealed::path_of(&image)).map_err(unreadable)?;
-        process.give_plugin(id, &image, file).map_err(|_| process.death())
+        process.give_plugin(id, &image, file).map_err(|_| ended(process))
     }
 
     /// Carries the turns of a lane until its instance is closed.
-    fn carry(&self, id: u32, lane: &ServedLane, turns: &Receiver<Turn>) -> Result<(), String> {
-        let bad = |error: &dyn std::fmt::Display| format!("the host sent what makes no sense: {error}");
+    fn carry(&self, id: u32, lane: &ServedLane, turns: &Receiver<Turn>) -> Result<(), RemoteError> {
         let mut answer = Vec::new();
         // The last request of the host, and the last question of the process, with the frame that it wants a copy of.
         let (mut request, mut asked, mut original) = (0, 0, None);
@@ -236,31 +239,29 @@ impl Group {
                 request = turn.kind;
             }
             let message = self.here(&turn, asked, original.take()).map_err(|error| match error {
-                NotHere::Bad(error) => bad(&error),
-                NotHere::Refused(words) => words,
+                refused @ RemoteError::Files { .. } => refused,
+                bad => of_host(bad),
             })?;
             asked = match lane.exchange(turn.kind, &message, &mut answer) {
                 Ok(asked) => asked,
-                Err(RelayError::Gone) => return Err(lane.death()),
-                Err(RelayError::Bad) => return Err("its process sent a message that makes no sense".to_owned()),
+                Err(RelayError::Gone) => return Err(RemoteError::ProcessEnded { reason: lane.death() }),
+                Err(RelayError::Bad) => return Err(RemoteError::BadProcess),
             };
-            let nonsense = |error: RelayError| error.to_string();
             let at_ns = system_ns();
             let mut up = Turn { lane: id, kind: asked, at_ns, ..Turn::default() };
             let mut frames = Vec::new();
             if asked == kind::DONE && request == kind::PROCESS {
-                for (slot, output) in (0..).zip(relay::outputs(&answer).map_err(nonsense)?) {
-                    if let Some((head, bytes)) = self.new_at_host(&output, (id, slot)).map_err(|error| bad(&error))? {
+                for (slot, output) in (0..).zip(relay::outputs(&answer)?) {
+                    if let Some((head, bytes)) = self.new_at_host(&output, (id, slot)).map_err(of_host)? {
                         up.frames.push(head);
                         frames.push(bytes);
                     }
                 }
             } else if asked == kind::MAKE_MUT {
-                original = Some(relay::made_copy(&answer).map_err(nonsense)?);
+                original = Some(relay::made_copy(&answer)?);
             }
             let is_over = asked == kind::DONE
-                && (request == kind::CLOSE
-                    || (request == kind::OPEN && !relay::succeeded(&answer).map_err(nonsense)?));
+                && (request == kind::CLOSE || (request == kind::OPEN && !relay::succeeded(&answer)?));
             up.message = std::mem::take(&mut answer);
             let up = Message::Turn(up);
             self.put(&up, frames)?;
@@ -275,7 +276,7 @@ impl Group {
     }
 
     /// A message of the host as the process here understands it.
-    fn here(&self, turn: &Turn, asked: u32, original: Option<Bytes>) -> Result<Vec<u8>, NotHere> {
+    fn here(&self, turn: &Turn, asked: u32, original: Option<Bytes>) -> Result<Vec<u8>, RemoteError> {
         let message = &turn.message;
         let path = |path: &str| lock(&self.folders).here(path).display().to_string();
         let graph_dir = self.shared.options.graph_dir.display().to_string();
@@ -285,7 +286,7 @@ impl Group {
                 lock(&self.folders).add(Path::new(&open.graph_dir), &self.shared.options.graph_dir);
                 let folders = lock(&self.folders).clone();
                 files::compare(&turn.files, &folders, &self.shared.hashes, &self.shared.options.name)
-                    .map_err(|error| NotHere::Refused(format!("node `{}`: {error}", open.node)))?;
+                    .map_err(|cause| RemoteError::Files { node: open.node.to_string(), cause: Box::new(cause) })?;
                 Ok(relay::with_paths(turn.kind, message, &graph_dir, path)?)
             }
             kind::PROCESS => {
@@ -334,14 +335,12 @@ impl Group {
     }
 }
 
-/// Why a message cannot be passed on.
-enum NotHere {
-    Bad(String),
-    Refused(String),
+/// The error of a process that has ended, with its reason.
+fn ended(process: &Served) -> RemoteError {
+    RemoteError::ProcessEnded { reason: process.death() }
 }
 
-impl<E: std::error::Error> From<E> for NotHere {
-    fn from(error: E) -> Self {
-        Self::Bad(error.to_string())
-    }
+/// The error of a message of the host.
+fn of_host(cause: impl Into<RemoteError>) -> RemoteError {
+    RemoteError::BadHost { cause: Box::new(cause.into()) }
 }

@@ -1,0 +1,220 @@
+//! Errors of the processes that link machines.
+
+use std::io;
+use std::num::{ParseIntError, TryFromIntError};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use panoscope_host::isolate::relay::messages::BadMessage;
+use panoscope_host::isolate::relay::{RelayError, ServeError};
+
+use crate::files::FileError;
+use crate::h264::Unusable;
+use crate::keys::KeysError;
+use crate::network::NetworkError;
+
+/// Why a link, a server or a connection of a window ends or does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum RemoteError {
+    /// A user started a program that needs the socket of its parent.
+    #[error("other programs of Panoscope start this one")]
+    NoParent,
+    /// An argument is no number.
+    #[error("{text}: {cause}")]
+    NotANumber {
+        /// The argument.
+        text: String,
+        /// What is wrong with it.
+        cause: ParseIntError,
+    },
+    /// A path that cannot be made absolute.
+    #[error("{path}: {cause}")]
+    Path {
+        /// The path.
+        path: String,
+        /// The system's error.
+        cause: io::Error,
+    },
+    /// A name with other characters than a machine's name may have.
+    #[error("`{name}` cannot name a machine: a name has letters, digits, _ and -")]
+    BadName {
+        /// The name.
+        name: String,
+    },
+    /// A server that would serve nobody.
+    #[error("no host may run nodes here; name them with --allow, as in --allow theatre")]
+    NoHosts,
+    /// A graph that no window may attach to.
+    #[error("no machine may attach; name those that may with --allow-read or --allow-edit")]
+    NoWindows,
+    /// TLS without keys.
+    #[error("no folder of keys is known: set PANOSCOPE_KEYS")]
+    NoKeys,
+    /// Keys that cannot be read; `remedy` says how to make some.
+    #[error("{cause}; {remedy}")]
+    UnreadableKeys {
+        /// What is wrong with the keys.
+        cause: KeysError,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// Keys that cannot be made.
+    #[error(transparent)]
+    Keys(#[from] KeysError),
+    /// Nothing listens at the address.
+    #[error("nothing answers at {address} within {} s: {cause}; is `{command}` running there?", timeout.as_secs_f64())]
+    NoAnswer {
+        /// Where the machine should listen.
+        address: String,
+        /// Time in which it counts as lost.
+        timeout: Duration,
+        /// Why the last attempt failed.
+        cause: String,
+        /// The command that listens there.
+        command: &'static str,
+    },
+    /// The machine closes the connection.
+    #[error(
+        "{address} refuses the connection: {cause}{}",
+        if *is_tls { "; both need certificates of one authority, and that of the machine must name this address" } else { "" }
+    )]
+    Refused {
+        /// Where the machine listens.
+        address: String,
+        /// The network's error.
+        cause: NetworkError,
+        /// Whether certificates were exchanged.
+        is_tls: bool,
+    },
+    /// The machine listens but does not greet.
+    #[error(
+        "it does not answer within {} s: `panoscope serve` there has another --name than `{machine}`, or does not --allow this host",
+        timeout.as_secs_f64()
+    )]
+    NoGreeting {
+        /// The machine's name in the graph.
+        machine: String,
+        /// Time in which it counts as lost.
+        timeout: Duration,
+    },
+    /// Two builds that do not understand each other.
+    #[error("the versions differ: {host} on the host, {own} on `{machine}`; install the same on both")]
+    Version {
+        /// Version of the host.
+        host: String,
+        /// Version of this machine.
+        own: String,
+        /// This machine.
+        machine: String,
+    },
+    /// This machine cannot code pixels as the graph asks.
+    #[error("{cause} on `{machine}`")]
+    Pixels {
+        /// What is missing.
+        cause: Unusable,
+        /// This machine.
+        machine: String,
+    },
+    /// A host that is gone.
+    #[error("nothing was heard of the host for {} s", silence.as_secs_f64())]
+    HostSilent {
+        /// Time without a message.
+        silence: Duration,
+    },
+    /// More instances than a group may have.
+    #[error("more than {max} instances at a time")]
+    TooManyLanes {
+        /// Most instances.
+        max: usize,
+    },
+    /// A plugin that this machine lacks.
+    #[error("plugin {} (SHA-256 {sha256} on the host) is not installed on `{machine}`: put it into one of {folders}", path.display())]
+    PluginMissing {
+        /// The plugin's file on the host.
+        path: PathBuf,
+        /// Its hash.
+        sha256: String,
+        /// This machine.
+        machine: String,
+        /// Where plugins are searched here.
+        folders: String,
+    },
+    /// A plugin that cannot be read.
+    #[error("plugin {} on `{machine}`: {cause}", file.display())]
+    PluginUnreadable {
+        /// The plugin's file here.
+        file: PathBuf,
+        /// This machine.
+        machine: String,
+        /// The system's error.
+        cause: io::Error,
+    },
+    /// Two builds of one plugin.
+    #[error(
+        "plugin {} differs: SHA-256 {sha256} on the host, {own} on `{machine}` ({}); install the same build on both",
+        path.display(),
+        file.display()
+    )]
+    PluginDiffers {
+        /// The plugin's file on the host.
+        path: Box<Path>,
+        /// Its hash there.
+        sha256: Box<str>,
+        /// The hash of the file here.
+        own: Box<str>,
+        /// This machine.
+        machine: Box<str>,
+        /// The plugin's file here.
+        file: Box<Path>,
+    },
+    /// Files of a node that differ from the host's.
+    #[error("node `{node}`: {cause}")]
+    Files {
+        /// The node.
+        node: String,
+        /// What differs.
+        cause: Box<FileError>,
+    },
+    /// The process that runs the nodes has ended.
+    #[error("{reason}")]
+    ProcessEnded {
+        /// Why, as the host reports it.
+        reason: String,
+    },
+    /// The process that runs the nodes sent a malformed message.
+    #[error("its process sent a message that makes no sense")]
+    BadProcess,
+    /// A malformed message of the host.
+    #[error("the host sent what makes no sense: {cause}")]
+    BadHost {
+        /// What is wrong with it.
+        cause: Box<RemoteError>,
+    },
+    /// A lane of this host that has to end.
+    #[error("its link cannot go on: {cause}")]
+    Lane {
+        /// Why.
+        cause: Box<RemoteError>,
+    },
+    /// A malformed message of the other machine.
+    #[error(transparent)]
+    BadMessage(#[from] BadMessage),
+    /// A malformed message of a process of this machine.
+    #[error(transparent)]
+    Relay(#[from] RelayError),
+    /// A size that this machine cannot address.
+    #[error(transparent)]
+    Size(#[from] TryFromIntError),
+    /// The process that runs the nodes does not start.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// The network refuses.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+    /// zenoh refuses.
+    #[error(transparent)]
+    Zenoh(#[from] zenoh::Error),
+    /// The system refuses.
+    #[error(transparent)]
+    System(#[from] io::Error),
+}
