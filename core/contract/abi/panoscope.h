@@ -335,7 +335,8 @@ typedef struct PanoscopeCamera {
      */
     double cy;
     /**
-     * k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y.
+     * k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y. A tau_x of 1e6 marks an equidistant lens (Kannala and Brandt; OpenCV's `fisheye`),
+     * whose k1, k2, k3, k4 come first; all others are 0.
      */
     double distortion[14];
 } PanoscopeCamera;

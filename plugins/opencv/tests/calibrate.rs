@@ -1,6 +1,7 @@
 //! `calibrate_stereo` on drawn chessboards whose cameras are known.
 
-use panoscope_data::calibration::ViewState;
+use panoscope_data::calibration::{ViewState, equidistant_of, packet};
+use panoscope_imaging::stereo::Equidistant;
 use panoscope_node::abi::Calibration;
 use panoscope_node::harness::{Harness, Outputs, Setup};
 use panoscope_node::{Bgr8, Gray8};
@@ -35,13 +36,19 @@ fn rotation([a, b, c]: [f64; 3]) -> [[f64; 3]; 3] {
 }
 
 /// The board of 7 x 5 squares (6 x 4 corners) as a camera at `x_mm` sees it, each pixel the mean of 16 rays.
-fn draw((turn, middle): Pose, x_mm: f64) -> Vec<u8> {
+fn draw(pose: Pose, x_mm: f64) -> Vec<u8> {
+    draw_through(&|u, v| [(u - 199.5) / FOCAL_PX, (v - 149.5) / FOCAL_PX], pose, x_mm)
+}
+
+/// As [`draw`]; `ray` has x and y, at depth 1, of the ray of a pixel.
+fn draw_through(ray: &dyn Fn(f64, f64) -> [f64; 2], (turn, middle): Pose, x_mm: f64) -> Vec<u8> {
     let r = rotation(turn);
     let normal = [r[0][2], r[1][2], r[2][2]];
     let place = [middle[0] - x_mm, middle[1], middle[2]];
     let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let shade = |u: f64, v: f64| -> f64 {
-        let ray = [(u - 199.5) / FOCAL_PX, (v - 149.5) / FOCAL_PX, 1.0];
+        let [x, y] = ray(u, v);
+        let ray = [x, y, 1.0];
         let t = dot(normal, place) / dot(normal, ray);
         let hit: [f64; 3] = std::array::from_fn(|i| ray[i] * t - place[i]);
         let column = |k: usize| dot([r[0][k], r[1][k], r[2][k]], hit) / SQUARE_MM;
@@ -127,6 +134,47 @@ fn known_cameras_are_found() {
         assert!(corner[2] > corner[1] && middle[1] > middle[2], "{corner:?} {middle:?}");
     }
     assert!(node.metric("covered_left").is_some_and(|share| (0.05..1.0).contains(&share)));
+}
+
+#[test]
+fn a_known_pair_of_fisheyes_is_found() {
+    // A view of 105 degrees across.
+    const FISHEYE_PX: f64 = 220.0;
+    let k = [-0.05, 0.01, -0.002, 0.0];
+    let lens = Equidistant::new(k);
+    let ray = |u: f64, v: f64| -> [f64; 2] {
+        lens.undistort((u - 199.5) / FISHEYE_PX, (v - 149.5) / FISHEYE_PX).expect("a ray").into()
+    };
+    let places = [[10.0, 0.0, 60.0], [-25.0, 0.0, 85.0], [45.0, 0.0, 85.0], [10.0, -18.0, 80.0], [10.0, 18.0, 80.0]];
+    let more = [[-22.0, -16.0, 90.0], [42.0, -16.0, 90.0], [-22.0, 16.0, 90.0], [42.0, 16.0, 90.0], [10.0, 5.0, 75.0]];
+    let turns = POSES.map(|(turn, _)| turn);
+    let poses: Vec<Pose> =
+        places.into_iter().chain(more).enumerate().map(|(i, place)| (turns[i % turns.len()], place)).collect();
+    let mut node = open("model = \"equidistant\", solve_at = 10");
+    for (index, pose) in poses.iter().enumerate() {
+        let views = [0.0, BASELINE_MM].map(|x_mm| draw_through(&ray, *pose, x_mm));
+        let out = show(&mut node, [&views[0], &views[1]]);
+        if index + 1 < poses.len() {
+            continue;
+        }
+        assert!(!out.is_empty("calibration").unwrap(), "{:?} {:?}", states(&out), node.logs());
+        let found: Calibration = out.value("calibration").unwrap();
+        assert!(found.rms_px < 0.15 && (found.baseline_mm - BASELINE_MM).abs() < 0.1, "{found:?}");
+        for camera in [&found.left, &found.right] {
+            assert!(equidistant_of(camera).is_some());
+            assert!(
+                (camera.fx / FISHEYE_PX - 1.0).abs() < 0.01 && (camera.fy / FISHEYE_PX - 1.0).abs() < 0.01,
+                "{found:?}"
+            );
+            // Where the rays go, which is what counts: within half a px up to 45 degrees from the axis.
+            let model = packet::camera(camera).unwrap();
+            for (u, v) in [(200.0, 150.0), (60.0, 150.0), (330.0, 70.0), (200.0, 250.0), (90.0, 60.0)] {
+                let [x, y] = ray(u, v);
+                let (a, b) = model.project(x, y);
+                assert!((a - u).hypot(b - v) < 0.5, "{u} {v}: {a} {b}");
+            }
+        }
+    }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Both views as a calibration describes them, and the disparity maps that belong to them.
 
 use panoscope_data::calibration::packet;
-use panoscope_imaging::stereo::StereoError;
+use panoscope_imaging::stereo::{Lens, StereoError};
 use panoscope_imaging::stitch::{RectifiedView, map_factor};
 use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{Result, error};
@@ -34,8 +34,8 @@ impl CalibratedViews {
             false => packet::with_rectification(calibration, &packet::rectification(calibration)?),
         };
         let views = [
-            view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified),
-            view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified),
+            view(&c.left, &c.rectified_from_left, &c.left_projection, is_rectified)?,
+            view(&c.right, &c.rectified_from_right, &c.right_projection, is_rectified)?,
         ];
         self.known = Some((*calibration, views));
         Ok(views)
@@ -43,33 +43,36 @@ impl CalibratedViews {
 }
 
 /// One side of a calibration.
-fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified: bool) -> RectifiedView {
+fn view(
+    camera: &Camera,
+    rotation: &[f64; 9],
+    projection: &[f64; 12],
+    rectified: bool,
+) -> std::result::Result<RectifiedView, StereoError> {
     let focal_px = [projection[0], projection[5]];
     let centre_px = [projection[2], projection[6]];
     let size = (camera.width as usize, camera.height as usize);
-    let mut distortion = [0.0; 12];
     if rectified {
         let rectified_from_camera = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        return RectifiedView {
+        return Ok(RectifiedView {
             size,
             focal_px,
             centre_px,
-            distortion,
+            lens: Lens::NONE,
             rectified_from_camera,
             rectified_focal_px: focal_px,
             rectified_centre_px: centre_px,
-        };
+        });
     }
-    distortion.copy_from_slice(&camera.distortion[..12]);
-    RectifiedView {
+    Ok(RectifiedView {
         size,
         focal_px: [camera.fx, camera.fy],
         centre_px: [camera.cx, camera.cy],
-        distortion,
+        lens: Lens::of_coefficients(&camera.distortion)?,
         rectified_from_camera: *rotation,
         rectified_focal_px: focal_px,
         rectified_centre_px: centre_px,
-    }
+    })
 }
 
 /// A view that is rectified already.
@@ -78,7 +81,7 @@ fn rectified(size: (usize, usize)) -> RectifiedView {
         size,
         focal_px: [1.0; 2],
         centre_px: [0.0; 2],
-        distortion: [0.0; 12],
+        lens: Lens::NONE,
         rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         rectified_focal_px: [1.0; 2],
         rectified_centre_px: [0.0; 2],

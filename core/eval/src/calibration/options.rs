@@ -17,7 +17,8 @@ pub struct Options {
     /// The printed board: chessboard:9x6:25mm (inner corners), circles:4x11:20mm (asymmetric), circle_grid:7x6:10mm or
     /// charuco:19x26:5mm:4mm:4x4_250 (squares, square, marker, dictionary).
     pub board: Board,
-    /// Distortion that is solved for: radial (k1 k2), standard (k1 k2 p1 p2), full (and k3), rational (k1 to k6).
+    /// Distortion that is solved for: radial (k1 k2), standard (k1 k2 p1 p2), full (and k3), rational (k1 to k6), equidistant (k1 to k4
+    /// of a fisheye).
     pub model: String,
     /// Pairs that are looked at; of a video, a camera or a live graph 300 unless given.
     pub frames: Option<u64>,

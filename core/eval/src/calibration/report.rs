@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use panoscope_abi::{Calibration, Camera};
-use panoscope_data::calibration::ViewState;
+use panoscope_data::calibration::{ViewState, equidistant_of};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::text_table::table;
 
@@ -110,15 +110,18 @@ impl Views {
 }
 
 fn camera(text: &mut String, name: &str, camera: &Camera) {
+    let fisheye = equidistant_of(camera);
     let last = camera.distortion.iter().rposition(|k| *k != 0.0).map_or(0, |last| last + 1);
-    let coefficients: Vec<String> = camera.distortion[..last].iter().map(|k| format!("{k:.4}")).collect();
+    let coefficients: Vec<String> =
+        camera.distortion[..fisheye.map_or(last, |k| k.len())].iter().map(|k| format!("{k:.4}")).collect();
     let _ = writeln!(
         text,
-        "{name:9}  fx {:.2}  fy {:.2}  cx {:.2}  cy {:.2} px, distortion {}",
+        "{name:9}  fx {:.2}  fy {:.2}  cx {:.2}  cy {:.2} px, {} {}",
         camera.fx,
         camera.fy,
         camera.cx,
         camera.cy,
+        if fisheye.is_some() { "equidistant" } else { "distortion" },
         if coefficients.is_empty() { "none".to_owned() } else { coefficients.join(" ") }
     );
 }

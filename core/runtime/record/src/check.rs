@@ -64,13 +64,6 @@ pub(crate) fn unseal(topic: &str, head: &[u8; MESSAGE_HEAD_BYTES], json: &mut Ve
     Seal::Whole
 }
 
-/// CRC-32 (ISO-HDLC) as used in MCAP's footer.
-pub(crate) fn crc32(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(!0u32, |crc, byte| {
-        (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 & 0u32.wrapping_sub(crc & 1)))
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -93,6 +86,5 @@ mod tests {
         assert_eq!(unseal("t", &[8; MESSAGE_HEAD_BYTES], &mut sealed.clone()), Seal::Broken);
         assert_eq!(unseal("t", &head, &mut json.clone()), Seal::None);
         assert_eq!(unseal("t", &head, &mut Vec::new()), Seal::None);
-        assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
     }
 }

@@ -3,31 +3,18 @@
 use std::borrow::Cow;
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
-use std::io::{self, BufWriter, Seek, SeekFrom, Write};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::io::{self, SeekFrom};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use mcap::records::MessageHeader;
-use mcap::{WriteOptions, Writer};
 
 use crate::check;
 use crate::coding::Packer;
 use crate::digest::padded_hash;
-use crate::format::{Coding, EVENTS, Event, PACKET_ENCODING, PacketHead};
+use crate::format::{Coding, EVENTS, Event, PACKET_ENCODING, PacketHead, SCHEMAS};
+use crate::mcap_file::{McapFile, Output};
 use panoscope_base::secret::redact;
 use panoscope_engine::memory::FrameRef;
-
-/// The destination of a recording.
-pub trait Output: Write + Seek + Send {
-    /// Truncates the output to `len` bytes.
-    fn cut(&mut self, len: u64) -> io::Result<()>;
-
-    /// Flushes everything to the disk, if the output is on one.
-    fn sync(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
 
 impl Output for File {
     fn cut(&mut self, len: u64) -> io::Result<()> {
@@ -50,34 +37,9 @@ impl Output for io::Cursor<Vec<u8>> {
     }
 }
 
-/// Counts the bytes written, because the MCAP writer does not expose its position.
-struct Counted {
-    output: BufWriter<Box<dyn Output>>,
-    written: Arc<AtomicU64>,
-}
-
-impl Write for Counted {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let n = self.output.write(bytes)?;
-        self.written.fetch_add(n as u64, Ordering::Relaxed);
-        Ok(n)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.output.flush()
-    }
-}
-
-impl Seek for Counted {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.output.seek(to)
-    }
-}
-
 /// A recording that is being written.
 pub(crate) struct RecordFile {
-    writer: Writer<Counted>,
-    written: Arc<AtomicU64>,
+    mcap: McapFile,
     events: u16,
     channels: HashMap<String, (u16, u32)>,
     event_count: u32,
@@ -91,29 +53,14 @@ pub(crate) struct RecordFile {
     pending_ticks: VecDeque<u64>,
 }
 
-fn io_error(error: mcap::McapError) -> io::Error {
-    match error {
-        mcap::McapError::Io(error) => error,
-        other => io::Error::other(other),
-    }
-}
-
 impl RecordFile {
     pub fn create(output: Box<dyn Output>) -> io::Result<Self> {
-        let written = Arc::new(AtomicU64::new(0));
-        let counted = Counted { output: BufWriter::with_capacity(1 << 20, output), written: Arc::clone(&written) };
-        let options = WriteOptions::new()
-            .compression(None)
-            .use_chunks(false)
-            .disable_seeking(true)
-            .calculate_data_section_crc(false)
-            .profile("panoscope")
-            .library(concat!("panoscope ", env!("CARGO_PKG_VERSION")));
-        let mut writer = options.create(counted).map_err(io_error)?;
-        let events = writer.add_channel(0, EVENTS, "json", &Default::default()).map_err(io_error)?;
+        let library = concat!("panoscope ", env!("CARGO_PKG_VERSION"));
+        let mut mcap = McapFile::create(output, "panoscope", library, &SCHEMAS)?;
+        let [schema, _] = &SCHEMAS;
+        let events = mcap.channel(schema, EVENTS, "json")?;
         let mut this = Self {
-            writer,
-            written,
+            mcap,
             events,
             channels: HashMap::new(),
             event_count: 0,
@@ -127,10 +74,14 @@ impl RecordFile {
         Ok(this)
     }
 
-    fn message(&mut self, header: &MessageHeader) -> io::Result<()> {
-        self.writer.write_to_known_channel(header, &self.buffer).map_err(io_error)?;
-        self.complete_len = self.written.load(Ordering::Relaxed);
-        Ok(())
+    /// Writes the buffer as a message; returns where it ends.
+    fn message(&mut self, header: &MessageHeader) -> io::Result<u64> {
+        self.mcap.message(header, &self.buffer)?;
+        let end = self.mcap.len();
+        self.complete_len = end;
+        self.mcap.end_full_chunk()?;
+        self.complete_len = self.mcap.len();
+        Ok(end)
     }
 
     pub fn event(&mut self, event: &Event) -> io::Result<()> {
@@ -147,9 +98,9 @@ impl RecordFile {
         let header =
             MessageHeader { channel_id: self.events, sequence: self.event_count, log_time: now, publish_time: now };
         check::seal(EVENTS, &check::head_bytes(&header), &mut self.buffer);
-        self.message(&header)?;
+        let end = self.message(&header)?;
         if matches!(event, Event::Tick { gap: false, .. }) {
-            self.pending_ticks.push_back(self.complete_len);
+            self.pending_ticks.push_back(end);
         }
         Ok(())
     }
@@ -162,8 +113,8 @@ impl RecordFile {
                 (*channel, *sequence)
             }
             None => {
-                let channel =
-                    self.writer.add_channel(0, port, PACKET_ENCODING, &Default::default()).map_err(io_error)?;
+                let [_, schema] = &SCHEMAS;
+                let channel = self.mcap.channel(schema, port, PACKET_ENCODING)?;
                 self.channels.insert(port.to_owned(), (channel, 0));
                 (channel, 0)
             }
@@ -190,15 +141,15 @@ impl RecordFile {
         self.buffer.extend_from_slice(&sum.to_le_bytes());
         self.buffer.extend_from_slice(stored);
         let len = stored.len() as u64;
-        self.message(&header)?;
+        let end = self.message(&header)?;
         if head.coding != Coding::Reference {
-            self.packer.remember(&head, self.complete_len - len);
+            self.packer.remember(&head, end - len);
         }
         Ok(())
     }
 
     pub fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush().map_err(io_error)?;
+        self.mcap.flush()?;
         self.ticks += self.pending_ticks.drain(..).count() as u64;
         Ok(())
     }
@@ -209,17 +160,13 @@ impl RecordFile {
     }
 
     /// Writes the summary and syncs the file; returns its length.
-    pub fn finish(mut self) -> io::Result<u64> {
-        self.writer.finish().map_err(io_error)?;
-        let mut output = self.writer.into_inner().output;
-        output.flush()?;
-        output.get_mut().sync()?;
-        Ok(self.written.load(Ordering::Relaxed))
+    pub fn finish(self) -> io::Result<u64> {
+        self.mcap.finish()
     }
 
     /// Ends the file after an error: removes an incomplete message. Returns the length of the file and the number of source ticks in it.
     pub fn give_up(self) -> (u64, u64) {
-        let (mut output, _) = self.writer.into_inner().output.into_parts();
+        let mut output = self.mcap.into_output();
         let len = match output.seek(SeekFrom::End(0)) {
             Ok(len) if len > self.complete_len => output.cut(self.complete_len).map_or(len, |()| self.complete_len),
             Ok(len) => len,

@@ -1,4 +1,5 @@
-//! The format of a recording: an MCAP file (<https://mcap.dev/spec>) without chunks, so that every record is complete or absent.
+//! The format of a recording: an MCAP file (<https://mcap.dev/spec>), since format 5 in uncompressed chunks, see [`crate::mcap_file`]. Every record is
+//! complete or absent.
 //!
 //! The channel [`EVENTS`] carries [`Event`]s as JSON. Every recorded port has a channel named `node.port`, whose messages are a
 //! [`PacketHead`] followed by the frame's bytes, stored as [`Coding`] says. The messages of a node are in the order in which they happened.
@@ -17,17 +18,36 @@ use panoscope_engine::fault::Fault;
 use panoscope_engine::observe;
 
 use crate::file_hash::{FileHash, hashes};
+use crate::mcap_file::Schema;
 
 /// Topic of the events.
 pub const EVENTS: &str = "panoscope/events";
 /// Message encoding of packets.
 pub(crate) const PACKET_ENCODING: &str = "panoscope.packet";
 /// Version of the format that is written.
-pub const FORMAT: u32 = 4;
+pub const FORMAT: u32 = 5;
 /// The oldest version that is read: its messages have no checksums.
 pub const OLDEST_FORMAT: u32 = 1;
 /// The first version whose messages have checksums.
 pub(crate) const CHECKED_FORMAT: u32 = 2;
+
+/// Schemas of the events and of packets. They have been in files since format 5.
+pub(crate) const SCHEMAS: [Schema; 2] = [
+    Schema {
+        id: 1,
+        name: "panoscope.Event",
+        encoding: "jsonschema",
+        data: r#"{"type":"object","properties":{"event":{"type":"string"},"xxh3":{"type":"string"}},"required":["event"]}"#,
+    },
+    Schema {
+        id: 2,
+        name: "panoscope.Packet",
+        encoding: "x-panoscope",
+        data: "little-endian: u32 source, u32 format (0 bytes, 1 gray8, 2 bgr8, 3 rgba8, 4 gray16, 5 f32, 6 cloud), u32 width, u32 height, \
+            u32 bytes per row, u32 storage (0 plain, 1 packed, 2 reference), u64 tick, i64 capture time in ns, u64 bytes, u64 XXH3 of the rows, \
+            u64 XXH3 of all bytes, u64 XXH3 of topic and head; then the bytes",
+    },
+];
 
 /// The first event of a recording: the graph and the machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -19,8 +19,9 @@ use panoscope_engine::panic_words;
 use panoscope_engine::sync::lock;
 
 use crate::digest::{Digests, PacketDigest, digest_of};
-use crate::file::{Output, RecordFile};
+use crate::file::RecordFile;
 use crate::format::{Event, Head};
+use crate::mcap_file::Output;
 use panoscope_engine::memory::FrameRef;
 
 /// Packets are compressed while no more bytes of frames than these wait.

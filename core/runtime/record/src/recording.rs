@@ -16,8 +16,9 @@ use crate::coding::{self, REFERENCE_BYTES};
 use crate::digest::{Digests, PacketDigest, packet_hash, padded_hash};
 use crate::format::{
     CHECKED_FORMAT, Coding, EVENTS, Event, FORMAT, Head, OLDEST_FORMAT, PACKET_ENCODING, PACKET_HEAD_BYTES,
-    PLAIN_HEAD_BYTES, PacketHead, SUMMED_HEAD_BYTES,
+    PLAIN_HEAD_BYTES, PacketHead, SCHEMAS, SUMMED_HEAD_BYTES,
 };
+use crate::mcap_file::CHUNK_HEAD_BYTES;
 use crate::mcap_texts;
 use panoscope_engine::memory::{FrameRef, memory};
 
@@ -155,6 +156,8 @@ pub struct Recording {
     pub cut: Option<Cut>,
     /// Whether its messages have checksums; those of format 1 do not.
     pub checked: bool,
+    /// Length and checksum of the data section, if it has one.
+    data_sum: Option<(u64, u32)>,
 }
 
 struct Scan {
@@ -172,6 +175,8 @@ struct Scan {
     ports: BTreeMap<String, Vec<Packet>>,
     /// Packets of each node whose tick event has not been read yet.
     pending: HashMap<String, Vec<(String, Packet)>>,
+    /// Length and checksum of the data section, if it has one.
+    data_sum: Option<(u64, u32)>,
     /// Packets whose bytes are stored, by their place: how, in how many bytes, and of how many.
     places: HashMap<u64, (Coding, u64, u64)>,
 }
@@ -228,6 +233,7 @@ impl Recording {
             sources: BTreeMap::new(),
             ports: BTreeMap::new(),
             pending: HashMap::new(),
+            data_sum: None,
             places: HashMap::new(),
         };
         let stop = loop {
@@ -264,7 +270,8 @@ impl Recording {
         };
         let (events, sources, ports) = (scan.events, scan.sources, scan.ports);
         let checked = head.format >= CHECKED_FORMAT;
-        Ok(Self { file, path: path.to_owned(), head, events, sources, ports, cut, checked })
+        let data_sum = scan.data_sum;
+        Ok(Self { file, path: path.to_owned(), head, events, sources, ports, cut, checked, data_sum })
     }
 
     /// Reads and checks every packet.
@@ -281,7 +288,28 @@ impl Recording {
             bytes.resize(packet.head.len as usize, 0);
             self.read(port, packet, &mut bytes)?;
         }
-        Ok(())
+        self.verify_data().map_err(|cause| RecordingError::Unreadable { file: self.path.clone(), cause })?.map_or(
+            Ok(()),
+            |at| {
+                let (file, port) = (self.path.clone(), EVENTS.to_owned());
+                Err(RecordingError::Damaged { file, at, port, seq: self.events.len() as u64 })
+            },
+        )
+    }
+
+    /// Where the data ends, if its checksum is not what was recorded.
+    fn verify_data(&self) -> std::io::Result<Option<u64>> {
+        let Some((len, sum)) = self.data_sum else { return Ok(None) };
+        let (mut hash, mut bytes) = (crc32fast::Hasher::new(), vec![0; 1 << 20]);
+        let mut at = 0;
+        while at < len {
+            let part = usize::try_from(len - at).unwrap_or(usize::MAX).min(bytes.len());
+            let part = &mut bytes[..part];
+            self.file.read_exact_at(part, at)?;
+            hash.update(part);
+            at += part.len() as u64;
+        }
+        Ok((hash.finalize() != sum).then_some(len))
     }
 
     /// Path of the file.
@@ -393,6 +421,16 @@ impl Scan {
         self.reader.read_exact(&mut head)?;
         let len = head[1..].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
         let begin = self.at + 9;
+        // The records of a chunk stand in the file as they would without it; the chunk may be cut off, its records before are whole.
+        if head[0] == op::CHUNK && self.is_ours() && len >= CHUNK_HEAD_BYTES as u64 {
+            let mut chunk = [0; CHUNK_HEAD_BYTES];
+            self.reader.read_exact(&mut chunk)?;
+            if chunk[28..32] != [0; 4] {
+                return Err(Stop::Damaged("a compressed chunk".to_owned()));
+            }
+            self.at = begin + CHUNK_HEAD_BYTES as u64;
+            return Ok(());
+        }
         if len > self.len.saturating_sub(begin) {
             return Err(Stop::Cut("it was truncated or is damaged".to_owned()));
         }
@@ -405,8 +443,9 @@ impl Scan {
                     return Err(damaged("a channel that cannot be read"));
                 };
                 let events = channel.topic == EVENTS;
+                let schema = SCHEMAS[usize::from(!events)].id;
                 if self.is_ours()
-                    && (channel.schema_id != 0
+                    && (![0, schema].contains(&channel.schema_id)
                         || channel.has_metadata
                         || (events && channel.message_encoding != "json"))
                 {
@@ -426,6 +465,13 @@ impl Scan {
                 };
                 self.library = format!("{profile} {library}");
             }
+            op::SCHEMA if self.is_ours() && len < 1 << 16 => {
+                let body = self.body(len)?;
+                if !SCHEMAS.iter().any(|schema| schema.body() == body) {
+                    return Err(damaged("a schema that is not what was recorded"));
+                }
+            }
+            op::MESSAGE_INDEX if self.is_ours() => self.skip(len)?,
             // Only files of other programs have these records before the first event.
             op::SCHEMA | op::ATTACHMENT | op::METADATA if self.head.is_none() => self.skip(len)?,
             other => return Err(damaged(&format!("there is no record of kind {other}"))),
@@ -533,8 +579,12 @@ impl Scan {
         };
         let (summed, sum) = index.split_at(index.len() - 4);
         let known = sum.iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
-        // The recorder writes no checksum of the data section, because every message has its own.
-        let whole = end == [0; 4] && (known == 0 || known == check::crc32(summed));
+        let Ok(data_sum) = end.try_into().map(u32::from_le_bytes) else {
+            return Stop::Damaged("the end of its data is not what was recorded".to_owned());
+        };
+        // Before format 5 there is none, because every message has its own.
+        self.data_sum = (data_sum != 0).then_some((self.at, data_sum));
+        let whole = known == 0 || known == crc32fast::hash(summed);
         if whole { Stop::End } else { Stop::Damaged("its index is not what was recorded".to_owned()) }
     }
 

@@ -487,7 +487,60 @@ fn record_uncompressed(file: &Path) -> Recorded {
     run.end()
 }
 
-/// The recording in format 1, without checksums.
+/// MCAP's own library reads the chunks, their indices, the schemas and the checksums; so may any other program.
+#[test]
+fn other_programs_can_seek_in_a_recording() {
+    // More than one chunk of 4 MiB: 24 pictures of 640 x 480 as they are.
+    let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
+    let text = text.replace("width_px = 16, height_px = 8", "width_px = 640, height_px = 480");
+    let file = scratch("seek.mcap");
+    let record = RecordOptions { file: Some(file.clone()), compresses: false, ..RecordOptions::default() };
+    let run = start_with(&text, Options { threads: 2, ..Options::default() }, record);
+    run.until("a", 24);
+    run.end();
+    let ours = Recording::open(&file).expect("whole");
+    ours.verify().expect("sound");
+    let bytes = std::fs::read(&file).expect("written");
+    let summary = mcap::Summary::read(&bytes).expect("sound").expect("a summary");
+    let statistics = summary.stats.as_ref().expect("statistics");
+    let packets = ours.ports["a.image"].len();
+    assert!(summary.chunk_indexes.len() >= 2 && statistics.chunk_count as usize == summary.chunk_indexes.len());
+    let channel = summary.channels.values().find(|channel| channel.topic == "a.image").expect("its channel");
+    assert_eq!(channel.schema.as_ref().expect("a schema").name, "panoscope.Packet");
+    assert_eq!(statistics.channel_message_counts[&channel.id], packets as u64);
+    let mut found = 0;
+    for chunk in &summary.chunk_indexes {
+        let indices = summary.read_message_indexes(&bytes, chunk).expect("indices");
+        for entry in indices.iter().filter(|(of, _)| of.id == channel.id).flat_map(|(_, entries)| entries) {
+            let message = summary.seek_message(&bytes, chunk, entry).expect("a message");
+            assert_eq!((message.log_time, &message.channel.topic[..]), (entry.log_time, "a.image"));
+            assert!((chunk.message_start_time..=chunk.message_end_time).contains(&entry.log_time));
+            let packet = &ours.ports["a.image"][found];
+            assert_eq!(&message.data[72..], &bytes[packet.at as usize..][..packet.stored as usize]);
+            found += 1;
+        }
+    }
+    assert_eq!(found, packets);
+    // Without the summary, with all checksums.
+    let stream: Result<Vec<_>, _> = mcap::MessageStream::new(&bytes).expect("sound").collect();
+    assert_eq!(stream.expect("sound").len() as u64, statistics.message_count);
+    // A run that is killed leaves its last chunk open; what stands there is read all the same, by everybody.
+    let last = &ours.ports["a.image"][packets - 3];
+    let end = (last.at + last.stored) as usize;
+    let open = summary.chunk_indexes.iter().find(|chunk| chunk.chunk_start_offset + chunk.chunk_length > end as u64);
+    let mut killed = bytes[..end].to_vec();
+    let head = open.expect("its chunk").chunk_start_offset as usize;
+    killed[head + 1..head + 49].fill(0);
+    killed[head + 1] = 40;
+    std::fs::write(&file, &killed).expect("written");
+    let cut = Recording::open(&file).expect("a part");
+    assert_eq!((cut.ports["a.image"].len(), cut.cut.expect("not finished").damaged), (packets - 2, false));
+    killed.extend(mcap::MAGIC);
+    let read = mcap::MessageStream::new(&killed).expect("sound").map_while(Result::ok);
+    assert_eq!(read.filter(|message| message.channel.topic == "a.image").count(), packets - 2);
+}
+
+/// The recording in format 1, without chunks, schemas and checksums.
 fn without_checksums(recording: &Path) -> Vec<u8> {
     let whole = std::fs::read(recording).expect("it was written");
     let mut out = Vec::from(mcap::MAGIC);
@@ -495,9 +548,20 @@ fn without_checksums(recording: &Path) -> Vec<u8> {
     let mut packets = std::collections::HashSet::new();
     while whole[at] != mcap::records::op::DATA_END {
         let len = u64::from_le_bytes(whole[at + 1..at + 9].try_into().expect("eight")) as usize;
+        if whole[at] == mcap::records::op::CHUNK {
+            // Its records follow its head.
+            at += 9 + 40;
+            continue;
+        }
         let (kind, mut body) = (whole[at], whole[at + 9..at + 9 + len].to_vec());
         at += 9 + len;
+        if [mcap::records::op::SCHEMA, mcap::records::op::MESSAGE_INDEX].contains(&kind) {
+            continue;
+        }
         let channel = u16::from_le_bytes([body[0], body[1]]);
+        if kind == mcap::records::op::CHANNEL {
+            body[2..4].fill(0);
+        }
         if kind == mcap::records::op::CHANNEL && String::from_utf8_lossy(&body).contains("panoscope.packet") {
             packets.insert(channel);
         }
@@ -508,14 +572,17 @@ fn without_checksums(recording: &Path) -> Vec<u8> {
                 body.truncate(body.len() - 27);
                 body.push(b'}');
                 let json = String::from_utf8(body.split_off(22)).expect("JSON");
-                body.extend(json.replacen("\"format\":4", "\"format\":1", 1).into_bytes());
+                body.extend(json.replacen("\"format\":5", "\"format\":1", 1).into_bytes());
             }
         }
         out.push(kind);
         out.extend((body.len() as u64).to_le_bytes());
         out.extend(body);
     }
-    out.extend(&whole[at..]);
+    out.extend(&whole[at..at + 9]);
+    // No checksum of the data.
+    out.extend([0; 4]);
+    out.extend(&whole[at + 13..]);
     out
 }
 

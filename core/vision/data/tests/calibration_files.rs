@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use panoscope_abi::Calibration;
-use panoscope_data::calibration::{packet, parse, read, text_of};
+use panoscope_data::calibration::ros::CameraInfo;
+use panoscope_data::calibration::{equidistant_of, packet, parse, read, text_of};
 
 const OPENCV: &str = "%YAML:1.0
 ---
@@ -172,9 +173,90 @@ fn ros_camera_info_is_read_in_metres() {
     assert!(message.contains("baseline") || message.contains("negative"), "{message}");
     let message = parse(&[(a, &left)]).unwrap_err().to_string();
     assert!(message.contains("give the left and the right file"), "{message}");
-    let fisheye = right.replace("plumb_bob", "equidistant");
-    let message = parse(&[(a, &left), (b, &fisheye)]).unwrap_err().to_string();
-    assert!(message.contains("right.yaml:10:3: the distortion model `equidistant`"), "{message}");
+    let unknown = right.replace("plumb_bob", "omnidirectional");
+    let message = parse(&[(a, &left), (b, &unknown)]).unwrap_err().to_string();
+    assert!(message.contains("right.yaml:10:3: the distortion model `omnidirectional`"), "{message}");
+}
+
+#[test]
+fn an_equidistant_lens_is_read_and_written_in_all_formats_that_have_it() {
+    let k = [0.01, -0.02, 0.001, 0.002];
+    let fisheye = |text: &str| {
+        text.replace("plumb_bob", "equidistant")
+            .replace("cols: 5\n  data: [-0.1, 0.01, 0, 0, 0]", "cols: 4\n  data: [0.01, -0.02, 0.001, 0.002]")
+    };
+    let plain = ROS.replace("SIDE", "left").replace("SHIFT", "0");
+    let (left, right) = (fisheye(&plain), fisheye(&ROS.replace("SIDE", "right").replace("SHIFT", "-11.1")));
+    let (a, b) = (Path::new("left.yaml"), Path::new("right.yaml"));
+    let ros = parse(&[(a, &left), (b, &right)]).unwrap();
+    assert_eq!((equidistant_of(&ros.left), equidistant_of(&ros.right), ros.is_rectified), (Some(k), Some(k), 0));
+    // As a message, and back from it.
+    let message = CameraInfo::to_message(&ros.right, (&ros.rectified_from_right, &ros.right_projection));
+    assert_eq!((message.0, &message.1[..]), ("equidistant", &k[..]));
+    // As OpenCV's file, bit by bit.
+    assert!(packet::same(&one(&text_of(&ros)).unwrap(), &ros));
+    let kalibr =
+        KALIBR.replace("radtan", "equidistant").replace("[-0.28, 0.07, 0.0001, 0.0002]", "[0.01, -0.02, 0.001, 0.002]");
+    assert_eq!(equidistant_of(&one(&kalibr).unwrap().right), Some(k));
+    let opencv = OPENCV.replace("M1:", "distortion_model: fisheye\nM1:").replace("cols: 5", "cols: 4");
+    let opencv = opencv
+        .replace("2.0000000000000001e-02, 0., 0., 0. ]", "0.02, 0., 0. ]")
+        .replace("0.02, 0., 0., 0. ]", "0.02, 0., 0. ]");
+    assert_eq!(equidistant_of(&one(&opencv).unwrap().left), Some([-0.1, 0.02, 0.0, 0.0]));
+    // A fisheye without coefficients is no pinhole.
+    let zero = |text: &str| text.replace("[0.01, -0.02, 0.001, 0.002]", "[0, 0, 0, 0]");
+    let read = parse(&[(a, &zero(&left)), (b, &zero(&right))]).unwrap();
+    let camera = packet::camera(&read.left).unwrap();
+    assert!((camera.project(1.0, 0.0).0 - (750.0 * std::f64::consts::FRAC_PI_4 + 320.0)).abs() < 1e-9);
+    for (message, words) in [
+        (parse(&[(a, &plain), (b, &right)]), "one camera has an equidistant lens"),
+        (
+            parse(&[(a, &left.replace("cols: 4", "cols: 5").replace("0.002]", "0.002, 0]")), (b, &right)]),
+            "5 distortion coefficients",
+        ),
+    ] {
+        let message = message.unwrap_err().to_string();
+        assert!(message.contains(words), "{message}");
+    }
+    let message = one(&opencv.replace("fisheye", "omni")).unwrap_err();
+    assert!(message.contains("scope.yml:5:19: the distortion model `omni`"), "{message}");
+}
+
+/// Left and right as MATLAB R2020a's `jsonencode(toStruct(stereoParams))` has them, without the views.
+const MATLAB: &str = r#"{"CameraParameters1":{"RadialDistortion":[-0.25,0.1],"TangentialDistortion":[0.001,-0.002],
+"ImageSize":[480,640],"WorldUnits":"millimeters","IntrinsicMatrix":[[750,0,0],[0,751,0],[320.5,240.5,1]],"Version":{"isVersion":1}},
+"CameraParameters2":{"RadialDistortion":[-0.25,0.1,0.01],"TangentialDistortion":[0,0],
+"ImageSize":[480,640],"WorldUnits":"millimeters","IntrinsicMatrix":[[749,0,0],[0,750,0],[321.5,241.5,1]]},
+"RotationOfCamera2":[[0.9999,-0.0141,0],[0.0141,0.9999,0],[0,0,1]],"TranslationOfCamera2":[-15,0.1,0.2],"RectificationParams":{}}"#;
+
+#[test]
+fn stereo_parameters_of_matlab_are_read() {
+    let read = one(MATLAB).unwrap();
+    assert_eq!((read.left.width, read.left.height, read.left.fx, read.left.fy), (640, 480, 750.0, 751.0));
+    // Pixels count from 1 there, from 0 here.
+    assert_eq!((read.left.cx, read.left.cy, read.right.cx), (319.5, 239.5, 320.5));
+    assert_eq!(read.left.distortion[..5], [-0.25, 0.1, 0.001, -0.002, 0.0]);
+    assert_eq!(read.right.distortion[..5], [-0.25, 0.1, 0.0, 0.0, 0.01]);
+    assert_eq!((read.right_from_left_rotation[1], read.right_from_left_mm), (0.0141, [-15.0, 0.1, 0.2]));
+    // As newer versions write it, and in metres.
+    let new = MATLAB
+        .replace("\"IntrinsicMatrix\":[[750,0,0],[0,751,0],[320.5,240.5,1]]", "\"K\":[[750,0,320.5],[0,751,240.5],[0,0,1]]")
+        .replace("\"RotationOfCamera2\":[[0.9999,-0.0141,0],[0.0141,0.9999,0],[0,0,1]],\"TranslationOfCamera2\":[-15,0.1,0.2]",
+            "\"PoseCamera2\":{\"Dimensionality\":3,\"Translation\":[-15,0.1,0.2],\"R\":[[0.9999,0.0141,0],[-0.0141,0.9999,0],[0,0,1]]}");
+    assert!(packet::same(&one(&new).unwrap(), &read));
+    let metres = MATLAB.replace("[-15,0.1,0.2]", "[-0.015,0.0001,0.0002]").replace("millimeters", "meters");
+    assert!((one(&metres).unwrap().baseline_mm - read.baseline_mm).abs() < 1e-9);
+    assert_eq!(one(&MATLAB.replace("\"ImageSize\":[480,640]", "\"ImageSize\":[]")).unwrap().left.width, 0);
+    for (from, to, words) in [
+        ("[0,751,0]", "[0.5,751,0]", "has the skew 0.5"),
+        ("\"TranslationOfCamera2\"", "\"T\"", "`TranslationOfCamera2` is missing"),
+        ("[-15,0.1,0.2]", "[15,0.1,0.2]", "disparities would be negative"),
+        ("millimeters", "furlongs", "the unit `furlongs` is not known"),
+        ("[-0.25,0.1]", "[-0.25,null]", "which is no number"),
+    ] {
+        let message = one(&MATLAB.replacen(from, to, 1)).unwrap_err();
+        assert!(message.contains(words), "{message}");
+    }
 }
 
 const KALIBR: &str = "cam0:
@@ -206,8 +288,8 @@ fn kalibr_chains_are_read_in_metres() {
     assert!((read.right_from_left_mm[0] + 110.0).abs() < 1e-9 && read.right_from_left_rotation[1] == 0.0141);
     let message = one(&KALIBR.replace("-0.110", "0.110")).unwrap_err();
     assert!(message.contains("disparities would be negative"), "{message}");
-    let message = one(&KALIBR.replacen("radtan", "equidistant", 1)).unwrap_err();
-    assert!(message.contains("scope.yml:2:3: `cam0` has the distortion model `equidistant`"), "{message}");
+    let message = one(&KALIBR.replacen("radtan", "fov", 1)).unwrap_err();
+    assert!(message.contains("scope.yml:2:3: `cam0` has the distortion model `fov`"), "{message}");
     let message = one(&KALIBR[..KALIBR.find("cam1").unwrap()]).unwrap_err();
     assert!(message.contains("`cam1` is missing"), "{message}");
 }

@@ -54,8 +54,8 @@ fn rectify(gpu: &Arc<Gpu>, size: (usize, usize), factor: usize, pool: &dyn Paral
     let (width, height) = (size.0 / factor, size.1 / factor);
     let focal = width as f64;
     let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-    let mut camera = CameraModel { width, height, fx: focal, fy: focal, cx, cy, distortion: [0.0; 12] };
-    camera.distortion[0] = -0.1;
+    let barrel = [-0.1, 0.0, 0.0, 0.0];
+    let camera = CameraModel::new((width, height), (focal, focal), (cx, cy), &barrel).expect("a camera");
     let eye = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let target = RectifiedCamera { focal_px: focal, cx, cy };
     let whole = Rect::whole(width, height);

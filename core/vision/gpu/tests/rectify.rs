@@ -10,8 +10,8 @@ use panoscope_imaging::{Rect, Serial, View, ViewMut};
 fn map(width: usize, height: usize, turn: f64) -> RemapTable {
     let focal = width as f64;
     let (cx, cy) = (width as f64 / 2.0 - 3.0, height as f64 / 2.0 + 2.0);
-    let mut camera = CameraModel { width, height, fx: focal, fy: focal * 1.01, cx, cy, distortion: [0.0; 12] };
-    camera.distortion[0] = -0.12;
+    let barrel = [-0.12, 0.0, 0.0, 0.0];
+    let camera = CameraModel::new((width, height), (focal, focal * 1.01), (cx, cy), &barrel).expect("a camera");
     let (sin, cos) = turn.sin_cos();
     let rotation = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
     let target = RectifiedCamera { focal_px: focal, cx, cy };

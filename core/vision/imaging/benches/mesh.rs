@@ -3,6 +3,7 @@
 
 use panoscope_base::Threads;
 use panoscope_imaging::geometry::Homography;
+use panoscope_imaging::stereo::Lens;
 use panoscope_imaging::stitch::*;
 use panoscope_imaging::{Parallel, View, ViewMut};
 use std::time::Instant;
@@ -74,7 +75,7 @@ fn time(size: (usize, usize), crop: CropMethod, has_tool: bool, pool: &dyn Paral
         size,
         focal_px: [600.0 * k; 2],
         centre_px: [w as f64 / 2.0, h as f64 / 2.0],
-        distortion: [0.0; 12],
+        lens: Lens::NONE,
         rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         rectified_focal_px: [600.0 * k; 2],
         rectified_centre_px: [w as f64 / 2.0, h as f64 / 2.0],

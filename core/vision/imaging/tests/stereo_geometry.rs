@@ -3,7 +3,7 @@
 use crate::stereo_common::*;
 use panoscope_base::Threads;
 use panoscope_imaging::stereo::{
-    CameraModel, Rectification, RectifiedCamera, RectifyParams, RemapTable, ReprojectInput, ReprojectParams,
+    CameraModel, Lens, Rectification, RectifiedCamera, RectifyParams, RemapTable, ReprojectInput, ReprojectParams,
     StereoCameras, StereoError, reproject,
 };
 use panoscope_imaging::{Rect, Serial, View, ViewMut};
@@ -226,14 +226,15 @@ fn folding() -> CameraModel {
 fn a_distortion_that_turns_back_is_found() {
     let camera = folding();
     close(camera.fold_px().unwrap(), 177.0, 2.0, "fold");
-    let radius = camera.fold_radius().unwrap();
+    let radius = camera.lens.fold_radius().unwrap();
     let at = |r: f64| camera.project(r, 0.0).0;
     assert!(at(radius) > at(radius - 0.01) && at(radius) > at(radius + 0.01));
     // Rational and usual ones do not turn back within a view.
-    for distortion in [&[-0.3, 0.1, 0.0, 0.0, 0.0][..], &[0.2, 0.05], &[1.5, 0.9, 0.0, 0.0, 0.1, 1.9, 1.2, 0.2], &[]] {
-        let distortion: Vec<f64> = distortion.iter().copied().chain([0.0; 12]).take(12).collect();
-        let camera = CameraModel::new((640, 480), (700.0, 700.0), (320.0, 240.0), &distortion).unwrap();
-        assert!(camera.fold_radius().is_none_or(|radius| radius > 1.0), "{distortion:?}: {:?}", camera.fold_radius());
+    for distortion in
+        [&[-0.3, 0.1, 0.0, 0.0, 0.0][..], &[0.2, 0.05, 0.0, 0.0], &[1.5, 0.9, 0.0, 0.0, 0.1, 1.9, 1.2, 0.2], &[]]
+    {
+        let fold = Lens::of_coefficients(distortion).unwrap().fold_radius();
+        assert!(fold.is_none_or(|radius| radius > 1.0), "{distortion:?}: {fold:?}");
     }
 }
 
@@ -248,7 +249,7 @@ fn what_lies_beyond_the_fold_is_black_and_not_valid() {
     let ramp: Vec<u8> = (0..720 * 576).map(|i| (20.0 + distance(i) / 2.0) as u8).collect();
     let mut out = vec![0; 720 * 576];
     map.remap(gray(&ramp, 720, 576), ViewMut::new(&mut out, 720, 576, 1), &Serial).unwrap();
-    let (valid, radius) = (map.valid(), camera.fold_radius().unwrap() * 448.0);
+    let (valid, radius) = (map.valid(), camera.lens.fold_radius().unwrap() * 448.0);
     for (i, value) in out.iter().enumerate() {
         let is_inside = distance(i) <= radius;
         assert_eq!(*value > 0, is_inside, "{i}");

@@ -7,7 +7,8 @@ use panoscope_imaging::{Parallel, Rect, View, ViewMut};
 use panoscope_node::abi::Calibration;
 
 use super::detect::Points;
-use super::solve::{Pair, rectified_px};
+use super::solution::Pair;
+use super::solve::rectified_px;
 
 /// Columns and rows of the coverage's cells.
 pub const CELLS: (usize, usize) = (8, 6);

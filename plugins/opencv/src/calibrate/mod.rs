@@ -5,7 +5,9 @@
 
 mod detect;
 mod draw;
+mod fisheye;
 mod neighbours;
+mod solution;
 mod solve;
 
 use panoscope_data::calibration::{Board, ViewState};
@@ -18,7 +20,8 @@ use panoscope_node::{
 use crate::mats::{Threads, borrowed, failed};
 use detect::{Detector, Points, same_order};
 use neighbours::keep_fitting;
-use solve::{Model, Pair, Procedure, Solution, solve};
+use solution::{Pair, Solution};
+use solve::{Model, Procedure, solve};
 
 /// Fewest common points of a usable view.
 const MIN_POINTS: usize = 8;

@@ -12,6 +12,9 @@ use panoscope_imaging::stereo::{CameraModel, Rectification};
 use panoscope_node::Choice;
 use panoscope_node::abi::{Calibration, Camera};
 
+use super::fisheye;
+use super::solution::{Found, Pair, Solution, Unsolved};
+
 /// Model of the distortion.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
 pub enum Model {
@@ -23,6 +26,8 @@ pub enum Model {
     Full,
     /// k1 to k6, p1, p2.
     Rational,
+    /// k1 to k4 of a fisheye (Kannala and Brandt; OpenCV's `fisheye`).
+    Equidistant,
 }
 
 impl Model {
@@ -32,6 +37,8 @@ impl Model {
             Self::Standard => CALIB_FIX_K3,
             Self::Full => 0,
             Self::Rational => CALIB_RATIONAL_MODEL,
+            // Not OpenCV's to solve for.
+            Self::Equidistant => 0,
         }
     }
 }
@@ -43,26 +50,6 @@ pub enum Procedure {
     Own(Model),
     /// The steps and flags of OpenCV's sample `stereo_calib`.
     Sample,
-}
-
-/// Points of one board seen by both cameras.
-#[derive(Clone, Debug)]
-pub struct Pair {
-    /// Positions on the board, mm.
-    pub board_mm: Vec<[f64; 2]>,
-    /// Positions in the left and right view, px.
-    pub px: [Vec<[f32; 2]>; 2],
-}
-
-/// Both cameras, with the errors of each view.
-#[derive(Clone, Debug)]
-pub struct Solution {
-    /// The calibration with its rectification.
-    pub calibration: Calibration,
-    /// Root mean square reprojection error of each view, left and right, px.
-    pub errors_px: Vec<[f64; 2]>,
-    /// Mean distance of matching points from one row after rectification, px.
-    pub epipolar_px: Vec<f64>,
 }
 
 fn cells<const N: usize>(mat: &Mat) -> opencv::Result<[f64; N]> {
@@ -79,40 +66,43 @@ fn camera(size: Size, k: &Mat, d: &Mat) -> opencv::Result<Camera> {
     Ok(Camera { width, height, fx: k[0], fy: k[4], cx: k[2], cy: k[5], distortion })
 }
 
-/// Why there is no solution.
-#[derive(Debug)]
-pub enum Unsolved {
-    /// OpenCV's message.
-    OpenCv(opencv::Error),
-    /// The camera of the left views stands to the right of the other one.
-    Exchanged,
-    /// Cameras that no rectification exists for, such as one above the other.
-    Impossible(String),
-}
-
-impl From<opencv::Error> for Unsolved {
-    fn from(error: opencv::Error) -> Self {
-        Self::OpenCv(error)
-    }
-}
-
-impl std::fmt::Display for Unsolved {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::OpenCv(error) => write!(f, "OpenCV: {}", error.message),
-            Self::Exchanged => f.write_str(
-                "left and right look exchanged, because the camera of the left views stands to the right of the other one. Give the views of the left camera as `left` and those of the right one as `right`",
-            ),
-            Self::Impossible(why) => f.write_str(why),
-        }
-    }
-}
-
 /// Solves for both cameras.
 ///
 /// # Errors
 /// [`Unsolved`] when OpenCV cannot, or the cameras found cannot stand so.
 pub fn solve(pairs: &[&Pair], size: (usize, usize), procedure: Procedure) -> Result<Solution, Unsolved> {
+    let found = match procedure {
+        Procedure::Own(Model::Equidistant) => fisheye::solve(pairs, size)?,
+        _ => by_opencv(pairs, size, procedure)?,
+    };
+    let translation = found.translation_mm;
+    if translation[0] > translation[1].abs().max(translation[2].abs()) {
+        return Err(Unsolved::Exchanged);
+    }
+    let [left, right] = found.cameras;
+    let bare = Calibration {
+        left,
+        right,
+        right_from_left_rotation: found.rotation,
+        right_from_left_mm: translation,
+        rectified_from_left: [0.0; 9],
+        rectified_from_right: [0.0; 9],
+        left_projection: [0.0; 12],
+        right_projection: [0.0; 12],
+        baseline_mm: translation.iter().map(|v| v * v).sum::<f64>().sqrt(),
+        rms_px: found.rms_px,
+        is_rectified: 0,
+        reserved: 0,
+    };
+    let impossible = |error: panoscope_imaging::stereo::StereoError| Unsolved::Impossible(error.to_string());
+    let views = packet::rectification(&bare).map_err(impossible)?;
+    let cameras = [packet::camera(&bare.left).map_err(impossible)?, packet::camera(&bare.right).map_err(impossible)?];
+    let epipolar_px = pairs.iter().map(|pair| epipolar_px(pair, &cameras, &views)).collect();
+    let calibration = packet::with_rectification(&bare, &views);
+    Ok(Solution { calibration, errors_px: found.errors_px, epipolar_px })
+}
+
+fn by_opencv(pairs: &[&Pair], size: (usize, usize), procedure: Procedure) -> opencv::Result<Found> {
     let size = Size::new(size.0 as i32, size.1 as i32);
     let places = |pair: &&Pair| -> Vector<Point3f> {
         pair.board_mm.iter().map(|p| Point3f::new(p[0] as f32, p[1] as f32, 0.0)).collect()
@@ -178,30 +168,13 @@ pub fn solve(pairs: &[&Pair], size: (usize, usize), procedure: Procedure) -> Res
         flags,
         end,
     )?;
-    let translation: [f64; 3] = cells(&t)?;
-    if translation[0] > translation[1].abs().max(translation[2].abs()) {
-        return Err(Unsolved::Exchanged);
-    }
-    let bare = Calibration {
-        left: camera(size, &k[0], &d[0])?,
-        right: camera(size, &k[1], &d[1])?,
-        right_from_left_rotation: cells(&r)?,
-        right_from_left_mm: translation,
-        rectified_from_left: [0.0; 9],
-        rectified_from_right: [0.0; 9],
-        left_projection: [0.0; 12],
-        right_projection: [0.0; 12],
-        baseline_mm: translation.iter().map(|v| v * v).sum::<f64>().sqrt(),
+    Ok(Found {
+        cameras: [camera(size, &k[0], &d[0])?, camera(size, &k[1], &d[1])?],
+        rotation: cells(&r)?,
+        translation_mm: cells(&t)?,
         rms_px,
-        is_rectified: 0,
-        reserved: 0,
-    };
-    let impossible = |error: panoscope_imaging::stereo::StereoError| Unsolved::Impossible(error.to_string());
-    let views = packet::rectification(&bare).map_err(impossible)?;
-    let cameras = [packet::camera(&bare.left).map_err(impossible)?, packet::camera(&bare.right).map_err(impossible)?];
-    let errors_px = errors.data_typed::<f64>()?.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect();
-    let epipolar_px = pairs.iter().map(|pair| epipolar_px(pair, &cameras, &views)).collect();
-    Ok(Solution { calibration: packet::with_rectification(&bare, &views), errors_px, epipolar_px })
+        errors_px: errors.data_typed::<f64>()?.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect(),
+    })
 }
 
 /// Where a pixel of a raw view lies in the rectified one, px.

@@ -1,12 +1,16 @@
 //! The true calibration of the rendered cameras.
 
+use panoscope_imaging::stereo::Lens;
 use panoscope_node::abi::{Calibration, Camera};
 
 use crate::render::{CameraModel, Rig};
 
 fn camera(model: &CameraModel) -> Camera {
     let mut distortion = [0.0; 14];
-    distortion[..5].copy_from_slice(&model.distortion);
+    match model.equidistant {
+        Some(lens) => distortion = Lens::Equidistant(lens).coefficients(),
+        None => distortion[..5].copy_from_slice(&model.distortion),
+    }
     Camera {
         width: model.width as u32,
         height: model.height as u32,
@@ -40,7 +44,7 @@ pub fn calibration(rig: &Rig) -> Calibration {
         right_projection: projection(-left.fx * baseline_mm),
         baseline_mm,
         rms_px: 0.0,
-        is_rectified: u32::from(left.distortion == [0.0; 5] && right.distortion == [0.0; 5]),
+        is_rectified: u32::from(left.is_pinhole() && right.is_pinhole()),
         reserved: 0,
     }
 }

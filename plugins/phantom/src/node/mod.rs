@@ -57,7 +57,7 @@ impl Node for PhantomNode {
         }
         for (index, model) in params.rig().cameras.iter().enumerate() {
             if let Err(error) = Lens::check(model, index) {
-                let help = "bring `distortion_k1` and `distortion_k2` nearer to 0";
+                let help = "bring `distortion_k1` and `distortion_k2` nearer to 0, or raise `zoom`";
                 check.error("distortion_k1", error.to_string(), help);
                 break;
             }

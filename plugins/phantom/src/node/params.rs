@@ -1,5 +1,6 @@
 //! Parameters of `phantom`, and the scene that they describe.
 
+use panoscope_imaging::stereo::Equidistant;
 use panoscope_node::{Choice, NodeError, Params, Result};
 
 use crate::render::{
@@ -51,6 +52,15 @@ pub enum Layout {
     Stereo,
     /// Two above two: view0, view1, view2, view3.
     Quad,
+}
+
+/// Lens of the cameras.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum LensChoice {
+    /// Straight, with OpenCV's radial distortion.
+    Pinhole,
+    /// A fisheye (Kannala and Brandt; OpenCV's `fisheye`).
+    Equidistant,
 }
 
 /// Camera whose picture goes black.
@@ -183,10 +193,17 @@ pub struct PhantomParams {
     /// Exposure of the right camera relative to the left one.
     #[param(default = 0.93, range = 0.25..=4.0, step = 0.01, unit = "ratio", reopen)]
     pub right_exposure: f32,
-    /// Radial distortion k1 of every camera.
+    /// Focal length relative to that of the thesis's scope, which is 750 px at 640 columns. Smaller ones see more: 0.45 with `lens = "equidistant"` is
+    /// a view of 109 degrees across.
+    #[param(default = 1.0, range = 0.3..=2.0, step = 0.05, unit = "ratio", reopen)]
+    pub zoom: f64,
+    /// Lens of every camera. Truth and `calibration` describe the views after rectification to pinholes of the same focal length.
+    #[param(default = "pinhole", reopen)]
+    pub lens: LensChoice,
+    /// First coefficient k1 of every camera's lens.
     #[param(default = 0.0, range = -0.5..=0.5, step = 0.01, reopen)]
     pub distortion_k1: f64,
-    /// Radial distortion k2 of every camera.
+    /// Second coefficient k2 of every camera's lens.
     #[param(default = 0.0, range = -0.5..=0.5, step = 0.01, reopen)]
     pub distortion_k2: f64,
     /// Camera that goes black from `black_first` on.
@@ -277,9 +294,11 @@ impl PhantomParams {
             Layout::Quad => Rig::quad(width, height, self.baseline_mm),
         };
         rig.cameras[1].exposure = self.right_exposure;
+        let k = [self.distortion_k1, self.distortion_k2, 0.0, 0.0];
         for camera in &mut rig.cameras {
-            camera.distortion[0] = self.distortion_k1;
-            camera.distortion[1] = self.distortion_k2;
+            (camera.fx, camera.fy) = (camera.fx * self.zoom, camera.fy * self.zoom);
+            camera.distortion[..4].copy_from_slice(&k);
+            camera.equidistant = (self.lens == LensChoice::Equidistant).then(|| Equidistant::new(k));
         }
         rig
     }

@@ -43,14 +43,13 @@ impl Lens {
         let padded = width.div_ceil(TILE) * TILE;
         let (grid_width, grid_height) = (padded / TILE + 1, height.div_ceil(TILE) + 1);
         let grid_padded = grid_width.div_ceil(LANES) * LANES;
-        let distorted = model.distortion.iter().any(|&k| k != 0.0);
+        let distorted = !model.is_pinhole();
         let ray = |u: usize, v: usize| {
-            let place = [(u as f64 - model.cx) / model.fx, (v as f64 - model.cy) / model.fy];
             // Padding may lie beyond the fold of a strong lens; inside the picture it is an error.
-            match undistort(&model.distortion, place) {
+            match model.ray(u, v) {
                 Some(ray) => Ok(ray.map(|v| v as f32)),
                 None if u < width && v < height => Err(PhantomError::BadDistortion { camera, u, v }),
-                None => Ok(place.map(|v| v as f32)),
+                None => Ok([(u as f64 - model.cx) / model.fx, (v as f64 - model.cy) / model.fy].map(|v| v as f32)),
             }
         };
         let mut lens = Self {
@@ -94,8 +93,7 @@ impl Lens {
     /// As [`Lens::new`].
     pub fn check(model: &CameraModel, camera: usize) -> Result<(), PhantomError> {
         for (u, v) in [(0, 0), (model.width - 1, 0), (0, model.height - 1), (model.width - 1, model.height - 1)] {
-            let place = [(u as f64 - model.cx) / model.fx, (v as f64 - model.cy) / model.fy];
-            undistort(&model.distortion, place).ok_or(PhantomError::BadDistortion { camera, u, v })?;
+            model.ray(u, v).ok_or(PhantomError::BadDistortion { camera, u, v })?;
         }
         Ok(())
     }

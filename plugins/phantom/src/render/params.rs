@@ -1,8 +1,10 @@
 //! Parameters of a phantom: the scene, the sensor's faults, the cameras.
 
+use panoscope_imaging::stereo::Equidistant;
 use thiserror::Error;
 
 use super::kinds::{BoardPrint, SceneKind, ToolKind};
+use super::lens::undistort;
 use super::scenario::ToolMotion;
 
 /// Why a phantom cannot be built, or a picture cannot be drawn.
@@ -248,7 +250,7 @@ impl SceneParams {
     }
 }
 
-/// One pinhole camera with OpenCV's distortion `k1 k2 p1 p2 k3`.
+/// One camera: a pinhole with OpenCV's distortion `k1 k2 p1 p2 k3`, or a fisheye.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraModel {
     /// Columns, px.
@@ -265,6 +267,8 @@ pub struct CameraModel {
     pub cy: f64,
     /// `k1, k2, p1, p2, k3`.
     pub distortion: [f64; 5],
+    /// An equidistant lens, in place of `distortion`.
+    pub equidistant: Option<Equidistant>,
     /// Centre of projection in the first camera's frame, mm. All cameras look along the same axis.
     pub offset_mm: [f64; 3],
     /// Exposure relative to the first camera.
@@ -274,6 +278,20 @@ pub struct CameraModel {
 }
 
 impl CameraModel {
+    /// Whether rays go straight through the lens.
+    pub fn is_pinhole(&self) -> bool {
+        self.distortion == [0.0; 5] && self.equidistant.is_none()
+    }
+
+    /// The ray `(x, y, 1)` that a pixel sees; `None` where the lens has none.
+    pub(super) fn ray(&self, u: usize, v: usize) -> Option<[f64; 2]> {
+        let [x, y] = [(u as f64 - self.cx) / self.fx, (v as f64 - self.cy) / self.fy];
+        match self.equidistant {
+            Some(lens) => lens.undistort(x, y).map(|(x, y)| [x, y]),
+            None => undistort(&self.distortion, [x, y]),
+        }
+    }
+
     /// An ideal camera of the thesis's scope: 640 columns at fx = fy = 750 px, wider ones in proportion.
     pub fn ideal(width: usize, height: usize) -> Self {
         let focal = 750.0 * width as f64 / 640.0;
@@ -285,6 +303,7 @@ impl CameraModel {
             cx: (width as f64 - 1.0) / 2.0,
             cy: (height as f64 - 1.0) / 2.0,
             distortion: [0.0; 5],
+            equidistant: None,
             offset_mm: [0.0; 3],
             exposure: 1.0,
             white_balance: [1.0; 3],
@@ -355,7 +374,8 @@ impl Rig {
                 within("offset_mm", offset, -200.0, 200.0)?;
                 within("white_balance", f64::from(gain), 0.0, 16.0)?;
             }
-            for k in camera.distortion {
+            let fisheye = camera.equidistant.map_or([0.0; 4], |lens| lens.coefficients());
+            for k in camera.distortion.into_iter().chain(fisheye) {
                 within("distortion", k, -100.0, 100.0)?;
             }
         }

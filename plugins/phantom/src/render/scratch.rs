@@ -17,7 +17,7 @@ pub(super) struct TruthScratch {
 impl TruthScratch {
     pub(super) fn new(cameras: &[CameraModel]) -> Result<Self, PhantomError> {
         let ideal = |(i, model): (usize, &CameraModel)| {
-            CameraBuffers::new(CameraModel { distortion: [0.0; 5], ..*model }, i, 1)
+            CameraBuffers::new(CameraModel { distortion: [0.0; 5], equidistant: None, ..*model }, i, 1)
         };
         let camera_buffers = cameras.iter().take(2).enumerate().map(ideal).collect::<Result<_, _>>()?;
         Ok(Self { camera_buffers, ..Self::default() })

@@ -330,6 +330,7 @@ impl Phantom {
                     cx: self.camera_buffers[0].model.cx + canvas.offset_x,
                     cy: self.camera_buffers[0].model.cy + canvas.offset_y,
                     distortion: [0.0; 5],
+                    equidistant: None,
                     ..self.camera_buffers[0].model
                 };
                 CameraBuffers::new(model, 0, 1)?

@@ -122,7 +122,8 @@ fn camera(
         frame_id: frame.to_owned(),
         width: camera.width,
         height: camera.height,
-        distortion_model: model.to_owned(),
+        // Foxglove has its own name for the lens.
+        distortion_model: if model == "equidistant" { "kannala_brandt" } else { model }.to_owned(),
         d,
         k: k.to_vec(),
         r: r.to_vec(),

@@ -9,7 +9,9 @@ use thiserror::Error;
 
 use crate::calibration::document::Node;
 use crate::calibration::error::{FileError, Mistake};
-use crate::calibration::{endovis, hamlyn, kalibr, kitti, middlebury, opencv, packet, ros, stereomis};
+use crate::calibration::{
+    endovis, equidistant_of, hamlyn, kalibr, kitti, matlab, middlebury, opencv, packet, ros, stereomis,
+};
 
 /// Largest relative difference between two baselines that one file states.
 const BASELINE_PART: f64 = 0.01;
@@ -26,7 +28,7 @@ pub enum KittiCameras {
 /// Reads a calibration: one file, or the two halves of one (OpenCV's intrinsics and extrinsics, ROS's left and right, Hamlyn's intrinsics and
 /// extrinsics).
 ///
-/// Lengths in OpenCV's files and in those of Middlebury, StereoMIS, EndoVis and Hamlyn are in mm, those in ROS, Kalibr and KITTI files in metres.
+/// Lengths in OpenCV's files, MATLAB's without a unit, and those of Middlebury, StereoMIS, EndoVis and Hamlyn are in mm, those in ROS, Kalibr and KITTI files in metres.
 /// Width and height are 0 when the file does not state them, as in the output of OpenCV's sample; the caller takes them from the views. Of KITTI's
 /// cameras those in colours are taken where the file has them; see [`read_kitti`].
 ///
@@ -122,9 +124,10 @@ fn of_yaml(texts: &[(&Path, &str)]) -> Result<Calibration, FileError> {
             Err(Mistake::whole(what).in_file(first))
         }
         [one] if kalibr::is(one) => kalibr::packet(one).map_err(|mistake| mistake.in_file(first)),
+        [one] if matlab::is(one) => matlab::packet(one).map_err(|mistake| mistake.in_file(first)),
         all if opencv::is(all) => opencv::packet(all).map_err(blame),
         _ => {
-            let what = "no calibration of a stereo pair: neither OpenCV's (M1, D1, M2, D2, R, T), nor ROS camera_info, nor a Kalibr camera chain, nor a file of KITTI, Middlebury, StereoMIS or EndoVis; the file is cut off or of another kind";
+            let what = "no calibration of a stereo pair: neither OpenCV's (M1, D1, M2, D2, R, T), nor ROS camera_info, nor a Kalibr camera chain, nor MATLAB's stereoParameters as JSON, nor a file of KITTI, Middlebury, StereoMIS or EndoVis; the file is cut off or of another kind";
             Err(Mistake::whole(what).in_file(first))
         }
     }
@@ -136,6 +139,9 @@ enum Contradiction {
     /// A camera or the rectification is impossible.
     #[error(transparent)]
     Cameras(#[from] StereoError),
+    /// One camera has a fisheye, the other has not.
+    #[error("one camera has an equidistant lens, the other has not")]
+    Lenses,
     /// The extrinsics and the rectified projections state different baselines.
     #[error(
         "its parts do not belong together: the translation between the cameras is {translation_mm:.3} mm long, the projection says {projection_mm:.3} mm"
@@ -146,6 +152,9 @@ enum Contradiction {
 /// Refuses cameras that cannot exist, and parts of different calibrations.
 fn check(calibration: &Calibration) -> Result<(), Contradiction> {
     let mut known = *calibration;
+    if equidistant_of(&known.left).is_some() != equidistant_of(&known.right).is_some() {
+        return Err(Contradiction::Lenses);
+    }
     for camera in [&mut known.left, &mut known.right] {
         if camera.width == 0 {
             // Nothing that is checked here depends on the size.

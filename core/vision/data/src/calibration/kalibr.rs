@@ -4,7 +4,7 @@ use panoscope_abi::{Calibration, Camera};
 
 use crate::calibration::document::Node;
 use crate::calibration::error::Mistake;
-use crate::calibration::packet_of;
+use crate::calibration::{equidistant, packet_of};
 
 const MM_PER_M: f64 = 1000.0;
 
@@ -27,9 +27,11 @@ fn camera(chain: &Node, name: &str) -> Result<Camera, Mistake> {
             let given: [f64; 4] = get("distortion_coeffs")?.exactly("distortion_coeffs")?;
             distortion[..4].copy_from_slice(&given);
         }
+        "equidistant" => distortion = equidistant(get("distortion_coeffs")?.exactly("distortion_coeffs")?),
         "none" | "" => {}
         other => {
-            let what = format!("`{name}` has the distortion model `{other}`: radtan and none are supported");
+            let what =
+                format!("`{name}` has the distortion model `{other}`: radtan, equidistant and none are supported");
             return Err(node.mistake(what));
         }
     }

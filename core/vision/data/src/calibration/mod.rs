@@ -3,7 +3,7 @@
 //! The only parser of calibration files: plugins that read them, nodes that make them and the command share it. It is not part of
 //! `imaging` because it needs a YAML parser.
 //!
-//! - [`read`] understands OpenCV's `FileStorage` YAML, ROS `camera_info`, Kalibr camera chains and the files of data sets (KITTI, Middlebury,
+//! - [`read`] understands OpenCV's `FileStorage` YAML, ROS `camera_info`, Kalibr camera chains, MATLAB's `stereoParameters` as JSON and the files of data sets (KITTI, Middlebury,
 //!   StereoMIS, EndoVis, rectified Hamlyn); [`write()`] writes `FileStorage` YAML that OpenCV reads back bit by bit.
 //! - [`packet`] turns the packet into camera models and a rectification, and refuses impossible ones.
 //! - [`pictures`] finds the picture files that a pattern matches, [`views`] groups those of several views by instant.
@@ -20,6 +20,7 @@ mod file;
 mod hamlyn;
 mod kalibr;
 mod kitti;
+mod matlab;
 mod middlebury;
 mod opencv;
 pub mod packet;
@@ -37,6 +38,7 @@ pub use opencv::text_of;
 pub use view::ViewState;
 
 use panoscope_abi::{Calibration, Camera};
+use panoscope_imaging::stereo::{Equidistant, Lens};
 
 /// Rows of the 3x3 unit matrix, one after the other.
 pub(crate) const EYE3: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
@@ -78,6 +80,22 @@ pub(crate) fn no_camera_matrix(matrix: &[f64; 9]) -> Option<&'static str> {
     } else {
         "is no camera matrix: its last row is not 0 0 1, or its second row does not begin with 0"
     })
+}
+
+/// Names of the equidistant lens in files and messages: that of ROS and Kalibr, and that of OpenCV.
+pub(crate) const EQUIDISTANT: [&str; 2] = ["equidistant", "fisheye"];
+
+/// The packet's coefficients of an equidistant lens.
+pub(crate) fn equidistant(k: [f64; 4]) -> [f64; 14] {
+    Lens::Equidistant(Equidistant::new(k)).coefficients()
+}
+
+/// The four coefficients of a camera with an equidistant lens.
+pub fn equidistant_of(camera: &Camera) -> Option<[f64; 4]> {
+    match Lens::of_coefficients(&camera.distortion) {
+        Ok(Lens::Equidistant(lens)) => Some(lens.coefficients()),
+        _ => None,
+    }
 }
 
 /// What makes a calibration doubtful although its numbers fit together; for a warning.

@@ -8,7 +8,7 @@ use panoscope_abi::{Calibration, Camera};
 use crate::calibration::EYE3;
 use crate::calibration::document::Node;
 use crate::calibration::error::Mistake;
-use crate::calibration::{no_camera_matrix, packet_of};
+use crate::calibration::{EQUIDISTANT, equidistant, equidistant_of, no_camera_matrix, packet_of};
 
 /// Names in use for the same matrices; the first is what is written.
 const LEFT_MATRIX: [&str; 6] =
@@ -57,11 +57,30 @@ fn needed<const N: usize>(documents: &[Node], names: &[&str], what: &str) -> Res
     })
 }
 
+/// Whether the documents state an equidistant lens. OpenCV has no word of its own in these files; this is that of ROS.
+fn is_equidistant(documents: &[Node]) -> Result<bool> {
+    let Some(found) = find(documents, &["distortion_model"]) else { return Ok(false) };
+    match found.node.text().unwrap_or_default() {
+        model if EQUIDISTANT.contains(&model) => Ok(true),
+        "plumb_bob" | "radtan" | "rational_polynomial" | "none" | "" => Ok(false),
+        other => {
+            let what = format!(
+                "the distortion model `{other}` is not supported: plumb_bob, rational_polynomial and equidistant are"
+            );
+            Err((found.index, found.node.mistake(what)))
+        }
+    }
+}
+
 fn distortion(documents: &[Node], names: &[&str]) -> Result<[f64; 14]> {
     let mut out = [0.0; 14];
     let Some(found) = find(documents, names) else { return Ok(out) };
     let fail = |mistake| (found.index, mistake);
     let all = found.node.numbers(found.name).map_err(fail)?;
+    if is_equidistant(documents)? {
+        let what = || format!("`{}` holds {} coefficients: an equidistant lens has 4", found.name, all.len());
+        return Ok(equidistant(all[..].try_into().map_err(|_| fail(found.node.mistake(what())))?));
+    }
     if ![0, 4, 5, 8, 12, 14].contains(&all.len()) {
         let what = format!("`{}` holds {} coefficients: 4, 5, 8, 12 or 14 are known", found.name, all.len());
         return Err(fail(found.node.mistake(what)));
@@ -187,7 +206,13 @@ pub fn text_of(packet: &Calibration) -> String {
     }
     for (camera, k, d) in [(&packet.left, "M1", "D1"), (&packet.right, "M2", "D2")] {
         matrix(&mut out, k, 3, &[camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]);
-        matrix(&mut out, d, 1, coefficients(&camera.distortion));
+        match equidistant_of(camera) {
+            Some(k) => matrix(&mut out, d, 1, &k),
+            None => matrix(&mut out, d, 1, coefficients(&camera.distortion)),
+        }
+    }
+    if equidistant_of(&packet.left).is_some() {
+        let _ = writeln!(out, "distortion_model: {}", EQUIDISTANT[0]);
     }
     matrix(&mut out, "R", 3, &packet.right_from_left_rotation);
     matrix(&mut out, "T", 3, &packet.right_from_left_mm);

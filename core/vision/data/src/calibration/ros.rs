@@ -5,7 +5,7 @@ use panoscope_abi::{Calibration, Camera};
 use crate::calibration::EYE3;
 use crate::calibration::document::Node;
 use crate::calibration::error::Mistake;
-use crate::calibration::no_camera_matrix;
+use crate::calibration::{EQUIDISTANT, equidistant, equidistant_of, no_camera_matrix};
 
 const MM_PER_M: f64 = 1000.0;
 
@@ -29,7 +29,7 @@ pub struct CameraInfo {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CameraInfoError {
     /// Another distortion model.
-    #[error("the distortion model `{model}` is not supported: plumb_bob and rational_polynomial are")]
+    #[error("the distortion model `{model}` is not supported: plumb_bob, rational_polynomial and equidistant are")]
     Model {
         /// Its name.
         model: String,
@@ -68,6 +68,10 @@ pub enum CameraInfoError {
 
 /// The coefficients of a model, in the order of the packet.
 fn coefficients(model: &str, all: &[f64]) -> Result<[f64; 14], CameraInfoError> {
+    if EQUIDISTANT.contains(&model) {
+        let count = || CameraInfoError::Coefficients { count: all.len(), model: model.to_owned() };
+        return Ok(equidistant(all.try_into().map_err(|_| count())?));
+    }
     // Some drivers write one zero for a camera without distortion.
     if all.iter().all(|value| *value == 0.0) && all.len() <= 14 {
         return Ok([0.0; 14]);
@@ -172,6 +176,7 @@ impl CameraInfo {
         let Camera { fx, fy, cx, cy, distortion, .. } = *camera;
         let used = distortion.iter().rposition(|value| *value != 0.0).map_or(0, |last| last + 1);
         let (model, count) = match used {
+            _ if equidistant_of(camera).is_some() => (EQUIDISTANT[0], 4),
             0..=5 => ("plumb_bob", 5),
             6..=8 => ("rational_polynomial", 8),
             9..=12 => ("rational_polynomial", 12),

@@ -7,6 +7,7 @@
 use crate::Rect;
 use crate::stereo::StereoError;
 use crate::stereo::camera::{CameraModel, StereoCameras};
+use crate::stereo::lens::Lens;
 use crate::stereo::rotation::*;
 
 /// The pinhole camera of a rectified view.
@@ -113,8 +114,13 @@ impl Rectification {
         let focal = (cameras.left.fy + cameras.right.fy) / 2.0;
         let (last_x, last_y) = ((width - 1) as f64, (height - 1) as f64);
         let mut centres = views.map(|(camera, rotation)| {
-            let corners = [(0.0, 0.0), (last_x, 0.0), (last_x, last_y), (0.0, last_y)];
-            let points = corners.map(|(u, v)| turn(camera, rotation, u, v));
+            // The corners of a fisheye are so far from the axis that a small shift of its centre moves them much; OpenCV takes the middles too.
+            let (middle_x, middle_y) = (last_x / 2.0, last_y / 2.0);
+            let places = match camera.lens {
+                Lens::Polynomial(_) => [(0.0, 0.0), (last_x, 0.0), (last_x, last_y), (0.0, last_y)],
+                Lens::Equidistant(_) => [(middle_x, 0.0), (last_x, middle_y), (middle_x, last_y), (0.0, middle_y)],
+            };
+            let points = places.map(|(u, v)| turn(camera, rotation, u, v));
             let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / 4.0;
             (last_x / 2.0 - focal * mean(|p| p.0), last_y / 2.0 - focal * mean(|p| p.1))
         });

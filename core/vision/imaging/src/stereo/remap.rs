@@ -80,7 +80,7 @@ impl RemapTable {
         let mut corner = vec![0; roi.width * roi.height];
         let mut fraction = vec![OUTSIDE; roi.width * roi.height];
         let back = transposed(rotation);
-        let farthest = camera.fold_radius().map_or(f64::INFINITY, |radius| radius * radius);
+        let farthest = camera.lens.fold_radius().map_or(f64::INFINITY, |radius| radius * radius);
         let is_folded = AtomicBool::new(false);
         let (corners, fractions) = (SharedMut::new(&mut corner), SharedMut::new(&mut fraction));
         pool.run(roi.height, &|row| {

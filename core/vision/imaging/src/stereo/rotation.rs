@@ -23,15 +23,18 @@ pub(crate) fn scaled(a: Vector3, factor: f64) -> Vector3 {
     a.map(|value| value * factor)
 }
 
-pub(crate) fn apply(m: &Matrix3, v: Vector3) -> Vector3 {
+/// A vector turned by a matrix.
+pub fn apply(m: &Matrix3, v: Vector3) -> Vector3 {
     [dot(m[0], v), dot(m[1], v), dot(m[2], v)]
 }
 
-pub(crate) fn transposed(m: &Matrix3) -> Matrix3 {
+/// Rows as columns: the inverse of a rotation.
+pub fn transposed(m: &Matrix3) -> Matrix3 {
     std::array::from_fn(|row| std::array::from_fn(|column| m[column][row]))
 }
 
-pub(crate) fn product(a: &Matrix3, b: &Matrix3) -> Matrix3 {
+/// `a b`: turned by `b`, then by `a`.
+pub fn product(a: &Matrix3, b: &Matrix3) -> Matrix3 {
     let b = transposed(b);
     std::array::from_fn(|row| std::array::from_fn(|column| dot(a[row], b[column])))
 }
@@ -41,7 +44,7 @@ pub(crate) fn determinant(m: &Matrix3) -> f64 {
 }
 
 /// Rotation by `|v|` radians about `v` (Rodrigues' formula).
-pub(crate) fn rotation_of(v: Vector3) -> Matrix3 {
+pub fn rotation_of(v: Vector3) -> Matrix3 {
     let angle = norm(v);
     if angle < 1e-15 {
         return IDENTITY;
@@ -57,7 +60,7 @@ pub(crate) fn rotation_of(v: Vector3) -> Matrix3 {
 }
 
 /// Axis times angle of a rotation; its inverse is [`rotation_of`].
-pub(crate) fn vector_of(m: &Matrix3) -> Vector3 {
+pub fn vector_of(m: &Matrix3) -> Vector3 {
     let axis = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
     let sin = norm(axis) / 2.0;
     let cos = (m[0][0] + m[1][1] + m[2][2] - 1.0) / 2.0;

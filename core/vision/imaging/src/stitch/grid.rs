@@ -442,13 +442,14 @@ impl RegisterGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stereo::Lens;
 
     fn camera() -> RectifiedView {
         RectifiedView {
             size: (640, 480),
             focal_px: [750.0; 2],
             centre_px: [319.5, 239.5],
-            distortion: [0.0; 12],
+            lens: Lens::NONE,
             rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             rectified_focal_px: [750.0; 2],
             rectified_centre_px: [319.5, 239.5],
@@ -544,7 +545,7 @@ mod tests {
         let (sin, cos) = 0.05f64.sin_cos();
         let turned = RectifiedView {
             rectified_from_camera: [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos],
-            distortion: [-0.1, 0.02, 0.001, -0.001, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            lens: Lens::of_coefficients(&[-0.1, 0.02, 0.001, -0.001]).unwrap(),
             ..camera()
         };
         let [u, v] = turned.unrectify([400.0, 100.0]);

@@ -2,6 +2,7 @@
 
 use crate::geometry::Point;
 use crate::shrink::shrunk_px;
+use crate::stereo::Lens;
 
 /// One camera and its rectification, as far as a pixel's way from the rectified view back to the picture needs them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,8 +13,8 @@ pub struct RectifiedView {
     pub focal_px: [f64; 2],
     /// Principal point of the camera, px.
     pub centre_px: [f64; 2],
-    /// `k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4`, OpenCV's model.
-    pub distortion: [f64; 12],
+    /// Lens of the camera.
+    pub lens: Lens,
     /// Rotation from the camera's axes to the rectified ones, row by row.
     pub rectified_from_camera: [f64; 9],
     /// Focal lengths of the rectified view, px.
@@ -26,7 +27,7 @@ impl RectifiedView {
     /// Whether the camera's picture is the rectified view.
     pub fn is_straight(&self) -> bool {
         let same = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        self.distortion == [0.0; 12]
+        self.lens == Lens::NONE
             && self.rectified_from_camera == same
             && self.focal_px == self.rectified_focal_px
             && self.centre_px == self.rectified_centre_px
@@ -44,13 +45,7 @@ impl RectifiedView {
         if c <= 0.0 {
             return [f64::NAN; 2];
         }
-        let (x, y) = (a / c, b / c);
-        let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
-        let r2 = x * x + y * y;
-        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
-        let xy = 2.0 * x * y;
-        let dx = x * radial + p1 * xy + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2);
-        let dy = y * radial + p1 * (r2 + 2.0 * y * y) + p2 * xy + r2 * (s3 + r2 * s4);
+        let (dx, dy) = self.lens.distort(a / c, b / c);
         [self.focal_px[0] * dx + self.centre_px[0], self.focal_px[1] * dy + self.centre_px[1]]
     }
 
@@ -81,7 +76,7 @@ mod tests {
             size: (1920, 1080),
             focal_px: [2200.0, 2210.0],
             centre_px: [950.0, 548.0],
-            distortion: [-0.2, 0.05, 0.001, -0.002, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            lens: Lens::of_coefficients(&[-0.2, 0.05, 0.001, -0.002]).unwrap(),
             rectified_from_camera: [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos],
             rectified_focal_px: [2150.0; 2],
             rectified_centre_px: [900.0, 540.0],

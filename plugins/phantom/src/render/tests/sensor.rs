@@ -69,10 +69,19 @@ fn faults_of_the_sensor_show() {
 
 #[test]
 fn a_distorted_view_is_the_ideal_one_seen_through_the_lens() {
+    let k = [-0.25, 0.08, 0.001, -0.0015, 0.0];
+    let polynomial = CameraModel { distortion: k, ..even_rig().cameras[0] };
+    check_view_through(polynomial, &|x, y| super::super::lens::distort(&k, [x, y]).0);
+    let lens = panoscope_imaging::stereo::Equidistant::new([-0.05, 0.02, 0.0, 0.0]);
+    let fisheye = CameraModel { equidistant: Some(lens), ..even_rig().cameras[0] };
+    check_view_through(fisheye, &|x, y| lens.distort(x, y).into());
+}
+
+/// Compares a view with the one of the pinhole at its place, whose ray `(x, y)` appears at `distort(x, y)`.
+fn check_view_through(camera: CameraModel, distort: &dyn Fn(f64, f64) -> [f64; 2]) {
     let params = SceneParams { specular: 0.0, ..quiet(SceneKind::Board) };
     let mut rig = even_rig();
-    let k = [-0.25, 0.08, 0.001, -0.0015, 0.0];
-    rig.cameras[1] = CameraModel { distortion: k, ..rig.cameras[0] };
+    rig.cameras[1] = camera;
     let mut phantom = Phantom::new(params, rig, &Serial).unwrap();
     let pictures = draw(&mut phantom, 20, None, &Serial);
     let ideal = View::new(&pictures[0], WIDTH, HEIGHT, 3);
@@ -80,7 +89,7 @@ fn a_distorted_view_is_the_ideal_one_seen_through_the_lens() {
     for v in (40..HEIGHT - 40).step_by(3) {
         for u in (40..WIDTH - 40).step_by(3) {
             // The ideal pixel (x, y) appears in the distorted picture at `seen`.
-            let (seen, _) = super::super::lens::distort(&k, [(u as f64 - 319.5) / 750.0, (v as f64 - 239.5) / 750.0]);
+            let seen = distort((u as f64 - 319.5) / 750.0, (v as f64 - 239.5) / 750.0);
             let (x, y) = (seen[0] * 750.0 + 319.5, seen[1] * 750.0 + 239.5);
             let at = |i: usize, j: usize| f64::from(pictures[1][3 * ((y as usize + j) * WIDTH + x as usize + i)]);
             let (a, b) = (x.fract(), y.fract());

@@ -5,6 +5,7 @@ use super::super::warp::{Block, GROUP};
 use super::super::{CompositeParams, Compositor, GeometryState, IDENTITY, SeamMethod};
 use super::*;
 use crate::geometry::Homography;
+use crate::stereo::Lens;
 use crate::stitch::RectifiedView;
 use crate::{Serial, Simd, View, ViewMut};
 use panoscope_base::random::lattice as random;
@@ -16,7 +17,7 @@ fn camera() -> RectifiedView {
         size: SIZE,
         focal_px: [750.0; 2],
         centre_px: [319.5, 239.5],
-        distortion: [0.0; 12],
+        lens: Lens::NONE,
         rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         rectified_focal_px: [750.0; 2],
         rectified_centre_px: [319.5, 239.5],
