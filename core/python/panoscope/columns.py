@@ -133,6 +133,21 @@ def rows_of_report(report: Mapping[str, Any]) -> Rows:
     return Rows({"node": node, **{name: value for name, value in counts.items() if not isinstance(value, (dict, list))}} for node, counts in report["nodes"].items())
 
 
+def _flat(row: Mapping[str, Any], name: str = "") -> _Row:
+    """A row whose records are columns of their own: ``tip.u_px``."""
+    flat: _Row = {}
+    for key, value in row.items():
+        flat.update(_flat(value, f"{name}{key}.") if isinstance(value, dict) else {f"{name}{key}": value})
+    return flat
+
+
+def _of_line(line: Mapping[str, Any]) -> list[_Row]:
+    """The rows of a line of ``write_table``: one for each row of a table and each box, as its CSV has them."""
+    lists = {key: value for key, value in line.items() if isinstance(value, list) and all(isinstance(row, dict) for row in value)}
+    head = _flat({key: value for key, value in line.items() if key not in lists})
+    return [{**head, **_flat(row)} for rows in lists.values() for row in rows] if lists else [head]
+
+
 def read_table(path: str | os.PathLike[str]) -> Rows:
     """A table that Panoscope wrote: CSV or JSON lines of ``write_table``, CSV or JSON of ``panoscope sweep`` and ``panoscope export``, or the nodes of
     a report of ``panoscope run --report``."""
@@ -149,4 +164,4 @@ def read_table(path: str | os.PathLike[str]) -> Rows:
     rows = read if isinstance(read, list) else [read]
     if not all(isinstance(row, dict) for row in rows):
         raise ValueError(f"{file} is not a table: neither CSV, nor JSON lines, nor a report")
-    return Rows(rows)
+    return Rows(row for line in rows for row in _of_line(line))
