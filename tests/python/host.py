@@ -522,14 +522,15 @@ class PluginTest(HostCase):
         text = (ROOT / "core" / "python" / "README.md").read_text()
         # One is about videos that are not there.
         blocks = [block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if ".mp4" not in block]
-        self.assertEqual(len(blocks), 2)
+        self.assertEqual(len(blocks), 3)
         os.chdir(self.folder)
         names = {}
         for block in blocks:
             exec(block, names)
         self.assertEqual((len(names["result"]["wide.panorama"]), len(names["rows"])), (20, 2))
         written = sorted(file.name for file in self.folder.iterdir())
-        self.assertEqual(written, ["a.mcap", "out"], "what is watched writes nothing")
+        self.assertEqual(len(names["found"][names["match"].disparity]), 3)
+        self.assertEqual(written, ["a.mcap", "matched.toml", "out"], "what is watched writes nothing")
         self.assertEqual([file.name for file in (self.folder / "out").iterdir()], ["a"])
 
 
