@@ -1,7 +1,10 @@
 """Results of runs as tables of pandas, Polars and Arrow. Started by tests/tests/live.rs."""
 
+import os
+import subprocess
 import tempfile
 import unittest
+import unittest.mock
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,7 @@ import pyarrow.parquet
 
 import panoscope as ps
 
+COMMAND = os.environ["PANOSCOPE_BIN"]
 GRAPH = """
 mode = "batch"
 plugins = ["phantom", "stereo"]
@@ -69,6 +73,55 @@ class Tables(unittest.TestCase):
         self.assertEqual(set(read["output"]), {"scope.lead", "scope.detections", "judge.table"})
         self.assertEqual((read["output"] == "scope.lead").sum(), 5)
         self.assertTrue(np.isfinite(read["capture_ns"]).all())
+
+    def test_every_table_becomes_parquet(self) -> None:
+        folder = Path(self.folder.name)
+        graph = ps.Graph(folder / "graph.toml")
+        rows = ps.sweep(graph, {"match.search_px": [32, 64]}, ["judge.bad2_pct"], frames=2)
+        rows.to_parquet(folder / "sweep.parquet")
+        self.assertEqual(list(pandas.read_parquet(folder / "sweep.parquet")["match.search_px"]), [32, 64])
+        self.result.nodes().to_parquet(folder / "nodes.parquet")
+        nodes = pandas.read_parquet(folder / "nodes.parquet").set_index("node")
+        self.assertEqual((set(nodes.index), nodes["count"]["match"]), ({"scope", "match", "judge"}, 5))
+        graph.record(folder / "a.mcap", all_ports=True).run(frames=3, watch=["judge.table"])
+        files = ps.Recording(folder / "a.mcap").to_parquet(folder / "parquet")
+        table = pandas.read_parquet(folder / "parquet" / "judge.table.parquet")
+        self.assertIn(folder / "parquet" / "judge.table.parquet", files)
+        self.assertFalse((folder / "parquet" / "scope.left.parquet").exists())
+        self.assertEqual(list(table["tick"]), [0, 1, 2])
+        self.assertLessEqual(set(self.result["judge.table"][0].columns), set(table.columns))
+
+    def test_files_of_tables_are_read(self) -> None:
+        folder = Path(self.folder.name)
+        graph = ps.Graph(folder / "graph.toml")
+        built = ps.Graph(mode="batch", name="written")
+        views = built.phantom(width=160, height=120, tools=2)
+        match = built.stereo_bm(views.left, views.right, search_px=32)
+        judge = built.evaluate_disparity(disparity=match.disparity, truth=views.disparity)
+        for ending in ("csv", "jsonl"):
+            built.write_table(judge.table, path=folder / f"table.{ending}")
+        tables = built.run(frames=3, watch=[judge.table], act=True)[judge.table]
+        for ending in ("csv", "jsonl"):
+            rows = ps.read_table(folder / f"table.{ending}")
+            self.assertEqual(len(rows), len(tables))
+            for row, table in zip(rows, tables):
+                for column, value in zip(table.columns, table.rows[0]):
+                    np.testing.assert_allclose(row[column], value, rtol=1e-3, err_msg=column)
+            rows.to_parquet(folder / "table.parquet")
+            self.assertEqual(len(pandas.read_parquet(folder / "table.parquet")), 3)
+        report = folder / "report.json"
+        subprocess.run([COMMAND, "run", graph.path, "--headless", "--frames", "2", "--report", report], check=True, capture_output=True)
+        self.assertEqual({row["node"] for row in ps.read_table(report)}, {"scope", "match", "judge"})
+        report.write_text("[1, 2]")
+        with self.assertRaisesRegex(ValueError, "is not a table"):
+            ps.read_table(report)
+
+    def test_a_missing_package_is_named_with_the_remedy(self) -> None:
+        rows = ps.Rows([{"a": 1.0}, {"a": "text", "b": True}])
+        self.assertEqual(rows.to_arrow().to_pydict(), {"a": ["1.0", "text"], "b": [None, True]})
+        with unittest.mock.patch.dict("sys.modules", {"pyarrow": None, "pyarrow.parquet": None}):
+            with self.assertRaisesRegex(ImportError, "a Parquet file needs pyarrow.* -m pip install pyarrow"):
+                rows.to_parquet("a.parquet")
 
     def test_pixels_are_refused(self) -> None:
         with self.assertRaisesRegex(TypeError, "numpy.asarray"):

@@ -23,6 +23,11 @@ fn nodes_in_python() {
 }
 
 #[test]
+fn graphs_are_built_in_python() {
+    run_python_class("building.py", "Building");
+}
+
+#[test]
 fn every_class_of_host_py_is_run_above() {
     let text = std::fs::read_to_string(root().join("tests/python/host.py")).expect("a file");
     let classes = text.lines().filter_map(|line| line.strip_prefix("class "));

@@ -76,8 +76,8 @@ enum Command {
     Describe(commands::describe::Arguments),
     /// Writes a graph as Graphviz text.
     Dot(commands::dot::Arguments),
-    /// Writes a JSON Schema of graph files, for editors.
-    Schema,
+    /// Writes a JSON Schema of graph files, for editors; or the node types for Python.
+    Schema(commands::schema::Arguments),
     /// Writes the beginnings of a plugin.
     New(commands::new::Arguments),
     /// Measures the runtime itself, beside its peers where they are installed.
@@ -204,7 +204,7 @@ pub fn main() -> ! {
         Command::List(arguments) => commands::list::run(&arguments),
         Command::Describe(arguments) => commands::describe::run(&arguments),
         Command::Dot(arguments) => commands::dot::run(&arguments),
-        Command::Schema => commands::schema::run(),
+        Command::Schema(arguments) => commands::schema::run(&arguments),
         Command::New(arguments) => commands::new::run(&arguments),
         Command::Doctor => commands::doctor::run(),
         Command::Serve(arguments) => commands::serve::run(&arguments),

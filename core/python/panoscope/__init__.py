@@ -57,6 +57,8 @@ from .packets import (
 )
 
 if TYPE_CHECKING:
+    from .building import Arg, Output
+    from .columns import Rows, read_table
     from .graph import Graph, Running, check
     from .installation import graphs
     from .recording import Recording, replay
@@ -67,16 +69,18 @@ _OF_MODULE = {
     **dict.fromkeys(("Graph", "Running", "check"), "graph"),
     **dict.fromkeys(("Recording", "replay"), "recording"),
     **dict.fromkeys(("Packet", "Result", "Series"), "series"),
+    **dict.fromkeys(("Arg", "Output"), "building"),
+    **dict.fromkeys(("Rows", "read_table"), "columns"),
     "graphs": "installation",
     "sweep": "sweeps",
 }
 """What the process of a node has no use for, and its module: a node starts sooner without it."""
 
 __all__ = [
-    "AnyImage", "Bgr8", "Calibration", "Cloud", "Confidence", "Depth", "Detections", "Diagnostic", "Disparity", "EditError", "End", "Graph",
-    "GraphError", "Gray16", "Gray8", "GrayF32", "Homography", "Joints", "Mask", "NodeError", "Packet", "PanoscopeError", "Pose", "Recording",
-    "RecordingError", "Result", "Rgba8", "Roi", "RunError", "Running", "Scalar", "Series", "Table", "Text", "Tip", "age_ms", "check",
-    "clock_ns", "empty", "empty_like", "graphs", "log", "metric", "node", "param", "replay", "sweep", "tick",
+    "AnyImage", "Arg", "Bgr8", "Calibration", "Cloud", "Confidence", "Depth", "Detections", "Diagnostic", "Disparity", "EditError", "End",
+    "Graph", "GraphError", "Gray16", "Gray8", "GrayF32", "Homography", "Joints", "Mask", "NodeError", "Output", "Packet", "PanoscopeError",
+    "Pose", "Recording", "RecordingError", "Result", "Rgba8", "Roi", "Rows", "RunError", "Running", "Scalar", "Series", "Table", "Text", "Tip",
+    "age_ms", "check", "clock_ns", "empty", "empty_like", "graphs", "log", "metric", "node", "param", "read_table", "replay", "sweep", "tick",
 ]  # fmt: skip
 
 

@@ -42,6 +42,8 @@ class GraphError(PanoscopeError):
 
     def __init__(self, words: str, diagnostics: str = "[]") -> None:
         super().__init__(words)
+        self.json = diagnostics
+        """The mistakes as ``panoscope check --json`` writes them."""
         self.diagnostics = Diagnostic.list_of(diagnostics)
 
 

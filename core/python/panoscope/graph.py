@@ -6,16 +6,19 @@ import atexit
 import json
 import logging
 import os
-import shutil
-import subprocess
 import weakref
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from . import _native, installation
+from . import _native, installation, pages
+from .building import AnyNode, Arg, Draft, Output
+from .catalogue import NodeTypes
 from .errors import Diagnostic, EditError, GraphError, RunError
+from .progress import Bar
 from .series import Packet, Result
 
 _LOG = logging.getLogger("panoscope")
@@ -24,7 +27,6 @@ _PATIENCE_S = 30.0
 """How long nodes may take to finish after the end of a run."""
 _POLL_S = 0.1
 _running: weakref.WeakSet[Running] = weakref.WeakSet()
-
 
 
 def word(value: Any) -> str:
@@ -62,8 +64,9 @@ class Running:
     def __init__(self, native: Any, watch: list[str]) -> None:
         self.native = native
         self._watch = watch
-        self._types = [packet for _, _, packet in native.watched()]
+        self._types = [partial(str, packet) for _, _, packet in native.watched()]
         self._closed: dict[str, Any] | None = None
+        self._bar: Bar | None = None
         self._waiting: deque[Packet] = deque()
         """Packets that the native part gave, and nobody took yet."""
         _running.add(self)
@@ -74,6 +77,8 @@ class Running:
                 yield self._waiting.popleft()
             packets = self.native.poll(_POLL_S)
             self._log()
+            if self._bar is not None and self._bar.is_due():
+                self._bar.show(self.report["frames"])
             if packets is None:
                 break
             for port, view, tick, age_ms in packets:
@@ -84,14 +89,17 @@ class Running:
         for level, node, words in self.native.log_lines():
             _LOG.log(_LEVELS[level], "%s: %s", node, words)
 
-    def collect(self) -> Result:
-        """All packets until the run ends."""
+    def collect(self, bar: Bar | None = None) -> Result:
+        """All packets until the run ends; ``bar`` shows how far it is."""
         result = Result(self._watch)
+        self._bar = bar
         try:
             for packet in self:
                 result.add(packet)
         finally:
             self.stop()
+            if bar is not None:
+                bar.close()
         result.sort()
         closed = self._close()
         result.faults, result.report = closed["faults"], closed["report"]
@@ -162,56 +170,136 @@ def _stop_all() -> None:
         running.stop()
 
 
-class Graph:
+class Graph(NodeTypes):
     """A graph file: ``ps.Graph("depth.toml", args={"left": "left.mp4"}).run(frames=100, watch=["points.depth"])``.
 
     ``args`` are the graph's arguments, by name or as words of a command line (``["--left=left.mp4"]``); ``set`` are values of parameters by
     ``node.param``; ``overlays`` are files that replace nodes. A file that does not exist is looked for among the graphs of the installation, an
     overlay as ``sources/files.toml`` too.
     ``library`` is the folder of another installation's program and plugins.
+
+    Without ``path`` the graph is built here, call by call::
+
+        graph = ps.Graph(mode="batch")
+        views = graph.capture(left="left.mp4", right="right.mp4")
+        match = graph.stereo_bm(views.left, views.right, search_px=128)
+        graph.run(frames=100, watch=[match.disparity])
+        graph.save("own.toml")
+
+    Each node type is a method; inputs come first, by position or name, then parameters by name. ``id`` names the node, else it has the name of
+    its type. Relative paths start from the working folder. ``name``, ``mode`` and ``plugin_paths`` are those of the file that :meth:`save` writes.
     """
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        path: str | os.PathLike[str] | None = None,
         args: Mapping[str, Any] | Sequence[str] = (),
         *,
         set: Mapping[str, Any] | None = None,
         overlays: Sequence[str | os.PathLike[str]] = (),
         library: str | os.PathLike[str] | None = None,
+        name: str | None = None,
+        mode: str = "live",
+        plugin_paths: Sequence[str | os.PathLike[str]] = (),
     ) -> None:
         installation.use(library)
-        self.path = installation.graph_file(path)
+        self.path = installation.graph_file(path) if path is not None else Path.cwd() / f"{name or 'graph'}.toml"
+        """Of a graph that is built: what relative paths start from."""
+        self._draft = Draft(self.path, name, mode, plugin_paths) if path is None else None
         self._args = args
         self._set = dict(set or {})
         self._overlays = [installation.graph_file(file) for file in overlays]
         self._record: tuple[Path, bool] | None = None
         self._running: Running | None = None
-        self.native = self._open()
+        self._opened: _native.GraphFile | None = None
+        self._opened_version = 0
+        if path is not None:
+            self._opened = self._open()
 
-    def _open(self) -> Any:
-        by_name = isinstance(self._args, Mapping)
+    def _open(self) -> _native.GraphFile:
         named = [(name, word(value)) for name, value in self._args.items()] if isinstance(self._args, Mapping) else []
-        words = [] if by_name else [word(arg) for arg in self._args]
-        return _native.GraphFile(self.path, words, named, settings(self._set), self._overlays)
+        words = [] if isinstance(self._args, Mapping) else [word(arg) for arg in self._args]
+        text = None if self._draft is None else self._draft.text()
+        return _native.GraphFile(self.path, words, named, settings(self._set), self._overlays, text)
 
-    def words(self) -> list[str]:
-        """The graph as words of a command line: the file, arguments, overlays and settings."""
+    @property
+    def native(self) -> _native.GraphFile:
+        """The graph as the native part has it."""
+        version = 0 if self._draft is None else self._draft.version
+        if self._opened is None or version != self._opened_version:
+            self._opened, self._opened_version = self._open(), version
+        return self._opened
+
+    @contextmanager
+    def _at_calls(self) -> Iterator[None]:
+        """Mistakes of a graph that is built are told at the calls that they come from."""
+        try:
+            yield
+        except GraphError as error:
+            if self._draft is None:
+                raise
+            raise self._draft.explained(error) from None
+
+    def _built(self) -> Draft:
+        if self._draft is None:
+            raise GraphError(f"{self.path} is a file: change it with an editor, or build a graph with `ps.Graph()`")
+        return self._draft
+
+    def add(self, node_type: str, *inputs: Any, id: str | None = None, **values: Any) -> AnyNode:
+        """Adds a node of any type, such as one of a plugin of your own: ``graph.add("my_filter", views.left, strength=2)``."""
+        return self._built().maker(node_type)(*inputs, id=id, **values)
+
+    def part(self, file: str | os.PathLike[str], *, id: str | None = None, **values: Any) -> AnyNode:
+        """Adds a part: a graph file with inputs, outputs and parameters."""
+        return self._built().part(installation.graph_file(file), values, id)
+
+    def arg(
+        self,
+        name: str,
+        type: str = "text",
+        *,
+        default: Any = None,
+        doc: str = "",
+        unit: str = "",
+        range: tuple[float, float] | None = None,
+        choices: Sequence[str] | None = None,
+    ) -> Arg:
+        """Declares an argument, which stands wherever a value may stand: ``graph.capture(left=graph.arg("left", "source"))``."""
+        return self._built().arg(name, {"type": type, "default": default, "doc": doc, "unit": unit, "range": range, "choices": choices})
+
+    def output(self, reference: str) -> Output[Any]:
+        """An output by its name, also of a node that is added later: ``graph.output("arm.joints").aligned(delay=1)``."""
+        node, _, port = reference.rpartition(".")
+        return Output(node, port)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the graph as a file, for the command and the editor; relative paths in it are made those of the file's folder."""
+        file = Path(path)
+        draft = self._built()
+        with self._at_calls():
+            self.native.check([], False)
+        file.write_text(draft.text(file.parent), encoding="utf-8")
+        return file
+
+    def words(self, folder: Path) -> list[str]:
+        """The graph as words of a command line: the file, arguments, overlays and settings. A graph that is built is written into ``folder``."""
+        path = self.path if self._draft is None else self.save(folder / "graph.toml")
         if isinstance(self._args, Mapping):
             # An option of the command may have an argument's name.
             args = [f"--graph-arg={name}={word(value)}" for name, value in self._args.items()]
         else:
             args = [word(arg) for arg in self._args]
         overlays = [text for file in self._overlays for text in ("--with", str(file))]
-        return [str(self.path), *args, *overlays, *(text for setting in settings(self._set) for text in ("--set", setting))]
+        return [str(path), *args, *overlays, *(text for setting in settings(self._set) for text in ("--set", setting))]
 
     def check(self) -> list[Diagnostic]:
         """Checks the whole graph; returns its warnings. Mistakes raise :class:`GraphError`."""
-        return Diagnostic.list_of(self.native.check([], False))
+        with self._at_calls():
+            return Diagnostic.list_of(self.native.check([], False))
 
     def start(
         self,
-        watch: Sequence[str] = (),
+        watch: Sequence[str | Output[Any]] = (),
         *,
         frames: int | None = None,
         act: bool | None = None,
@@ -231,23 +319,29 @@ class Graph:
         if act is False and not watch:
             raise GraphError("without `watch` nothing needs to run: name the outputs to watch, or leave out `act`")
         file, all_ports = self._record or (None, False)
-        native = self.native.start(list(watch), is_part, keep_all, frames, paced, threads, file, all_ports)
-        self._running = Running(native, list(watch))
+        names = [str(output) for output in watch]
+        with self._at_calls():
+            native = self.native.start(names, is_part, keep_all, frames, paced, threads, file, all_ports)
+        self._running = Running(native, names)
         return self._running
 
     def run(
         self,
         frames: int | None = None,
-        watch: Sequence[str] = (),
+        watch: Sequence[str | Output[Any]] = (),
         *,
         act: bool | None = None,
         paced: bool = False,
         threads: int = 0,
+        progress: bool | None = None,
     ) -> Result:
-        """Runs the graph to its end; ``result["points.depth"]`` has what the output gave. See :meth:`start`; here no packet is lost."""
+        """Runs the graph to its end; ``result["points.depth"]`` has what the output gave. See :meth:`start`; here no packet is lost.
+
+        ``progress`` shows or hides a bar; by default there is one in notebooks and on terminals.
+        """
         running = self.start(watch, frames=frames, act=act, paced=paced, threads=threads, keep_all=True)
         try:
-            return running.collect()
+            return running.collect(Bar(self.name, frames, progress))
         finally:
             self._running = None
 
@@ -266,14 +360,17 @@ class Graph:
         old = dict(self._set)
         self._set[param] = value
         try:
-            self.native = self._open()
+            self._opened = self._open()
         except GraphError:
             self._set = old
             raise
 
     def get(self, param: str) -> Any:
         """Value of ``node.param``."""
-        return self._running.get(param) if self._running is not None else json.loads(self.native.get(param))
+        if self._running is not None:
+            return self._running.get(param)
+        with self._at_calls():
+            return json.loads(self.native.get(param))
 
     def apply(self, text: str) -> str:
         """Changes the running graph to the one of ``text``; see :meth:`Running.apply`."""
@@ -290,7 +387,8 @@ class Graph:
     @property
     def outputs(self) -> dict[str, str]:
         """All outputs that can be watched, with the names of their packet types."""
-        return dict(self.native.outputs())
+        with self._at_calls():
+            return dict(self.native.outputs())
 
     @property
     def text(self) -> str:
@@ -308,15 +406,11 @@ class Graph:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def _repr_svg_(self) -> str | None:
-        """The graph as a picture, for notebooks; needs the program ``dot`` of Graphviz."""
-        if shutil.which("dot") is None:
-            return None
-        drawn = subprocess.run(["dot", "-Tsvg"], input=str(self.native.dot()), capture_output=True, text=True, check=True)
-        return drawn.stdout
+    def _repr_html_(self) -> str:
+        return pages.of_graph(self)
 
     def __repr__(self) -> str:
-        return f"<graph {self.name}: {self.path}>"
+        return f"<graph {self.name}: {self.path if self._draft is None else 'built here'}>"
 
 
 def check(path: str | os.PathLike[str], args: Mapping[str, Any] | Sequence[str] = (), **options: Any) -> list[Diagnostic]:

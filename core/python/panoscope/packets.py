@@ -7,9 +7,12 @@ plain data are NumPy records with the fields of the contract.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from typing import TypeAlias  # Python 3.9 lacks it.
 
 BYTES, GRAY8, BGR8, RGBA8, GRAY16, F32, CLOUD = range(7)
 """Formats of a frame, as the plugin interface numbers them."""
@@ -210,6 +213,11 @@ class Table:
     def __getitem__(self, column: str) -> np.ndarray:
         return self.rows[:, self.columns.index(column)]
 
+    def _repr_html_(self) -> str:
+        from .pages import of_table  # The process of a node has no use for it.
+
+        return of_table(self)
+
 
 class TableKind(Kind):
     """A :class:`Table`."""
@@ -251,6 +259,11 @@ class Detections:
     """Width and height in px of the image that was searched."""
     masks: np.ndarray | None = None
     """Of packets ``instances``: boxes x rows x columns, true where the object is."""
+
+    def _repr_html_(self) -> str:
+        from .pages import of_detections
+
+        return of_detections(self)
 
 
 class DetectionsKind(Kind):

@@ -6,17 +6,19 @@ import os
 import subprocess
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import installation
+from . import installation, pages
 from ._native import RecordingFile
 from ._native import replay as _replay
 from .errors import RecordingError
-from .packets import BYTES
+from .progress import Bar
 from .series import Packet, Result, Series
 
 if TYPE_CHECKING:
+    from .building import Output
     from .graph import Graph
 
 
@@ -44,12 +46,24 @@ class Recording(Mapping[str, Series]):
         if read is None:
             raise IndexError(index)
         view, tick = read
-        packet_type = self.native.packet(output) if view.format == BYTES else ""
-        return Packet(output, packet_type, view, tick, float("nan"))
+        return Packet(output, partial(self.native.packet, output), view, tick, float("nan"))
 
     def to_folder(self, path: str | os.PathLike[str], ports: Sequence[str] = (), *, force: bool = False) -> None:
         """Writes pictures as PNG, disparity and depth as NPY, clouds as PLY, calibrations as YAML, all others as CSV; ``panoscope export --folder``."""
         self._export("--folder", path, ports, force)
+
+    def to_parquet(self, path: str | os.PathLike[str], ports: Sequence[str] = ()) -> list[Path]:
+        """Writes a Parquet file into the folder ``path`` for each output without pixels, or of ``ports``; returns the files. Needs pyarrow."""
+        folder = Path(path)
+        folder.mkdir(parents=True, exist_ok=True)
+        files = []
+        for output in ports or self:
+            series = self[output]
+            if not ports and series.holds_arrays():
+                continue
+            files.append(folder / f"{output.replace('/', '.')}.parquet")
+            series.to_parquet(files[-1])
+        return files
 
     def to_foxglove(self, path: str | os.PathLike[str], ports: Sequence[str] = (), *, force: bool = False) -> None:
         """Writes an MCAP file with the schemas of Foxglove; ``panoscope export --foxglove``."""
@@ -81,6 +95,9 @@ class Recording(Mapping[str, Series]):
     def __len__(self) -> int:
         return len(self._counts)
 
+    def _repr_html_(self) -> str:
+        return pages.table(["output", "packets"], list(self._counts.items()), len(self._counts))
+
     @property
     def graph_text(self) -> str:
         """The recorded graph as one text."""
@@ -92,7 +109,7 @@ class Recording(Mapping[str, Series]):
 
 def replay(
     recording: Recording | str | os.PathLike[str],
-    watch: Sequence[str] = (),
+    watch: Sequence[str | Output[Any]] = (),
     *,
     graph: Graph | str | os.PathLike[str] | None = None,
     set: Mapping[str, Any] | None = None,
@@ -100,20 +117,25 @@ def replay(
     threads: int = 0,
     act: bool = False,
     record: str | os.PathLike[str] | None = None,
+    progress: bool | None = None,
 ) -> Result:
-    """Plays a recording again to the byte, or another ``graph`` on its pictures. Nodes that write files or move things are left out unless ``act``."""
+    """Plays a recording again to the byte, or another ``graph`` on its pictures. Nodes that write files or move things are left out unless ``act``.
+
+    ``progress`` as of :meth:`Graph.run <panoscope.Graph.run>`.
+    """
     from .graph import Graph, Running, settings
 
     recording = recording if isinstance(recording, Recording) else Recording(recording)
     graph = graph if graph is None or isinstance(graph, Graph) else Graph(graph)
+    names = [str(output) for output in watch]
     native = _replay(
         recording.native,
         graph.native if graph else None,
-        list(watch),
+        names,
         settings(set),
         frames,
         threads,
         act,
         Path(record) if record is not None else None,
     )
-    return Running(native, list(watch)).collect()
+    return Running(native, names).collect(Bar(recording.path.name, frames, progress))

@@ -7,23 +7,27 @@ from typing import Any, Callable
 
 import numpy as np
 
-from .columns import Columns, of_packets
-from .packets import decode
+from . import pages
+from .columns import Columns, Rows, of_packets, rows_of_report
+from .packets import BYTES, decode
 from .pictures import png
+from .sliders import slider
 
 
 class Packet:
     """What an output gave at one tick."""
 
-    __slots__ = ("age_ms", "capture_ns", "output", "source", "tick", "value", "_view")
+    __slots__ = ("age_ms", "capture_ns", "output", "packet_type", "source", "tick", "value", "_view")
 
-    def __init__(self, output: str, packet_type: str, view: Any, tick: tuple[int, int, int], age_ms: float) -> None:
+    def __init__(self, output: str, packet_type: Callable[[], str], view: Any, tick: tuple[int, int, int], age_ms: float) -> None:
         self.output = output
         """As it was named in ``watch``, or in the recording."""
         self.source, self.tick, self.capture_ns = tick
         self.age_ms = age_ms
         """Time from the arrival of the light until the packet was made, in ms; NaN where it is not known."""
-        self.value = decode(view, packet_type)
+        self.packet_type = packet_type
+        """Name of its packet type, such as ``depth``; of pixels in recordings it is looked up when it is asked for."""
+        self.value = decode(view, packet_type() if view.format == BYTES else "")
         """An array, a record, a number or a text, as a node in Python would get it."""
         self._view = view
 
@@ -31,6 +35,9 @@ class Packet:
     def fingerprint(self) -> str:
         """Fingerprint of the bytes, the same as in ``panoscope record --digests``."""
         return f"{self._view.fingerprint():016x}"
+
+    def _repr_html_(self) -> str:
+        return pages.of_packet(self)
 
     def _repr_png_(self) -> bytes | None:
         return png(self.value) if isinstance(self.value, np.ndarray) else None
@@ -102,6 +109,14 @@ class Series(Sequence[Any], Columns):
     def __repr__(self) -> str:
         return f"<{self.output}: {len(self)} values>"
 
+    def _repr_html_(self) -> str:
+        return pages.of_series(self)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, Any]:
+        """Thumbnails, and where ipywidgets is there a slider over all packets."""
+        bundle = {"text/plain": repr(self), "text/html": self._repr_html_()}
+        return {**bundle, **(slider(self) if len(self) > 1 and self.holds_arrays() else {})}
+
 
 class Result(Mapping[str, Series], Columns):
     """What a run gave: ``result["points.depth"]`` is the :class:`Series` of a watched output."""
@@ -122,7 +137,8 @@ class Result(Mapping[str, Series], Columns):
         for packets in self._packets.values():
             packets.sort(key=lambda packet: (packet.capture_ns, packet.source, packet.tick))
 
-    def __getitem__(self, output: str) -> Series:
+    def __getitem__(self, output: Any) -> Series:
+        output = str(output)
         packets = self._packets[output]
         return Series(output, packets.__getitem__, range(len(packets)))
 
@@ -138,6 +154,10 @@ class Result(Mapping[str, Series], Columns):
                 whole[name] += columns.get(name, [None] * count)
         return whole
 
+    def nodes(self) -> Rows:
+        """A row for each node: times, counts, drops, faults."""
+        return rows_of_report(self.report)
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._packets)
 
@@ -146,3 +166,6 @@ class Result(Mapping[str, Series], Columns):
 
     def __repr__(self) -> str:
         return "<result: " + ", ".join(f"{len(packets)} of {output}" for output, packets in self._packets.items()) + ">"
+
+    def _repr_html_(self) -> str:
+        return pages.of_result(self)

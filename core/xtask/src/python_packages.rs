@@ -27,15 +27,17 @@ pub const NUMPY: Packages =
 pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 
 /// What Panoscope is tested beside: readers of the files that `panoscope export` and `panoscope dicom` write, a client of Foxglove's protocol, bags and DDS of ROS 2,
-/// OpenCV, ONNX Runtime, what runs notebooks, tables, and a checker of types; 1.4 GB. foxglove-sdk is
+/// OpenCV, ONNX Runtime, what runs and shows notebooks, tables, and checkers of types; 1.6 GB. foxglove-sdk is
 /// of the version of the crate `foxglove`: schemas are compared; onnxruntime of that of `crate::onnxruntime`: values are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
-    modules: "cv2, cyclonedds, foxglove, ipykernel, mcap, mcap_protobuf, mypy, nbclient, numpy, onnxruntime, pandas, PIL, polars, pydicom, pyigtl, rerun, rosbags, websockets",
+    modules: "basedpyright, cv2, cyclonedds, foxglove, ipykernel, ipywidgets, mcap, mcap_protobuf, mypy, nbclient, numpy, onnxruntime, pandas, PIL, polars, pydicom, pyigtl, rerun, rosbags, websockets",
     requirements: &[
+        "basedpyright>=1.30,<2",
         "cyclonedds==11.0.1",
         "foxglove-sdk==0.30.3",
         "ipykernel>=6,<8",
+        "ipywidgets>=8,<9",
         "mcap==1.6.0",
         "mcap-protobuf-support==0.6.0",
         "mypy>=1.15,<3",

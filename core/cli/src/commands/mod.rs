@@ -17,5 +17,6 @@ pub mod record;
 pub mod replay;
 pub mod run;
 pub mod schema;
+mod schema_python;
 pub mod serve;
 pub mod windows;

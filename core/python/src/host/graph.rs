@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 
 use panoscope_engine::inbox::{Full, Inbox};
 use panoscope_engine::{Engine, Options};
-use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, check, command_line, to_dot};
+use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, check, command_line};
 use panoscope_host::loader::{self as loader, Live, Loader};
 use panoscope_record::{RecordOptions, Recorder, ReplayOptions, head};
 use pyo3::prelude::*;
@@ -19,6 +19,9 @@ use super::watched::Watched;
 
 /// Packets of all watched outputs that wait for Python.
 const MAX_WAITING: usize = 32;
+
+/// Names and types of nodes; edges: producer, output, consumer, input, whether the packet is of the tick before.
+type Drawing = (Vec<(String, String)>, Vec<(usize, String, usize, String, bool)>);
 
 /// A graph file as read, with its arguments.
 #[pyclass(frozen, module = "panoscope._native")]
@@ -152,8 +155,9 @@ struct Start {
 
 #[pymethods]
 impl GraphFile {
-    /// Reads a graph. `words` are arguments as on a command line, `args` the same by name.
+    /// Reads a graph, or takes `text` as that of the file. `words` are arguments as on a command line, `args` the same by name.
     #[new]
+    #[pyo3(signature = (path, words, args, settings, with, text = None))]
     fn open(
         py: Python<'_>,
         path: PathBuf,
@@ -161,15 +165,20 @@ impl GraphFile {
         args: Vec<(String, String)>,
         settings: Vec<String>,
         with: Vec<PathBuf>,
+        text: Option<String>,
     ) -> PyResult<Self> {
         let open = || {
             let (mut with, mut settings) = (with, settings);
             let args_of_words = given(&path, words, &mut with, &mut settings)?;
             let mut options = command_line::options(&with, &args_of_words, &settings);
             options.args.extend(args);
-            GraphText::load_with(&path, &options).map_err(Problem::from).map(|text| Self { text })
+            let text = match text {
+                Some(text) => GraphText::parse_with(&path, &text, &options),
+                None => GraphText::load_with(&path, &options)?,
+            };
+            Ok(Self { text })
         };
-        py.detach(open).map_err(|problem| problem.raise(py))
+        py.detach(open).map_err(|problem: Problem| problem.raise(py))
     }
 
     /// Checks the graph; returns its warnings as JSON.
@@ -215,10 +224,27 @@ impl GraphFile {
         Ok(ready.graph.nodes.iter().flat_map(of).collect())
     }
 
-    /// The graph for Graphviz.
-    fn dot(&self, py: Python<'_>) -> PyResult<String> {
+    /// Nodes and edges for a picture of the graph.
+    fn drawing(&self, py: Python<'_>) -> PyResult<Drawing> {
         let ready = py.detach(|| self.ready(&[], false)).map_err(|problem| problem.raise(py))?;
-        Ok(to_dot(&ready.graph, &ready.catalog))
+        let (nodes, catalog) = (&ready.graph.nodes, &ready.catalog);
+        let edge = |edge: &panoscope_graph::Edge| {
+            let (from, to) = (&nodes[edge.from_node], &nodes[edge.to_node]);
+            let output = from.node_type(catalog).outputs[edge.from_port].name.clone();
+            let input = to.node_type(catalog).inputs[edge.to_port].name.clone();
+            (edge.from_node, output, edge.to_node, input, edge.delay > 0)
+        };
+        let names = nodes.iter().map(|node| (node.id.clone(), node.node_type(catalog).name.clone()));
+        Ok((names.collect(), ready.graph.edges.iter().map(edge).collect()))
+    }
+
+    /// The declared arguments: name, type, what it is, and whether it must be given.
+    fn arguments(&self) -> Vec<(String, String, String, bool)> {
+        let missing = self.text.missing_args();
+        let of = |arg: &panoscope_graph::Arg| {
+            (arg.name.clone(), arg.kind.word().to_owned(), arg.doc.clone(), missing.contains(&arg.name.as_str()))
+        };
+        self.text.args().iter().map(of).collect()
     }
 
     /// The text of the file as read.

@@ -3,6 +3,7 @@
 //! Nothing here calls Python on a thread of the engine: packets wait in an [`Inbox`](panoscope_engine::inbox::Inbox) until Python asks for them, and the interpreter's lock is
 //! released while it waits.
 
+mod catalogue;
 mod error;
 mod graph;
 mod recording;
@@ -14,6 +15,7 @@ use pyo3::prelude::*;
 
 /// Adds the classes to the native module.
 pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<catalogue::Catalogue>()?;
     module.add_class::<graph::GraphFile>()?;
     module.add_class::<running::Running>()?;
     module.add_class::<recording::RecordingFile>()?;
