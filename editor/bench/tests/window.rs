@@ -531,3 +531,26 @@ inputs = { cloud = "points.cloud" }
     let mm = window.app().view3d().distance_mm().expect("both points are known");
     assert!((0.1..100.0).contains(&mm), "{mm}");
 }
+
+#[test]
+fn a_surface_has_no_ruler_and_no_lengths_while_the_calibration_does_not_fit() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let folder = Folder::new("drifted-surface");
+    // An uncorrected lens distortion bends the rows, as with a calibration that does not fit any more.
+    let graph = |k1: f64| {
+        format!(
+            "plugins = [\"phantom\", \"stereo\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = 320, height = 240, distortion_k1 = {k1:.1} }}\n[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ left = \"scope.left\", right = \"scope.right\" }}\nparams = {{ drift_px = 0.3 }}\n[nodes.points]\ntype = \"reproject\"\ninputs = {{ image = \"scope.left\", disparity = \"match.disparity\", calibration = \"scope.calibration\" }}\n[nodes.lengths]\ntype = \"measure\"\ninputs = {{ cloud = \"points.cloud\" }}\n"
+        )
+    };
+    for (k1, has_ruler) in [(0.4, false), (0.0, true)] {
+        let mut window = Window::run(&folder.write("g.toml", &graph(k1)));
+        window.select("points");
+        window.key(NONE, Key::V);
+        window.until("it is painted", App::has_surface);
+        window.until("a ruler is there or not", |app| {
+            app.has_surface() && app.view3d().viewpoint().has_ruler == has_ruler
+        });
+    }
+}

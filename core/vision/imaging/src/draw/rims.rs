@@ -20,7 +20,7 @@ const ROW: u8 = 1;
 const COLUMN: u8 = 2;
 /// Change of depth by the distance across the line of sight (76 degrees) up to which a span is a surface. Seen at a smaller angle a view shows next to
 /// nothing of a surface, and tissue far away has gradients below those limits.
-pub const GRAZING_SLOPE: f32 = 4.0;
+const GRAZING_SLOPE: f32 = 4.0;
 /// Smallest piece of a surface, as a share of all corners.
 const MIN_PIECE: f32 = 0.004;
 /// Largest gradient at a rim, as a share of the limit between neighbours, and how many corners of a steeper one are cut at most: a step of one
