@@ -459,7 +459,8 @@ mod tests {
                     };
                     let third = last.fit((room, height - heights - gaps)).0;
                     if third >= min_px && first <= room && second <= room {
-                        most = most.max(frame.share(wide * high + area(a, first) + area(b, second) + area(last, third)));
+                        most =
+                            most.max(frame.share(wide * high + area(a, first) + area(b, second) + area(last, third)));
                     }
                 }
             }
