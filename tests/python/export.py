@@ -139,7 +139,8 @@ class ExportTest(unittest.TestCase):
             known = cloud[np.isfinite(cloud["xyz_mm"]).all(axis=2)]
             head, body = (self.out / f"points.cloud/{tick:06}.ply").read_bytes().split(b"end_header\n", 1)
             self.assertIn(f"element vertex {len(known)}\n".encode(), head)
-            points = np.frombuffer(body, [("xyz_mm", "<f4", 3), ("rgb", "u1", 3)])
+            points = np.frombuffer(body, [("xyz_mm", "<f4", 3), ("rgb", "u1", 3), ("filled", "u1")])
+            np.testing.assert_array_equal(points["filled"], known["filled"])
             np.testing.assert_array_equal(points["xyz_mm"], known["xyz_mm"])
             np.testing.assert_array_equal(points["rgb"], known["bgr"][:, ::-1])
 
@@ -233,6 +234,7 @@ class ExportTest(unittest.TestCase):
             for at, name in enumerate("xyz"):
                 np.testing.assert_allclose(points[name], wanted["xyz_mm"][:, at] / 1000, rtol=1e-6)
             np.testing.assert_array_equal(np.stack([points[name] for name in ("blue", "green", "red")], axis=1), wanted["bgr"])
+            np.testing.assert_array_equal(points["filled"], wanted["filled"])
 
     def test_foxglove_gets_cameras_and_frames(self):
         calibration = self.recording["scope.calibration"][0]
@@ -307,7 +309,7 @@ class ExportTest(unittest.TestCase):
                 np.testing.assert_array_equal(pixels, wanted)
         self.assertEqual(rows["/points/depth"][0]["DepthImage:meter"], [1000.0])
         cloud = self.recording["points.cloud"][0]
-        known = cloud[np.isfinite(cloud["xyz_mm"]).all(axis=2)]
+        known = cloud[np.isfinite(cloud["xyz_mm"]).all(axis=2) & (cloud["filled"] == 0)]
         np.testing.assert_allclose(rows["/points/cloud"][0]["Points3D:positions"], known["xyz_mm"] / 1000, rtol=1e-6)
         self.assertEqual(rows["/gives/boxes"][0]["Boxes2D:labels"], ["grasper 0.75 #5", "hook 0.50"])
         self.assertEqual(rows["/gives/number"][2]["Scalars:scalars"], [self.recording["gives.number"][2]])

@@ -208,8 +208,9 @@ class FoxgloveTest(unittest.TestCase):
         for at, points in cloud:
             wanted = recorded("points.cloud", at)
             wanted = wanted[np.isfinite(wanted["xyz_mm"]).all(axis=2)]
-            found = np.frombuffer(points.data, [("xyz", "<f4", 3), ("rgba", "u1", 4)])
+            found = np.frombuffer(points.data, [("xyz", "<f4", 3), ("rgba", "u1", 4), ("filled", "u1")])
             np.testing.assert_allclose(found["xyz"], wanted["xyz_mm"] / 1000, rtol=1e-6)
+            np.testing.assert_array_equal(found["filled"], wanted["filled"])
         for at, marks in boxes:
             wanted = recorded("scope.detections", at).boxes
             self.assertEqual(len(marks.points), len(wanted))

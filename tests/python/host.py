@@ -151,7 +151,10 @@ class CommandTest(HostCase):
             self.assert_same(result, recording, digests, output, output)
         self.assertEqual(list(result["scope.left"].ticks), list(range(FRAMES)))
         self.assertEqual(result["scope.left"].stack().shape, (FRAMES, 240, 320, 3))
-        np.testing.assert_array_equal(result["points.cloud"][0]["xyz_mm"][:, :, 2], result["points.depth"][0])
+        cloud = result["points.cloud"][0]
+        measured = np.where(cloud["filled"] == 0, cloud["xyz_mm"][:, :, 2], np.nan)
+        np.testing.assert_array_equal(measured, result["points.depth"][0])
+        self.assertTrue(np.isfinite(cloud["xyz_mm"][cloud["filled"] != 0]).all() and (cloud["filled"] <= 1).all())
         self.assertGreater(len(result["scope.detections"][0].labels), 0)
         self.assertEqual(result["register.homography"][0].left_from_right.shape, (3, 3))
         self.assertTrue(np.isfinite(result["match.disparity"].ages_ms).all())

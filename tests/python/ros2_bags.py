@@ -138,10 +138,11 @@ class BagTest(unittest.TestCase):
         np.testing.assert_array_equal(disparity.image.data.view("<f4").reshape(120, 160), self.recording["scope.disparity"][0])
         self.assertAlmostEqual(disparity.t * 1000, baseline, places=4)
         cloud, wanted = found["/points/cloud"][0][1], self.recording["points.cloud"][0]
-        self.assertEqual([(field.name, field.offset, field.datatype) for field in cloud.fields], [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("rgb", 12, 7)])
-        points = cloud.data.view([("xyz", "<f4", 3), ("bgr", "u1", 3), ("none", "u1")]).reshape(cloud.height, cloud.width)
+        self.assertEqual([(field.name, field.offset, field.datatype) for field in cloud.fields], [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("rgb", 12, 7), ("filled", 15, 2)])
+        points = cloud.data.view([("xyz", "<f4", 3), ("bgr", "u1", 3), ("filled", "u1")]).reshape(cloud.height, cloud.width)
         np.testing.assert_allclose(points["xyz"], wanted["xyz_mm"] / 1000, rtol=1e-6)
         np.testing.assert_array_equal(points["bgr"], wanted["bgr"])
+        np.testing.assert_array_equal(points["filled"], wanted["filled"])
         boxes = found["/gives/boxes"][0][1].detections
         self.assertEqual([(box.results[0].hypothesis.class_id, box.results[0].hypothesis.score, box.id) for box in boxes], [("grasper", 0.75, "5"), ("hook", 0.5, "")])
         self.assertEqual((boxes[0].bbox.center.position.x, boxes[0].bbox.center.position.y, boxes[0].bbox.size_x), (16, 22, 30))
@@ -179,6 +180,7 @@ class BagTest(unittest.TestCase):
         same("disparity", "scope.disparity")
         same("depth", "points.depth", lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6))
         same("cloud", "points.cloud", lambda a, b: np.testing.assert_allclose(a["xyz_mm"], b["xyz_mm"], rtol=1e-6))
+        same("cloud", "points.cloud", lambda a, b: np.testing.assert_array_equal(a["filled"], b["filled"]))
         # Messages of one stamp are ticks of their own, a nanosecond apart.
         for own, other in zip(played["bag.left"].capture_ns, self.recording["scope.left"].capture_ns):
             self.assertLess(abs(own - other), 20)

@@ -27,9 +27,9 @@
 #define PANOSCOPE_ABI_MAJOR 1
 
 /**
- * Grows when fields, flags or host functions are appended.
+ * Grows when fields, flags or host functions are appended, or a reserved field gets a name.
  */
-#define PANOSCOPE_ABI_MINOR 3
+#define PANOSCOPE_ABI_MINOR 4
 
 /**
  * Set in PanoscopeCall.flags in `batch` mode.
@@ -728,9 +728,10 @@ typedef struct PanoscopeCloudPoint {
      */
     uint8_t bgr[3];
     /**
-     * Reserved, 0.
+     * 0 where the point was measured, 1 where it was filled in from the points around it: such a point is shown as a guess, and no length is taken from
+     * it. Older plugins and recordings have 0 in all points. Since `ABI_MINOR` 4.
      */
-    uint8_t reserved;
+    uint8_t filled;
 } PanoscopeCloudPoint;
 
 /**

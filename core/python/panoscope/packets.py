@@ -24,7 +24,7 @@ _PIXELS: dict[int, tuple[np.dtype[Any], int]] = {
     GRAY16: (np.dtype("u2"), 1),
     F32: (np.dtype("f4"), 1),
 }
-_CLOUD_POINT = np.dtype([("xyz_mm", "f4", 3), ("bgr", "u1", 3), ("reserved", "u1")])
+_CLOUD_POINT = np.dtype([("xyz_mm", "f4", 3), ("bgr", "u1", 3), ("filled", "u1")])
 
 
 class Kind:
@@ -182,7 +182,7 @@ class TextKind(Kind):
 
 
 class CloudKind(Kind):
-    """A point per pixel as a structured array (rows x columns) with ``xyz_mm`` and ``bgr``."""
+    """A point per pixel as a structured array (rows x columns) with ``xyz_mm``, ``bgr`` and ``filled``."""
 
     packet = "cloud"
     formats = 1 << CLOUD
@@ -199,7 +199,7 @@ class CloudKind(Kind):
 
 
 CLOUD_POINT = _CLOUD_POINT
-"""One point of a cloud: mm in the camera's frame, and its colour."""
+"""One point of a cloud: mm in the camera's frame, its colour, and ``filled``: 0 where it was measured, 1 where it was filled in."""
 
 
 @dataclass

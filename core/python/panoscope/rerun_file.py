@@ -78,7 +78,7 @@ class _Entity:
         yield (), [self.rr.DepthImage(pixels, meter=1 / _M)]
 
     def cloud(self, points: np.ndarray) -> _Entities:
-        known = points[np.isfinite(points["xyz_mm"]).all(axis=2)]
+        known = points[np.isfinite(points["xyz_mm"]).all(axis=2) & (points["filled"] == 0)]
         yield (), [self.rr.Points3D(known["xyz_mm"] * np.float32(_M), colors=known["bgr"][:, ::-1])]
 
     def homography(self, value: np.record) -> _Entities:

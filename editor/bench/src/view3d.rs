@@ -7,7 +7,7 @@ use eframe::egui::{
 };
 
 use panoscope_editor_model::content::{Content, moved, moved_back};
-use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_model::surface::{DepthBuffer, Viewpoint, distance_mm};
 use panoscope_editor_texts::{number, text};
 use panoscope_editor_widgets::OutputCache;
@@ -53,10 +53,17 @@ impl View3d {
         self.viewpoint
     }
 
-    /// Distance between the two clicked points, mm.
+    /// Takes from the counters whether the calibration fits the views: while it does not, no length is right. It holds until a node says otherwise.
+    pub fn check_calibration(&mut self, counters: &Counters) {
+        if let Some(is_drifted) = counters.metric_is_on("drifted") {
+            self.viewpoint.has_ruler = !is_drifted;
+        }
+    }
+
+    /// Distance between the two clicked points, mm; `None` while the calibration does not fit.
     pub fn distance_mm(&self) -> Option<f32> {
         match self.points[..] {
-            [a, b] => Some(distance_mm(a, b)),
+            [a, b] if self.viewpoint.has_ruler => Some(distance_mm(a, b)),
             _ => None,
         }
     }
@@ -272,7 +279,11 @@ impl View3d {
 
     /// The controls: measuring and the depth range.
     pub fn controls(&mut self, ui: &mut Ui) {
-        let caption = if self.measuring { text!("surface-measuring") } else { text!("surface-measure") };
+        let caption = match (self.measuring, self.viewpoint.has_ruler) {
+            (false, _) => text!("surface-measure"),
+            (true, true) => text!("surface-measuring"),
+            (true, false) => text!("surface-drifted"),
+        };
         let button = ui.add(eframe::egui::Button::new(caption).selected(self.measuring));
         if button.on_hover_text(text!("surface-measure.hint")).clicked() {
             self.toggle_measuring();

@@ -531,3 +531,30 @@ inputs = { cloud = "points.cloud" }
     let mm = window.app().view3d().distance_mm().expect("both points are known");
     assert!((0.1..100.0).contains(&mm), "{mm}");
 }
+
+#[test]
+fn a_surface_has_no_ruler_and_no_lengths_while_the_calibration_does_not_fit() {
+    if ["phantom", "stereo", "overlay", "flow"].iter().any(|name| !has_plugin(name)) {
+        return;
+    }
+    let folder = Folder::new("drifted-surface");
+    // An uncorrected lens distortion bends the rows, as with a calibration that does not fit any more.
+    let text = r#"plugins = ["phantom", "stereo", "overlay", "flow"]
+[nodes.scope]
+type = "phantom"
+params = { width = 320, height = 240, distortion_k1 = 0.4 }
+[nodes.match]
+type = "stereo_bm"
+inputs = { left = "scope.left", right = "scope.right" }
+params = { drift_px = 0.3 }
+[nodes.colours]
+type = "colorize"
+inputs = { disparity = "match.disparity" }
+[nodes.sink]
+type = "drain"
+inputs = { image = "colours.image" }
+"#;
+    let mut window = Window::run(&folder.write("g.toml", text));
+    assert!(window.app().view3d().viewpoint().has_ruler);
+    window.until("lengths are doubted", |app| !app.view3d().viewpoint().has_ruler);
+}

@@ -60,6 +60,12 @@ pub struct Counters {
 }
 
 impl Counters {
+    /// Whether a node reports a metric of this name with a value above 0.5; `None` where none reports it.
+    pub fn metric_is_on(&self, metric: &str) -> Option<bool> {
+        let values = self.nodes.values().flat_map(|n| &n.metrics).filter(|(name, _)| name == metric);
+        values.map(|(_, value)| *value > 0.5).reduce(|a, b| a || b)
+    }
+
     /// The last faults of nodes that are bypassed since then; an edit opens such a node again.
     pub fn switched_off(&self) -> impl Iterator<Item = &Fault> {
         let rests = |fault: &&Fault| self.nodes.get(&fault.node).is_some_and(|node| node.fps == 0.0);

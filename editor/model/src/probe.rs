@@ -116,6 +116,8 @@ impl<'f> Layout<'f> {
             abi::FORMAT_GRAY16 => f32::from(u16::from_le_bytes([pixel[0], pixel[1]])),
             abi::FORMAT_BGR8 => f32::from(pixel[2 - channel]),
             abi::FORMAT_RGBA8 => f32::from(pixel[channel]),
+            // A guess is no value.
+            abi::FORMAT_CLOUD if pixel[offset_of!(abi::CloudPoint, filled)] != 0 => f32::NAN,
             abi::FORMAT_CLOUD => float(
                 [
                     offset_of!(abi::CloudPoint, x_mm),

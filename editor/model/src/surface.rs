@@ -5,7 +5,7 @@ use std::sync::Arc;
 use panoscope_abi as abi;
 use panoscope_base::packet;
 use panoscope_imaging::ViewMut;
-use panoscope_imaging::draw::{Color, Orbit, Projection, SurfacePainter, SurfacePoints};
+use panoscope_imaging::draw::{DrawnPoint, Orbit, Projection, SurfacePainter, SurfacePoints};
 use panoscope_imaging::stereo::SurfacePoint;
 use serde::{Deserialize, Serialize};
 
@@ -49,7 +49,7 @@ pub struct Cloud {
     pub width: usize,
     /// Number of rows.
     pub height: usize,
-    /// x, y, z in mm in the camera's frame; NaN where unknown.
+    /// x, y, z in mm in the camera's frame; NaN where nothing was measured.
     pub xyz_mm: Vec<[f32; 3]>,
 }
 
@@ -88,7 +88,7 @@ impl PartialEq for DepthBuffer {
 }
 
 impl DepthBuffer {
-    /// The point under a pixel of the image, mm; `None` where nothing is drawn.
+    /// The point under a pixel of the image, mm; `None` where nothing is drawn, and where the surface was filled in.
     pub fn pick(&self, x: f32, y: f32) -> Option<[f32; 3]> {
         let [width, height] = self.size_px;
         let (column, row) = (x.round(), y.round());
@@ -111,12 +111,12 @@ impl SurfacePoints for Packed<'_> {
         (self.cloud.width(), self.cloud.height())
     }
 
-    fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)> {
+    fn at(&self, column: usize, row: usize) -> Option<DrawnPoint> {
         let point = self.cloud.point(column, row)?;
-        let position = [point.x_mm, point.y_mm, point.z_mm];
+        let mm = [point.x_mm, point.y_mm, point.z_mm];
         let [near, far] = self.clip_mm;
-        let known = position.iter().all(|v| v.is_finite()) && (near..=far).contains(&position[2]);
-        known.then_some((position, point.bgr))
+        let is_shown = point.is_known() && (near..=far).contains(&point.z_mm);
+        is_shown.then_some(DrawnPoint { mm, color: point.bgr, is_filled: point.filled != 0 })
     }
 }
 
@@ -128,11 +128,12 @@ fn parse<'b>(frame: &abi::Frame, bytes: &'b [u8]) -> Option<packet::Cloud<'b>> {
     packet::Cloud::parse(bytes, frame.width as usize, frame.height as usize, frame.stride_bytes as usize).ok()
 }
 
-/// The points of a cloud packet; `None` when the frame is not a cloud or its description does not fit its bytes.
+/// The measured points of a cloud packet, to take lengths from; `None` when the frame is not a cloud or its description does not fit its bytes.
 pub fn cloud_of(frame: &abi::Frame, bytes: &[u8]) -> Option<Cloud> {
     let cloud = parse(frame, bytes)?;
     let all = (0..cloud.height()).flat_map(|row| (0..cloud.width()).map(move |column| (column, row)));
-    let xyz_mm = all.filter_map(|(x, y)| cloud.point(x, y)).map(|p| [p.x_mm, p.y_mm, p.z_mm]).collect();
+    let measured = |p: abi::CloudPoint| if p.is_measured() { [p.x_mm, p.y_mm, p.z_mm] } else { [f32::NAN; 3] };
+    let xyz_mm = all.filter_map(|(x, y)| cloud.point(x, y)).map(measured).collect();
     Some(Cloud { width: cloud.width(), height: cloud.height(), xyz_mm })
 }
 
@@ -226,6 +227,28 @@ mod tests {
             pixels.rgba.chunks_exact(4).filter(|pixel| **pixel == [230, 230, 230, 255]).count()
         };
         assert!(ruled(true) > 20 && ruled(false) == 0, "{} and {}", ruled(true), ruled(false));
+    }
+
+    #[test]
+    fn what_was_filled_in_is_darker_and_no_point_is_there() {
+        let (frame, mut bytes) = plane(40, 30);
+        // A square of 5 x 5 points around the middle.
+        for at in (13..18).flat_map(|y| (18..23).map(move |x| y * 40 + x)) {
+            bytes[at * 16 + 15] = 1;
+        }
+        let viewpoint =
+            Viewpoint { size_px: [320, 240], yaw: 0.0, pitch: 0.0, has_ruler: false, ..Viewpoint::default() };
+        let (pixels, depth_buffer) = Painter::default().paint(&frame, &bytes, &viewpoint).unwrap();
+        let depth_buffer = depth_buffer.unwrap();
+        let at = |place: [f32; 3]| {
+            let [x, y, _] = depth_buffer.projection.project(place);
+            let red = pixels.rgba[(y.round() as usize * 320 + x.round() as usize) * 4];
+            (red, depth_buffer.pick(x, y).is_some())
+        };
+        assert_eq!((at([0.0, 0.0, 50.0]), at([-10.0, 0.0, 50.0])), ((160, false), (200, true)));
+        let cloud = cloud_of(&frame, &bytes).unwrap();
+        assert!(cloud.xyz_mm[15 * 40 + 20][2].is_nan() && cloud.xyz_mm[15 * 40 + 10][2] == 50.0);
+        assert_eq!(cloud.surface_point((20.0, 15.0), 2), None);
     }
 
     #[test]

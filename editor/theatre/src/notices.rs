@@ -341,15 +341,9 @@ impl Doubts {
     pub fn update(&mut self, counters: &Counters) {
         let Self { swapped, drifted, out_of_step } = self;
         for (doubt, metric) in [(swapped, "views_swapped"), (drifted, "drifted"), (out_of_step, "views_late")] {
-            *doubt = metric_is_on(counters, metric).unwrap_or(*doubt);
+            *doubt = counters.metric_is_on(metric).unwrap_or(*doubt);
         }
     }
-}
-
-/// Whether a node reports a metric of this name with a value above 0.5; `None` where none reports it.
-pub fn metric_is_on(counters: &Counters, metric: &str) -> Option<bool> {
-    let values = counters.nodes.values().flat_map(|n| &n.metrics).filter(|(name, _)| name == metric);
-    values.map(|(_, value)| *value > 0.5).reduce(|a, b| a || b)
 }
 
 #[cfg(test)]

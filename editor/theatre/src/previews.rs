@@ -7,7 +7,7 @@ use eframe::egui::Context;
 
 use super::lost::{self, SilentCamera};
 use super::measure::Measure;
-use super::notices::{Facts, OLD_MS, STOPPED, STOPPED_MS, metric_is_on};
+use super::notices::{Facts, OLD_MS, STOPPED, STOPPED_MS};
 use super::outage::FIRST;
 use super::three_d::Pair;
 use super::{OutputCache, Pane, Theatre, ThreeD, Verified, time};
@@ -196,7 +196,7 @@ impl Theatre {
         let age_ms = main.filter(|_| is_live).and_then(|main| self.shown_age_ms(&main));
         self.doubts.update(counters);
         self.mark_swapped(self.doubts.swapped);
-        let is_swapped = metric_is_on(counters, "views_swapped") == Some(true);
+        let is_swapped = counters.metric_is_on("views_swapped") == Some(true);
         let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.line().to_owned());
         let nothing_runs = match &status.phase {
             Phase::Failed(why) => Some(why.clone()),
@@ -234,7 +234,7 @@ impl Theatre {
             recording: self.clip.is_some() || writes && self.machine.is_none(),
             written_bytes: (writes && running).then(|| self.sink_files.bytes()),
             drifted: self.doubts.drifted,
-            unlike: metric_is_on(counters, "unlike") == Some(true),
+            unlike: counters.metric_is_on("unlike") == Some(true),
             swapped: self.doubts.swapped,
             was_swapped: !is_swapped && (self.doubts.swapped || self.shows_swapped()),
             out_of_step: self.doubts.out_of_step,

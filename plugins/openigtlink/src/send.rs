@@ -9,7 +9,7 @@ use panoscope_igtl::message::{
     Tool, ToolKind, Tracking, Transform,
 };
 use panoscope_igtl::{Content, Message, Timestamp};
-use panoscope_node::abi::{self, Pose, Tip};
+use panoscope_node::abi::{Pose, Tip};
 use panoscope_node::{
     AnyImage, Bgr8, Choice, Cloud, Context, Detections, Finish, Gray8, Gray16, GrayF32, NoPorts, Node, NodeError,
     NodeInfo, Open, Params, Ports, Result, Rgba8, Text, Validation, Value, View,
@@ -289,12 +289,12 @@ impl Send {
         self.send(call, &params.detections_name, call.cx.age(detections), content, &[], true)
     }
 
+    /// Sends the measured points: the message has no field that could mark those filled in.
     fn send_cloud(&mut self, call: Call<'_, '_>, cloud: &Cloud<'_>, params: &Settings) -> Result<()> {
         let (width, step) = (cloud.width().max(1), params.cloud_step.max(1) as usize);
         let rows = cloud.points().chunks_exact(width).step_by(step);
-        let is_known = |point: &&abi::CloudPoint| [point.x_mm, point.y_mm, point.z_mm].iter().all(|mm| mm.is_finite());
         let (mut points_mm, mut values) = (Vec::new(), Vec::new());
-        for point in rows.flat_map(|row| row.iter().step_by(step)).filter(is_known) {
+        for point in rows.flat_map(|row| row.iter().step_by(step)).filter(|point| point.is_measured()) {
             points_mm.push([point.x_mm, point.y_mm, point.z_mm]);
             let [blue, green, red] = point.bgr.map(|value| f32::from(value) / 255.0);
             values.extend_from_slice(&[red, green, blue, 1.0]);

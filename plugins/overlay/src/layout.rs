@@ -150,8 +150,8 @@ impl Lines {
         if self.are_columns { Block::row(lines, gap) } else { Block::stack(lines, gap) }
     }
 
-    /// The areas of the pictures, whose block fills `area`; rows are `spread` px further apart than the margin.
-    fn place(self, tiles: &[Tile], area: Area, (gap, spread): (f64, f64), mut put: impl FnMut(Area)) {
+    /// The areas of the pictures, whose block fills `area`.
+    fn place(self, tiles: &[Tile], area: Area, gap: f64, mut put: impl FnMut(Area)) {
         let (mut x, mut y) = (area.x, area.y);
         for line in self.split(tiles) {
             let block = self.line(line, gap);
@@ -172,7 +172,7 @@ impl Lines {
                     put(Area { x: left, y, width, height });
                     left += width + gap;
                 }
-                y += height + gap + spread;
+                y += height + gap;
             }
         }
     }
@@ -198,23 +198,19 @@ impl<'t> Group<'t> {
         let groups = Lines::all(tiles.len()).map(|lines| Self::new(tiles, lines, room, gap));
         let worth = |group: &Self| {
             let mut worth = 0.0;
-            group.place(gap, (0.0, 0.0), 0.0, |area| worth += frame.worth(area.width, area.height, min_px));
+            group.place(gap, (0.0, 0.0), |area| worth += frame.worth(area.width, area.height, min_px));
             worth
         };
         let best = groups.map(|group| (worth(&group), group)).max_by(|a, b| a.0.total_cmp(&b.0));
         best.map_or_else(|| Self::new(tiles, Lines::STACK, room, gap), |(_, group)| group)
     }
 
-    fn place(&self, gap: f64, (x, y): (f64, f64), spread: f64, put: impl FnMut(Area)) {
+    fn place(&self, gap: f64, (x, y): (f64, f64), put: impl FnMut(Area)) {
         if self.width > 0.0 {
-            self.lines.place(self.tiles, Area { x, y, width: self.width, height: self.height }, (gap, spread), put);
+            self.lines.place(self.tiles, Area { x, y, width: self.width, height: self.height }, gap, put);
         } else {
             std::iter::repeat_n(Area { x, y, ..Area::default() }, self.tiles.len()).for_each(put);
         }
-    }
-
-    fn rows(&self) -> usize {
-        if self.lines.are_columns { 1 } else { self.lines.split(self.tiles).count() }
     }
 }
 
@@ -298,21 +294,15 @@ impl Plan {
         let x = left + (whole_width - upper_width) / 2.0;
         let y = top + (span - left_height) / 2.0;
         let mut put = |area: Area| cells.push(frame.cell(area));
-        main.place(gap, (x + (left_width - main.width) / 2.0, y), 0.0, &mut put);
-        // The column begins and ends with what stands beside it.
-        let slack = span - column.height;
-        let (above, spread) = match column.rows() {
-            0 | 1 => (slack / 2.0, 0.0),
-            more => (0.0, slack / (more - 1) as f64),
-        };
-        column.place(gap, (x + left_width + gap, top + above), spread, &mut put);
+        main.place(gap, (x + (left_width - main.width) / 2.0, y), &mut put);
+        column.place(gap, (x + left_width + gap, top + (span - column.height) / 2.0), &mut put);
         let row_y = if self.is_column_whole { y + main.height } else { top + span };
         let row_x = if self.is_column_whole {
             x + (left_width - row.width) / 2.0
         } else {
             left + (whole_width - row.width) / 2.0
         };
-        row.place(gap, (row_x, row_y + gap), 0.0, &mut put);
+        row.place(gap, (row_x, row_y + gap), &mut put);
     }
 }
 
@@ -439,6 +429,73 @@ mod tests {
                         assert!(used >= most.min(0.945) - 0.025, "{what} {cells:?}");
                     }
                 }
+            }
+        }
+    }
+
+    /// Largest share of the screen that three pictures can cover beside a main one of at least three fifths, none of them narrower than allowed: all
+    /// below each other, each as wide as it may be, or two of them side by side and one above or below.
+    fn most_beside(frame: &Frame, main: &Tile, sides: &[Tile; 3]) -> f64 {
+        let ((width, height), gap, min_px) = (frame.room(), frame.gap as f64, frame.min_side_px(3));
+        let blocks = sides.each_ref().map(Block::of);
+        let area = |block: &Block, width: f64| width * block.height(width);
+        let mut most = 0.0f64;
+        for step in 0..=400 {
+            let (wide, high) = Block::of(main).fit((width * f64::from(step) / 400.0, height));
+            if frame.share(wide * high) < 0.6 {
+                continue;
+            }
+            let lowest = blocks.iter().map(|block| block.height(min_px)).fold(f64::INFINITY, f64::min);
+            assert!(height - high - gap < lowest, "no picture fits below");
+            let room = width - wide - gap;
+            let widths: Vec<f64> = (0..=80).map(|k| min_px + (room - min_px).max(0.0) * f64::from(k) / 80.0).collect();
+            for (k, last) in blocks.iter().enumerate() {
+                let (a, b) = (&blocks[(k + 1) % 3], &blocks[(k + 2) % 3]);
+                for (first, second) in widths.iter().flat_map(|a| widths.iter().map(move |b| (*a, *b))) {
+                    let is_beside = first + second + gap <= room;
+                    let (heights, gaps) = match is_beside {
+                        true => (a.height(first).max(b.height(second)), gap),
+                        false => (a.height(first) + b.height(second), 2.0 * gap),
+                    };
+                    let third = last.fit((room, height - heights - gaps)).0;
+                    if third >= min_px && first <= room && second <= room {
+                        most =
+                            most.max(frame.share(wide * high + area(a, first) + area(b, second) + area(last, third)));
+                    }
+                }
+            }
+        }
+        most
+    }
+
+    #[test]
+    fn a_panorama_no_wider_than_a_view_of_5_by_4_leaves_more_than_the_limit_in_any_arrangement() {
+        for frame in [HD, FULL_HD] {
+            let (main, sides) = surgeon(&frame, (720, 576), 1.0);
+            let cells = arranged(&frame, main, &sides);
+            let ((main_share, used), most) = (shares(&frame, &cells), most_beside(&frame, &main, &sides));
+            assert!(most < 0.92 && used >= most - 0.02, "used {used:.4} of {most:.4} {cells:?}");
+            // The first of them, the instruments, is the largest: the bound has it as the smallest.
+            assert!(main_share >= 0.64 && cells[2..].iter().all(|side| side.area() < 0.5 * cells[1].area()));
+        }
+    }
+
+    #[test]
+    fn smaller_pictures_stand_together() {
+        for (size, wider) in [((720, 576), 1.0), ((640, 480), 1.1), ((1920, 1080), 1.0), ((500, 500), 1.25)] {
+            let (main, sides) = surgeon(&FULL_HD, size, wider);
+            let cells = arranged(&FULL_HD, main, &sides);
+            // Each of them ends one margin before another one or before the main picture, or begins one behind it.
+            let touches = |a: &Cell, b: &Cell| {
+                let spans = [(a.x, a.width, b.x, b.width), (a.y, a.height, b.y, b.height)];
+                spans.into_iter().any(|(a, a_size, b, b_size)| {
+                    (a + a_size + FULL_HD.gap).abs_diff(b) <= 1 || (b + b_size + FULL_HD.gap).abs_diff(a) <= 1
+                })
+            };
+            let sides = &cells[1..];
+            for (k, side) in sides.iter().enumerate() {
+                let others = sides.iter().enumerate().filter(|(other, _)| *other != k);
+                assert!(others.map(|(_, other)| other).any(|other| touches(side, other)), "{size:?} {cells:?}");
             }
         }
     }

@@ -2,14 +2,14 @@
 
 use std::f32::consts::TAU;
 
-use panoscope_imaging::draw::{Color, GradientLimit, Orbit, SurfacePainter, SurfacePoints};
+use panoscope_imaging::draw::{DrawnPoint, GradientLimit, Orbit, SurfacePainter, SurfacePoints};
 use panoscope_node::abi::{Calibration, Scalar};
 use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value};
 
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Points of `reproject`, mm.
+    /// Points of `reproject`, mm. Those that were filled in are drawn darker.
     pub cloud: Cloud<'f>,
     /// Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
     pub calibration: Option<Value<'f, Calibration>>,
@@ -72,10 +72,10 @@ impl SurfacePoints for Points<'_> {
         (self.0.width(), self.0.height())
     }
 
-    fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)> {
+    fn at(&self, column: usize, row: usize) -> Option<DrawnPoint> {
         let point = &self.0.points()[row * self.0.width() + column];
-        let place = [point.x_mm, point.y_mm, point.z_mm];
-        place.iter().all(|v| v.is_finite()).then_some((place, point.bgr))
+        let mm = [point.x_mm, point.y_mm, point.z_mm];
+        point.is_known().then_some(DrawnPoint { mm, color: point.bgr, is_filled: point.filled != 0 })
     }
 }
 

@@ -35,7 +35,7 @@ fn no_length_is_stated_while_the_calibration_does_not_fit() {
             y_mm: across(at / 40, 15.0),
             z_mm: 50.0,
             bgr: [90; 3],
-            reserved: 0,
+            filled: 0,
         };
         let points: Vec<CloudPoint> = (0..40 * 30).map(point).collect();
         node.input_cloud("cloud", 40, 30, &points).input_value("drifted", state(drifted));

@@ -11,7 +11,7 @@ use panoscope_data::formats::ply::{self, GradientLimit};
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Points in mm with colours; unknown points are skipped.
+    /// Points in mm with colours; unknown points are skipped, those filled in have the property `filled` 1.
     pub cloud: Cloud<'f>,
     /// Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
     pub calibration: Option<Value<'f, Calibration>>,

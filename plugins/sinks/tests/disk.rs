@@ -193,7 +193,7 @@ fn plane<N: Node>(node: &mut Harness<N>, tick: u64) {
 }
 
 fn cloud<N: Node>(node: &mut Harness<N>, tick: u64) {
-    let point = CloudPoint { x_mm: f32::from(level(tick)), y_mm: 1.0, z_mm: 50.0, bgr: [1, 2, 3], reserved: 0 };
+    let point = CloudPoint { x_mm: f32::from(level(tick)), y_mm: 1.0, z_mm: 50.0, bgr: [1, 2, 3], filled: 0 };
     node.input_cloud("cloud", 20, 10, &[point; 200]);
 }
 
@@ -260,7 +260,7 @@ fn clouds(folder: &Path) -> BTreeSet<u64> {
         let bytes = fs::read(path).unwrap();
         let end = b"end_header\n";
         let at = bytes.windows(end.len()).position(|w| w == end).expect("a whole head") + end.len();
-        assert_eq!(bytes.len() - at, 200 * 15, "{} is not whole", path.display());
+        assert_eq!(bytes.len() - at, 200 * 16, "{} is not whole", path.display());
         assert_eq!(f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()), f32::from(level(tick)));
         tick
     };

@@ -163,10 +163,11 @@ fn float_planes_come_back_exactly() {
 }
 
 #[test]
-fn clouds_leave_out_unknown_points() {
+fn clouds_leave_out_unknown_points_and_mark_filled_ones() {
     let folder = Folder::new("ply");
-    let point = |x_mm, bgr| CloudPoint { x_mm, y_mm: 2.0, z_mm: 50.0, bgr, reserved: 0 };
-    let points = [point(1.0, [1, 2, 3]), point(f32::NAN, [0; 3]), point(-1.5, [4, 5, 6])];
+    let point = |x_mm, bgr| CloudPoint { x_mm, y_mm: 2.0, z_mm: 50.0, bgr, filled: 0 };
+    let guess = CloudPoint { filled: 1, ..point(-1.5, [4, 5, 6]) };
+    let points = [point(1.0, [1, 2, 3]), point(f32::NAN, [0; 3]), guess];
     folder.open::<WriteCloud>(r#"path = "c.ply""#).input_cloud("cloud", 3, 1, &points).process().unwrap();
     let bytes = fs::read(folder.0.join("c.ply")).unwrap();
     let body = b"end_header\n";
@@ -176,10 +177,11 @@ fn clouds_leave_out_unknown_points() {
         head.starts_with("ply\nformat binary_little_endian 1.0\n") && head.contains("element vertex 2\n"),
         "{head}"
     );
-    assert_eq!(bytes.len() - at, 2 * 15);
+    assert!(head.ends_with("property uchar blue\nproperty uchar filled\nend_header\n"), "{head}");
+    assert_eq!(bytes.len() - at, 2 * 16);
     let float = |i: usize| f32::from_le_bytes(bytes[at + i..at + i + 4].try_into().unwrap());
-    assert_eq!((float(0), float(4), float(8), float(15)), (1.0, 2.0, 50.0, -1.5));
-    assert_eq!(bytes[at + 12..at + 15], [3, 2, 1]);
+    assert_eq!((float(0), float(4), float(8), float(16)), (1.0, 2.0, 50.0, -1.5));
+    assert_eq!((&bytes[at + 12..at + 16], bytes[at + 31]), (&[3, 2, 1, 0][..], 1));
 }
 
 fn boxes() -> [Detection; 2] {

@@ -1,6 +1,6 @@
 //! `reproject`: disparity to depth and coloured points in mm (thesis, fig. 3.9).
 
-use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams};
+use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams, SmallHoles};
 use panoscope_imaging::{Rect, SharedMut};
 use panoscope_node::abi::{Calibration, CloudPoint};
 use panoscope_node::{
@@ -26,7 +26,7 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// One point per pixel in the left rectified camera's frame; NaN where unknown.
+    /// One point per pixel in the left rectified camera's frame; NaN where unknown. Points of small holes are filled in and marked so.
     cloud: Slot<'f, PointCloud>,
     /// Depth along the left rectified camera's axis; NaN where unknown.
     depth: Slot<'f, Depth>,
@@ -50,36 +50,47 @@ pub struct ReprojectNodeParams {
     /// Smallest number of the eight neighbours on the same surface: removes flying pixels; 0 keeps all.
     #[param(default = 5, range = 0..=8)]
     min_neighbours: usize,
+    /// Largest hole of a surface that is filled in the cloud, as a share of all pixels; 0 fills none. `depth` has what was measured only.
+    #[param(default = 0.0015, range = 0.0..=0.05, step = 0.0005, unit = "ratio")]
+    max_hole: f32,
 }
 
 /// See the module.
 pub struct Reproject {
     views: Option<(Calibration, Rectification)>,
     depth: Vec<f32>,
+    holes: SmallHoles,
 }
 
-/// Points and colours of one picture.
+/// Points and colours of one picture. `filled` has index and depth of what is filled in.
 fn fill(
-    cloud: ViewMut<'_, CloudPoint>,
+    mut cloud: ViewMut<'_, CloudPoint>,
     image: View<'_, u8>,
     depth: View<'_, f32>,
+    filled: &[(usize, f32)],
     views: &Rectification,
     pool: &dyn Parallel,
 ) {
     let (cx, cy, per_px) = (views.left.cx as f32, views.left.cy as f32, (1.0 / views.left.focal_px) as f32);
     let (stride, width) = (cloud.stride, cloud.width);
-    let out = SharedMut::new(cloud.data);
+    let position = |x: usize, y: usize, z: f32| ((x as f32 - cx) * per_px * z, (y as f32 - cy) * per_px * z);
+    let out = SharedMut::new(&mut *cloud.data);
     pool.run(depth.height, &|y| {
         // SAFETY: one row, one chunk.
         let row = unsafe { out.part(y * stride, width) };
-        let v = (y as f32 - cy) * per_px;
         let pixels = image.row(y).chunks_exact(image.channels);
         for (x, ((point, z), pixel)) in row.iter_mut().zip(depth.row(y)).zip(pixels).enumerate() {
             let bgr = if let [b, g, r] = *pixel { [b, g, r] } else { [pixel[0]; 3] };
-            let x_mm = (x as f32 - cx) * per_px * z;
-            *point = CloudPoint { x_mm, y_mm: v * z, z_mm: *z, bgr, reserved: 0 };
+            let (x_mm, y_mm) = position(x, y, *z);
+            *point = CloudPoint { x_mm, y_mm, z_mm: *z, bgr, filled: 0 };
         }
     });
+    for &(at, z_mm) in filled {
+        let (x, y) = (at % width, at / width);
+        let (x_mm, y_mm) = position(x, y, z_mm);
+        let point = &mut cloud.row_mut(y)[x];
+        *point = CloudPoint { x_mm, y_mm, z_mm, filled: 1, ..*point };
+    }
 }
 
 impl Node for Reproject {
@@ -100,7 +111,7 @@ impl Node for Reproject {
     }
 
     fn open(_: &Open<'_>, _: &ReprojectNodeParams) -> Result<Self> {
-        Ok(Self { views: None, depth: Vec::new() })
+        Ok(Self { views: None, depth: Vec::new(), holes: SmallHoles::default() })
     }
 
     fn process<'f>(
@@ -157,7 +168,10 @@ impl Node for Reproject {
         let known = stereo::reproject(given, views, &kernel, cx.pool(), map, None)?;
         cx.metric("known_share", known as f64 / (width * height) as f64);
         if cloud_is_read {
-            fill(out.cloud.alloc_cloud(width, height)?, image, depth.as_view(), views, cx.pool());
+            let (focal_px, baseline_mm) = (views.left.focal_px as f32, views.baseline_mm as f32);
+            let filled = self.holes.find(depth.as_view(), focal_px, baseline_mm, params.max_hole);
+            cx.metric("filled_share", filled.len() as f64 / (width * height) as f64);
+            fill(out.cloud.alloc_cloud(width, height)?, image, depth.as_view(), filled, views, cx.pool());
         }
         Ok(())
     }

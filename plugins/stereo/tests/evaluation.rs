@@ -79,7 +79,7 @@ fn points_are_compared_with_the_nearest_surface() -> TestResult {
         let (x, y) = ((index % width) as f64, (index / width) as f64);
         let z = if x < width as f64 / 2.0 { 50.5 } else { f64::NAN };
         let (x_mm, y_mm) = ((x - cameras.left.cx) / 400.0 * z, (y - cameras.left.cy) / 400.0 * z);
-        CloudPoint { x_mm: x_mm as f32, y_mm: y_mm as f32, z_mm: z as f32, bgr: [0; 3], reserved: 0 }
+        CloudPoint { x_mm: x_mm as f32, y_mm: y_mm as f32, z_mm: z as f32, bgr: [0; 3], filled: 0 }
     };
     let cloud: Vec<CloudPoint> = (0..width * height).map(point).collect();
     let mut node = Harness::<EvaluateCloud>::from_toml("params = { reach_mm = 1.0 }")?;
@@ -93,6 +93,15 @@ fn points_are_compared_with_the_nearest_surface() -> TestResult {
     // 1 mm is 8 pixels: as much of the right half has a point near it.
     let coverage = number(&out, "coverage_pct")?;
     assert!((50.0..55.0).contains(&coverage), "{coverage}");
+    // What was filled in is not evaluated: 10 mm before the surface in all of the right half.
+    let guess = |point: &CloudPoint| match point.z_mm.is_nan() {
+        true => CloudPoint { x_mm: 0.0, y_mm: 0.0, z_mm: 40.0, bgr: [0; 3], filled: 1 },
+        false => *point,
+    };
+    let guessed: Vec<CloudPoint> = cloud.iter().map(guess).collect();
+    node.input_cloud("cloud", width, height, &guessed).input_image::<Depth>("truth", width, height, &truth);
+    let out = node.input_value("calibration", cameras).process()?;
+    assert_eq!((number(&out, "p95_mm")?, number(&out, "coverage_pct")?), (p95, coverage));
     node.input_image::<Depth>("truth", width, height, &truth).input_value("calibration", cameras);
     let out = node.process_empty(&["cloud"])?;
     assert!(number(&out, "median_mm")?.is_nan() && number(&out, "coverage_pct")? == 0.0);

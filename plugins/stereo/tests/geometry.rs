@@ -222,13 +222,49 @@ fn disparities_become_millimetres() -> TestResult {
             assert!(apart(found, truth(u as f64, v as f64)) < 1e-3, "{found:?}");
             assert_eq!(point.bgr, [50; 3]);
         }
-        assert!(cloud[30 * SIZE.0 + 200].z_mm.is_nan(), "unknown stays unknown");
-        assert!(cloud[70 * SIZE.0 + 100].z_mm.is_nan(), "a flying pixel goes");
+        // An unknown pixel and a flying one are filled in with the slope around them.
+        for (u, v) in [(200, 30), (100, 70)] {
+            let point = cloud[v * SIZE.0 + u];
+            let found = [point.x_mm, point.y_mm, point.z_mm].map(f64::from);
+            assert!(point.filled == 1 && apart(found, truth(u as f64, v as f64)) < 1e-2, "{point:?}");
+        }
+        assert_eq!(cloud.iter().filter(|point| point.filled != 0).count(), 2);
         if !out.is_empty("depth")? {
             let depth = out.plane::<Depth>("depth")?;
+            assert!(depth.row(30)[200].is_nan() && depth.row(70)[100].is_nan(), "depths are measured");
             assert!((f64::from(depth.row(64)[160]) - truth(160.0, 64.0)[2]).abs() < 1e-3);
         }
     }
+    Ok(())
+}
+
+#[test]
+fn holes_are_filled_up_to_a_size_and_not_at_all_when_it_is_0() -> TestResult {
+    let gray = vec![50; SIZE.0 * SIZE.1];
+    // 5 x 6 pixels, 0.0007 of the view, and 12 x 12, 0.0035 of it; a reach of one pixel around goes too.
+    let mut map = slope_map();
+    for at in (20..25).flat_map(|y| (100..106).map(move |x| y * SIZE.0 + x)) {
+        map[at] = f32::NAN;
+    }
+    for at in (60..72).flat_map(|y| (200..212).map(move |x| y * SIZE.0 + x)) {
+        map[at] = f32::NAN;
+    }
+    let filled = |params: &str| -> Result<Vec<(usize, usize)>, HarnessError> {
+        let out = Harness::<Reproject>::from_toml(params)?
+            .input_image::<Gray8>("image", SIZE.0, SIZE.1, &gray)
+            .input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &map)
+            .input_value("calibration", rectified(FOCAL, BASELINE))
+            .process()?;
+        let cloud = out.cloud("cloud")?;
+        let marked = cloud.iter().enumerate().filter(|(_, point)| point.filled == 1);
+        assert!(marked.clone().all(|(_, point)| point.is_known() && !point.is_measured() && point.bgr == [50; 3]));
+        Ok(marked.map(|(at, _)| (at % SIZE.0, at / SIZE.0)).collect())
+    };
+    let small = filled("")?;
+    assert!((30..=60).contains(&small.len()), "{}", small.len());
+    assert!(small.iter().all(|(x, y)| (98..108).contains(x) && (18..27).contains(y)), "{small:?}");
+    assert!(filled("params = { max_hole = 0.05 }")?.contains(&(205, 65)));
+    assert!(filled("params = { max_hole = 0.0 }")?.is_empty());
     Ok(())
 }
 
@@ -376,7 +412,7 @@ fn a_cloud_needs_no_calibration_but_states_no_error() -> TestResult {
     use panoscope_node::abi::CloudPoint;
     let point = |index: usize| {
         let [x, y, z] = truth((index % SIZE.0) as f64, (index / SIZE.0) as f64).map(|value| value as f32);
-        CloudPoint { x_mm: x, y_mm: y, z_mm: z, bgr: [0; 3], reserved: 0 }
+        CloudPoint { x_mm: x, y_mm: y, z_mm: z, bgr: [0; 3], filled: 0 }
     };
     let cloud: Vec<CloudPoint> = (0..SIZE.0 * SIZE.1).map(point).collect();
     let mut node = Harness::<Measure>::from_toml("params = { points = [40, 30, 280.5, 90.25] }")?;
@@ -385,6 +421,13 @@ fn a_cloud_needs_no_calibration_but_states_no_error() -> TestResult {
     let row = table.rows().next().map(<[f64]>::to_vec).unwrap_or_default();
     assert!((row[4] - apart(truth(40.0, 30.0), truth(280.5, 90.25))).abs() < 1e-3, "{row:?}");
     assert!(row[5].is_nan());
+    // No length is taken from points that were filled in, however they lie.
+    let near = |at: usize| (at % SIZE.0).abs_diff(40) <= 12 && (at / SIZE.0).abs_diff(30) <= 12;
+    let guessed = |(at, point): (usize, &CloudPoint)| CloudPoint { filled: u8::from(near(at)), ..*point };
+    let cloud: Vec<CloudPoint> = cloud.iter().enumerate().map(guessed).collect();
+    let out = node.input_cloud("cloud", SIZE.0, SIZE.1, &cloud).process()?;
+    let length = out.table("table")?.rows().next().map_or(f64::NAN, |row| row[4]);
+    assert!(length.is_nan(), "{length}");
     Ok(())
 }
 

@@ -225,7 +225,11 @@ impl Proximity {
             make((view.width, view.height), depth.frame().tick.capture_ns, &|x, y| view.row(y)[x])
         } else if let Some(cloud) = &input.cloud {
             let (points, width) = (cloud.points(), cloud.width());
-            make((width, cloud.height()), cloud.tick().capture_ns, &|x, y| points[y * width + x].z_mm)
+            let depth_mm = |x: usize, y: usize| {
+                let point = &points[y * width + x];
+                if point.is_measured() { point.z_mm } else { f32::NAN }
+            };
+            make((width, cloud.height()), cloud.tick().capture_ns, &depth_mm)
         } else {
             Ok(())
         }

@@ -74,8 +74,12 @@ fn show(node: &mut Harness<Proximity>, tips: &[Tip], of: &str) -> Result<Outputs
     node.input_value("calibration", calibration());
     match of {
         "cloud" => {
-            let point = |z: f32| CloudPoint { x_mm: 0.0, y_mm: 0.0, z_mm: z, bgr: [0; 3], reserved: 0 };
-            let points: Vec<CloudPoint> = depth.iter().map(|z| point(*z)).collect();
+            let point = |z: f32| CloudPoint { x_mm: 0.0, y_mm: 0.0, z_mm: z, bgr: [0; 3], filled: 0 };
+            let mut points: Vec<CloudPoint> = depth.iter().map(|z| point(*z)).collect();
+            // What was filled in is no tissue: 1 mm before the camera, far from the tools.
+            for x in 0..4 {
+                points[x] = CloudPoint { filled: 1, ..point(1.0) };
+            }
             node.input_cloud("cloud", SIZE.0, SIZE.1, &points);
         }
         _ => _ = node.input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth),

@@ -98,8 +98,21 @@ pub struct CloudPoint {
     pub z_mm: f32,
     /// Blue, green, red.
     pub bgr: [u8; 3],
-    /// Reserved, 0.
-    pub reserved: u8,
+    /// 0 where the point was measured, 1 where it was filled in from the points around it: such a point is shown as a guess, and no length is taken from
+    /// it. Older plugins and recordings have 0 in all points. Since `ABI_MINOR` 4.
+    pub filled: u8,
+}
+
+impl CloudPoint {
+    /// Whether all coordinates are known, measured or filled in.
+    pub fn is_known(&self) -> bool {
+        self.x_mm.is_finite() && self.y_mm.is_finite() && self.z_mm.is_finite()
+    }
+
+    /// Whether the coordinates are known and were measured.
+    pub fn is_measured(&self) -> bool {
+        self.is_known() && self.filled == 0
+    }
 }
 
 /// One entry of `detections`. The packet is [`DetectionsHeader`], the entries, then the label text.

@@ -118,10 +118,11 @@ impl Contract {
         }
     }
 
-    /// A minor version keeps every declaration; structs that carry their size may have new fields at their end.
+    /// A minor version keeps every declaration; structs that carry their size may have new fields at their end, and a reserved field may get a name.
     fn appends_to(&self, kept: &Contract) -> Result<(), String> {
         for old in &kept.declarations {
-            let survives = self.declarations.contains(old) || self.declarations.iter().any(|new| grew(old, new));
+            let survives = self.declarations.contains(old)
+                || self.declarations.iter().any(|new| grew(old, new) || names_reserved(old, new));
             if !survives {
                 return Err(format!("this declaration changed or is gone, which takes a new ABI_MAJOR: {old}"));
             }
@@ -139,6 +140,15 @@ fn grew(old: &str, new: &str) -> bool {
     let Some((head, rest)) = old.split_once(" { ") else { return false };
     let Some((fields, _)) = rest.rsplit_once(" }") else { return false };
     fields.contains("uint32_t struct_size; ") && new.starts_with(&format!("{head} {{ {fields} "))
+}
+
+/// Whether `new` is `old` with names for reserved fields of the same types. Plugins of older versions write 0 there.
+fn names_reserved(old: &str, new: &str) -> bool {
+    let is_kept = |(old, new): (&str, &str)| {
+        let named = old.strip_suffix(" reserved").zip(new.rsplit_once(' '));
+        old == new || named.is_some_and(|(kind, (new_kind, _))| kind == new_kind)
+    };
+    old.split("; ").count() == new.split("; ").count() && old.split("; ").zip(new.split("; ")).all(is_kept)
 }
 
 #[test]
@@ -174,6 +184,7 @@ typedef struct PanoscopeHost {
 } PanoscopeHost;
 typedef struct PanoscopeTick {
     uint64_t seq;
+    uint32_t reserved;
 } PanoscopeTick;
 PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 16);
 // helpers
@@ -191,7 +202,7 @@ fn comments_are_no_part_of_the_contract_and_texts_survive() {
         [
             "#define PANOSCOPE_A 1",
             "typedef struct PanoscopeHost { uint32_t struct_size; void (*log)(void *ctx, int level); } PanoscopeHost;",
-            "typedef struct PanoscopeTick { uint64_t seq; } PanoscopeTick;",
+            "typedef struct PanoscopeTick { uint64_t seq; uint32_t reserved; } PanoscopeTick;",
             "PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 16);",
         ]
     );
@@ -208,13 +219,17 @@ fn a_change_needs_a_version_and_a_minor_one_only_appends() {
     assert!(contract(&longer, (1, 2)).verdict(&old).is_err_and(|why| why.contains("its version did not")));
     assert!(contract(&longer, (1, 1)).verdict(&old).is_err_and(|why| why.contains("fell from 1.2 to 1.1")));
     assert_eq!(contract(&longer, (1, 3)).verdict(&old), Ok(Verdict::NewVersion));
+    let named = OLD.replace("uint32_t reserved", "uint32_t source");
+    assert_eq!(contract(&named, (1, 3)).verdict(&old), Ok(Verdict::NewVersion));
     for (from, to) in [
         ("PANOSCOPE_A 1", "PANOSCOPE_A 2"),
         ("int level", "long level"),
         ("    uint32_t struct_size;\n", "    uint32_t struct_size;\n    uint32_t between;\n"),
         // It does not carry its size, so the other side could not know.
         ("    uint64_t seq;\n", "    uint64_t seq;\n    uint64_t more;\n"),
-        ("typedef struct PanoscopeTick {\n    uint64_t seq;\n} PanoscopeTick;\n", ""),
+        ("uint64_t seq", "uint64_t number"),
+        ("uint32_t reserved", "int32_t source"),
+        ("typedef struct PanoscopeTick {\n    uint64_t seq;\n    uint32_t reserved;\n} PanoscopeTick;\n", ""),
     ] {
         assert!(OLD.contains(from), "{from}");
         let broken = OLD.replace(from, to);

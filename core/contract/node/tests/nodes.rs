@@ -342,7 +342,7 @@ fn every_packet_family_survives_a_hop() -> TestResult {
         class_index,
         track_id: -1,
     };
-    let point = abi::CloudPoint { x_mm: 1.0, y_mm: 2.0, z_mm: 3.0, bgr: [4, 5, 6], reserved: 0 };
+    let point = abi::CloudPoint { x_mm: 1.0, y_mm: 2.0, z_mm: 3.0, bgr: [4, 5, 6], filled: 0 };
     let out = node
         .input_value("beat", beat)
         .input_detections("found", &[item(0), item(1)], "grasper\nhook", (640, 480))

@@ -3,7 +3,7 @@
 use std::mem::offset_of;
 
 use panoscope_abi::{CloudPoint, FORMAT_CLOUD, FORMAT_F32, FORMAT_GRAY16, Frame};
-use panoscope_imaging::draw::Colormap;
+use panoscope_imaging::draw::{Colormap, filled_color};
 
 /// Lowest and highest value of a map's colours. It follows the values slowly, so that the colours do not flicker.
 pub type Range = Option<(f32, f32)>;
@@ -39,9 +39,13 @@ pub fn painted(frame: &Frame, bytes: &[u8], packet: &str, range: &mut Range) -> 
         }
         FORMAT_CLOUD => {
             let (z, bgr) = (offset_of!(CloudPoint, z_mm), offset_of!(CloudPoint, bgr));
-            let point = |point: &[u8]| match f32_at(point, z).is_finite() {
-                true => [point[bgr], point[bgr + 1], point[bgr + 2]],
-                false => unknown,
+            let point = |point: &[u8]| {
+                let color = [point[bgr], point[bgr + 1], point[bgr + 2]];
+                match (f32_at(point, z).is_finite(), point[offset_of!(CloudPoint, filled)]) {
+                    (true, 0) => color,
+                    (true, _) => filled_color(color),
+                    (false, _) => unknown,
+                }
             };
             Some(
                 rows(size_of::<CloudPoint>())
@@ -101,13 +105,14 @@ mod tests {
 
     #[test]
     fn points_have_their_colours_where_they_are_known() {
-        let mut bytes = vec![0; 2 * size_of::<CloudPoint>() + 8];
+        let mut bytes = vec![0; 3 * size_of::<CloudPoint>() + 8];
         bytes[12..15].copy_from_slice(&[1, 2, 3]);
         bytes[24..28].copy_from_slice(&f32::NAN.to_le_bytes());
         bytes[28..31].copy_from_slice(&[4, 5, 6]);
-        let frame = described(FORMAT_CLOUD, 2, 1, 40);
+        bytes[44..48].copy_from_slice(&[100, 50, 200, 1]);
+        let frame = described(FORMAT_CLOUD, 3, 1, 56);
         let picture = painted(&frame, &bytes, "cloud", &mut None).expect("a cloud");
-        assert_eq!(picture, [[1, 2, 3], Colormap::Viridian.at(f32::NAN)].concat());
+        assert_eq!(picture, [[1, 2, 3], Colormap::Viridian.at(f32::NAN), [80, 40, 160]].concat());
         assert_eq!(painted(&described(panoscope_abi::FORMAT_BGR8, 1, 1, 3), &[0; 3], "image", &mut None), None);
     }
 }

@@ -80,7 +80,8 @@ pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> PacketDiff
     difference
 }
 
-/// Compares two clouds of the same size, point by point; distances and `tolerance` in mm.
+/// Compares two clouds of the same size, point by point; distances and `tolerance` in mm. A point that was measured in one and filled in in the other is
+/// known to one only.
 pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> PacketDifference {
     let mut difference = PacketDifference::default();
     for y in 0..a.height() {
@@ -92,7 +93,7 @@ pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> PacketDiff
             let known = |p: &[f64; 3]| p.iter().all(|v| v.is_finite());
             let mut differs = false;
             match (known(&p), known(&q)) {
-                (true, true) => {
+                (true, true) if left.filled == right.filled => {
                     let distance = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f64>().sqrt();
                     difference.sum += distance;
                     if distance > difference.largest {
@@ -182,9 +183,10 @@ mod tests {
         recoloured[12] = 9;
         let difference = clouds(&a, &recoloured, 0.5);
         assert_eq!((difference.recoloured, difference.differs, difference.largest), (1, true, 0.0));
-        // The fourth byte of a colour means nothing.
-        let mut padded = a.clone();
-        padded[15] = 9;
-        assert!(!clouds(&a, &padded, 0.0).differs);
+        let mut filled = a.clone();
+        filled[15] = 1;
+        let difference = clouds(&a, &filled, 0.5);
+        assert_eq!((difference.only_in_one, difference.differs), (1, true));
+        assert!(!clouds(&filled, &filled, 0.0).differs);
     }
 }

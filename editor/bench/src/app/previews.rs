@@ -88,6 +88,7 @@ impl App {
             let outputs: Vec<Output> = outputs.into_iter().map(|(output, _)| output).collect();
             self.plots.follow(&self.shown, &outputs);
         }
+        self.viewer.view3d().check_calibration(&self.observer.counters());
         if let (Some(viewpoint), Some(source)) = (self.viewer.viewpoint(), self.viewer.source())
             && let Some(requests) = requests.get_mut(&source.output)
         {

@@ -222,6 +222,7 @@ surface-foot = { $node } (Fuß)
 surface-measure = Messen
     .hint = Abstand zweier Punkte in mm: anklicken oder mit Pfeiltasten und Eingabe wählen
 surface-measuring = Messen: zwei Punkte anklicken
+surface-drifted = Kein Abstand: die Kalibrierung passt nicht mehr
 surface-depth-from = Tiefe von
     .name = Kleinste gezeigte Tiefe
 surface-depth-to = bis

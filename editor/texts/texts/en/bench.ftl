@@ -222,6 +222,7 @@ surface-foot = { $node } (foot)
 surface-measure = Measure
     .hint = Distance of two points in mm: click them, or use arrow keys and Enter
 surface-measuring = Measuring: click two points
+surface-drifted = No distance: the calibration does not fit any more
 surface-depth-from = depth from
     .name = Nearest depth shown
 surface-depth-to = to

@@ -242,7 +242,7 @@ pub fn cloud(data: &PolyData<'_>, out: &mut Slot<'_, PointCloud>) -> Result<Refu
             }
             None => [200; 3],
         };
-        *to = CloudPoint { x_mm: *x_mm, y_mm: *y_mm, z_mm: *z_mm, bgr, reserved: 0 };
+        *to = CloudPoint { x_mm: *x_mm, y_mm: *y_mm, z_mm: *z_mm, bgr, filled: 0 };
     }
     Ok(None)
 }

@@ -56,9 +56,11 @@ pub fn tip(x_mm: f64) -> Tip {
 /// Blue, green, red of six pixels: 0, 10, 20 and so on.
 pub const PIXELS: [u8; 18] = [0, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100, 110, 120, 130, 140, 150, 160, 170];
 
+/// An unknown point, two measured ones and one that was filled in.
 pub fn cloud() -> Vec<CloudPoint> {
-    let point = |x_mm: f32, bgr| CloudPoint { x_mm, y_mm: 2.0, z_mm: 50.0, bgr, reserved: 0 };
-    vec![point(f32::NAN, [1, 2, 3]), point(1.0, [0, 51, 255]), point(3.0, [255, 0, 0])]
+    let point = |x_mm: f32, bgr| CloudPoint { x_mm, y_mm: 2.0, z_mm: 50.0, bgr, filled: 0 };
+    let guess = CloudPoint { filled: 1, ..point(2.0, [0, 0, 255]) };
+    vec![point(f32::NAN, [1, 2, 3]), point(1.0, [0, 51, 255]), guess, point(3.0, [255, 0, 0])]
 }
 
 pub fn detection() -> Detection {
@@ -69,7 +71,7 @@ pub fn detection() -> Detection {
 pub fn fill(node: &mut Harness<Send>) {
     node.input_image::<Bgr8>("image", 3, 2, &PIXELS);
     node.input_value("pose", pose()).input_value("tip", tip(1.5));
-    node.input_cloud("cloud", 3, 1, &cloud()).input_detections(
+    node.input_cloud("cloud", 4, 1, &cloud()).input_detections(
         "detections",
         &[detection()],
         "Hook\nGrasper",

@@ -133,7 +133,8 @@ impl Node for EvaluateCloud {
         if let Some(cloud) = &input.cloud {
             let (width, points) = (cloud.width(), cloud.points());
             let measured = |x: usize, y: usize| {
-                points.get(y * width + x).map_or([f32::NAN; 3], |point| [point.x_mm, point.y_mm, point.z_mm])
+                let point = points.get(y * width + x).filter(|point| point.is_measured());
+                point.map_or([f32::NAN; 3], |point| [point.x_mm, point.y_mm, point.z_mm])
             };
             gather((width, cloud.height()), step, measured, &mut self.points, &mut self.sparse_points);
         }

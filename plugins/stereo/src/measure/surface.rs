@@ -20,7 +20,7 @@ impl Surface<'_> {
         }
     }
 
-    /// The surface at column `u`, row `v`, from the pixels up to `radius` px away; `None` where too few are known. `work` is reused.
+    /// The surface at column `u`, row `v`, from the pixels up to `radius` px away; `None` where too few were measured. `work` is reused.
     pub fn at(&self, u: f64, v: f64, radius: usize, work: &mut Vec<Sample>) -> Option<SurfacePoint> {
         match self {
             Self::Cloud(cloud) => {
@@ -28,8 +28,8 @@ impl Surface<'_> {
                 SurfacePoint::at(self.size(), [u, v], radius, work, |x, y| {
                     let point = points.get(y * width + x)?;
                     let z = f64::from(point.z_mm);
-                    let known = z > 0.0 && z.is_finite() && point.x_mm.is_finite() && point.y_mm.is_finite();
-                    known.then(|| [f64::from(point.x_mm) / z, f64::from(point.y_mm) / z, 1.0 / z])
+                    (z > 0.0 && point.is_measured())
+                        .then(|| [f64::from(point.x_mm) / z, f64::from(point.y_mm) / z, 1.0 / z])
                 })
             }
             Self::Depth(depth, views) => SurfacePoint::at(self.size(), [u, v], radius, work, |x, y| {

@@ -105,7 +105,7 @@ pub fn message_seeds() -> Vec<Vec<u8>> {
         };
         convert::detections_message([(item, "hook"), (item, "")].into_iter(), convert::header(7, "f"))
     };
-    let point = panoscope_abi::CloudPoint { x_mm: 1.0, y_mm: 2.0, z_mm: 3.0, bgr: [1, 2, 3], reserved: 0 };
+    let point = panoscope_abi::CloudPoint { x_mm: 1.0, y_mm: 2.0, z_mm: 3.0, bgr: [1, 2, 3], filled: 0 };
     vec![
         of(0, &image("rgb8", 3)),
         of(0, &image("32FC1", 4)),

@@ -46,7 +46,7 @@ impl<'b> Cloud<'b> {
         }
         let bytes: &[u8; POINT] = self.bytes.get(row * self.stride_bytes + column * POINT..)?.first_chunk()?;
         let number = |at: usize| f32::from_ne_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
-        let [.., blue, green, red, reserved] = *bytes;
-        Some(CloudPoint { x_mm: number(0), y_mm: number(4), z_mm: number(8), bgr: [blue, green, red], reserved })
+        let [.., blue, green, red, filled] = *bytes;
+        Some(CloudPoint { x_mm: number(0), y_mm: number(4), z_mm: number(8), bgr: [blue, green, red], filled })
     }
 }

@@ -74,7 +74,7 @@ plain! {
         is_rectified: u32,
         reserved: u32,
     }
-    "cloud" CloudPoint { x_mm: f32, y_mm: f32, z_mm: f32, bgr: [u8; 3], reserved: u8 }
+    "cloud" CloudPoint { x_mm: f32, y_mm: f32, z_mm: f32, bgr: [u8; 3], filled: u8 }
     "detections" Detection {
         x_px: f32,
         y_px: f32,

@@ -148,7 +148,7 @@ fn a_cloud_has_points_and_its_rows_may_be_padded() {
     }
     bytes[40 + 28..40 + 32].copy_from_slice(&[1, 2, 3, 9]);
     let cloud = Cloud::parse(&bytes, 2, 3, 40).unwrap();
-    let point = abi::CloudPoint { x_mm: 1.5, y_mm: -2.0, z_mm: 50.0, bgr: [1, 2, 3], reserved: 9 };
+    let point = abi::CloudPoint { x_mm: 1.5, y_mm: -2.0, z_mm: 50.0, bgr: [1, 2, 3], filled: 9 };
     assert_eq!((cloud.width(), cloud.height(), cloud.point(1, 1)), (2, 3, Some(point)));
     assert_eq!((cloud.point(2, 0), cloud.point(0, 3)), (None, None));
     assert!(Cloud::parse(&bytes[..112], 2, 3, 40).is_ok(), "the last row needs no padding");

@@ -11,7 +11,7 @@ use panoscope_abi as abi;
 use panoscope_base::packet::Detections;
 use panoscope_data::calibration::ros::CameraInfo;
 use panoscope_data::formats::array::{self, ArrayFormat};
-use panoscope_data::formats::{Pixels, ply, still};
+use panoscope_data::formats::{Pixels, still};
 
 use super::frames::{self, LEFT_RECTIFIED, MM};
 
@@ -68,16 +68,16 @@ pub fn raw(pixels: &Pixels<'_>, timestamp: Timestamp, frame: &str) -> std::io::R
     })
 }
 
-/// The known points in m, with their colours.
+/// The known points in m, with their colours; the field `filled` is 1 for points that were filled in, 0 for measured ones.
 pub fn cloud(points: &[abi::CloudPoint], timestamp: Timestamp) -> PointCloud {
-    const STRIDE: usize = 16;
+    const STRIDE: usize = 17;
     let mut data = Vec::with_capacity(points.len() * STRIDE);
-    for point in points.iter().filter(|point| ply::is_known(point)) {
+    for point in points.iter().filter(|point| point.is_known()) {
         for mm in [point.x_mm, point.y_mm, point.z_mm] {
             data.extend(((f64::from(mm) * MM) as f32).to_le_bytes());
         }
         let [blue, green, red] = point.bgr;
-        data.extend([red, green, blue, u8::MAX]);
+        data.extend([red, green, blue, u8::MAX, point.filled]);
     }
     let field = |name: &str, offset: u32, kind: NumericType| PackedElementField {
         name: name.to_owned(),
@@ -85,7 +85,7 @@ pub fn cloud(points: &[abi::CloudPoint], timestamp: Timestamp) -> PointCloud {
         r#type: kind as i32,
     };
     let places = ["x", "y", "z"].into_iter().zip([0, 4, 8]).map(|(name, at)| field(name, at, NumericType::Float32));
-    let colours = ["red", "green", "blue", "alpha"].into_iter().zip(12..);
+    let colours = ["red", "green", "blue", "alpha", "filled"].into_iter().zip(12..);
     let colours = colours.map(|(name, at)| field(name, at, NumericType::Uint8));
     PointCloud {
         timestamp: Some(timestamp),

@@ -228,7 +228,11 @@ struct Numbers {
 impl Numbers {
     fn of(message: &PointCloud2<'_>, name: &str, types: &[u8]) -> Option<Self> {
         let field: &PointField = message.fields.iter().find(|field| field.name == name)?;
-        let bytes = if field.datatype == point_type::FLOAT64 { 8 } else { 4 };
+        let bytes = match field.datatype {
+            point_type::FLOAT64 => 8,
+            point_type::UINT8 => 1,
+            _ => 4,
+        };
         let fits = types.contains(&field.datatype) && u64::from(field.offset) + bytes <= u64::from(message.point_step);
         fits.then_some(Self {
             offset: field.offset as usize,
@@ -237,7 +241,7 @@ impl Numbers {
         })
     }
 
-    /// The four or eight bytes, little-endian.
+    /// The one, four or eight bytes, little-endian.
     fn bytes<const N: usize>(&self, point: &[u8]) -> [u8; N] {
         let mut bytes = [0; N];
         if let Some(found) = point.get(self.offset..self.offset + N) {
@@ -257,7 +261,7 @@ impl Numbers {
     }
 }
 
-/// Width, height and points of a cloud, in mm. Points without colours are white.
+/// Width, height and points of a cloud, in mm. Points without colours are white, those whose field `filled` is not 0 were filled in.
 ///
 /// # Errors
 /// There are no coordinates, or the size does not fit the bytes.
@@ -279,6 +283,7 @@ pub fn cloud(message: &PointCloud2<'_>) -> Result<(usize, usize, Vec<abi::CloudP
     let axes = [coordinate("x")?, coordinate("y")?, coordinate("z")?];
     let packed = [point_type::FLOAT32, point_type::UINT32];
     let colour = Numbers::of(message, "rgb", &packed).or_else(|| Numbers::of(message, "rgba", &packed));
+    let filled = Numbers::of(message, "filled", &[point_type::UINT8]);
     let mut points = Vec::with_capacity(count as usize);
     for row in 0..height as usize {
         for column in 0..width as usize {
@@ -289,7 +294,8 @@ pub fn cloud(message: &PointCloud2<'_>) -> Result<(usize, usize, Vec<abi::CloudP
                 let [blue, green, red, _]: [u8; 4] = colour.bytes(point);
                 [blue, green, red]
             });
-            points.push(abi::CloudPoint { x_mm, y_mm, z_mm, bgr, reserved: 0 });
+            let filled = filled.as_ref().map_or(0, |filled| u8::from(filled.bytes(point) != [0]));
+            points.push(abi::CloudPoint { x_mm, y_mm, z_mm, bgr, filled });
         }
     }
     Ok((width as usize, height as usize, points))
@@ -438,11 +444,18 @@ mod tests {
         let depth = image_message(&Pixels::F32(View::new(&values, 2, 2, 1)), 1e-3, header(0, "f"));
         let (_, _, read) = depth_mm(&depth).unwrap();
         assert!(read[1].is_nan() && (read[2] - 30.5).abs() < 1e-5);
-        let point = abi::CloudPoint { x_mm: 1.0, y_mm: -2.0, z_mm: f32::NAN, bgr: [1, 2, 3], reserved: 0 };
-        let message = points_message([point, point].into_iter(), 2, header(0, "f"));
+        let point = abi::CloudPoint { x_mm: 1.0, y_mm: -2.0, z_mm: f32::NAN, bgr: [1, 2, 3], filled: 0 };
+        let guess = abi::CloudPoint { filled: 1, ..point };
+        let message = points_message([point, guess].into_iter(), 2, header(0, "f"));
         assert!(!message.is_dense);
         let (width, height, points) = cloud(&message).unwrap();
         assert_eq!((width, height, points[1].bgr), (2, 1, [1, 2, 3]));
+        assert_eq!(points.iter().map(|point| point.filled).collect::<Vec<u8>>(), [0, 1]);
+        // Without the field the fourth byte of a colour means nothing.
+        let mut fields = message.fields.clone();
+        fields.retain(|field| field.name != "filled");
+        let (_, _, points) = cloud(&PointCloud2 { fields, ..message }).unwrap();
+        assert!(points.iter().all(|point| point.filled == 0));
         assert!((points[1].x_mm - 1.0).abs() < 1e-6 && points[1].z_mm.is_nan());
         let found = abi::Detection {
             x_px: 1.0,

@@ -125,7 +125,7 @@ pub fn disparity_message<'a>(
     }
 }
 
-/// The points in rows of `width`, in m, unknown ones as NaN.
+/// The points in rows of `width`, in m, unknown ones as NaN. The field `filled` is 1 for points that were filled in, 0 for measured ones.
 pub fn points_message(
     points: impl ExactSizeIterator<Item = abi::CloudPoint>,
     width: usize,
@@ -140,17 +140,17 @@ pub fn points_message(
             data.extend(((f64::from(mm) * MM) as f32).to_le_bytes());
         }
         let [blue, green, red] = point.bgr;
-        // A number of 32 bits, 0x00RRGGBB, that is stored as a float.
-        data.extend([blue, green, red, 0]);
+        // A number of 32 bits, 0x00RRGGBB, that is stored as a float. Readers of colours ignore its highest byte, which is the field `filled`.
+        data.extend([blue, green, red, point.filled]);
     }
-    let field =
-        |name: &str, offset| PointField { name: name.to_owned(), offset, datatype: point_type::FLOAT32, count: 1 };
+    let field = |name: &str, offset, datatype| PointField { name: name.to_owned(), offset, datatype, count: 1 };
+    let floats = [("x", 0), ("y", 4), ("z", 8), ("rgb", 12)].map(|(name, at)| field(name, at, point_type::FLOAT32));
     let rows = count.checked_div(width).unwrap_or(0);
     PointCloud2 {
         header,
         height: rows as u32,
         width: width as u32,
-        fields: vec![field("x", 0), field("y", 4), field("z", 8), field("rgb", 12)],
+        fields: floats.into_iter().chain([field("filled", 15, point_type::UINT8)]).collect(),
         is_bigendian: false,
         point_step: POINT_BYTES as u32,
         row_step: (width * POINT_BYTES) as u32,

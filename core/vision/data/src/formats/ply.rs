@@ -6,14 +6,9 @@ use panoscope_abi::CloudPoint;
 pub use panoscope_imaging::draw::GradientLimit;
 use panoscope_imaging::draw::Rims;
 
-/// Whether a point has coordinates.
-pub fn is_known(point: &CloudPoint) -> bool {
-    point.x_mm.is_finite() && point.y_mm.is_finite() && point.z_mm.is_finite()
-}
-
 /// Positions of the points that are on a surface, NaN for the others: ramps that a match draws from one depth to another are none.
 fn on_surfaces(points: &[CloudPoint], width: usize, limit: GradientLimit) -> Vec<[f32; 3]> {
-    let position = |p: &CloudPoint| if is_known(p) { [p.x_mm, p.y_mm, p.z_mm] } else { [f32::NAN; 3] };
+    let position = |p: &CloudPoint| if p.is_known() { [p.x_mm, p.y_mm, p.z_mm] } else { [f32::NAN; 3] };
     let mut positions: Vec<[f32; 3]> = points.iter().map(position).collect();
     if width > 0 {
         Rims::default().part(&mut positions, width, limit);
@@ -38,7 +33,7 @@ fn triangles(positions: &[[f32; 3]], width: usize, limit: GradientLimit) -> impl
 }
 
 /// Writes the known points; returns their number. Coordinates in mm, left rectified camera frame (x right, y
-/// down, z forward). With `limit` the surface between neighbours in rows of `width` points is written too: triangles between
+/// down, z forward). The property `filled` is 1 for points that were filled in, 0 for measured ones. With `limit` the surface between neighbours in rows of `width` points is written too: triangles between
 /// points of one surface.
 ///
 /// # Errors
@@ -49,26 +44,27 @@ pub fn write(
     width: usize,
     limit: Option<GradientLimit>,
 ) -> io::Result<usize> {
-    let known = points.iter().filter(|p| is_known(p)).count();
+    let known = points.iter().filter(|p| p.is_known()).count();
     let positions = limit.map(|limit| on_surfaces(points, width, limit));
     let faces = limit.zip(positions.as_deref()).map(|(limit, positions)| triangles(positions, width, limit));
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment mm, x right, y down, z forward\nelement vertex {known}\n\
          property float x\nproperty float y\nproperty float z\n\
-         property uchar red\nproperty uchar green\nproperty uchar blue\n"
+         property uchar red\nproperty uchar green\nproperty uchar blue\n\
+         property uchar filled\n"
     )?;
     if let Some(faces) = &faces {
         write!(out, "element face {}\nproperty list uchar int vertex_indices\n", faces.clone().count())?;
     }
     writeln!(out, "end_header")?;
-    for point in points.iter().filter(|p| is_known(p)) {
-        let mut record = [0; 15];
+    for point in points.iter().filter(|p| p.is_known()) {
+        let mut record = [0; 16];
         record[..4].copy_from_slice(&point.x_mm.to_le_bytes());
         record[4..8].copy_from_slice(&point.y_mm.to_le_bytes());
         record[8..12].copy_from_slice(&point.z_mm.to_le_bytes());
         let [blue, green, red] = point.bgr;
-        record[12..].copy_from_slice(&[red, green, blue]);
+        record[12..].copy_from_slice(&[red, green, blue, point.filled]);
         out.write_all(&record)?;
     }
     if let Some(faces) = faces {
@@ -77,7 +73,7 @@ pub fn write(
             .iter()
             .map(|p| {
                 let place = written;
-                written += u32::from(is_known(p));
+                written += u32::from(p.is_known());
                 place
             })
             .collect();
@@ -99,7 +95,7 @@ mod tests {
     const LIMIT: GradientLimit = GradientLimit { max_gradient: 1.5, baseline_mm: 15.0 };
 
     fn point(x: f32, y: f32, z: f32) -> CloudPoint {
-        CloudPoint { x_mm: x, y_mm: y, z_mm: z, bgr: [1, 2, 3], reserved: 0 }
+        CloudPoint { x_mm: x, y_mm: y, z_mm: z, bgr: [1, 2, 3], filled: 0 }
     }
 
     fn faces(cloud: &[CloudPoint], width: usize) -> Vec<[usize; 3]> {
@@ -138,6 +134,7 @@ mod tests {
         let mut cloud: Vec<CloudPoint> = (0..columns * rows).map(seen).collect();
         let unknown = 6 * columns + 8;
         (cloud[unknown].x_mm, cloud[unknown].z_mm) = (f32::NAN, f32::NAN);
+        cloud[1].filled = 1;
         let found = faces(&cloud, columns);
         assert!(found.iter().all(|corners| !corners.contains(&unknown)));
         let sides = found.iter().map(|corners| corners.map(|corner| corner % columns < 20));
@@ -149,7 +146,11 @@ mod tests {
         let header = String::from_utf8_lossy(&file);
         assert!(header.contains(&format!("element vertex {}\nproperty", columns * rows - 1)));
         assert!(header.contains(&format!("element face {}\n", found.len())));
-        let size = (columns * rows - 1) * 15 + found.len() * 13;
-        assert_eq!(file.len(), header.find("end_header\n").unwrap() + 11 + size);
+        let size = (columns * rows - 1) * 16 + found.len() * 13;
+        let points = header.find("end_header\n").unwrap() + 11;
+        assert_eq!(file.len(), points + size);
+        let marks: Vec<u8> =
+            file[points..].chunks_exact(16).take(columns * rows - 1).map(|record| record[15]).collect();
+        assert!(marks[1] == 1 && marks.iter().map(|mark| usize::from(*mark)).sum::<usize>() == 1);
     }
 }

@@ -155,7 +155,7 @@ mod tests {
             let (x, y) = ((at % SIDE) as f32, (at / SIDE) as f32);
             let z = depth(at % SIDE, at / SIDE);
             let world = [(x - 12.0) * 0.01 * z, (y - 12.0) * 0.01 * z, z];
-            if z.is_nan() { NOWHERE } else { Corner { place: [x, y, z], world, color: [z as u8; 3], light: 1.0 } }
+            if z.is_nan() { NOWHERE } else { Corner { place: [x, y, z], world, color: [z as u8; 3], ..NOWHERE } }
         };
         (0..SIDE * SIDE).map(corner).collect()
     }

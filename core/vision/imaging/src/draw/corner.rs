@@ -12,16 +12,14 @@ pub struct Corner {
     pub color: Color,
     /// Brightness, 0 to 1.
     pub light: f32,
+    /// Whether it was filled in, not measured.
+    pub is_filled: bool,
 }
 
-pub const NOWHERE: Corner = Corner { place: [f32::NAN; 3], world: [f32::NAN; 3], color: [0; 3], light: 1.0 };
+pub const NOWHERE: Corner =
+    Corner { place: [f32::NAN; 3], world: [f32::NAN; 3], color: [0; 3], light: 1.0, is_filled: false };
 
 /// Whether there is a point of a surface.
 pub fn is_known(corner: &Corner) -> bool {
     !corner.place[0].is_nan()
-}
-
-/// Whether there is a point, in the image or not yet.
-pub fn is_located(corner: &Corner) -> bool {
-    !corner.world[0].is_nan()
 }

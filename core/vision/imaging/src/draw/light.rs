@@ -37,6 +37,7 @@ pub fn light(corners: &mut [Corner], width: usize, view: [f32; 3], shading: f32)
 
 #[cfg(test)]
 mod tests {
+    use super::super::corner::NOWHERE;
     use super::*;
 
     const SIDE: usize = 40;
@@ -48,7 +49,7 @@ mod tests {
             let corner = |at: usize| {
                 let (x, y) = (at % SIDE, at / SIDE);
                 let world = [x as f32 * 0.5, y as f32 * 0.5, 50.0 + slope * (x / 2) as f32];
-                Corner { place: world, world, color: [9; 3], light: 1.0 }
+                Corner { place: world, world, color: [9; 3], ..NOWHERE }
             };
             let mut corners: Vec<Corner> = (0..SIDE * SIDE).map(corner).collect();
             light(&mut corners, SIDE, [0.0, 0.0, 1.0], 0.6);

@@ -7,7 +7,6 @@ mod colormap;
 mod contour;
 mod corner;
 mod font;
-mod holes;
 mod labels;
 mod light;
 mod overlay;
@@ -22,7 +21,7 @@ pub use labels::{Area, Labels};
 pub use overlay::{ScaleBar, blend_mask, scale_bar};
 pub use rims::{GradientLimit, Rims};
 pub use shapes::{arrow, circle, cross, fill_circle, fill_polygon, fill_rectangle, line, polygon, polyline, rectangle};
-pub use surface::{Orbit, Projection, SurfacePainter, SurfacePoints};
+pub use surface::{DrawnPoint, Orbit, Projection, SurfacePainter, SurfacePoints, filled_color};
 pub use text::{text, text_size};
 
 /// Blue, green, red.

@@ -6,18 +6,33 @@ use std::fmt::Write;
 
 use super::contour::{Contour, RIM};
 use super::corner::{Corner, NOWHERE};
-use super::holes::Holes;
 use super::light::light;
 use super::rims::{GradientLimit, Position, Rims};
 use super::{Color, line, text};
 use crate::ViewMut;
 
-/// A cloud as rows of points; a point is its position in mm and its colour, `None` where unknown.
+/// A known point of a cloud.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DrawnPoint {
+    /// Position in the camera's frame.
+    pub mm: [f32; 3],
+    /// Its colour, as the camera saw it.
+    pub color: Color,
+    /// Whether it was filled in from the points around it: it is drawn in [`filled_color`] and has no depth in the image.
+    pub is_filled: bool,
+}
+
+/// A cloud as rows of points.
 pub trait SurfacePoints: Sync {
     /// Points per row, rows.
     fn size(&self) -> (usize, usize);
-    /// Point at a column and row.
-    fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)>;
+    /// Point at a column and row; `None` where unknown.
+    fn at(&self, column: usize, row: usize) -> Option<DrawnPoint>;
+}
+
+/// The darker colour of a point that was filled in, so that it differs from what was measured.
+pub fn filled_color(color: Color) -> Color {
+    color.map(|value| (f32::from(value) * 0.8).round() as u8)
 }
 
 /// Viewpoint and zoom of a picture of a surface.
@@ -110,10 +125,9 @@ pub struct SurfacePainter {
     /// The corners' positions, of which those between surfaces are taken out.
     positions: Vec<Position>,
     depth: Vec<f32>,
-    /// Whether a pixel shows a part of the surface that was filled.
+    /// Whether a pixel shows a part of the surface that was filled in.
     is_filled: Vec<bool>,
     sorted: Vec<f32>,
-    holes: Holes,
     rims: Rims,
     /// Share of the corners on surfaces that are cut off.
     cut_share: f32,
@@ -125,7 +139,7 @@ pub struct SurfacePainter {
 const BACKGROUND: u8 = 18;
 
 /// The known point nearest to a column and row, at most `reach` away in each direction: a single point that is unknown is no hole.
-fn nearest(points: &dyn SurfacePoints, (x, y): (usize, usize), reach: usize) -> Option<([f32; 3], Color)> {
+fn nearest(points: &dyn SurfacePoints, (x, y): (usize, usize), reach: usize) -> Option<DrawnPoint> {
     if let Some(point) = points.at(x, y) {
         return Some(point);
     }
@@ -147,7 +161,7 @@ fn median(points: &dyn SurfacePoints, axis: usize, sorted: &mut Vec<f32>) -> Opt
     let (width, height) = points.size();
     sorted.clear();
     for y in (0..height).step_by(1 + height / 64) {
-        sorted.extend((0..width).step_by(1 + width / 64).filter_map(|x| points.at(x, y)).map(|(p, _)| p[axis]));
+        sorted.extend((0..width).step_by(1 + width / 64).filter_map(|x| points.at(x, y)).map(|p| p.mm[axis]));
     }
     sorted.sort_unstable_by(f32::total_cmp);
     sorted.get(sorted.len() / 2).copied()
@@ -161,8 +175,8 @@ fn ruler_mm(visible_mm: f32) -> f32 {
 }
 
 impl SurfacePainter {
-    /// For each pixel of the last picture the depth behind the middle as in [`Projection`], infinite where nothing is and where a small hole of the
-    /// surface was filled.
+    /// For each pixel of the last picture the depth behind the middle as in [`Projection`], infinite where nothing is and where the
+    /// surface was filled in.
     pub fn depth_mm(&self) -> &[f32] {
         &self.depth
     }
@@ -195,7 +209,7 @@ impl SurfacePainter {
         }
         // Seen from the front at its own distance, the cloud's picture fills the width.
         let left = (0..rows).step_by(step).filter_map(|y| points.at(0, y)).next();
-        let half = self.half_width(points, mx).max(left.map_or(0.0, |(p, _)| (mx - p[0]).abs())).max(1.0);
+        let half = self.half_width(points, mx).max(left.map_or(0.0, |p| (mx - p.mm[0]).abs())).max(1.0);
         let scale = orbit.zoom * 0.48 * out.width as f32 / half;
         let turn = [orbit.yaw, orbit.pitch].map(f32::sin_cos);
         let origin =
@@ -205,12 +219,12 @@ impl SurfacePainter {
         self.corners.resize(w * h, NOWHERE);
         for j in 0..h {
             for i in 0..w {
-                if let Some((p, color)) = nearest(points, (i * step, j * step), step / 2) {
-                    self.corners[j * w + i] = Corner { world: p, color, ..NOWHERE };
+                if let Some(DrawnPoint { mm, color, is_filled }) = nearest(points, (i * step, j * step), step / 2) {
+                    let color = if is_filled { filled_color(color) } else { color };
+                    self.corners[j * w + i] = Corner { world: mm, color, is_filled, ..NOWHERE };
                 }
             }
         }
-        self.holes.fill(&mut self.corners, w, orbit.limit);
         self.positions.clear();
         self.positions.extend(self.corners.iter().map(|corner| corner.world));
         let before = self.positions.iter().filter(|position| !position[0].is_nan()).count();
@@ -266,7 +280,7 @@ impl SurfacePainter {
         self.sorted.clear();
         for y in (0..height).step_by(1 + height / 32) {
             let known = (0..width).step_by(1 + width / 64).filter_map(|x| points.at(x, y));
-            self.sorted.extend(known.map(|(p, _)| (p[0] - mx).abs()));
+            self.sorted.extend(known.map(|p| (p.mm[0] - mx).abs()));
         }
         self.sorted.sort_unstable_by(f32::total_cmp);
         self.sorted.get(self.sorted.len() * 98 / 100).copied().unwrap_or(1.0)
@@ -279,7 +293,7 @@ impl SurfacePainter {
         if t.iter().any(|c| c.place[0].is_nan()) || inside.iter().all(|v| *v < RIM) {
             return;
         }
-        let is_filled = corners.iter().any(|at| self.holes.is_filled()[*at]);
+        let is_filled = t.iter().any(|c| c.is_filled);
         let is_whole = inside.iter().all(|v| *v >= RIM);
         // Beyond its rim a surface could reach another one.
         let is_inner = corners.iter().all(|at| !self.positions[*at][0].is_nan());
@@ -333,15 +347,19 @@ impl SurfacePainter {
 mod tests {
     use super::*;
 
+    fn measured(mm: [f32; 3], color: Color) -> Option<DrawnPoint> {
+        Some(DrawnPoint { mm, color, is_filled: false })
+    }
+
     /// A plane at 50 mm, 20 mm wide, with a step in its right half.
     struct Step(f32);
     impl SurfacePoints for Step {
         fn size(&self) -> (usize, usize) {
             (40, 30)
         }
-        fn at(&self, x: usize, y: usize) -> Option<([f32; 3], Color)> {
+        fn at(&self, x: usize, y: usize) -> Option<DrawnPoint> {
             let z = if x < 20 { 50.0 } else { 50.0 + self.0 };
-            Some(([x as f32 * 0.5 - 10.0, y as f32 * 0.5 - 7.5, z], [200, 100, 50]))
+            measured([x as f32 * 0.5 - 10.0, y as f32 * 0.5 - 7.5, z], [200, 100, 50])
         }
     }
 
@@ -378,10 +396,10 @@ mod tests {
         fn size(&self) -> (usize, usize) {
             (160, 120)
         }
-        fn at(&self, x: usize, y: usize) -> Option<([f32; 3], Color)> {
+        fn at(&self, x: usize, y: usize) -> Option<DrawnPoint> {
             let is_instrument = x >= 100 && (40..80).contains(&y);
             let (z, color) = if is_instrument { (45.0, [60; 3]) } else { (67.0, [200; 3]) };
-            Some(([(x as f32 - 80.0) / 175.0 * z, (y as f32 - 60.0) / 175.0 * z, z], color))
+            measured([(x as f32 - 80.0) / 175.0 * z, (y as f32 - 60.0) / 175.0 * z, z], color)
         }
     }
 
@@ -405,9 +423,9 @@ mod tests {
         fn size(&self) -> (usize, usize) {
             (320, 240)
         }
-        fn at(&self, x: usize, y: usize) -> Option<([f32; 3], Color)> {
+        fn at(&self, x: usize, y: usize) -> Option<DrawnPoint> {
             let z = 750.0 * 5.4 / (60.0 + (x / 20) as f32);
-            Some(([(x as f32 - 160.0) / 750.0 * z, (y as f32 - 120.0) / 750.0 * z, z], [200, 100, 50]))
+            measured([(x as f32 - 160.0) / 750.0 * z, (y as f32 - 120.0) / 750.0 * z, z], [200, 100, 50])
         }
     }
 
@@ -424,24 +442,24 @@ mod tests {
         assert_eq!(holes.count(), 0);
     }
 
-    /// A plane at 50 mm without its middle.
-    struct Holed;
-    impl SurfacePoints for Holed {
+    /// A plane at 50 mm whose middle was filled in.
+    struct Filled;
+    impl SurfacePoints for Filled {
         fn size(&self) -> (usize, usize) {
             (80, 60)
         }
-        fn at(&self, x: usize, y: usize) -> Option<([f32; 3], Color)> {
-            let is_known = x.abs_diff(40) > 1 || y != 30;
-            is_known.then_some(([x as f32 * 0.25 - 10.0, y as f32 * 0.25 - 7.5, 50.0], [200; 3]))
+        fn at(&self, x: usize, y: usize) -> Option<DrawnPoint> {
+            let mm = [x as f32 * 0.25 - 10.0, y as f32 * 0.25 - 7.5, 50.0];
+            Some(DrawnPoint { mm, color: [200; 3], is_filled: x.abs_diff(40) <= 1 && y == 30 })
         }
     }
 
     #[test]
-    fn a_small_hole_is_shown_darker_and_has_no_depth() {
+    fn what_was_filled_in_is_shown_darker_and_has_no_depth() {
         let mut data = vec![0; 160 * 120 * 3];
         let orbit = Orbit { step: 1, shading: 0.0, ..Orbit::default() };
         let mut painter = SurfacePainter::default();
-        painter.paint(&Holed, &orbit, &mut ViewMut::new(&mut data, 160, 120, 3));
+        painter.paint(&Filled, &orbit, &mut ViewMut::new(&mut data, 160, 120, 3));
         // Around the middle, away from rims and the ruler.
         let inside = (40..80).flat_map(|y| (40..120).map(move |x| y * 160 + x));
         let (filled, measured): (Vec<_>, Vec<_>) = inside.partition(|at| painter.depth_mm()[*at].is_infinite());

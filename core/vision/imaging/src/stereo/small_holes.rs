@@ -1,0 +1,307 @@
+//! Small holes of a depth map, filled with the surface around them: a match leaves some at highlights and where tissue has no texture.
+//!
+//! A hole is filled when what is around it is one surface, close to a plane of disparity. Steps of depth stay open.
+
+use crate::View;
+
+/// Largest distance of the pixels around a hole from their plane, px of disparity in a view of [`USUAL_WIDTH`].
+const MAX_DEVIATION_PX: f32 = 1.0;
+const USUAL_WIDTH: f32 = 640.0;
+/// Largest slope of that plane, depth by the distance across the line of sight: 76 degrees.
+const MAX_SLOPE: f32 = 4.0;
+/// By how much a hole that was filled in the last map may exceed the limits, so that it does not flicker.
+const HELD: f32 = 1.5;
+/// How many of the pixels around a hole say, at most, how a filled pixel deviates from their plane.
+const MAX_SAMPLES: usize = 32;
+/// Pixels of a row that are looked at together.
+const GRAIN_PX: usize = 32;
+
+/// Unknown pixels next to each other in a row, and the piece to which they belong.
+#[derive(Clone, Copy)]
+struct Run {
+    row: usize,
+    from: usize,
+    to: usize,
+    /// Index of a run of the same piece; its own at the piece's root, where the next two fields are kept.
+    parent: usize,
+    /// Number of pixels.
+    area: usize,
+    /// Whether the piece reaches the edge of the map: then it is no hole.
+    is_open: bool,
+}
+
+/// A value that is linear in column and row.
+#[derive(Clone, Copy)]
+struct Plane {
+    middle: [f32; 2],
+    value: f32,
+    slope: [f32; 2],
+}
+
+impl Plane {
+    fn at(&self, [x, y]: [f32; 2]) -> f32 {
+        self.value + self.slope[0] * (x - self.middle[0]) + self.slope[1] * (y - self.middle[1])
+    }
+
+    /// Least squares; `None` where all positions are on one line.
+    fn fit(samples: &[Sample]) -> Option<Self> {
+        let count = samples.len() as f32;
+        let sums = samples.iter().fold([0.0; 3], |s, p| [s[0] + p.at[0], s[1] + p.at[1], s[2] + p.disparity_px]);
+        let [mx, my, mean] = sums.map(|sum| sum / count);
+        let [mut xx, mut xy, mut yy, mut xv, mut yv] = [0.0; 5];
+        for sample in samples {
+            let (x, y, v) = (sample.at[0] - mx, sample.at[1] - my, sample.disparity_px - mean);
+            (xx, xy, yy) = (xx + x * x, xy + x * y, yy + y * y);
+            (xv, yv) = (xv + x * v, yv + y * v);
+        }
+        let determinant = xx * yy - xy * xy;
+        let slope = [(xv * yy - yv * xy) / determinant, (yv * xx - xv * xy) / determinant];
+        (determinant > 1e-3 * xx * yy).then_some(Self { middle: [mx, my], value: mean, slope })
+    }
+}
+
+/// A known pixel beside a hole.
+#[derive(Clone, Copy)]
+struct Sample {
+    at: [f32; 2],
+    disparity_px: f32,
+    /// Distance from the plane of all of them.
+    off_px: f32,
+}
+
+/// Fills small holes; keeps its memory.
+#[derive(Default)]
+pub struct SmallHoles {
+    runs: Vec<Run>,
+    /// Root and index of the runs of small pieces, by root.
+    pieces: Vec<(usize, usize)>,
+    around: Vec<usize>,
+    samples: Vec<Sample>,
+    filled: Vec<(usize, f32)>,
+    was_filled: Vec<bool>,
+}
+
+impl SmallHoles {
+    /// Index (row x width + column) and depth in mm of what can be filled in a map of depths, NaN where unknown. Holes of more than `max_share` of all
+    /// pixels stay open. `focal_px` and `baseline_mm` are those of the rectified views.
+    pub fn find(&mut self, depth: View<'_, f32>, focal_px: f32, baseline_mm: f32, max_share: f32) -> &[(usize, f32)] {
+        let pixels = depth.width * depth.height;
+        if self.was_filled.len() != pixels {
+            self.was_filled.clear();
+            self.was_filled.resize(pixels, false);
+            self.filled.clear();
+        }
+        let before = std::mem::take(&mut self.filled);
+        before.iter().for_each(|(at, _)| self.was_filled[*at] = true);
+        self.find_pieces(depth, HELD * max_share * pixels as f32);
+        let pieces = std::mem::take(&mut self.pieces);
+        for piece in pieces.chunk_by(|(a, _), (b, _)| a == b) {
+            let (area, runs) = (self.runs[piece[0].0].area, piece.iter().map(|(_, run)| self.runs[*run]));
+            let held: usize = runs
+                .map(|run| {
+                    self.was_filled[run.row * depth.width..][run.from..run.to].iter().filter(|was| **was).count()
+                })
+                .sum();
+            let factor = if 2 * held > area { HELD } else { 1.0 };
+            if area as f32 <= factor * max_share * pixels as f32 {
+                self.fill(depth, piece, focal_px, focal_px * baseline_mm, factor);
+            }
+        }
+        self.pieces = pieces;
+        before.iter().for_each(|(at, _)| self.was_filled[*at] = false);
+        &self.filled
+    }
+
+    /// Finds the pieces of unknown pixels of at most `max_area` that do not reach the edge.
+    fn find_pieces(&mut self, depth: View<'_, f32>, max_area: f32) {
+        self.runs.clear();
+        let mut above = 0..0;
+        for row in 0..depth.height {
+            let first = self.runs.len();
+            let is_rim = row == 0 || row + 1 == depth.height;
+            unknown(depth.row(row), |from, to| {
+                let is_open = is_rim || from == 0 || to == depth.width;
+                let parent = self.runs.len();
+                self.runs.push(Run { row, from, to, parent, area: to - from, is_open });
+            });
+            let (mut upper, mut lower) = (above.start, first);
+            while upper < above.end && lower < self.runs.len() {
+                let (a, b) = (self.runs[upper], self.runs[lower]);
+                if a.from < b.to && b.from < a.to {
+                    self.join(upper, lower);
+                }
+                if a.to <= b.to { upper += 1 } else { lower += 1 }
+            }
+            above = first..self.runs.len();
+        }
+        self.pieces.clear();
+        for run in 0..self.runs.len() {
+            let root = self.root(run);
+            if !self.runs[root].is_open && self.runs[root].area as f32 <= max_area {
+                self.pieces.push((root, run));
+            }
+        }
+        self.pieces.sort_unstable();
+    }
+
+    fn root(&mut self, mut run: usize) -> usize {
+        while self.runs[run].parent != run {
+            let above = self.runs[self.runs[run].parent].parent;
+            self.runs[run].parent = above;
+            run = above;
+        }
+        run
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        if a != b {
+            let Run { area, is_open, .. } = self.runs[b];
+            self.runs[b].parent = a;
+            self.runs[a].area += area;
+            self.runs[a].is_open |= is_open;
+        }
+    }
+
+    /// Fills one hole if one surface is around it. `scale` is disparity by depth, px mm.
+    fn fill(&mut self, depth: View<'_, f32>, piece: &[(usize, usize)], focal_px: f32, scale: f32, factor: f32) {
+        let width = depth.width;
+        self.around.clear();
+        for (_, run) in piece {
+            let Run { row, from, to, .. } = self.runs[*run];
+            self.around.extend([row * width + from - 1, row * width + to]);
+            for row in [row - 1, row + 1] {
+                let beside = depth.row(row)[from..to].iter().enumerate();
+                self.around.extend(beside.filter(|(_, z)| !z.is_nan()).map(|(x, _)| row * width + from + x));
+            }
+        }
+        self.around.sort_unstable();
+        self.around.dedup();
+        self.samples.clear();
+        self.samples.extend(self.around.iter().map(|at| {
+            let (x, y) = (at % width, at / width);
+            Sample { at: [x as f32, y as f32], disparity_px: scale / depth.row(y)[x], off_px: 0.0 }
+        }));
+        let Some(plane) = Plane::fit(&self.samples) else { return };
+        self.samples.iter_mut().for_each(|sample| sample.off_px = sample.disparity_px - plane.at(sample.at));
+        let largest = self.samples.iter().map(|sample| sample.off_px.abs()).fold(0.0, f32::max);
+        let is_grazing = plane.slope[0].hypot(plane.slope[1]) * focal_px > MAX_SLOPE * plane.value;
+        let is_bent = largest > factor * MAX_DEVIATION_PX * width as f32 / USUAL_WIDTH;
+        if is_grazing || is_bent || !plane.value.is_finite() {
+            return;
+        }
+        let step = self.samples.len().div_ceil(MAX_SAMPLES);
+        for (_, run) in piece {
+            let Run { row, from, to, .. } = self.runs[*run];
+            for x in from..to {
+                let here = [x as f32, row as f32];
+                // The plane, and what the pixels around deviate from it, the nearer the more.
+                let (mut total, mut off) = (0.0, 0.0);
+                for sample in self.samples.iter().step_by(step) {
+                    let weight = 1.0 / ((here[0] - sample.at[0]).powi(2) + (here[1] - sample.at[1]).powi(2));
+                    total += weight;
+                    off += weight * sample.off_px;
+                }
+                let disparity_px = plane.at(here) + off / total;
+                if disparity_px > 0.0 {
+                    self.filled.push((row * width + x, scale / disparity_px));
+                }
+            }
+        }
+    }
+}
+
+/// Calls `add` with the first column and the one behind the last of each run of unknown pixels in a row.
+fn unknown(row: &[f32], mut add: impl FnMut(usize, usize)) {
+    let mut open = None;
+    for (k, grain) in row.chunks(GRAIN_PX).enumerate() {
+        let count = grain.iter().map(|z| usize::from(z.is_nan())).sum::<usize>();
+        let is_same = if open.is_some() { count == grain.len() } else { count == 0 };
+        if is_same {
+            continue;
+        }
+        for (x, z) in grain.iter().enumerate() {
+            match (open, z.is_nan()) {
+                (None, true) => open = Some(k * GRAIN_PX + x),
+                (Some(from), false) => {
+                    add(from, k * GRAIN_PX + x);
+                    open = None;
+                }
+                _ => {}
+            }
+        }
+    }
+    if let Some(from) = open {
+        add(from, row.len());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIDE: usize = 80;
+    const FOCAL_PX: f32 = 94.0;
+    const BASELINE_MM: f32 = 5.0;
+    const SHARE: f32 = 0.0015;
+
+    fn found(holes: &mut SmallHoles, depth: impl Fn(usize, usize) -> f32) -> Vec<(usize, f32)> {
+        let map: Vec<f32> = (0..SIDE * SIDE).map(|at| depth(at % SIDE, at / SIDE)).collect();
+        let filled = holes.find(View::new(&map, SIDE, SIDE, 1), FOCAL_PX, BASELINE_MM, SHARE).to_vec();
+        assert!(filled.iter().all(|(at, _)| map[*at].is_nan()), "only holes are filled");
+        filled
+    }
+
+    /// A slanted surface with a hole of a width, next to a step of a height in mm that begins at its middle.
+    fn holed(width: usize, step_mm: f32) -> impl Fn(usize, usize) -> f32 {
+        move |x, y| {
+            let is_hole = (20..20 + width).contains(&x) && (20..23).contains(&y);
+            let behind = if x > 20 + width / 2 { step_mm } else { 0.0 };
+            if is_hole { f32::NAN } else { 60.0 + 0.1 * x as f32 + behind }
+        }
+    }
+
+    #[test]
+    fn a_small_hole_is_filled_with_the_surface_around_it() {
+        let filled = found(&mut SmallHoles::default(), holed(3, 0.0));
+        assert_eq!(filled.len(), 9);
+        for (at, z) in filled {
+            assert!((z - 60.0 - 0.1 * (at % SIDE) as f32).abs() < 0.05, "{z} mm at {at}");
+        }
+    }
+
+    #[test]
+    fn steps_large_holes_and_what_lies_at_the_edge_stay_open() {
+        let open = |depth: &dyn Fn(usize, usize) -> f32| found(&mut SmallHoles::default(), depth).is_empty();
+        assert!(open(&holed(3, 100.0)), "a step");
+        assert!(open(&holed(12, 0.0)), "a large hole");
+        assert!(open(&|x, y| if x < 2 && y == 20 { f32::NAN } else { 60.0 }), "at the left edge");
+        assert!(open(&|x, y| if x == 20 && y > 77 { f32::NAN } else { 60.0 }), "at the lower edge");
+        assert!(open(&|x, _| if x > 30 { f32::NAN } else { 60.0 }), "half of it");
+        assert!(open(&|_, _| f32::NAN), "all of it");
+    }
+
+    #[test]
+    fn a_hole_that_is_bent_is_one_hole() {
+        // A horseshoe whose arms meet in the last row only: 4 + 4 + 1 pixels, and with longer arms too many.
+        let horseshoe = |length: usize| {
+            move |x: usize, y: usize| {
+                let is_arm = (x == 40 || x == 42) && (30..30 + length).contains(&y);
+                let is_bend = x == 41 && y == 29 + length;
+                if is_arm || is_bend { f32::NAN } else { 60.0 }
+            }
+        };
+        assert_eq!(found(&mut SmallHoles::default(), horseshoe(4)).len(), 9);
+        assert!(found(&mut SmallHoles::default(), horseshoe(5)).is_empty());
+    }
+
+    #[test]
+    fn a_hole_that_was_filled_stays_filled_while_it_is_a_little_larger() {
+        let mut holes = SmallHoles::default();
+        // 9 pixels are within the limit, 12 are not.
+        let mut is_filled = |width: usize| !found(&mut holes, holed(width, 0.0)).is_empty();
+        assert!(!is_filled(4));
+        assert!(is_filled(3) && is_filled(4));
+        assert!(!is_filled(12) && !is_filled(4));
+    }
+}
