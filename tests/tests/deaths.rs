@@ -334,7 +334,7 @@ fn print(what: &str, mut times_ms: Vec<f64>) {
 
 #[test]
 fn no_death_of_a_process_costs_another_node_a_tick_or_a_picture_a_byte() {
-    let (cases, seed) = (number("PANOSCOPE_DEATH_CASES", 12), number("PANOSCOPE_DEATH_SEED", 1));
+    let (cases, seed) = (number("PANOSCOPE_DEATH_CASES", 8), number("PANOSCOPE_DEATH_SEED", 1));
     let mut figures = Figures::default();
     let mut failures = Vec::new();
     for index in 0..cases {

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 /// Why a text is not the required number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NumberError {
-    /// It is no number.
+    /// It is not a number.
     #[error("{text} is no {what}")]
     NoNumber {
         /// What was given.
@@ -40,7 +40,7 @@ mod tests {
     fn what_is_no_number_and_what_is_out_of_range_is_refused() {
         let read = |text| number_in(text, 0.0..=f64::MAX, "number", "a number from 0 on");
         assert_eq!(read("0.5"), Ok(0.5));
-        assert_eq!(read("half").unwrap_err().to_string(), "half is no number");
+        assert_eq!(read("half").unwrap_err().to_string(), "half is not a number");
         for text in ["-1", "nan", "inf"] {
             assert_eq!(read(text).unwrap_err().to_string(), "a number from 0 on", "{text}");
         }

@@ -33,7 +33,7 @@ fn a_model_that_is_none_is_refused_at_its_place() {
     }
     assert_eq!(code, 2, "{words}");
     assert!(words.contains("error[model-refused]") && words.contains("graph.toml:7:20"), "{words}");
-    assert!(words.contains("m.onnx is no whole ONNX file") && words.contains("`model` of `find` (yolo)"), "{words}");
+    assert!(words.contains("m.onnx is not a whole ONNX file") && words.contains("`model` of `find` (yolo)"), "{words}");
     std::fs::remove_dir_all(folder).expect("removed");
 }
 

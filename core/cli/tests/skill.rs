@@ -118,7 +118,7 @@ fn files_that_are_no_tracks_are_named_with_what_to_give() {
         ("back.csv", format!("{head}0,0,100,1,2,3\n1,0,50,1,2,3\n"), "line 3: time goes back"),
         ("cells.csv", format!("{head}0,0,100,1,2,3\n1,0\n2,0,200,1,2,3\n"), "line 3 has not as many cells"),
         ("clock.csv", format!("{head}0,0,soon,1,2,3\n"), "line 2 has no time"),
-        ("words.jsonl", "{\"seq\":0,\"capture_ms\":1}\nwords\n{}\n".to_owned(), "line 2 is no JSON"),
+        ("words.jsonl", "{\"seq\":0,\"capture_ms\":1}\nwords\n{}\n".to_owned(), "line 2 is not JSON"),
         ("empty.csv", String::new(), "is empty"),
         ("unseen.csv", format!("{head}0,0,100,,,\n"), "no tip in"),
     ];

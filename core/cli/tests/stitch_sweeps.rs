@@ -98,7 +98,7 @@ fn wrong_sweeps_are_refused_in_words() {
     let (grid, none) = (graph("stitch_grid.toml"), "no_such_graph.toml");
     for (arguments, code, words) in [
         (&["--speeds", "5..1"][..], 2, "`5..1` does not ascend"),
-        (&["--speeds", "1,fast"], 2, "`fast` is no number"),
+        (&["--speeds", "1,fast"], 2, "`fast` is not a number"),
         (&["--speeds", "40"], 2, "outside 0 to 20"),
         (&["--speeds", "1", "--cases"], 2, "cannot be used with"),
         (&["--only", "smoke", &grid], 2, "--cases"),

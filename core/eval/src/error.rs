@@ -144,7 +144,7 @@ pub enum EvalError {
     /// JSON could not be read or written.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
-    /// Text is no TOML.
+    /// Text is not TOML.
     #[error(transparent)]
     TomlRead(#[from] toml::de::Error),
     /// A table cannot be written as TOML.

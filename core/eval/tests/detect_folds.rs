@@ -300,7 +300,7 @@ fn wrong_files_of_folds_are_refused() {
         ("2 = [\"c\"]", "2 = []", "fold 2 has no operation"),
         ("1 = [\"a\", \"b\"]", "1 = [\"a\"]", "operation b of"),
         ("25.0", "0.0", "frame_rate_hz is 0"),
-        ("data =", "dat =", "is no file of folds"),
+        ("data =", "dat =", "is not a file of folds"),
         ("made_up", "elsewhere", "there is no elsewhere in"),
     ] {
         std::fs::write(case.root().join("folds.toml"), FOLDS.replace(from, to)).expect("folds");

@@ -63,7 +63,7 @@ pub struct Arguments {
     /// Writes a folder for each run (graph.toml, results.json with hashes and machine) and results.csv over all.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Most ticks of each source per value.
+    /// Maximum number of ticks of each source per value.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     frames: u64,
     /// Takes the pictures of a recording of `panoscope record` instead of the graph's sources.

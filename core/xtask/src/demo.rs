@@ -154,7 +154,7 @@ struct Output {
 
 /// The outputs of a graph file's `write_*` nodes, `--set node.path=...` of the command line included.
 fn outputs(text: &str, graph: &Path, args: &[String]) -> Result<Vec<Output>> {
-    let table: toml::Table = text.parse().with_context(|| format!("{} is no TOML", graph.display()))?;
+    let table: toml::Table = text.parse().with_context(|| format!("{} is not TOML", graph.display()))?;
     let folder = graph.parent().unwrap_or(Path::new(""));
     let nodes = table.get("nodes").and_then(toml::Value::as_table);
     let mut outputs = Vec::new();

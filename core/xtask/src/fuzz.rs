@@ -20,7 +20,7 @@ const MALLOC_PICTURE_MB: u32 = 600;
 const RSS_MB: u32 = 2048;
 /// Longest input that the fuzzer makes, bytes.
 const MAX_LEN: u32 = 16 << 10;
-/// Most files and bytes of a corpus that is kept in the repository.
+/// Maximum number of files and bytes of a corpus that is kept in the repository.
 const MAX_FILES: usize = 60;
 const MAX_BYTES: u64 = 100 << 10;
 

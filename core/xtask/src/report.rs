@@ -18,7 +18,7 @@ impl Summary {
     /// # Errors
     /// A field of the contract (`frames`, `seconds`, `fps`, `nodes`) is missing.
     pub fn from_json(text: &str) -> Result<Self> {
-        let report: Value = serde_json::from_str(text).context("the report is no JSON")?;
+        let report: Value = serde_json::from_str(text).context("the report is not JSON")?;
         let number =
             |value: &Value, key: &str| value[key].as_f64().with_context(|| format!("the report has no `{key}`"));
         let frames = report["frames"].as_u64().context("the report has no `frames`")?;

@@ -115,7 +115,7 @@ fn whole_frames(bytes: &[u8]) -> usize {
         let size = u64::from_be_bytes(size.try_into().expect("eight bytes")) & !(0xFF << 56);
         let Some(body) = bytes.get(at + 12..at + 12 + size as usize) else { break };
         let jpeg = body.windows(2).position(|w| w == [0xFF, 0xD8]).map(|start| &body[start..]);
-        let jpeg = jpeg.unwrap_or_else(|| panic!("frame {frames} is no JPEG"));
+        let jpeg = jpeg.unwrap_or_else(|| panic!("frame {frames} is not a JPEG"));
         assert!(jpeg.ends_with(&[0xFF, 0xD9]), "frame {frames} is cut off inside");
         frames += 1;
         at += 12 + size as usize;

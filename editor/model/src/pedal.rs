@@ -24,7 +24,7 @@ pub struct Binding<K, A> {
 /// The first mistake of a settings file.
 #[derive(Debug, thiserror::Error)]
 pub enum PedalError {
-    /// The file is no TOML.
+    /// The file is not TOML.
     #[error("{problem}")]
     Syntax {
         /// The mistake, with its line.
@@ -34,7 +34,7 @@ pub enum PedalError {
     #[error("there is no table `[keys]`")]
     NoKeys,
     /// `keys` is something else.
-    #[error("`keys` is no table")]
+    #[error("`keys` is not a table")]
     NoTable,
     /// The table is empty.
     #[error("`[keys]` is empty")]

@@ -294,6 +294,6 @@ mod tests {
         assert_eq!(read(&frame(abi::FORMAT_BYTES, 1, 1, 1), &[0; 30], "table", &request), None);
         let probe = read(&frame(abi::FORMAT_GRAY16, 5, 1, 10), &[1; 10], "image", &request).expect("a picture");
         assert_eq!(probe.at.expect("a point").values, [257.0]);
-        assert_eq!(probe.profile, None, "an end that is no number");
+        assert_eq!(probe.profile, None, "an end that is not a number");
     }
 }

@@ -51,7 +51,7 @@ pub struct RunProblem {
     pub node: Option<String>,
     /// Message for the user.
     pub message: String,
-    /// Where the text is no valid graph: its first mistake on one line, such as the file that is missing. `message` is the whole
+    /// Where the text is not a valid graph: its first mistake on one line, such as the file that is missing. `message` is the whole
     /// listing.
     pub mistake: Option<String>,
 }

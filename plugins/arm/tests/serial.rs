@@ -159,7 +159,7 @@ fn a_line_without_an_arm_is_refused_with_its_name() {
     };
     with_latches();
     assert!(refused("/dev/no_such_line").contains("/dev/no_such_line cannot be opened"));
-    assert!(refused("/dev/null").contains("/dev/null is no serial line"), "{}", refused("/dev/null"));
+    assert!(refused("/dev/null").contains("/dev/null is not a serial line"), "{}", refused("/dev/null"));
     let arm = plug_in("NODE-4");
     arm.set(|behaviour| behaviour.is_silent = true);
     assert!(refused(arm.path()).contains("no arm answered"), "{}", refused(arm.path()));

@@ -15,7 +15,7 @@ use crate::views::pair_by_numbers;
 const TIMEOUT_S: f64 = 1.0;
 /// Longest time that opening may take.
 const OPEN_LIMIT_S: f64 = 10.0;
-/// Most views of one node.
+/// Maximum number of views of one node.
 pub const MAX_VIEWS: usize = 4;
 
 /// How one source holds two views.

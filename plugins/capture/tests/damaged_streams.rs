@@ -173,7 +173,7 @@ fn from_environment(name: &str, default: u64) -> u64 {
 
 #[test]
 fn no_stale_pixels_are_shown() {
-    let (cases, seed) = (from_environment("PANOSCOPE_DAMAGE_CASES", 40), from_environment("PANOSCOPE_DAMAGE_SEED", 1));
+    let (cases, seed) = (from_environment("PANOSCOPE_DAMAGE_CASES", 24), from_environment("PANOSCOPE_DAMAGE_SEED", 1));
     let folder = Folder::new("damaged_streams");
     let videos = [
         made(&folder, "jpeg.avi", "jpegenc quality=80 ! avimux"),

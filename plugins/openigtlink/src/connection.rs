@@ -38,7 +38,7 @@ impl Connection {
         match self.role {
             Role::Server if address.parse::<IpAddr>().is_err() => {
                 let help = "write 127.0.0.1, 0.0.0.0 or the address of a network card";
-                check.error("address", format!("`{address}` is no IP address to listen on"), help);
+                check.error("address", format!("`{address}` is not an IP address to listen on"), help);
             }
             Role::Client if address.is_empty() || address.contains(|c: char| c.is_whitespace() || c == '/') => {
                 let help = "write a name or an IP address, such as 127.0.0.1; the port is a parameter of its own";

@@ -454,7 +454,7 @@ fn problems<N: panoscope_node::Node>(params: &str, connected: &[&str]) -> String
 #[test]
 fn mistakes_are_named_before_anything_is_opened() {
     for (params, words) in [
-        ("address = 'localhost'", "is no IP address to listen on"),
+        ("address = 'localhost'", "is not an IP address to listen on"),
         ("role = 'client', address = ''", "names no machine"),
         ("role = 'client', address = '10.0.0.1:18944'", ""),
         ("role = 'client', port = 0", "cannot connect to port 0"),

@@ -11,7 +11,7 @@ const GAP: f32 = 1.5;
 const ROOM: f32 = 2.0;
 /// Distance between two dots of a key, in units of the scale of text.
 const DOT_STEP: f32 = 4.0;
-/// Most dots of a key: more cannot be told apart at a glance.
+/// Maximum number of dots of a key: more cannot be told apart at a glance.
 pub const MAX_DOTS: usize = 6;
 
 const GROUND: u8 = 16;

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-/// Most digits behind the point.
+/// Maximum number of digits behind the point.
 const MAX_PLACES: i32 = 4;
 
 /// Writes `26.8 ± 1.2 mm`: the 95 % error bound with two significant digits, rounded up, and the value to the same place.

@@ -78,7 +78,7 @@ impl Settings {
         if self.serve {
             if self.address.parse::<IpAddr>().is_err() {
                 let help = "write 127.0.0.1, 0.0.0.0 or the address of a network card";
-                mistakes.push(("address", format!("`{}` is no IP address", self.address), help));
+                mistakes.push(("address", format!("`{}` is not an IP address", self.address), help));
             }
             if let Some(problem) = path_problem(&self.path) {
                 let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
@@ -135,7 +135,7 @@ impl Node for Stream {
         payload.check()?;
         let mut mount = None;
         if params.serve {
-            let address = params.address.parse().map_err(|_| NodeError::new("`address` is no IP address"))?;
+            let address = params.address.parse().map_err(|_| NodeError::new("`address` is not an IP address"))?;
             let served = Mount::new(address, params.port, &params.path, open.node_id(), payload, worker.fanout())?;
             open.info(&format!("serves {}", served.url()));
             mount = Some(served);

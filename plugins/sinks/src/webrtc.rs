@@ -61,7 +61,7 @@ impl Settings {
         let mut mistakes = Vec::new();
         if self.address().is_none() {
             let help = "write 127.0.0.1, 0.0.0.0 or the address of a network card";
-            mistakes.push(("address", format!("`{}` is no IP address", self.address), help));
+            mistakes.push(("address", format!("`{}` is not an IP address", self.address), help));
         }
         if let Some(problem) = path_problem(&self.path) {
             let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
@@ -99,7 +99,7 @@ impl Node for WebRtc {
         if let Some((param, message, help)) = params.mistakes().into_iter().next() {
             return Err(NodeError::new(format!("`{param}`: {message}; {help}")));
         }
-        let address = params.address().ok_or_else(|| NodeError::new("`address` is no IP address"))?;
+        let address = params.address().ok_or_else(|| NodeError::new("`address` is not an IP address"))?;
         params.codec().check()?;
         viewer::check()?;
         let worker = Worker::start(params.codec(), params.key_interval)?;

@@ -370,7 +370,7 @@ fn mistakes_are_named_with_their_remedies() {
         (r#"path = "/""#.to_owned(), vec!["it is empty".to_owned()]),
         (
             r#"address = "localhost""#.to_owned(),
-            vec!["`localhost` is no IP address".to_owned(), "127.0.0.1".to_owned()],
+            vec!["`localhost` is not an IP address".to_owned(), "127.0.0.1".to_owned()],
         ),
         (r#"port = 0, address = "203.0.113.7""#.to_owned(), vec!["no such address".to_owned()]),
         (r#"push = "http://a/b""#.to_owned(), vec!["`http://a/b`".to_owned(), "udp://HOST:PORT".to_owned()]),

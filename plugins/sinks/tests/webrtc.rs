@@ -353,7 +353,7 @@ fn mistakes_are_named_with_their_remedies() {
         (r#"path = "/""#.to_owned(), vec!["it is empty".to_owned(), "such as `/wide`".to_owned()]),
         (
             r#"address = "localhost""#.to_owned(),
-            vec!["`localhost` is no IP address".to_owned(), "127.0.0.1".to_owned()],
+            vec!["`localhost` is not an IP address".to_owned(), "127.0.0.1".to_owned()],
         ),
         (r#"port = 0, address = "203.0.113.7""#.to_owned(), vec!["no such address".to_owned()]),
     ];

@@ -8,7 +8,7 @@ use panoscope_node::abi::Calibration;
 
 /// Time between two checks, ns of capture: with the ticks that a check takes, exchanged views are found within a second.
 const PERIOD_NS: i64 = 700_000_000;
-/// Most ticks between two checks, for sources that are faster than their clock.
+/// Maximum number of ticks between two checks, for sources that are faster than their clock.
 const PERIOD_TICKS: u32 = 60;
 
 /// A delay of one view from this share of the time between two frames on is no jitter of cameras without a common clock.

@@ -39,7 +39,7 @@ pub struct EvaluateDetectionsParams {
 
 /// Columns of the table.
 const COLUMNS: [&str; 7] = ["class", "objects", "detections", "hits", "precision_pct", "recall_pct", "ap50_pct"];
-/// Most classes that are told apart.
+/// Maximum number of classes that are told apart.
 const MAX_CLASSES: usize = 1000;
 
 /// See the module.

@@ -68,7 +68,7 @@ pub const COLUMNS: [&str; 19] = [
     "tips_known",
 ];
 
-/// Most tips that are evaluated.
+/// Maximum number of tips that are evaluated.
 const MAX_TIPS: usize = 16;
 
 /// Counts of one tip: warnings of tissue and of other tips, with exact thresholds and with the margin.

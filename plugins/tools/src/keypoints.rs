@@ -10,7 +10,7 @@ use crate::session::Tensor;
 
 /// Columns of the table of keypoints.
 const COLUMNS: [&str; 5] = ["box", "keypoint", "x_px", "y_px", "score"];
-/// Most keypoints of a box.
+/// Maximum number of keypoints of a box.
 const MAX_COUNT: usize = 256;
 
 /// How many keypoints a box has, and how many numbers each.

@@ -32,7 +32,7 @@ pub enum OnnxFileError {
         bytes: u64,
     },
     /// Not an ONNX file, or cut off.
-    #[error("{path} is no whole ONNX file: {reason} at byte {offset}; copy or export it again", path = path.display())]
+    #[error("{path} is not a whole ONNX file: {reason} at byte {offset}; copy or export it again", path = path.display())]
     Malformed {
         /// The file.
         path: PathBuf,

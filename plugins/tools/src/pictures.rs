@@ -71,7 +71,7 @@ impl Kind {
         let wrong = |reason: String| PicturesError { key: key.to_owned(), reason };
         let channels = channels.ok_or_else(|| wrong(format!("the model has no output `{OUTPUT}`")))?;
         let text = text.strip_prefix(FORMAT).ok_or_else(|| wrong(format!("it does not begin with `{FORMAT}`")))?;
-        let all = numbers(text).ok_or_else(|| wrong("it holds what is no number".to_owned()))?;
+        let all = numbers(text).ok_or_else(|| wrong("it holds what is not a number".to_owned()))?;
         let wanted = channels * (channels + 1);
         if channels == 0 || all.len() != wanted {
             return Err(wrong(format!("{} numbers, {wanted} fit {channels} channels", all.len())));

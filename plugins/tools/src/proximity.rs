@@ -93,7 +93,7 @@ pub const COLUMNS: [&str; 16] = [
     "age_ms",
 ];
 
-/// Most tips of one tick that are used.
+/// Maximum number of tips of one tick that are used.
 const MAX_TIPS: usize = 16;
 /// Time after which the warnings of a lost tip are dropped, ns.
 const MEMORY_NS: i64 = 1_000_000_000;

@@ -101,7 +101,7 @@ impl fmt::Display for Tensor<'_> {
 /// Numbers of an output. Other floats, small whole numbers and truth values are read as f32, i32 as i64.
 #[derive(Clone, Copy)]
 pub enum Values<'a> {
-    /// Most outputs.
+    /// Maximum number of outputs.
     Float(&'a [f32]),
     /// Class numbers.
     Int(&'a [i64]),

@@ -101,7 +101,7 @@ const LONG: f64 = 6.0;
 const VERY_LONG: f64 = 20.0;
 /// Gap between parts of the border that count as one.
 const BORDER_GAP_PX: usize = 3;
-/// Most lines across the axis into which a mask is cut.
+/// Maximum number of lines across the axis into which a mask is cut.
 const MAX_LINES: f64 = 256.0;
 /// Parts of a mask with less than this share of its pixels are no instrument.
 const SPECK_SHARE: f64 = 0.1;

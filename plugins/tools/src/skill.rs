@@ -96,7 +96,7 @@ pub const COLUMNS: [&str; KEYS.len() + FIGURES.len()] = {
 /// Columns of the pairs.
 pub const PAIRS: [&str; 6] = ["a", "b", "seen_s", "both_s", "overlap", "correlation"];
 
-/// Most poses of the camera that are stored for late tips.
+/// Maximum number of poses of the camera that are stored for late tips.
 const MAX_POSES: usize = 64;
 
 /// See the module.

@@ -78,9 +78,9 @@ pub const COLUMNS: [&str; 13] = [
     "track_id",
 ];
 
-/// Most tips of one tick that are used.
+/// Maximum number of tips of one tick that are used.
 const MAX_TIPS: usize = 16;
-/// Most poses of the camera that are stored for late tips.
+/// Maximum number of poses of the camera that are stored for late tips.
 const MAX_POSES: usize = 64;
 
 /// Tracks the leading tip.

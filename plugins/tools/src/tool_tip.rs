@@ -123,7 +123,7 @@ const STILL_IOU: f32 = 0.35;
 /// second shows a shaft that crosses it.
 const BORDER_SHARE: f64 = 0.01;
 const STRIP_SHARE: f32 = 0.06;
-/// Most boxes that are tried until one has its tip in the picture.
+/// Maximum number of boxes that are tried until one has its tip in the picture.
 const MAX_TRIES: usize = 4;
 /// Ticks within which the leading tool may return with another number.
 const MEMORY_TICKS: u32 = 15;

@@ -189,7 +189,7 @@ impl Parser {
             self.expect(")")?;
             Expr::Run(name)
         } else if first.is_ascii_digit() {
-            let wrong = || format!("`{token}` is no number");
+            let wrong = || format!("`{token}` is not a number");
             Expr::Const(if token.contains('.') {
                 Value::Float(token.parse().map_err(|_| wrong())?)
             } else {
@@ -423,7 +423,7 @@ impl Program {
                 Op::JumpUnless(condition, to) => match self.value(&condition, task, robot).map_err(placed)? {
                     Value::Bool(true) => {}
                     Value::Bool(false) => task.at = to,
-                    other => return Err(placed(format!("{other:?} is no truth value"))),
+                    other => return Err(placed(format!("{other:?} is not a truth value"))),
                 },
                 Op::Assign(scope, name, value) => {
                     let value = self.value(&value, task, robot).map_err(placed)?;
@@ -553,7 +553,7 @@ fn float(value: &Value) -> Result<f64, String> {
     match value {
         Value::Int(value) => Ok(f64::from(*value)),
         Value::Float(value) => Ok(*value),
-        other => Err(format!("{other:?} is no number")),
+        other => Err(format!("{other:?} is not a number")),
     }
 }
 

@@ -11,7 +11,7 @@ use crate::graphs::{Kind, Node};
 use crate::harm::Harm;
 use crate::observe::Seen;
 
-/// Most failures that are reported of a run.
+/// Maximum number of failures that are reported of a run.
 const MAX_FAILURES: usize = 8;
 
 /// A call of a node.

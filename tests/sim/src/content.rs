@@ -22,7 +22,7 @@ pub struct Content {
     pub steps: Vec<Step>,
 }
 
-/// Most steps of a picture.
+/// Maximum number of steps of a picture.
 pub const MAX_STEPS: usize = 20;
 /// Smallest picture that holds all steps.
 pub const MIN_BYTES: usize = HEAD_BYTES + MAX_STEPS * 8 + 8;

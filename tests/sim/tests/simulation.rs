@@ -1,6 +1,6 @@
 //! The campaign of the simulator, and what makes it worth something: runs repeat exactly, and mistakes in the engine are found.
 //!
-//! `PANOSCOPE_SIM_CASES` sets how many cases are run (300 without it), `PANOSCOPE_SIM_SEED` the first seed.
+//! `PANOSCOPE_SIM_CASES` sets how many cases are run (200 without it), `PANOSCOPE_SIM_SEED` the first seed.
 
 use std::ops::Range;
 use std::process::{Command, Output};
@@ -54,7 +54,7 @@ fn in_parallel<T: Send, R: Send>(items: Vec<T>, work: impl Fn(T) -> R + Sync) ->
 
 #[test]
 fn whatever_happens_every_byte_is_right_and_nothing_is_lost() {
-    let (cases, first) = (number("PANOSCOPE_SIM_CASES", 300), number("PANOSCOPE_SIM_SEED", 1));
+    let (cases, first) = (number("PANOSCOPE_SIM_CASES", 200), number("PANOSCOPE_SIM_SEED", 1));
     let begin = |n: u64| first + n * SEEDS_AT_ONCE;
     let parts = (0..cases.div_ceil(SEEDS_AT_ONCE)).map(|n| begin(n)..begin(n + 1).min(first + cases)).collect();
     let outputs = in_parallel(parts, |seeds| simulate(seeds, &[]));

@@ -93,7 +93,7 @@ pub const STATUS_ERROR: Status = -1;
 pub const STATUS_PANIC: Status = -2;
 /// The host's frame memory is used up.
 pub const STATUS_EXHAUSTED: Status = -3;
-/// An argument makes no sense (a wrong port number, a size of 0).
+/// An argument is malformed (a wrong port number, a size of 0).
 pub const STATUS_INVALID: Status = -4;
 /// The node failed and opening it again would not help (the disk is full): it stays closed until its graph is edited.
 pub const STATUS_STOPPED: Status = -5;

@@ -185,7 +185,7 @@ pub struct Pose {
     pub b: [u8; 16],
 }
 
-/// Most joints a [`Joints`] packet holds.
+/// Maximum number of joints a [`Joints`] packet holds.
 pub const MAX_JOINTS: usize = 8;
 
 /// Packet `joints`.

@@ -43,7 +43,7 @@ fn user_info(text: &str) -> Option<(usize, usize)> {
         let is_end = |c: char| c.is_whitespace() || matches!(c, '"' | '\'' | '`' | '<' | '>');
         let word = text[start..].split(is_end).next().unwrap_or("");
         let host = word.split(['/', '?', '#']).next().unwrap_or("");
-        // A password may have a slash, which belongs there encoded; what follows the colon is no port then.
+        // A password may have a slash, which belongs there encoded; what follows the colon is not a port then.
         let is_port = |port: &str| port.bytes().all(|b| b.is_ascii_digit()) || host.starts_with('[');
         let has_port = host.rsplit_once(':').is_none_or(|(_, port)| is_port(port));
         let end = host.rfind('@').or_else(|| if has_port { None } else { word.rfind('@') });

@@ -7,7 +7,7 @@ use crate::error::{NodeError, Result};
 
 /// A struct of parameters, made by `#[derive(Params)]`.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no struct of parameters",
+    message = "`{Self}` is not a struct of parameters",
     label = "not a struct of parameters",
     note = "write `#[derive(Params)]` above it; `#[param(flatten)]` takes such a struct, not a parameter"
 )]

@@ -55,7 +55,7 @@ impl<'f> RawCall<'f> {
 
 /// A struct of ports; implemented by `#[derive(Ports)]`.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no struct of ports",
+    message = "`{Self}` is not a struct of ports",
     label = "not a struct of ports",
     note = "write `#[derive(Ports)]` above it; `#[ports(flatten)]` takes such a struct, not a port"
 )]

@@ -191,7 +191,7 @@ fn params_one_by_one() {
     assert_eq!(param(&|p| p.default_number = 9.0), format!("{head}the default 9 lies outside the range 0 to 8"));
     assert_eq!(param(&|p| p.default_number = f64::NAN), format!("{head}the default NaN lies outside the range 0 to 8"));
     assert_eq!(param(&|p| p.min = 9.0), format!("{head}the range 9 to 8 is empty"));
-    assert_eq!(param(&|p| p.max = 1.5), format!("{head}1.5 is no limit for a whole number"));
+    assert_eq!(param(&|p| p.max = 1.5), format!("{head}1.5 is not a limit for a whole number"));
     assert!(param(&|p| p.default_number = 0.5).contains("must be whole numbers"));
     assert!(param(&|p| p.step = 2.0).contains("is not on the steps of 2 that begin at 0"));
     assert!(param(&|p| p.step = -1.0).contains("-1 is no step"));

@@ -471,7 +471,7 @@ fn parameters_are_checked_like_a_graph_file() -> TestResult {
         "`every` has no parameter `serch_px`",
         "did you mean `search_px`?",
         "`shift` is 99, allowed are -10 to 10",
-        "`cubic` is no choice of `method`",
+        "`cubic` is not a choice of `method`",
     ] {
         assert!(wrong.contains(part), "{part:?} is missing in:\n{wrong}");
     }

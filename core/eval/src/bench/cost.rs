@@ -25,7 +25,7 @@ const SIZES: [(u32, u32); 6] = [(640, 360), (960, 540), (1280, 720), (1920, 1080
 const CORES: [usize; 5] = [1, 2, 4, 8, 16];
 /// Ticks between source and sinks in a live graph, as the engine admits them.
 const IN_FLIGHT: usize = panoscope_engine::TICKS_LIVE as usize;
-/// Most pairs of a size that are rendered for panoramas.
+/// Maximum number of pairs of a size that are rendered for panoramas.
 const PAIRS: u64 = 12;
 
 /// Options of [`measure`].

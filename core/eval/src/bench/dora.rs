@@ -6,7 +6,7 @@ use std::process::Command;
 use crate::error::{FileAction, OnFile, Result};
 
 const PEER: &str = include_str!("dora_peer.py");
-/// Most seconds that a run may take.
+/// Maximum number of seconds that a run may take.
 const MAX_RUN_S: &str = "60";
 
 /// Whether dora is there: its program, and its module for Python.

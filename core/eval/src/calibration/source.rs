@@ -201,7 +201,7 @@ fn add(graph: &mut Table, ports: &[String; 2], params: Table) -> Result<()> {
     graph.remove("preset");
     graph.remove("editor");
     let nodes = graph.entry("nodes").or_insert_with(|| Value::Table(Table::new()));
-    let Some(nodes) = nodes.as_table_mut() else { bail!("the graph's `nodes` is no table") };
+    let Some(nodes) = nodes.as_table_mut() else { bail!("the graph's `nodes` is not a table") };
     nodes.retain(|_, node| {
         let kind = node.get("type").and_then(Value::as_str).unwrap_or_default();
         !kind.rsplit('/').next().is_some_and(|name| name.starts_with("write_") || name == "preview")

@@ -64,7 +64,7 @@ const MESH: &str = "composite_mesh";
 /// Nodes whose panoramas are judged.
 const COMPOSITES: [&str; 3] = ["composite", MESH, "composite_opencv"];
 
-/// Splits `NODE.PARAM=VALUE`; a value that is no TOML is taken as text.
+/// Splits `NODE.PARAM=VALUE`; a value that is not TOML is taken as text.
 pub fn setting(text: &str) -> Option<(&str, &str, Value)> {
     let (target, value) = text.split_once('=')?;
     let (node, param) = target.split_once('.')?;
@@ -91,7 +91,7 @@ impl Wiring {
     /// Takes a graph apart, its settings applied. The catalog says which of its values are paths.
     ///
     /// # Errors
-    /// When the text is no TOML or holds no composite of two views.
+    /// When the text is not TOML or holds no composite of two views.
     pub fn of(source: &GraphText, catalog: &Catalog) -> Result<Self> {
         let mut graph: Table = source.flattened(catalog).parse()?;
         let name = source.name().to_owned();

@@ -8,7 +8,7 @@ use crate::sweep::RunParam;
 
 /// Size of a plot, px.
 const PLOT: (f64, f64) = (480.0, 240.0);
-/// Most digits behind the point.
+/// Maximum number of digits behind the point.
 const PLACES: usize = 4;
 
 fn number(value: f64) -> String {

@@ -2,7 +2,7 @@
 
 use panoscope_graph::Diagnostics;
 
-/// Most values of one sweep.
+/// Maximum number of values of one sweep.
 pub const MAX_STEPS: usize = 1000;
 
 /// Why nothing can be swept.

@@ -33,7 +33,7 @@ pub struct Request {
     /// `node.port` of a scalar, `node.port.column` of a table (`column[2]` where it has several rows, `column[*]` for all), `node.metric`, or
     /// `node.` and one of [`COUNTERS`].
     pub measure: String,
-    /// Most ticks of each source per value.
+    /// Maximum number of ticks of each source per value.
     pub frames: u64,
     /// Replaces the graph's sources.
     pub recording: Option<Arc<Recording>>,

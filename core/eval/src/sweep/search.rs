@@ -42,7 +42,7 @@ impl Search {
     pub fn ask(&mut self, axes: &[Axis], number: usize) -> Vec<AxisValue> {
         let (mut values, mut asked) = (Vec::new(), Vec::new());
         for (axis, dimension) in axes.iter().zip(&mut self.dimensions) {
-            // It fails only where a weight is no number, which a finite result does not make: the first value is as good then.
+            // It fails only where a weight is not a number, which a finite result does not make: the first value is as good then.
             let at =
                 dimension.optimizer.ask(&mut self.random).unwrap_or(axis.range.map_or(0.0, |(from, to)| from.min(to)));
             values.push(match axis.range {

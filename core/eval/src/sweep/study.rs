@@ -20,7 +20,7 @@ use super::run_measure::{RunMeasure, Statistic};
 use super::search::Search;
 use super::trial::Trial;
 
-/// Most runs of a study.
+/// Maximum number of runs of a study.
 pub const MAX_RUNS: usize = 10_000;
 
 /// Which combinations of values are run.
@@ -65,7 +65,7 @@ pub struct StudyRequest {
     pub steps: usize,
     /// As [`super::Request::measure`], one or more.
     pub measures: Vec<String>,
-    /// Most ticks of each source per run.
+    /// Maximum number of ticks of each source per run.
     pub frames: u64,
     /// Replaces the graph's sources.
     pub recording: Option<Arc<Recording>>,

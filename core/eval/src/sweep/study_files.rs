@@ -56,7 +56,7 @@ pub struct RunFile {
     pub unix_ms: u64,
     /// How long the run took.
     pub seconds: f64,
-    /// Most ticks of each source.
+    /// Maximum number of ticks of each source.
     pub frames: u64,
     /// The recording that stood in for the sources.
     pub recording: Option<String>,

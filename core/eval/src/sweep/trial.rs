@@ -26,7 +26,7 @@ pub(super) struct Trial<'a> {
     /// `node.param=value`.
     pub settings: Vec<String>,
     pub measures: &'a [Measure],
-    /// Most ticks of each source.
+    /// Maximum number of ticks of each source.
     pub frames: u64,
     /// Threads of the pool; 0 takes as many as the machine has.
     pub threads: usize,

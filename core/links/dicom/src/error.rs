@@ -84,7 +84,7 @@ pub enum DicomError {
         /// The service.
         service: String,
     },
-    /// The connection broke, or what came makes no sense.
+    /// The connection broke, or what came is malformed.
     #[error("{peer}: {problem}")]
     Broken {
         /// Address.

@@ -12,7 +12,7 @@ use crate::part10::Pending;
 const STILLS: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
 const CLIPS: [&str; 5] = ["mkv", "mp4", "mov", "webm", "avi"];
 const LENGTHS: [&str; 1] = ["jsonl"];
-/// Most files of one export.
+/// Maximum number of files of one export.
 const MAX_FILES: usize = 10_000;
 
 /// What a file is.

@@ -18,9 +18,9 @@ use crate::uid;
 pub const EXPLICIT: &str = "1.2.840.10008.1.2.1";
 /// Implicit VR little endian, not compressed.
 pub const IMPLICIT: &str = "1.2.840.10008.1.2";
-/// Most bytes of a worklist entry.
+/// Maximum number of bytes of a worklist entry.
 pub const MAX_ENTRY_BYTES: usize = 1 << 20;
-/// Most bytes of a file's head.
+/// Maximum number of bytes of a file's head.
 const MAX_HEAD_BYTES: usize = 64 << 10;
 /// Bytes before the head: 128 without meaning, and `DICM`.
 const PREAMBLE: usize = 132;
@@ -45,7 +45,7 @@ pub struct Head {
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum HeadError {
     /// The file is of another kind.
-    #[error("it is no DICOM file: `DICM` is not at byte 128")]
+    #[error("it is not a DICOM file: `DICM` is not at byte 128")]
     NotDicom,
     /// The file is cut off.
     #[error("it ends in its head")]

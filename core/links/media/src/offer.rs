@@ -20,8 +20,8 @@ pub enum OfferError {
         /// Its length.
         bytes: usize,
     },
-    /// It is no SDP.
-    #[error("line {line} of the offer is no SDP: send the text of an SDP offer as the body")]
+    /// It is not an SDP.
+    #[error("line {line} of the offer is not an SDP: send the text of an SDP offer as the body")]
     Syntax {
         /// Number of the line, from 1.
         line: usize,
@@ -173,7 +173,7 @@ impl Offer {
     /// Reads an offer.
     ///
     /// # Errors
-    /// It is no SDP, or lacks a video that H.264 can be sent to.
+    /// It is not an SDP, or lacks a video that H.264 can be sent to.
     pub fn parse(bytes: &[u8]) -> Result<Self, OfferError> {
         if bytes.len() > MAX_OFFER_BYTES {
             return Err(OfferError::Long { bytes: bytes.len() });

@@ -7,7 +7,7 @@ use panoscope_graph::{Catalog, Graph, PresetView};
 
 use crate::paint::{Range, painted};
 
-/// Most outputs that are shown of a graph without `[preset]`.
+/// Maximum number of outputs that are shown of a graph without `[preset]`.
 const MAX_COUNT: usize = 6;
 /// JPEG quality, percent.
 const QUALITY: u8 = 80;

@@ -23,7 +23,7 @@ use crate::view::View;
 
 /// How often the end of a run is looked for.
 const STEP: Duration = Duration::from_millis(5);
-/// Most log lines that wait for Python; later ones are not kept.
+/// Maximum number of log lines that wait for Python; later ones are not kept.
 const MAX_LINES: usize = 1000;
 
 /// A line of the log: level, node, words.

@@ -75,7 +75,7 @@ impl Chain {
     /// Reads a URDF text.
     ///
     /// # Errors
-    /// No URDF, a link that is missing or misplaced, another number of joints, a limit that makes no sense.
+    /// No URDF, a link that is missing or misplaced, another number of joints, a limit that is malformed.
     pub fn from_urdf(text: &str) -> Result<Self, ArmError> {
         let robot = urdf_rs::read_from_string(text).map_err(|error| ArmError::NoUrdf { reason: error.to_string() })?;
         let has = |link: &'static str, what: &'static str| {

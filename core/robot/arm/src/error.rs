@@ -5,8 +5,8 @@ use thiserror::Error;
 /// Why an arm cannot be used.
 #[derive(Debug, Error)]
 pub enum ArmError {
-    /// The text is no URDF.
-    #[error("the arm's description is no URDF: {reason}")]
+    /// The text is not a URDF.
+    #[error("the arm's description is not a URDF: {reason}")]
     NoUrdf {
         /// The parser's message.
         reason: String,

@@ -31,7 +31,7 @@ pub(crate) fn serial_number(host: &str, port: u16) -> Result<Serial, PortError> 
     lines.read_line(&mut line).map_err(failed)?;
     let unsuitable = |what: String, advice| PortError::Unsuitable { place: place.clone(), what, advice };
     if !line.starts_with("Connected") {
-        return Err(unsuitable("this is no dashboard server".to_owned(), "check the address and `dashboard_port`"));
+        return Err(unsuitable("this is not a dashboard server".to_owned(), "check the address and `dashboard_port`"));
     }
     stream.write_all(b"get serial number\n").map_err(failed)?;
     line.clear();

@@ -11,7 +11,7 @@ use panoscope_arm_core::{Cause, JOINTS, JointVector};
 const MAGIC: [u8; 6] = *b"PARM\x01\x00";
 /// Longest record, bytes.
 pub const MAX_LEN: usize = 512;
-/// Most values of a demand; another number than the arm's joints is an invalid demand, which the interlock refuses.
+/// Maximum number of values of a demand; another number than the arm's joints is an invalid demand, which the interlock refuses.
 pub const MAX_DEMAND: usize = 8;
 /// Longest text of a failure, bytes.
 const MAX_TEXT: usize = 400;

@@ -21,8 +21,8 @@ pub enum PortError {
         /// The system's error.
         cause: std::io::Error,
     },
-    /// The file is no serial line.
-    #[error("{path} is no serial line: {cause}", path = path.display())]
+    /// The file is not a serial line.
+    #[error("{path} is not a serial line: {cause}", path = path.display())]
     NoLine {
         /// The device's file.
         path: PathBuf,

@@ -460,7 +460,7 @@ fn a_second_program_and_older_firmware_are_refused() {
     let silent = Firmware::plug_in("CAM6-9", Behaviour { is_silent: true, ..patient() }).expect("an arm");
     let error = start(&silent, &folder).err().map(|error| error.to_string()).unwrap_or_default();
     assert!(error.contains("no arm answered"), "{error}");
-    for (path, words) in [("/dev/no_such_line", "cannot be opened"), ("/dev/null", "is no serial line")] {
+    for (path, words) in [("/dev/no_such_line", "cannot be opened"), ("/dev/null", "is not a serial line")] {
         let connection = Connection { path: path.into(), baud: 9600, answer_within: Duration::from_millis(30) };
         let error = Guard::start(&connection, Path::new(""), Some(&folder.0)).err().map(|e| e.to_string());
         assert!(error.as_ref().is_some_and(|e| e.contains(words) && e.contains(path)), "{error:?}");

@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 const WINDOW_NS: i64 = 1_000_000_000;
 /// Shortest time that is enough to compare them, ns.
 const MIN_NS: i64 = 200_000_000;
-/// Most ticks that are compared.
+/// Maximum number of ticks that are compared.
 const MAX_TICKS: usize = 64;
 /// Capture times that advance more slowly than real time by this factor are corrected.
 const SLOW: f64 = 1.25;

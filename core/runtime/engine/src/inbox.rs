@@ -1,4 +1,4 @@
-//! All packets of some outputs for one reader that is no part of the graph: a queue between listeners and a thread of the caller's own.
+//! All packets of some outputs for one reader that is not a part of the graph: a queue between listeners and a thread of the caller's own.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};

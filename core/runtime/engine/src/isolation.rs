@@ -43,7 +43,7 @@ pub struct GroupSettings {
     pub name: String,
     /// Threads of the run's pool; the process has as many for its parallel loops.
     pub threads: usize,
-    /// Most bytes of private memory that the process may have.
+    /// Maximum number of bytes of private memory that the process may have.
     pub memory_bytes: u64,
     /// What its nodes may not do.
     pub deny: Deny,

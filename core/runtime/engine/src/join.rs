@@ -15,7 +15,7 @@ use crate::sync::lock;
 
 pub(crate) use self::slot::{Rule, Slot};
 
-/// Most packets beyond its capacity that a slot queues while its region is paused.
+/// Maximum number of packets beyond its capacity that a slot queues while its region is paused.
 const MAX_PAUSED: usize = 1 << 10;
 
 /// Result of an attempt to fire.

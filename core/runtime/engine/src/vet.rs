@@ -20,7 +20,7 @@ pub struct Opening<'a> {
 /// Limits of a trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrialLimits {
-    /// Most bytes of private memory of the process.
+    /// Maximum number of bytes of private memory of the process.
     pub memory_bytes: u64,
     /// Longest time for starting the process and opening the node there.
     pub time: Duration,

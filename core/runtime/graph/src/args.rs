@@ -529,7 +529,7 @@ fn check(kind: ArgKind, arg: &ArgText, value: &Kind) -> Result<Kind, Wrong> {
             let near = nearest(word, words()).map(|n| format!("did you mean \"{n}\"?"));
             Err(Wrong {
                 code: "arg-choice",
-                message: format!("`{word}` is no choice of argument `{name}`"),
+                message: format!("`{word}` is not a choice of argument `{name}`"),
                 label: near.unwrap_or_default(),
                 help: format!("choices: {}", list(words(), 20, "and")),
             })

@@ -6,7 +6,7 @@ use thiserror::Error;
 /// Why a file could not be changed. The text is as before then.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum EditError {
-    /// The text is no TOML.
+    /// The text is not TOML.
     #[error("the graph file is not TOML: {message}")]
     Syntax {
         /// What the parser says.
@@ -38,8 +38,8 @@ pub enum EditError {
         /// The overlay.
         file: String,
     },
-    /// The node is no part, or the part's file cannot be used.
-    #[error("`{id}` is no part with a file that can be read")]
+    /// The node is not a part, or the part's file cannot be used.
+    #[error("`{id}` is not a part with a file that can be read")]
     NoPart {
         /// The node.
         id: String,

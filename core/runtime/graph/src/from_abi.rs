@@ -341,7 +341,7 @@ unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
                 |n: f64| if n.is_infinite() || whole(n) { Ok(n.is_finite().then_some(n as i64)) } else { Err(n) };
             let (min, max) = match (limit(min), limit(max)) {
                 (Ok(min), Ok(max)) => (min, max),
-                (Err(n), _) | (_, Err(n)) => return contradiction(format!("{n} is no limit for a whole number")),
+                (Err(n), _) | (_, Err(n)) => return contradiction(format!("{n} is not a limit for a whole number")),
             };
             if !whole(default) || !whole(step) {
                 return contradiction(format!("the default {default} and the step {step} must be whole numbers"));
@@ -359,7 +359,7 @@ unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
             // A limit of the type itself says nothing.
             let limit = |n: f64| (n.abs() < f64::from(f32::MAX)).then_some(n);
             if !default.is_finite() {
-                return contradiction(format!("the default {default} is no number"));
+                return contradiction(format!("the default {default} is not a number"));
             }
             ParamKind::Float { default, min: limit(min), max: limit(max), step: (step > 0.0).then_some(step) }
         }

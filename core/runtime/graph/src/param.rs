@@ -141,7 +141,7 @@ pub enum ParamKind {
         /// Fewest numbers.
         #[serde(default)]
         min_len: usize,
-        /// Most numbers; `None` for no limit.
+        /// Maximum number of numbers; `None` for no limit.
         #[serde(default)]
         max_len: Option<usize>,
     },

@@ -318,7 +318,7 @@ fn syntax(source: &Source, message: &str, span: &Range<usize>) -> Diagnostic {
     } else if is_key_side && line.contains(':') && !line.contains('=') {
         ("`:` cannot stand here".to_owned(), "TOML writes key = value, with an equals sign")
     } else if message.starts_with("unclosed table") || line.trim_start().starts_with('[') && !line.contains('=') {
-        ("this is no table header".to_owned(), "a node's table starts with a line such as [nodes.scope]")
+        ("this is not a table header".to_owned(), "a node's table starts with a line such as [nodes.scope]")
     } else if message.starts_with("key with no value") {
         ("a key without a value".to_owned(), "write key = value, as in type = \"phantom\"")
     } else if message.contains("escape") {

@@ -14,13 +14,13 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Most nodes and parts of a flattened graph: parts of parts multiply.
+/// Maximum number of nodes and parts of a flattened graph: parts of parts multiply.
 const MAX_NODES: usize = 10_000;
-/// Most levels of parts in parts.
+/// Maximum number of levels of parts in parts.
 const MAX_LEVELS: usize = 64;
-/// Most bytes of all texts of a graph: a part that is used again is read again.
+/// Maximum number of bytes of all texts of a graph: a part that is used again is read again.
 const MAX_TEXT_BYTES: usize = 64 << 20;
-/// Most inputs and parameters that parts hand on to their nodes: names of names multiply.
+/// Maximum number of inputs and parameters that parts hand on to their nodes: names of names multiply.
 const MAX_FORWARDED: usize = 50_000;
 
 /// What a name of a part stands for in the flattened graph.
@@ -317,7 +317,7 @@ impl Flattener<'_> {
         let part = shape::read(self.sources, Role::Part, parsed);
         if part.part.is_none() && complete && !part.diagnostics.has_errors() {
             self.flat.diagnostics.extend(part.diagnostics);
-            let message = format!("`{}` is no part: it has no table `[part]`", file.value);
+            let message = format!("`{}` is not a part: it has no table `[part]`", file.value);
             let start = base..base + text_length.min(1);
             let sources = &*self.sources;
             let d = Diagnostic::new(Severity::Error, "not-a-part", sources.of(&file.span), &file.span, message);

@@ -4,13 +4,13 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Most bytes of one file of a graph.
+/// Maximum number of bytes of one file of a graph.
 pub(crate) const MAX_BYTES: u64 = 16 << 20;
 
 /// Reads a file that a graph names or is. A device or a pipe is refused, because reading it need not end.
 ///
 /// # Errors
-/// The system's error; [`io::ErrorKind::IsADirectory`] for a folder, [`io::ErrorKind::InvalidInput`] for what is no regular file and
+/// The system's error; [`io::ErrorKind::IsADirectory`] for a folder, [`io::ErrorKind::InvalidInput`] for what is not a regular file and
 /// [`io::ErrorKind::FileTooLarge`] for more than [`MAX_BYTES`].
 pub(crate) fn read_file(path: &Path) -> io::Result<Vec<u8>> {
     let about = std::fs::metadata(path)?;

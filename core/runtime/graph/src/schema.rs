@@ -30,151 +30,171 @@ pub fn json_schema(catalog: &Catalog) -> Value {
         "if": { "required": ["part"] },
         "then": { "properties": { "nodes": { "additionalProperties": { "type": "object" } } } },
         "else": { "properties": { "nodes": { "additionalProperties": { "$ref": "#/$defs/node" } } } },
-        "properties": {
-            "name": { "type": "string", "description": "Name of the graph; the file's name when absent." },
-            "mode": {
-                "enum": ["live", "batch"],
-                "default": "live",
-                "description": "live: the newest frame wins; batch: no frame is lost."
-            },
-            "plugins": {
-                "type": "array",
-                "items": { "anyOf": [{ "enum": plugins }, { "type": "string" }] },
-                "description": "Plugins whose node types this graph uses."
-            },
-            "plugin_paths": {
-                "type": "array",
-                "items": { "anyOf": [{ "type": "string" }, { "$ref": "#/$defs/argument" }] },
-                "description": "Further folders to look for plugins, relative to this file."
-            },
-            "nodes": {
-                "type": "object",
-                "propertyNames": { "pattern": NODE_ID },
-                "minProperties": 1
-            },
-            "args": {
-                "type": "object",
-                "additionalProperties": { "$ref": "#/$defs/arg" },
-                "description": "Arguments: given on the command line (--left X), used as { arg = \"left\" }."
-            },
-            "part": {
-                "type": "object",
-                "additionalProperties": false,
-                "description": "Makes the file a part: what a graph may connect and set, as node.port or node.param of the part.",
-                "properties": {
-                    "inputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/targets" } },
-                    "outputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/reference" } },
-                    "params": { "type": "object", "additionalProperties": { "$ref": "#/$defs/targets" } }
-                }
-            },
-            "isolate": {
-                "type": "object",
-                "additionalProperties": { "$ref": "#/$defs/group" },
-                "description": "Plugins whose nodes run in processes of their own, each with the name of its group."
-            },
-            "deny": {
-                "type": "object",
-                "additionalProperties": { "type": "array", "items": { "enum": ["network", "new_files"] } },
-                "description": "Groups of isolated nodes, each with what its process may not do: open network connections, make or write files."
-            },
-            "machines": {
-                "type": "object",
-                "additionalProperties": { "$ref": "#/$defs/machine" },
-                "description": "Other machines that nodes run on with `on`, where `panoscope serve` runs."
-            },
-            "preset": {
-                "type": "object",
-                "additionalProperties": false,
-                "description": "What a surgeon may touch, and how far.",
-                "properties": {
-                    "pinned": { "type": "array", "items": { "$ref": "#/$defs/pin" } },
-                    "views": {
-                        "type": "array",
-                        "items": { "anyOf": [{ "$ref": "#/$defs/reference" }, { "$ref": "#/$defs/view" }] },
-                        "description": "Outputs that the theatre shows, the most important one first."
-                    }
-                }
-            },
-            "editor": { "type": "object", "description": "Positions of the editor; not read by anything else." }
+        "properties": graph_properties(&plugins),
+        "$defs": definitions(&node)
+    })
+}
+
+/// Tables and keys of a graph file.
+fn graph_properties(plugins: &[&str]) -> Value {
+    json!({
+        "name": { "type": "string", "description": "Name of the graph; the file's name when absent." },
+        "mode": {
+            "enum": ["live", "batch"],
+            "default": "live",
+            "description": "live: the newest frame wins; batch: no frame is lost."
         },
-        "$defs": {
-            "node": node,
-            "machine": {
-                "type": "object",
-                "additionalProperties": false,
-                "required": ["address"],
-                "properties": {
-                    "address": { "type": "string", "description": "Where `panoscope serve` listens there: tls/HOST:PORT, or tcp/HOST:PORT inside one machine." },
-                    "pixels": { "enum": ["raw", "lz4", "h264"], "default": "raw", "description": "How pixels travel; lz4 compresses without loss, h264 colour pictures with loss." },
-                    "timeout_ms": { "type": "integer", "minimum": 100, "maximum": 60000, "default": 1000, "description": "The machine counts as lost when nothing was heard of it for this long." },
-                    "plaintext": { "type": "boolean", "default": false, "description": "Allows tcp/ to another machine: without encryption and without a check of who answers." }
-                }
-            },
-            "group": {
-                "type": "string",
-                "pattern": "^[A-Za-z_][A-Za-z0-9_-]*$",
-                "description": "Group of nodes that share a process of their own; a crash there ends no other node."
-            },
-            "argument": {
-                "type": "object",
-                "additionalProperties": false,
-                "required": ["arg"],
-                "properties": { "arg": { "type": "string", "description": "Name of an argument of the graph." } }
-            },
-            "arg": {
-                "type": "object",
-                "additionalProperties": false,
-                "properties": {
-                    "type": { "enum": ArgKind::WORDS.map(|(word, _)| word) },
-                    "doc": { "type": "string", "description": "Shown by --help." },
-                    "default": { "description": "Value when none is given; without it the argument is required." },
-                    "range": { "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 },
-                    "unit": { "type": "string" },
-                    "choices": { "type": "array", "items": { "type": "string" } }
-                }
-            },
-            "targets": {
-                "anyOf": [
-                    { "$ref": "#/$defs/reference" },
-                    { "type": "array", "items": { "$ref": "#/$defs/reference" } }
-                ]
-            },
-            "reference": { "type": "string", "pattern": REFERENCE, "description": "An output: node.port" },
-            "connection": { "anyOf": [{ "$ref": "#/$defs/reference" }, { "$ref": "#/$defs/aligned" }] },
-            "aligned": aligned_schema(),
-            "connections": {
-                "anyOf": [
-                    { "$ref": "#/$defs/connection" },
-                    { "type": "array", "items": { "$ref": "#/$defs/connection" } }
-                ]
-            },
-            "view": {
-                "type": "object",
-                "additionalProperties": false,
-                "required": ["from"],
-                "properties": {
-                    "from": { "$ref": "#/$defs/reference" },
-                    "label": { "type": "string", "description": "Text shown beside it." },
-                    "optional": optional_schema()
-                }
-            },
-            "pin": {
-                "type": "object",
-                "additionalProperties": false,
-                "required": ["param"],
-                "properties": {
-                    "param": { "type": "string", "pattern": REFERENCE, "description": "A parameter: node.param" },
-                    "range": {
-                        "type": "array",
-                        "items": { "type": "number" },
-                        "minItems": 2,
-                        "maxItems": 2,
-                        "description": "Lowest and highest value offered."
-                    },
-                    "label": { "type": "string", "description": "Text shown beside it." },
-                    "optional": optional_schema()
+        "plugins": {
+            "type": "array",
+            "items": { "anyOf": [{ "enum": plugins }, { "type": "string" }] },
+            "description": "Plugins whose node types this graph uses."
+        },
+        "plugin_paths": {
+            "type": "array",
+            "items": { "anyOf": [{ "type": "string" }, { "$ref": "#/$defs/argument" }] },
+            "description": "Further folders to look for plugins, relative to this file."
+        },
+        "nodes": {
+            "type": "object",
+            "propertyNames": { "pattern": NODE_ID },
+            "minProperties": 1
+        },
+        "args": {
+            "type": "object",
+            "additionalProperties": { "$ref": "#/$defs/arg" },
+            "description": "Arguments: given on the command line (--left X), used as { arg = \"left\" }."
+        },
+        "part": {
+            "type": "object",
+            "additionalProperties": false,
+            "description": "Makes the file a part: what a graph may connect and set, as node.port or node.param of the part.",
+            "properties": {
+                "inputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/targets" } },
+                "outputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/reference" } },
+                "params": { "type": "object", "additionalProperties": { "$ref": "#/$defs/targets" } }
+            }
+        },
+        "isolate": {
+            "type": "object",
+            "additionalProperties": { "$ref": "#/$defs/group" },
+            "description": "Plugins whose nodes run in processes of their own, each with the name of its group."
+        },
+        "deny": {
+            "type": "object",
+            "additionalProperties": { "type": "array", "items": { "enum": ["network", "new_files"] } },
+            "description": "Groups of isolated nodes, each with what its process may not do: open network connections, make or write files."
+        },
+        "machines": {
+            "type": "object",
+            "additionalProperties": { "$ref": "#/$defs/machine" },
+            "description": "Other machines that nodes run on with `on`, where `panoscope serve` runs."
+        },
+        "preset": {
+            "type": "object",
+            "additionalProperties": false,
+            "description": "What a surgeon may touch, and how far.",
+            "properties": {
+                "pinned": { "type": "array", "items": { "$ref": "#/$defs/pin" } },
+                "views": {
+                    "type": "array",
+                    "items": { "anyOf": [{ "$ref": "#/$defs/reference" }, { "$ref": "#/$defs/view" }] },
+                    "description": "Outputs that the theatre shows, the most important one first."
                 }
             }
+        },
+        "editor": { "type": "object", "description": "Positions of the editor; not read by anything else." }
+    })
+}
+
+/// What the schema names in several places.
+fn definitions(node: &Value) -> Value {
+    json!({
+        "node": node,
+        "machine": machine_schema(),
+        "arg": arg_schema(),
+        "group": {
+            "type": "string",
+            "pattern": "^[A-Za-z_][A-Za-z0-9_-]*$",
+            "description": "Group of nodes that share a process of their own; a crash there ends no other node."
+        },
+        "argument": {
+            "type": "object",
+            "additionalProperties": false,
+            "required": ["arg"],
+            "properties": { "arg": { "type": "string", "description": "Name of an argument of the graph." } }
+        },
+        "targets": {
+            "anyOf": [
+                { "$ref": "#/$defs/reference" },
+                { "type": "array", "items": { "$ref": "#/$defs/reference" } }
+            ]
+        },
+        "reference": { "type": "string", "pattern": REFERENCE, "description": "An output: node.port" },
+        "connection": { "anyOf": [{ "$ref": "#/$defs/reference" }, { "$ref": "#/$defs/aligned" }] },
+        "aligned": aligned_schema(),
+        "connections": {
+            "anyOf": [
+                { "$ref": "#/$defs/connection" },
+                { "type": "array", "items": { "$ref": "#/$defs/connection" } }
+            ]
+        },
+        "view": {
+            "type": "object",
+            "additionalProperties": false,
+            "required": ["from"],
+            "properties": {
+                "from": { "$ref": "#/$defs/reference" },
+                "label": { "type": "string", "description": "Text shown beside it." },
+                "optional": optional_schema()
+            }
+        },
+        "pin": {
+            "type": "object",
+            "additionalProperties": false,
+            "required": ["param"],
+            "properties": {
+                "param": { "type": "string", "pattern": REFERENCE, "description": "A parameter: node.param" },
+                "range": {
+                    "type": "array",
+                    "items": { "type": "number" },
+                    "minItems": 2,
+                    "maxItems": 2,
+                    "description": "Lowest and highest value offered."
+                },
+                "label": { "type": "string", "description": "Text shown beside it." },
+                "optional": optional_schema()
+            }
+        }
+    })
+}
+
+/// Another machine.
+fn machine_schema() -> Value {
+    json!({
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["address"],
+        "properties": {
+            "address": { "type": "string", "description": "Where `panoscope serve` listens there: tls/HOST:PORT, or tcp/HOST:PORT inside one machine." },
+            "pixels": { "enum": ["raw", "lz4", "h264"], "default": "raw", "description": "How pixels travel; lz4 compresses without loss, h264 colour pictures with loss." },
+            "timeout_ms": { "type": "integer", "minimum": 100, "maximum": 60000, "default": 1000, "description": "The machine counts as lost when nothing was heard of it for this long." },
+            "plaintext": { "type": "boolean", "default": false, "description": "Allows tcp/ to another machine: without encryption and without a check of who answers." }
+        }
+    })
+}
+
+/// An argument of the graph.
+fn arg_schema() -> Value {
+    json!({
+        "type": "object",
+        "additionalProperties": false,
+        "properties": {
+            "type": { "enum": ArgKind::WORDS.map(|(word, _)| word) },
+            "doc": { "type": "string", "description": "Shown by --help." },
+            "default": { "description": "Value when none is given; without it the argument is required." },
+            "range": { "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 },
+            "unit": { "type": "string" },
+            "choices": { "type": "array", "items": { "type": "string" } }
         }
     })
 }

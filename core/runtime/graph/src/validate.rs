@@ -92,7 +92,7 @@ impl fmt::Debug for Validator {
     }
 }
 
-/// Code is no part of a node type's description.
+/// Code is not a part of a node type's description.
 impl PartialEq for Validator {
     fn eq(&self, _: &Self) -> bool {
         true

@@ -156,7 +156,7 @@ mod tests {
         let longer = table(&["x_mm", "y_mm"], &[&[1.0, 2.0], &[3.0, f64::NAN], &[5.0, 6.0]]);
         assert_eq!(compare(&a, &longer, 0.0).first_cell, Some(FirstCell::Rows(2, 3)));
         assert!(compare(&a, &longer, 0.0).other_shape);
-        // What is no table is none, wherever it is cut.
+        // What is not a table is none, wherever it is cut.
         (0..a.len()).for_each(|len| assert_eq!(super::table(&a[..len]), None, "{len}"));
     }
 

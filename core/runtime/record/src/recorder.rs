@@ -123,7 +123,7 @@ struct Inner {
     ports: Mutex<HashMap<String, Ports>>,
     gaps: AtomicU64,
     writes: AtomicBool,
-    /// Most events and packets in the queue.
+    /// Maximum number of events and packets in the queue.
     max_queued_items: usize,
     /// Whether the disk took nothing for so long that the queue was thrown away.
     has_stalled: AtomicBool,

@@ -104,7 +104,7 @@ impl Connection {
             Some((HELLO, _)) => self.is_ready.store(true, Ordering::Relaxed),
             Some((DATA, bytes)) => self.tell(&Frame { kind: Kind::Data, session: 0, bytes }),
             Some((BYE, words)) => lose(&String::from_utf8_lossy(&words)),
-            _ => lose("a message of the machine makes no sense; install the same version on both"),
+            _ => lose("a message of the machine is malformed; install the same version on both"),
         }
     }
 

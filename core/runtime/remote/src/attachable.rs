@@ -20,7 +20,7 @@ use crate::error::RemoteError;
 use crate::keys::{self, Identity};
 use crate::network::{self, Address, UNNAMED};
 
-/// Most windows at a time.
+/// Maximum number of windows at a time.
 const MAX_WINDOWS: usize = 16;
 /// A window that was silent for so many times its own limit is gone.
 const PATIENCE: u32 = 2;

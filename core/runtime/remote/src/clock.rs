@@ -41,7 +41,7 @@ impl Offset {
         self.probes.push_back(Probe { at_ns: received_ns, offset_ns, half_way_ns });
     }
 
-    /// Takes the answer to a probe as [`crate::network::answer_probe`] writes it, received at `received_ns`; `None` where it makes no sense.
+    /// Takes the answer to a probe as [`crate::network::answer_probe`] writes it, received at `received_ns`; `None` where it is malformed.
     pub fn take_answer(&mut self, bytes: &[u8], received_ns: i64) -> Option<()> {
         let (sent, rest) = bytes.split_first_chunk::<8>()?;
         let there = rest.first_chunk::<8>()?;

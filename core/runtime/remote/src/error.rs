@@ -19,7 +19,7 @@ pub enum RemoteError {
     /// A user started a program that needs the socket of its parent.
     #[error("other programs of Panoscope start this one")]
     NoParent,
-    /// An argument is no number.
+    /// An argument is not a number.
     #[error("{text}: {cause}")]
     NotANumber {
         /// The argument.
@@ -124,7 +124,7 @@ pub enum RemoteError {
     /// More instances than a group may have.
     #[error("more than {max} instances at a time")]
     TooManyLanes {
-        /// Most instances.
+        /// Maximum number of instances.
         max: usize,
     },
     /// A plugin that this machine lacks.
@@ -182,10 +182,10 @@ pub enum RemoteError {
         reason: String,
     },
     /// The process that runs the nodes sent a malformed message.
-    #[error("its process sent a message that makes no sense")]
+    #[error("its process sent a malformed message")]
     BadProcess,
     /// A malformed message of the host.
-    #[error("the host sent what makes no sense: {cause}")]
+    #[error("the host sent a malformed message: {cause}")]
     BadHost {
         /// What is wrong with it.
         cause: Box<RemoteError>,

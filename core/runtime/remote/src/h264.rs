@@ -16,7 +16,7 @@ const CODEC: VideoCodec = VideoCodec::H264 { rate: RateControl::Crf(18) };
 const KEY_INTERVAL: u32 = 250;
 /// Smaller pictures are not worth a stream, px.
 const MIN_SIDE: u32 = 32;
-/// Most streams of a connection.
+/// Maximum number of streams of a connection.
 const MAX_STREAMS: usize = 1024;
 
 /// Lane and stream.

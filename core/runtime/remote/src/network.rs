@@ -208,7 +208,7 @@ pub fn session_of(sample: &Sample) -> Option<String> {
 }
 
 /// Answers a probe of the clock: what was sent, then this machine's clock at `now_ns`. Returns false, without an
-/// answer, for one that makes no sense.
+/// answer, for one that is malformed.
 pub fn answer_probe(session: &Session, key: String, probe: &Sample, now_ns: i64) -> bool {
     let bytes = probe.payload().to_bytes();
     let Some(sent) = bytes.first_chunk::<8>() else { return false };

@@ -16,7 +16,7 @@ use crate::sessions::{Delivered, Open, Shared};
 pub use crate::sessions::{LogFn, Options};
 use panoscope_host::isolate::relay::messages::{self as message, Message};
 
-/// Most groups at a time.
+/// Maximum number of groups at a time.
 const MAX_SESSIONS: usize = 32;
 
 /// A server. It ends when this is dropped.
@@ -83,7 +83,7 @@ impl Shared {
         let payload = sample.payload();
         let mut reader = payload.reader();
         let Ok(message) = message::read(&mut reader) else {
-            self.log(&format!("{host} sends messages that make no sense: it may be of another version"));
+            self.log(&format!("{host} sends malformed messages: it may be of another version"));
             return;
         };
         let begin = (payload.len() - reader.remaining()) as u64;

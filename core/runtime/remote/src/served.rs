@@ -29,7 +29,7 @@ use panoscope_host::isolate::relay::messages::{self as message, Message, Turn};
 
 /// A host that was silent for so many times the time that it gives this machine is gone.
 const PATIENCE: u32 = 2;
-/// Most lanes of a group.
+/// Maximum number of lanes of a group.
 const MAX_LANES: usize = 1024;
 
 /// What the threads of a group share.

@@ -92,7 +92,7 @@ fn read_one(path: &Path) -> Result<Calibration, String> {
 fn mistakes_are_named_with_their_place() {
     let change = |from: &str, to: &str| one(&OPENCV.replacen(from, to, 1)).unwrap_err();
     for (message, words) in [
-        (change("750.5, 0.", "750.5x, 0."), "scope.yml:9:12: `M1` holds `750.5x`, which is no number"),
+        (change("750.5, 0.", "750.5x, 0."), "scope.yml:9:12: `M1` holds `750.5x`, which is not a number"),
         (change("319.5, 0., ", ""), "scope.yml:9:10: `M1` is said to be 3x3 and holds 7 numbers"),
         (change("750.5", ".Nan"), "scope.yml:9:12: `M1` holds .Nan"),
         (change("image_width: 640", "image_width: 640.5"), "scope.yml:3:14: `image_width` is 640.5"),
@@ -252,7 +252,7 @@ fn stereo_parameters_of_matlab_are_read() {
         ("\"TranslationOfCamera2\"", "\"T\"", "`TranslationOfCamera2` is missing"),
         ("[-15,0.1,0.2]", "[15,0.1,0.2]", "disparities would be negative"),
         ("millimeters", "furlongs", "the unit `furlongs` is not known"),
-        ("[-0.25,0.1]", "[-0.25,null]", "which is no number"),
+        ("[-0.25,0.1]", "[-0.25,null]", "which is not a number"),
     ] {
         let message = one(&MATLAB.replacen(from, to, 1)).unwrap_err();
         assert!(message.contains(words), "{message}");

@@ -42,7 +42,7 @@ fn kitti_projections_are_read_in_metres() {
     let without = KITTI.lines().take(1).collect::<Vec<_>>().join("\n");
     assert!(one(&without).unwrap_err().contains("neither `P1` nor `P_rect_01`"));
     let damaged = one(&KITTI.replace("-3.395242e+02", "-3.39x")).unwrap_err();
-    assert!(damaged.contains("calib.txt:4:5: `P3` holds `-3.39x`, which is no number"), "{damaged}");
+    assert!(damaged.contains("calib.txt:4:5: `P3` holds `-3.39x`, which is not a number"), "{damaged}");
     let swapped = one(&KITTI.replace("P3:", "P9:").replace("P2:", "P3:").replace("P9:", "P2:")).unwrap_err();
     assert!(swapped.contains("left and right are swapped"), "{swapped}");
 }

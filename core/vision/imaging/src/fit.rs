@@ -109,7 +109,7 @@ struct Columns {
     last: Vec<u32>,
     /// No pixel begins later than here.
     latest: u32,
-    /// Most pixels under one column.
+    /// Maximum number of pixels under one column.
     most: u32,
 }
 

@@ -112,7 +112,7 @@ fn mean(sums: &[u16], factor: usize, channels: usize, means: &mut [u8]) {
     let area = (factor * factor) as f32;
     for (at, mean) in means[..starts].iter_mut().enumerate() {
         let sum: u16 = (0..factor).map(|dx| sums[at + dx * channels]).sum();
-        // Exact: a quotient that is no whole number is at least 1/256 away from one.
+        // Exact: a quotient that is not a whole number is at least 1/256 away from one.
         *mean = ((f32::from(sum) + (area * 0.5).floor()) / area) as u8;
     }
 }

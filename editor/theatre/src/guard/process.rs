@@ -344,7 +344,7 @@ impl Reader {
         Some((width, height, self.region.read(block.slot, len)?))
     }
 
-    /// The preview with its pixels, on this process's clock; `None` when it makes no sense.
+    /// The preview with its pixels, on this process's clock; `None` when it is malformed.
     fn packet(&self, picture: &Picture) -> Option<RenderedPacket> {
         let pixels = match picture.pixels {
             Some(block) => {

@@ -54,7 +54,7 @@ fn a_process_that_falls_silent_is_ended() {
 #[test]
 fn a_process_that_sends_nonsense_is_ended() {
     let said = refused("nonsense", ONCE, b"\x05\0\0\0{\"x\":");
-    assert_eq!(said, "the process that runs the graph sent a message that makes no sense and was ended");
+    assert_eq!(said, "the process that runs the graph sent a malformed message and was ended");
     let picture = Picture {
         output: Output::new("a", "b"),
         size_px: (1, 1),
@@ -68,7 +68,7 @@ fn a_process_that_sends_nonsense_is_ended() {
         rig: None,
     };
     let said = refused("picture", ONCE, &bytes(&[Message::Picture(Box::new(picture))]));
-    assert_eq!(said, "the process that runs the graph sent a picture that makes no sense and was ended");
+    assert_eq!(said, "the process that runs the graph sent a malformed picture and was ended");
 }
 
 #[test]

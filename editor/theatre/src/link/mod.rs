@@ -234,7 +234,7 @@ pub(crate) fn send<T: Serialize>(to: &mut impl Write, message: &T) -> io::Result
 /// Reads a message; `None` at the end.
 ///
 /// # Errors
-/// The message is cut off, too long, or makes no sense.
+/// The message is cut off, too long, or is malformed.
 pub(crate) fn receive<T: DeserializeOwned>(from: &mut impl Read) -> io::Result<Option<T>> {
     let mut len = [0; 4];
     match from.read_exact(&mut len) {

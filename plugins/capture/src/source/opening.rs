@@ -11,7 +11,7 @@ use super::name::SourceName;
 
 /// Calls that have not returned yet, by the source's name.
 static RUNNING: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
-/// Most calls that may hang for one source; each abandoned call holds a thread.
+/// Maximum number of calls that may hang for one source; each abandoned call holds a thread.
 const MAX_RUNNING: usize = 3;
 
 /// A call that opens a source.

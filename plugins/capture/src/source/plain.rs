@@ -3,7 +3,7 @@
 use super::error::PictureError;
 use super::picture::{Picture, Samples};
 
-/// Most columns or rows.
+/// Maximum number of columns or rows.
 const MAX_PX: usize = 1 << 16;
 
 fn unsupported(format: String) -> PictureError {

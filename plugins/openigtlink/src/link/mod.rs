@@ -40,8 +40,8 @@ pub enum LinkError {
         /// What to do.
         help: &'static str,
     },
-    /// `address` is no IP address.
-    #[error("`{address}` is no IP address to listen on; write 127.0.0.1, 0.0.0.0 or the address of a network card")]
+    /// `address` is not an IP address.
+    #[error("`{address}` is not an IP address to listen on; write 127.0.0.1, 0.0.0.0 or the address of a network card")]
     Address {
         /// The parameter.
         address: String,

@@ -12,7 +12,7 @@ use super::Out;
 
 /// Columns of `points`.
 pub const COLUMNS: [&str; 4] = ["x_mm", "y_mm", "z_mm", "radius_mm"];
-/// Most devices whose pictures are kept for parts of later ones.
+/// Maximum number of devices whose pictures are kept for parts of later ones.
 const MAX_PICTURES: usize = 8;
 /// Largest picture that is put together from parts, bytes.
 const MAX_PICTURE_BYTES: usize = 64 << 20;
@@ -108,7 +108,7 @@ impl Packets {
                 self.row(&message.device, transform.translation_mm, 0.0);
                 pose = rigid(transform);
                 if pose.is_none() {
-                    refusal = Some("it is no rotation with a translation, so it is no pose".to_owned());
+                    refusal = Some("it is not a rotation with a translation, so it is no pose".to_owned());
                 }
             }
             Content::Position(position) => {

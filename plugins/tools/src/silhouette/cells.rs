@@ -24,7 +24,7 @@ pub trait Nearness {
 /// Margin around a box in which its instrument is searched: as a share of the box's sides, and the least, px.
 const MARGIN: f32 = 0.15;
 const MARGIN_PX: f32 = 6.0;
-/// Most cells along the longer side of the region.
+/// Maximum number of cells along the longer side of the region.
 const MAX_CELLS: f32 = 128.0;
 /// Pixels of a large cell that are read, each way, at least.
 const SAMPLES: usize = 4;

@@ -14,7 +14,7 @@ class ViaError(ValueError):
 
 
 def pictures(value):
-    """The pictures of a parsed file, or None where it is no file of VIA."""
+    """The pictures of a parsed file, or None where it is not a file of VIA."""
     if not isinstance(value, dict):
         return None
     if PROJECT in value:

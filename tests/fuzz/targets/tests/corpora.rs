@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use panoscope_base::random::SplitMix64;
 use panoscope_fuzz_targets::{TARGETS, Target};
 
-/// Most files and bytes of a committed corpus.
+/// Maximum number of files and bytes of a committed corpus.
 const MAX_FILES: usize = 60;
 const MAX_BYTES: usize = 100 << 10;
 /// Longest time for one input, on a busy machine and without optimization. Inputs take milliseconds; those that this is for, hours.

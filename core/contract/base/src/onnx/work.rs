@@ -8,13 +8,13 @@ use std::ops::Range;
 
 use super::{MAX_DEPTH, Malformed, Reader};
 
-/// Most nodes of a model, with those of nested graphs, and those of a function once for each call. Detectors have up to some thousand.
+/// Maximum number of nodes of a model, with those of nested graphs, and those of a function once for each call. Detectors have up to some thousand.
 /// ONNX Runtime needs time in proportion to the square of this.
 pub const MAX_NODES: u64 = 10_000;
 /// Values that may be computed from constants while the model is opened, in any model and for each byte of the file.
 const MAX_COMPUTED: u64 = 16 << 20;
 const COMPUTED_PER_BYTE: u64 = 4;
-/// Most turns of a loop that nothing can end earlier.
+/// Maximum number of turns of a loop that nothing can end earlier.
 pub const MAX_TURNS: i64 = 100_000;
 
 /// Why a model is too much work.

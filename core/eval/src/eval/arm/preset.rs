@@ -47,7 +47,7 @@ fn is_type(node: &Value, wanted: &str) -> bool {
 /// # Errors
 /// When the text is no graph, or has not exactly one `phantom`, `arm_sim` and `tip_track` each, or a tip that follows the phantom's truth.
 pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
-    let mut graph: Table = text.parse().with_context(|| format!("{} is no TOML", path.display()))?;
+    let mut graph: Table = text.parse().with_context(|| format!("{} is not TOML", path.display()))?;
     graph.remove("preset");
     graph.remove("editor");
     graph.insert("mode".to_owned(), "batch".into());

@@ -51,7 +51,7 @@ pub fn npz(path: &Path) -> Result<FloatImage> {
     };
     // The directory at the end knows the sizes even where the member's own header leaves them out.
     let Some(end) = bytes.windows(4).rposition(|w| w == b"PK\x05\x06") else {
-        bail!("{} is no archive", path.display())
+        bail!("{} is not an archive", path.display())
     };
     let member = || -> Option<(usize, usize, usize)> {
         let entry = word(end + 16, 4)?;

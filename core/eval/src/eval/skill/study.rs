@@ -39,7 +39,7 @@ fn read_phases(path: &Path) -> Result<Vec<(f64, String)>> {
             line.split_once(',').with_context(|| format!("{}: a begin in s, a comma, a name", place()))?;
         let Ok(start) = start.trim().parse::<f64>() else {
             // A head is welcome.
-            ensure!(index == 0, "{}: `{}` is no number of seconds", place(), start.trim());
+            ensure!(index == 0, "{}: `{}` is not a number of seconds", place(), start.trim());
             continue;
         };
         ensure!(phases.last().is_none_or(|(last, _)| *last <= start), "{}: phases come in order of time", place());

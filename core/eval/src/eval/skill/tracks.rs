@@ -181,7 +181,7 @@ impl Track {
                         if self.lines.next().is_none() {
                             return Ok(());
                         }
-                        bail!("{} is no JSON: give a .csv or .jsonl file of `write_table`", place(self.line));
+                        bail!("{} is not JSON: give a .csv or .jsonl file of `write_table`", place(self.line));
                     };
                     let at_s = value["capture_ms"].as_f64().map_or(f64::NAN, |ms| ms * 1e-3);
                     let word = |name: &str| value[name].as_str().map(str::to_owned);

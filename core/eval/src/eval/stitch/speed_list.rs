@@ -16,8 +16,8 @@ pub struct SpeedList(pub Vec<f64>);
 /// Why a text is no list of speeds.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpeedListError {
-    /// A part is no number.
-    #[error("`{text}` is no number; give speeds in cm/s as `1,2.5,10` or a range as `0.5..10` or `0.5..10:0.5`")]
+    /// A part is not a number.
+    #[error("`{text}` is not a number; give speeds in cm/s as `1,2.5,10` or a range as `0.5..10` or `0.5..10:0.5`")]
     NoNumber {
         /// The part.
         text: String,
@@ -145,8 +145,8 @@ mod tests {
     fn what_is_no_speed_is_refused_in_words() {
         for (text, words) in [
             ("", "no number"),
-            ("fast", "`fast` is no number"),
-            ("1,,2", "`` is no number"),
+            ("fast", "`fast` is not a number"),
+            ("1,,2", "`` is not a number"),
             ("5..1", "`5..1` does not ascend"),
             ("2..2", "does not ascend"),
             ("-1", "outside 0 to 20"),
@@ -155,7 +155,7 @@ mod tests {
             ("0..10:0", "larger step"),
             ("0..10:0.01", "larger step"),
             ("0..10:-1", "outside"),
-            ("1..", "`` is no number"),
+            ("1..", "`` is not a number"),
         ] {
             let error = text.parse::<SpeedList>().expect_err(text).to_string();
             assert!(error.contains(words), "{text}: {error}");

@@ -24,13 +24,13 @@ const ANSWER_WAIT: Duration = Duration::from_secs(60);
 const ASSOCIATE_WAIT: Duration = Duration::from_secs(10);
 /// Longest time for one response, however slowly its bytes come.
 const RESPONSE_WAIT: Duration = Duration::from_secs(120);
-/// Most bytes of a PDU, both ways.
+/// Maximum number of bytes of a PDU, both ways.
 const MAX_PDU: u32 = 64 << 10;
 /// Fewest bytes of a PDU that a server may ask for.
 const MIN_PDU: u32 = 512;
 /// Head of a presentation data value: length, context, control.
 const VALUE_HEAD: usize = 6;
-/// Most bytes of a command set.
+/// Maximum number of bytes of a command set.
 const MAX_COMMAND_BYTES: usize = 16 << 10;
 /// Data set type of a command without a data set.
 const NO_DATA: u16 = 0x0101;

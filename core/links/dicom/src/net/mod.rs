@@ -24,7 +24,7 @@ use association::Association;
 const VERIFICATION: &str = "1.2.840.10008.1.1";
 /// Modality Worklist Information Model, FIND.
 const WORKLIST: &str = "1.2.840.10008.5.1.4.31";
-/// Most entries of a worklist.
+/// Maximum number of entries of a worklist.
 const MAX_ENTRIES: usize = 1000;
 /// Presentation contexts that one association has, besides that of the echo.
 const MAX_CONTEXTS: usize = 100;
@@ -102,7 +102,7 @@ fn send_echo(association: &mut Association) -> Result<()> {
 /// Entries without a patient ID or study instance UID are left out and counted.
 ///
 /// # Errors
-/// The server cannot be asked, or its answers make no sense.
+/// The server cannot be asked, or its answers are malformed.
 pub fn worklist(peer: &Peer, query: &Query) -> Result<(Vec<Entry>, Vec<DicomError>)> {
     let mut association = Association::open(peer, &[(WORKLIST, &[EXPLICIT, IMPLICIT])])?;
     let found = [(EXPLICIT, Encoding::Explicit), (IMPLICIT, Encoding::Implicit)]

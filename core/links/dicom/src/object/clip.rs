@@ -25,7 +25,7 @@ const LEVELS: [(u8, &str); 2] = [(41, "1.2.840.10008.1.2.4.102"), (42, "1.2.840.
 const HIGH: u8 = 100;
 /// Number of the series of clips.
 const SERIES: (u32, &str) = (2, "Clips");
-/// Most bytes of a video: the length of a fragment has 32 bits.
+/// Maximum number of bytes of a video: the length of a fragment has 32 bits.
 const MAX_BYTES: u64 = u32::MAX as u64 - 16;
 
 /// An MP4 file that fits the standard.

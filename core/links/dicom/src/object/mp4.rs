@@ -4,9 +4,9 @@
 
 use std::io::{Read, Seek, SeekFrom};
 
-/// Most bytes of the index: hours of video.
+/// Maximum number of bytes of the index: hours of video.
 const MAX_INDEX_BYTES: u64 = 64 << 20;
-/// Most boxes at one level.
+/// Maximum number of boxes at one level.
 const MAX_BOXES: usize = 1000;
 
 /// A video.

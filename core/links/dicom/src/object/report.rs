@@ -21,9 +21,9 @@ pub const CLASS: &str = "1.2.840.10008.5.1.4.1.1.88.33";
 const SERIES: (u32, &str) = (3, "Measurements");
 /// Longest line of a table.
 const MAX_LINE_BYTES: u64 = 1 << 20;
-/// Most lines that are read of a table.
+/// Maximum number of lines that are read of a table.
 const MAX_LINES: usize = 10_000_000;
-/// Most measurements of a table's line.
+/// Maximum number of measurements of a table's line.
 const MAX_ROWS: usize = 1000;
 
 /// Own codes: no standard scheme has the 95 % error bound of a measurement.

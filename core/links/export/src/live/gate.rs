@@ -18,7 +18,7 @@ use tokio::sync::{Semaphore, oneshot};
 
 /// Longest head of a request.
 const MAX_HEAD_BYTES: usize = 16 << 10;
-/// Most fields of a head.
+/// Maximum number of fields of a head.
 const MAX_FIELDS: usize = 64;
 /// How long a client may take for the head.
 const MAX_HEAD_TIME: Duration = Duration::from_secs(5);

@@ -380,7 +380,7 @@ pub struct Text<'a> {
 }
 
 impl<'a> Text<'a> {
-    /// Most bytes of a text.
+    /// Maximum number of bytes of a text.
     pub const MAX_COUNT: usize = u16::MAX as usize;
 
     pub(super) fn decode(bytes: &'a [u8]) -> Result<Self> {

@@ -19,7 +19,7 @@ use super::error::BagError;
 use super::fields::Fields;
 use super::scan::{Channels, End, Form, HEAD_BYTES, MAX_RECORD_BYTES, Part, Scan};
 
-/// Most bytes of parts that are open at once because their times overlap.
+/// Maximum number of bytes of parts that are open at once because their times overlap.
 const MAX_OPEN_BYTES: u64 = 2 << 30;
 /// Messages of a bag that [`survey`] looks at.
 const SURVEYED: u64 = 2000;

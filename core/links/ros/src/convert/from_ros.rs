@@ -16,9 +16,9 @@ use crate::messages::{
 const MM_PER_M: f64 = 1e3;
 /// Largest side of a picture.
 const MAX_SIDE: u32 = 1 << 15;
-/// Most pixels of a picture, and points of a cloud.
+/// Maximum number of pixels of a picture, and points of a cloud.
 const MAX_PIXELS: u64 = 1 << 27;
-/// Most boxes of a message.
+/// Maximum number of boxes of a message.
 const MAX_BOXES: usize = 10_000;
 /// Most memory that a decoder of pictures takes.
 const MAX_DECODED_BYTES: u64 = 1 << 30;

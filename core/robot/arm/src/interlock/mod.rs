@@ -32,13 +32,13 @@ pub use measured::Measured;
 
 use caps::{STEP_NS, STEP_S, share};
 
-/// Most steps planned at once.
+/// Maximum number of steps planned at once.
 const CHUNK_STEPS: u32 = 10;
 /// Shares of a demand that are tried in turn.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// Shorter gaps in the demands (a late tick) are not reported as stops.
 const NOTED_AFTER_STEPS: u32 = 31;
-/// Most events that wait to be taken.
+/// Maximum number of events that wait to be taken.
 const MAX_EVENTS: usize = 32;
 
 /// Settings of the user; the limits in [`caps`] hold whatever they are.

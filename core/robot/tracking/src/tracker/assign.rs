@@ -1,9 +1,9 @@
 //! The cheapest one-to-one assignment (Kuhn 1955, "The Hungarian method"; by shortest augmenting paths after Jonker and Volgenant
 //! 1987), in fixed memory.
 
-/// Most rows.
+/// Maximum number of rows.
 pub const ROWS: usize = 8;
-/// Most columns.
+/// Maximum number of columns.
 pub const COLUMNS: usize = 16;
 /// Columns of the problem that is solved: each row has one more, which leaves it unassigned.
 const ALL: usize = COLUMNS + ROWS;

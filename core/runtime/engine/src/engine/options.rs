@@ -60,7 +60,7 @@ pub struct Options {
     pub open_limit: Duration,
     /// Time limit for closing a node, and for saving or loading its state while the graph runs.
     pub close_limit: Duration,
-    /// Most bytes of private memory that the process of a group of isolated nodes may have.
+    /// Maximum number of bytes of private memory that the process of a group of isolated nodes may have.
     pub group_memory_bytes: u64,
     /// Whether what the process of a group writes to its standard error goes into the words about its end, and not to that of this process.
     pub keep_group_stderr: bool,

@@ -148,7 +148,7 @@ impl Slot {
         is_too_old
     }
 
-    /// Most packets that may wait now.
+    /// Maximum number of packets that may wait now.
     pub(super) fn room(&self) -> usize {
         self.capacity.saturating_add(self.spare)
     }

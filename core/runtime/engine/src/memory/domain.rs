@@ -12,7 +12,7 @@ use crate::sync::lock;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{most} groups of isolated nodes have frames in use; a process has memory for no more")]
 pub struct DomainError {
-    /// Most groups that may exist at a time.
+    /// Maximum number of groups that may exist at a time.
     pub most: usize,
 }
 

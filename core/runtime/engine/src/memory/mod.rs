@@ -51,7 +51,7 @@ pub enum MemoryError {
         wanted_bytes: usize,
         /// Bytes handed out.
         in_use_bytes: i64,
-        /// Most bytes that may be handed out.
+        /// Maximum number of bytes that may be handed out.
         limit_bytes: i64,
     },
     /// More than any pool holds.
@@ -68,7 +68,7 @@ fn bits_for(len: usize) -> u32 {
     (usize::BITS - (bytes - 1).leading_zeros()).max(MIN_BITS)
 }
 
-/// Most bytes of a frame in the buffer that is handed out for a frame of `len` bytes.
+/// Maximum number of bytes of a frame in the buffer that is handed out for a frame of `len` bytes.
 pub fn room_for(len: usize) -> usize {
     1usize.checked_shl(bits_for(len)).map_or(len, |bytes| bytes - CANARY_BYTES)
 }
@@ -87,7 +87,7 @@ pub fn memory() -> &'static Memory {
 }
 
 impl Memory {
-    /// Most bytes that may be handed out at a time.
+    /// Maximum number of bytes that may be handed out at a time.
     pub fn set_limit_bytes(&self, limit: i64) {
         self.limit_bytes.store(limit, Ordering::Relaxed);
     }

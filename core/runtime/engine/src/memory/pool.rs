@@ -92,7 +92,7 @@ impl Pool {
         Some(pool)
     }
 
-    /// Most bytes of a frame.
+    /// Maximum number of bytes of a frame.
     pub fn room(&self) -> usize {
         (1 << self.bits) - CANARY_BYTES
     }

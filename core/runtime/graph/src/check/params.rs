@@ -236,7 +236,7 @@ impl<'a> Checker<'a> {
                     Err(Wrong {
                         code: "unknown-choice",
                         span: value.span.clone(),
-                        message: format!("`{text}` is no choice of `{name}`"),
+                        message: format!("`{text}` is not a choice of `{name}`"),
                         label: near.unwrap_or_default(),
                         help: format!("choices: {}", quoted.join(", ")),
                     })

@@ -155,7 +155,7 @@ impl Reader<'_> {
         }
         let is_number = matches!(arg.kind, Some(ArgKind::Number | ArgKind::Whole));
         if let Some(span) = range_key.filter(|_| arg.kind.is_some() && !is_number) {
-            let message = format!("argument `{}` is no number, so it has no range", name.value);
+            let message = format!("argument `{}` is not a number, so it has no range", name.value);
             self.error("useless-range", &span, message).help("remove `range`");
         }
         match (arg.kind, choices_key) {

@@ -1,6 +1,6 @@
 //! What a window and a running graph say to each other: JSON, and packets with bytes behind a head in JSON.
 //!
-//! Both sides are of one version, which is compared first. Neither believes the other: what makes no sense ends the connection.
+//! Both sides are of one version, which is compared first. Neither believes the other: what is malformed ends the connection.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::attach::packet::{self, Packet, PacketError};
 use crate::attach::tunnel::{Frame, Kind};
 
-/// Most outputs of which a window gets pictures.
+/// Maximum number of outputs of which a window gets pictures.
 pub const MAX_OUTPUTS: usize = 256;
 /// Longest text of a graph.
 pub const MAX_TEXT_BYTES: usize = 16 << 20;
@@ -117,14 +117,14 @@ pub enum Incoming {
     Packet(Box<Packet>),
 }
 
-/// A message that makes no sense.
+/// A malformed message.
 #[derive(Debug, thiserror::Error)]
 pub enum BadMessage {
     /// It is neither JSON nor a packet, or too long.
-    #[error("a message of another machine makes no sense; install the same version on both")]
+    #[error("a message of another machine is malformed; install the same version on both")]
     Malformed,
     /// JSON of another form.
-    #[error("a message of another machine makes no sense ({0}); install the same version on both")]
+    #[error("a message of another machine is malformed ({0}); install the same version on both")]
     Json(#[from] serde_json::Error),
     /// A packet that is damaged.
     #[error(transparent)]
@@ -167,7 +167,7 @@ pub fn write_packet(packet: &packet::Outgoing) -> Vec<u8> {
 /// Reads what a window sent.
 ///
 /// # Errors
-/// It makes no sense, or asks for too much.
+/// It is malformed, or asks for too much.
 pub fn read_command(bytes: &[u8]) -> Result<Command, BadMessage> {
     let Some((&JSON, rest)) = bytes.split_first() else { return Err(BadMessage::Malformed) };
     let command = serde_json::from_slice(rest)?;
@@ -181,7 +181,7 @@ pub fn read_command(bytes: &[u8]) -> Result<Command, BadMessage> {
 /// Reads what the running side sent.
 ///
 /// # Errors
-/// It makes no sense.
+/// It is malformed.
 pub fn read_incoming(bytes: &[u8]) -> Result<Incoming, BadMessage> {
     match bytes.split_first() {
         Some((&JSON, rest)) => Ok(Incoming::Message(checked(serde_json::from_slice(rest)?)?)),

@@ -8,7 +8,7 @@ use panoscope_engine::sync::lock;
 use crate::attach::message;
 use crate::attach::tunnel::Frame;
 
-/// Most frames that wait, and most bytes of all of them. A reader that is behind by more is gone.
+/// Maximum number of frames that wait, and most bytes of all of them. A reader that is behind by more is gone.
 const MAX_FRAMES: usize = 4096;
 const MAX_BYTES: usize = 128 << 20;
 

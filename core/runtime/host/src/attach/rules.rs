@@ -10,8 +10,8 @@ const CODE: [&str; 4] = ["plugin_paths", "isolate", "deny", "machines"];
 /// Why an edit is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RuleError {
-    /// It is no TOML.
-    #[error("the text is no TOML: {0}")]
+    /// It is not TOML.
+    #[error("the text is not TOML: {0}")]
     Toml(String),
     /// It sets or releases an emergency stop.
     #[error(

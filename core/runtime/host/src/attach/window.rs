@@ -236,7 +236,7 @@ impl Inner {
 #[derive(Debug, thiserror::Error)]
 enum LinkEnd {
     /// A measurement of the clock is malformed.
-    #[error("a measurement of the clock makes no sense")]
+    #[error("a measurement of the clock is malformed")]
     Clock,
     /// A message is malformed.
     #[error(transparent)]

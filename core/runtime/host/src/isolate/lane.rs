@@ -92,7 +92,7 @@ unsafe impl Sync for Lane {}
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lost {
     Gone,
-    /// It makes no sense.
+    /// It is malformed.
     Bad,
     /// It did not come in time.
     Late,

@@ -12,7 +12,7 @@
 //!   counts, claims of files, ages and logs are those of the host. A tick of an ordinary filter costs one wake each way.
 //!
 //! The host trusts nothing that the child writes: messages are copied before they are read, every length is checked, buffers are named by
-//! (pool, offset), and a message that makes no sense ends the process.
+//! (pool, offset), and a malformed message ends the process.
 
 pub mod child;
 mod confine;

@@ -96,7 +96,7 @@ impl Kind {
 
 /// A message that ends too early or holds an impossible value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a message between the processes makes no sense")]
+#[error("a message between the processes is malformed")]
 pub(crate) struct BadMessage;
 
 /// Writes a message into a buffer that is used again.

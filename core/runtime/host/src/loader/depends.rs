@@ -172,7 +172,7 @@ pub(crate) fn files_of(param: &Param, value: &ParamValue, folder: &Path) -> Opti
             let files: Vec<PathBuf> = parts.map(|part| folder.join(part)).collect();
             (!files.is_empty()).then_some(Named::Listed(files))
         }
-        // A source: what is no regular file is a camera, an address, a folder or a pattern.
+        // A source: what is not a regular file is a camera, an address, a folder or a pattern.
         (_, ParamValue::Text(text)) if param.pick == Pick::File => {
             let parts = text.split([';', '\n']).map(str::trim).filter(|part| !part.is_empty());
             let files: Vec<PathBuf> = parts.map(|part| folder.join(part)).filter(|file| file.is_file()).collect();

@@ -69,7 +69,7 @@ const SHT_NOBITS: u32 = 8;
 const SHT_NOTE: u32 = 7;
 /// Bytes of an entry of the table of segments and of that of sections, in every 64-bit ELF file.
 const ENTRY_BYTES: (u64, u64) = (56, 64);
-/// Most bytes of all notes: those of compilers have a few hundred, ours two thousand.
+/// Maximum number of bytes of all notes: those of compilers have a few hundred, ours two thousand.
 const MAX_NOTE_BYTES: u64 = 1 << 20;
 
 /// A file that is read in parts: plugins are large, and only a small part is needed before loading.

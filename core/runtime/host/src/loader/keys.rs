@@ -190,7 +190,7 @@ impl PublicKey {
     /// Reads a public key; its name is that of its file.
     ///
     /// # Errors
-    /// The file cannot be read, or is no public key.
+    /// The file cannot be read, or is not a public key.
     pub fn read(file: &Path) -> Result<Self, KeyError> {
         let reason = "its digits are no point of the curve";
         let bytes = read(file, PUBLIC)?;
@@ -244,7 +244,7 @@ impl Trust {
     /// The keys of [`Self::folders`].
     ///
     /// # Errors
-    /// A file cannot be read or is no public key: a key that somebody meant to trust must not be left out silently.
+    /// A file cannot be read or is not a public key: a key that somebody meant to trust must not be left out silently.
     pub fn installed() -> Result<Self, KeyError> {
         Self::in_folders(&Self::folders())
     }

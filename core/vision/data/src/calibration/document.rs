@@ -113,7 +113,7 @@ impl Node {
                 Err(self.mistake(format!("`{name}` holds {text}: a finite number is needed")))
             }
             Ok(_) => Err(self.mistake(format!("`{name}` holds {text}: a finite number is needed"))),
-            Err(_) => Err(self.mistake(format!("`{name}` holds `{text}`, which is no number"))),
+            Err(_) => Err(self.mistake(format!("`{name}` holds `{text}`, which is not a number"))),
         }
     }
 

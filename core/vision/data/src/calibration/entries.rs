@@ -2,7 +2,7 @@
 
 use crate::calibration::error::Mistake;
 
-/// Most entries of a text; real files have up to 80.
+/// Maximum number of entries of a text; real files have up to 80.
 const MAX_ENTRIES: usize = 10_000;
 
 /// A name and what stands behind it.
@@ -35,7 +35,7 @@ impl<'t> Entry<'t> {
             .map(|word| match word.parse::<f64>() {
                 Ok(number) if number.is_finite() => Ok(number),
                 Ok(_) => Err(self.mistake(format!("`{}` holds {word}: a finite number is needed", self.name))),
-                Err(_) => Err(self.mistake(format!("`{}` holds `{word}`, which is no number", self.name))),
+                Err(_) => Err(self.mistake(format!("`{}` holds `{word}`, which is not a number", self.name))),
             })
             .collect()
     }
@@ -146,7 +146,7 @@ mod tests {
         let mistake = entries.get("bé").unwrap().number().unwrap_err();
         assert_eq!(
             (mistake.line, mistake.column, mistake.what.as_str()),
-            (3, 9, "`bé` holds `x3`, which is no number")
+            (3, 9, "`bé` holds `x3`, which is not a number")
         );
         assert!(entries.needed("c").unwrap_err().what.contains("`c` is missing"));
     }

@@ -49,7 +49,7 @@ pub(crate) fn packet(texts: [&str; 2]) -> Result<Calibration, (usize, Mistake)> 
     let k = rows(texts[first], 3).map_err(blame(first))?;
     let pose = rows(texts[1 - first], 4).map_err(blame(1 - first))?;
     if !is_intrinsics(texts[first]) {
-        return Err((first, Mistake::whole("this is no camera matrix: its focal length is below 10 px")));
+        return Err((first, Mistake::whole("this is not a camera matrix: its focal length is below 10 px")));
     }
     let unit = |row: usize, column: usize| f64::from(u8::from(row == column));
     let turned = (0..9).find(|index| (pose[index / 3][index % 3] - unit(index / 3, index % 3)).abs() > TURN);

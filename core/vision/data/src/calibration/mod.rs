@@ -78,7 +78,7 @@ pub(crate) fn no_camera_matrix(matrix: &[f64; 9]) -> Option<&'static str> {
     Some(if is_transposed {
         "is transposed: the principal point belongs into the last column, and the last row is 0 0 1"
     } else {
-        "is no camera matrix: its last row is not 0 0 1, or its second row does not begin with 0"
+        "is not a camera matrix: its last row is not 0 0 1, or its second row does not begin with 0"
     })
 }
 

@@ -22,7 +22,7 @@ pub use sequence::{CalibrationFiles, Holds, Labels, MaskFile, MaskLayer, Masks, 
 
 /// Levels of folders below the given one that are searched: archives often repeat the name of the data set in a folder of their own.
 pub const MAX_LEVELS: usize = 4;
-/// Most folders that are searched.
+/// Maximum number of folders that are searched.
 const MAX_FOLDERS: usize = 20_000;
 /// Packed files that a remark lists.
 const LISTED: usize = 5;

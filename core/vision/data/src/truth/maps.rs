@@ -12,9 +12,9 @@ use tiff::decoder::{Decoder, DecodingResult};
 /// Endings of the files that [`read`] takes.
 pub const ENDINGS: [&str; 6] = ["npy", "pfm", "tif", "tiff", "exr", "png"];
 
-/// Most columns or rows.
+/// Maximum number of columns or rows.
 const MAX_SIDE: usize = 1 << 16;
-/// Most pixels of a map: a small file can announce many more than it holds.
+/// Maximum number of pixels of a map: a small file can announce many more than it holds.
 const MAX_PIXELS: usize = 1 << 26;
 /// What KITTI's 16-bit PNG values are divided by to get pixels.
 pub const KITTI_DIVISOR: f32 = 256.0;
@@ -270,7 +270,7 @@ fn exr_map(bytes: &[u8]) -> Result<FloatImage, ContentError> {
     let last = |name: &str| name.rsplit('.').next().unwrap_or(name).to_ascii_lowercase();
     let named = channels.iter().find(|c| ["z", "y", "v", "depth"].contains(&last(&c.name.to_string()).as_str()));
     let values = |samples: &FlatSamples| -> Vec<f32> { samples.values_as_f32().collect() };
-    // Gray that was stored as colours has the same number in all of them; transparency is no number of the map.
+    // Gray that was stored as colours has the same number in all of them; transparency is not a number of the map.
     let mut opaque = channels.iter().filter(|c| channels.len() == 1 || last(&c.name.to_string()) != "a");
     let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     let data = match (named, opaque.next()) {

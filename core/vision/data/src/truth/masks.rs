@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// Most columns or rows.
+/// Maximum number of columns or rows.
 const MAX_SIDE: u32 = 1 << 13;
 
 /// Why a file gives no classes.
@@ -16,7 +16,7 @@ pub enum MaskError {
         /// The system's error.
         cause: std::io::Error,
     },
-    /// The file is no PNG, or damaged.
+    /// The file is not a PNG, or damaged.
     #[error("{path}: the mask is damaged or no PNG: {cause}", path = path.display())]
     Picture {
         /// The file.

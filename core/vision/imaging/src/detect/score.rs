@@ -8,7 +8,7 @@ use super::mask::Mask;
 
 /// Overlap thresholds of COCO.
 pub const THRESHOLDS: [f64; 10] = [0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95];
-/// Most finds of a class in a picture.
+/// Maximum number of finds of a class in a picture.
 const MAX_FINDS: usize = 100;
 
 /// A true object.

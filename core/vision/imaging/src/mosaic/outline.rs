@@ -2,7 +2,7 @@
 
 use crate::geometry::{Homography, Point, plausible};
 
-/// Most corners of two convex quadrilaterals' intersection.
+/// Maximum number of corners of two convex quadrilaterals' intersection.
 const MAX_CORNERS: usize = 8;
 
 /// A frame's outline in the mosaic.

@@ -26,7 +26,7 @@ pub struct BilateralSolverParams {
     /// Weight of smoothness against closeness, 0 to 1e6. Values come from about sqrt(lambda) cells away: the
     /// 128 of other implementations flattens slanted surfaces.
     pub lambda: f32,
-    /// Most steps of conjugate gradients, 1 to 200.
+    /// Maximum number of steps of conjugate gradients, 1 to 200.
     pub iterations: usize,
     /// The residual, relative to the right-hand side, at which the solver stops.
     pub tolerance: f32,

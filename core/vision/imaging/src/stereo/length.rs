@@ -59,7 +59,7 @@ const DOUBT_SLOPE: f64 = 4.0;
 /// How many standard deviations are stated: 95 % of true errors lie within.
 const STATED_DEVIATIONS: f64 = 2.0;
 
-/// Most points of one measured item.
+/// Maximum number of points of one measured item.
 pub const MAX_POINTS: usize = 3;
 
 fn between(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {

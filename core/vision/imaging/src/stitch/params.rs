@@ -226,7 +226,7 @@ impl fmt::Display for GeometryFault {
         match self {
             Self::NotFinite { view } => write!(f, "the homography of view {view} is not finite"),
             Self::Singular { view } => write!(f, "the homography of view {view} is singular or folds the view over"),
-            Self::NotConvex { view } => write!(f, "view {view} warps to a shape that is no convex quadrilateral"),
+            Self::NotConvex { view } => write!(f, "view {view} warps to a shape that is not a convex quadrilateral"),
             Self::Size { view } => write!(f, "view {view} warps to an implausible size"),
             Self::CanvasTooLarge { width, height } => write!(f, "the panorama would need {width}x{height} px"),
         }

@@ -9,7 +9,7 @@ pub const IDENTITY: [f64; 9] = Homography::identity().0;
 /// The four corners of a `width` x `height` view after `h`: top left, top right, bottom right, bottom left.
 ///
 /// # Errors
-/// When the warped view is no convex quadrilateral of plausible size (thesis 2.4.3): a side longer
+/// When the warped view is not a convex quadrilateral of plausible size (thesis 2.4.3): a side longer
 /// than four times the view's longer side, an area outside 1/8 to 8 times the view's, or a corner
 /// further away than eight of its longer sides.
 pub fn warped_corners(

@@ -47,7 +47,7 @@ impl Folds {
         };
         let text = std::fs::read_to_string(&path).on_file(FileAction::Read, &path)?;
         let mut folds: Self =
-            toml::from_str(&text).with_context(|| format!("{} is no file of folds", path.display()))?;
+            toml::from_str(&text).with_context(|| format!("{} is not a file of folds", path.display()))?;
         folds.path = path;
         folds.check()?;
         Ok(folds)

@@ -53,7 +53,7 @@ pub(super) enum NoNodeType {
     NoType,
 }
 
-/// Exit status when the messages of the host make no sense: it is of another build.
+/// Exit status when the messages of the host are malformed: it is of another build.
 pub(super) const EXIT_PROTOCOL: i32 = 86;
 /// The message with a plugin is sent before the first node of it opens; the main thread may not have read it yet.
 const MAX_WAIT: Duration = Duration::from_secs(10);

@@ -59,7 +59,7 @@ pub(super) struct Habits {
     clock: bool,
 }
 
-/// Most inputs whose ages are sent without being asked for.
+/// Maximum number of inputs whose ages are sent without being asked for.
 const MAX_AGES: usize = 64;
 
 impl Habits {
@@ -96,9 +96,9 @@ impl Habits {
     }
 }
 
-/// Most bytes of a state that the host keeps for an instance in another process.
+/// Maximum number of bytes of a state that the host keeps for an instance in another process.
 const MAX_STATE_BYTES: usize = 256 << 20;
-/// Most files that a node in another process may claim in one call, and the longest path that the system accepts.
+/// Maximum number of files that a node in another process may claim in one call, and the longest path that the system accepts.
 const MAX_CLAIMS: usize = 1024;
 const MAX_PATH_BYTES: usize = 4096;
 /// Longest name of a metric.

@@ -39,8 +39,8 @@ pub enum DescribeError {
     /// It does not return from a constructor, or from its description.
     #[error("it did not describe itself within {} s: one of its constructors may hang", .0.as_secs())]
     Late(Duration),
-    /// What its process says makes no sense.
-    #[error("its description makes no sense")]
+    /// What its process says is malformed.
+    #[error("its description is malformed")]
     Nonsense,
     /// Its process could not load it.
     #[error("{0}")]

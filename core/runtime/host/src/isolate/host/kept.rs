@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 /// Longest description that is read.
 const MAX_BYTES: u64 = 16 << 20;
-/// Most descriptions that a folder keeps; the oldest go.
+/// Maximum number of descriptions that a folder keeps; the oldest go.
 const MAX_COUNT: usize = 256;
 
 /// A description that was kept.

@@ -182,7 +182,7 @@ impl Sent {
     }
 }
 
-/// Reads what a process says of its plugin, and lends it as the descriptor that it becomes; `None` if it makes no sense.
+/// Reads what a process says of its plugin, and lends it as the descriptor that it becomes; `None` if it is malformed.
 pub fn with_description<R>(bytes: &[u8], read: impl FnOnce(*const Plugin) -> R) -> Option<R> {
     let described = description::read(bytes).ok()?;
     let pointers: Vec<*const NodeType> = described.node_types.iter().map(std::ptr::from_ref).collect();
@@ -200,7 +200,7 @@ pub unsafe fn description_of(node_types: &[&NodeType]) -> Vec<u8> {
     bytes
 }
 
-/// Reads what a process answers to a check of parameters; returns the status, `None` if it makes no sense.
+/// Reads what a process answers to a check of parameters; returns the status, `None` if it is malformed.
 ///
 /// # Safety
 /// The handle of the call lives until this returns.

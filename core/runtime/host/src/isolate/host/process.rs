@@ -28,7 +28,7 @@ use crate::isolate::{COMMAND, EXIT_CONFINED, EXIT_LINK, LINK_COMMAND, MACHINE_PR
 const MAX_LEAVE: Duration = Duration::from_secs(1);
 /// Bytes of standard error that are kept.
 const STDERR_BYTES: u64 = 16 << 10;
-/// Most characters of them in a message.
+/// Maximum number of characters of them in a message.
 const MAX_SAID: usize = 300;
 const MAX_SAID_BY_LINK: usize = 1200;
 /// Name of the program whose processes run isolated nodes.

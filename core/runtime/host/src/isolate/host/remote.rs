@@ -192,7 +192,7 @@ impl Remote {
             Ok(status) => status,
             Err(lost) => {
                 if lost == Lost::Bad {
-                    let objection = self.spent.objection.unwrap_or("sent a message that makes no sense");
+                    let objection = self.spent.objection.unwrap_or("sent a malformed message");
                     self.process.kill(&format!("node `{}` {objection}", self.lane.node));
                 }
                 let words = self.process.death();
@@ -361,7 +361,7 @@ unsafe extern "C" fn process(instance: *mut c_void, call: *mut abi::Call) -> Sta
             Ok(()) => status,
             Err(BadMessage) => {
                 let node = &remote.lane.node;
-                remote.process.kill(&format!("node `{node}` sent a message that makes no sense"));
+                remote.process.kill(&format!("node `{node}` sent a malformed message"));
                 let words = remote.process.death();
                 died(target, &words)
             }

@@ -46,7 +46,7 @@ pub struct Request {
 /// Reads the request of a tick that a host sends to a link.
 ///
 /// # Errors
-/// It makes no sense.
+/// It is malformed.
 pub fn request(message: &[u8]) -> Result<Request, RelayError> {
     let mut reader = Reader(message);
     let mut request = Request::default();
@@ -93,7 +93,7 @@ pub fn request(message: &[u8]) -> Result<Request, RelayError> {
 /// Whether a result says that all went well.
 ///
 /// # Errors
-/// It makes no sense.
+/// It is malformed.
 pub fn succeeded(done: &[u8]) -> Result<bool, RelayError> {
     let mut reader = Reader(done);
     reader.bytes()?;
@@ -103,7 +103,7 @@ pub fn succeeded(done: &[u8]) -> Result<bool, RelayError> {
 /// The outputs that are not empty, in the result of a tick.
 ///
 /// # Errors
-/// It makes no sense.
+/// It is malformed.
 pub fn outputs(done: &[u8]) -> Result<Vec<Bytes>, RelayError> {
     let mut reader = Reader(done);
     reader.bytes()?;
@@ -122,7 +122,7 @@ pub fn outputs(done: &[u8]) -> Result<Vec<Bytes>, RelayError> {
 /// The frame that the host made for a node, if it made one, in the answer to [`super::kind::ALLOC`] or [`super::kind::MAKE_MUT`].
 ///
 /// # Errors
-/// It makes no sense.
+/// It is malformed.
 pub fn answered(answer: &[u8]) -> Result<Option<Bytes>, RelayError> {
     let mut reader = Reader(answer);
     let (status, frame) = (reader.i32()?, reader.frame()?);
@@ -132,7 +132,7 @@ pub fn answered(answer: &[u8]) -> Result<Option<Bytes>, RelayError> {
 /// The frame that [`super::kind::MAKE_MUT`] wants a copy of.
 ///
 /// # Errors
-/// It makes no sense.
+/// It is malformed.
 pub fn made_copy(message: &[u8]) -> Result<Bytes, RelayError> {
     let mut reader = Reader(message);
     reader.bytes()?;
@@ -144,7 +144,7 @@ pub fn made_copy(message: &[u8]) -> Result<Bytes, RelayError> {
 /// counts.
 ///
 /// # Errors
-/// The message makes no sense.
+/// The message is malformed.
 pub fn arrived(message: &[u8], arrived_ns: i64, out: &mut Vec<u8>) -> Result<(), RelayError> {
     let mut reader = Reader(message);
     let written = reader.bytes()?;
@@ -173,7 +173,7 @@ pub struct Open {
 /// Reads the request to open an instance that a host sends to a link.
 ///
 /// # Errors
-/// It makes no sense.
+/// It is malformed.
 pub fn open(message: &[u8]) -> Result<Open, RelayError> {
     let mut reader = Reader(message);
     let plugin = reader.u32()?;
@@ -198,7 +198,7 @@ pub fn open(message: &[u8]) -> Result<Open, RelayError> {
 /// parameter that is a path.
 ///
 /// # Errors
-/// The message makes no sense.
+/// The message is malformed.
 pub fn with_paths(
     kind: u32,
     message: &[u8],

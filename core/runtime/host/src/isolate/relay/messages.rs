@@ -6,11 +6,11 @@ use panoscope_engine::isolation::Pixels;
 
 /// Longest head of a message.
 const MAX_HEAD_BYTES: usize = 4 << 20;
-/// Most frames in one message.
+/// Maximum number of frames in one message.
 const MAX_FRAMES: usize = 4096;
 /// Longest frame: the largest buffer of a pool.
 pub const MAX_FRAME_BYTES: u64 = 1 << 30;
-/// Most files in one message.
+/// Maximum number of files in one message.
 const MAX_FILES: usize = 256;
 /// Longest text.
 const MAX_TEXT_BYTES: usize = 64 << 10;
@@ -101,7 +101,7 @@ pub enum Message {
         group: String,
         /// Threads of its parallel loops.
         threads: u32,
-        /// Most bytes of private memory.
+        /// Maximum number of bytes of private memory.
         memory_bytes: u64,
         /// Whether sockets are denied, and new files.
         deny: (bool, bool),
@@ -146,9 +146,9 @@ pub enum Message {
     },
 }
 
-/// A message that makes no sense.
+/// A malformed message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a message of another machine makes no sense; install the same version on both")]
+#[error("a message of another machine is malformed; install the same version on both")]
 pub struct BadMessage;
 
 impl From<BadMessage> for io::Error {
@@ -309,7 +309,7 @@ pub fn write(message: &Message) -> Vec<u8> {
 /// Reads a message up to the bytes of its frames.
 ///
 /// # Errors
-/// It ends too early, or makes no sense.
+/// It ends too early, or is malformed.
 pub fn read(from: &mut impl Read) -> io::Result<Message> {
     let mut len = [0; 4];
     from.read_exact(&mut len)?;

@@ -37,14 +37,14 @@ pub mod kind {
     pub const CLOCK: u32 = Kind::Clock as u32;
 }
 
-/// A message of the other side makes no sense, or there is no other side any more.
+/// A message of the other side is malformed, or there is no other side any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RelayError {
     /// The process is gone.
     #[error("the process is gone")]
     Gone,
     /// The other side is of another build, or broken.
-    #[error("a message between the processes makes no sense")]
+    #[error("a message between the processes is malformed")]
     Bad,
 }
 

@@ -18,7 +18,7 @@ use crate::isolate::wire::Kind;
 pub struct Settings {
     /// Threads of its parallel loops.
     pub threads: u32,
-    /// Most bytes of private memory.
+    /// Maximum number of bytes of private memory.
     pub memory_bytes: u64,
     /// What its nodes may not do.
     pub deny: Deny,
@@ -110,7 +110,7 @@ impl ServedLane {
     /// Passes a message of the host on, and waits for the answer of the process; returns its kind.
     ///
     /// # Errors
-    /// The process has ended, or a message makes no sense.
+    /// The process has ended, or a message is malformed.
     pub fn exchange(&self, kind: u32, message: &[u8], answer: &mut Vec<u8>) -> Result<u32, RelayError> {
         let kind = Kind::of(kind).filter(|_| message.len() <= MAX_MESSAGE_BYTES).ok_or(RelayError::Bad)?;
         let NodeLane { lane, in_call, .. } = &*self.lane;

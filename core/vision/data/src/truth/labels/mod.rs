@@ -12,7 +12,7 @@ pub enum LabelError {
     /// The XML is deeper than an annotation can be.
     #[error("its elements stand in each other more than {most} deep")]
     Deep {
-        /// Most levels.
+        /// Maximum number of levels.
         most: usize,
     },
     /// The text is no XML.

@@ -54,10 +54,10 @@ pub fn voc(text: &str) -> Result<Voc, LabelError> {
     Ok(found)
 }
 
-/// Most elements in each other; an annotation has four.
+/// Maximum number of elements in each other; an annotation has four.
 const MAX_LEVELS: usize = 100;
 
-/// Most elements of a text that are open at once. Comments, declarations and quoted values are skipped as the parser does.
+/// Maximum number of elements of a text that are open at once. Comments, declarations and quoted values are skipped as the parser does.
 fn levels(text: &str) -> usize {
     let (mut rest, mut open, mut most) = (text, 0usize, 0);
     let behind = |text: &'_ str, mark: &str| text.find(mark).map(|at| at + mark.len());
