@@ -72,11 +72,14 @@ graph.stereo_bm(views.left, views.right, device="cgpu")
 WRONG_LINES = [4, 5, 8, 9, 10, 11, 12, 13, 14]
 
 
+# What mypy has read of NumPy and others, for all calls.
+CACHE = tempfile.TemporaryDirectory()
+
+
 def mypy(*arguments: str) -> tuple[int, str]:
-    with tempfile.TemporaryDirectory() as folder:
-        words = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", folder, *arguments]
-        # The folder of the peers has packages that mypy need not read.
-        done = subprocess.run(words, capture_output=True, text=True, env={**os.environ, "MYPYPATH": str(PACKAGE.parent)})
+    words = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", CACHE.name, *arguments]
+    # The folder of the peers has packages that mypy need not read.
+    done = subprocess.run(words, capture_output=True, text=True, env={**os.environ, "MYPYPATH": str(PACKAGE.parent)})
     return done.returncode, done.stdout + done.stderr
 
 

@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NumberError {
     /// It is not a number.
-    #[error("{text} is no {what}")]
+    #[error("{text} is not a {what}")]
     NoNumber {
         /// What was given.
         text: String,

@@ -279,7 +279,7 @@
 #define PANOSCOPE_STATE_LOST 2
 
 /**
- * Most joints a PanoscopeJoints packet holds.
+ * Maximum number of joints a PanoscopeJoints packet holds.
  */
 #define PANOSCOPE_MAX_JOINTS 8
 
@@ -1366,7 +1366,7 @@ typedef struct PanoscopeTip {
 #define PANOSCOPE_STATUS_EXHAUSTED (-3)
 
 /**
- * An argument makes no sense (a wrong port number, a size of 0).
+ * An argument is malformed (a wrong port number, a size of 0).
  */
 #define PANOSCOPE_STATUS_INVALID (-4)
 

@@ -440,7 +440,7 @@ class RegisterSurf(Node):
 
 class Reproject(Node):
     cloud: Output[Literal["cloud"]]
-    """One point per pixel in the left rectified camera's frame; NaN where unknown."""
+    """One point per pixel in the left rectified camera's frame; NaN where unknown. Points of small holes are filled in and marked so."""
     depth: Output[Literal["depth"]]
     """Depth along the left rectified camera's axis; NaN where unknown."""
 
@@ -727,7 +727,7 @@ class NodeTypes:
         right: Input[Literal["image"]],
         *,
         board: Text = ...,
-        model: Union[Literal["radial", "standard", "full", "rational"], Arg] = ...,
+        model: Union[Literal["radial", "standard", "full", "rational", "equidistant"], Arg] = ...,
         method: Union[Literal["own", "sample"], Arg] = ...,
         solve_at: Whole = ...,
         min_views: Whole = ...,
@@ -1923,6 +1923,8 @@ class NodeTypes:
         motion_blur: Whole = ...,
         shutter: Number = ...,
         right_exposure: Number = ...,
+        zoom: Number = ...,
+        lens: Union[Literal["pinhole", "equidistant"], Arg] = ...,
         distortion_k1: Number = ...,
         distortion_k2: Number = ...,
         black_camera: Union[Literal["none", "left", "right"], Arg] = ...,
@@ -1968,8 +1970,10 @@ class NodeTypes:
         motion_blur: Sub-frames of motion blur; 1 is none. (1 to 16 frames; default 1)
         shutter: Share of the frame time that the shutter is open; for `motion_blur` above 1. (0 to 1 ratio; default 0.5)
         right_exposure: Exposure of the right camera relative to the left one. (0.25 to 4 ratio; default 0.93)
-        distortion_k1: Radial distortion k1 of every camera. (-0.5 to 0.5; default 0)
-        distortion_k2: Radial distortion k2 of every camera. (-0.5 to 0.5; default 0)
+        zoom: Focal length relative to that of the thesis's scope, which is 750 px at 640 columns. Smaller ones see more: 0.45 with `lens = "equidistant"` is a view of 109 degrees across. (0.3 to 2 ratio; default 1)
+        lens: Lens of every camera. Truth and `calibration` describe the views after rectification to pinholes of the same focal length. (default "pinhole")
+        distortion_k1: First coefficient k1 of every camera's lens. (-0.5 to 0.5; default 0)
+        distortion_k2: Second coefficient k2 of every camera's lens. (-0.5 to 0.5; default 0)
         black_camera: Camera that goes black from `black_first` on. (default "none")
         black_first: First black picture. (0 to 1000000000 frames; default 0)
         black_count: Number of black pictures. (0 to 1000000000 frames; default 10)
@@ -2227,6 +2231,7 @@ class NodeTypes:
         min_confidence: Number = ...,
         surface_step_px: Number = ...,
         min_neighbours: Whole = ...,
+        max_hole: Number = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Reproject:
@@ -2240,7 +2245,8 @@ class NodeTypes:
         far_mm: Largest depth that is kept. (1 to 100000 mm; default 500)
         min_confidence: Confidence below which a pixel is dropped, where a confidence map is connected. (0 to 1 ratio; default 0.05)
         surface_step_px: Largest step of disparity between neighbours of one surface. (0.01 to 64 px; default 1)
-        min_neighbours: Smallest number of the eight neighbours on the same surface: removes flying pixels; 0 keeps all. (0 to 8; default 5)"""
+        min_neighbours: Smallest number of the eight neighbours on the same surface: removes flying pixels; 0 keeps all. (0 to 8; default 5)
+        max_hole: Largest hole of a surface that is filled in the cloud, as a share of all pixels; 0 fills none. `depth` has what was measured only. (0 to 0.05 ratio; default 0.0015)"""
 
     def ros2_bag(
         self,
@@ -2734,7 +2740,7 @@ class NodeTypes:
     ) -> Turntable:
         """Shows a point cloud as a surface that turns, with a ruler in mm.
 
-        cloud: Points of `reproject`, mm.
+        cloud: Points of `reproject`, mm. Those that were filled in are drawn darker.
         calibration: Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
         drifted: Above 0 while the calibration does not fit the views, as a matcher tells: no length is stated then.
         width: Width of the picture. (16 to 4096 px; default 640)
@@ -2783,7 +2789,7 @@ class NodeTypes:
     ) -> Node:
         """Writes point clouds as binary PLY files with colour.
 
-        cloud: Points in mm with colours; unknown points are skipped.
+        cloud: Points in mm with colours; unknown points are skipped, those filled in have the property `filled` 1.
         calibration: Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
         path: File to write, ending in .ply. `{seq}` becomes the tick's number; without it each cloud replaces the previous one. (default "out/cloud.ply")
         every: Number of clouds per written one. (1 to 100000 frames; default 1)

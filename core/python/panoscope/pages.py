@@ -11,7 +11,7 @@ import numpy as np
 
 from .drawing import draw
 from .errors import PanoscopeError
-from .packets import Detections, Table
+from .packets import CLOUD_POINT, Detections, Table
 from .pictures import coloured, gradient, png, usual_range
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def _shrunk(array: np.ndarray, width_px: int) -> np.ndarray:
 
 def _picture(value: np.ndarray, packet: str, width_px: int) -> str | None:
     """An array of pixels as an element of a page; points by their colours. None for other arrays."""
-    if value.dtype.names == ("xyz_mm", "bgr", "reserved"):
+    if value.dtype == CLOUD_POINT:
         known = np.asarray(np.isfinite(value["xyz_mm"])).all(2)
         value = np.where(np.expand_dims(known, 2), value["bgr"], 0).astype("u1")
     if value.ndim not in (2, 3) or 0 in value.shape:

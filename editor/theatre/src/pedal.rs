@@ -133,7 +133,7 @@ mod tests {
             ("[keys]\n\"Ctrl+F13\" = \"still\"\n\"ctrl+F13\" = \"next\"", "given twice"),
             ("[keys]\nEscape = \"next\"", "Escape leaves the theatre"),
             ("[keys]\nF13 = \"still\"\nF13 = \"next\"", "duplicate key"),
-            ("keys = 3", "no table"),
+            ("keys = 3", "not a table"),
             ("[pedal]\n", "no table `[keys]`"),
             ("[keys]\n", "is empty"),
             ("[keys]\nF13 = \"next\"\n[more]\n", "`more` is not known"),

@@ -119,7 +119,7 @@ fn a_robot_without_a_description_is_refused() {
     let refused = |text: String| Harness::<ArmUr>::from_toml(&text).err().map(|e| e.to_string()).unwrap_or_default();
     let none = params(&robot, "").replace(URDF, "");
     assert!(
-        refused(none.clone()).contains("no description") || refused(none.clone()).contains("no URDF"),
+        refused(none.clone()).contains("no description") || refused(none.clone()).contains("not a URDF"),
         "{}",
         refused(none)
     );

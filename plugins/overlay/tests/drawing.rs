@@ -456,9 +456,9 @@ fn a_screen_keeps_its_size_and_its_main_picture_large() {
     let out = node.process().unwrap();
     let view = out.plane::<Bgr8>("image").unwrap();
     assert_eq!((view.width, view.height), (200, 100));
-    // Main at (4, 4), the first small one at (146, 4), the place of the second dark.
+    // Main at (4, 4), the first small one at (146, 7), the place of the second dark.
     assert_eq!((view.row(4)[4 * 3], view.row(95)[141 * 3], view.row(3)[4 * 3]), (90, 90, 16));
-    assert_eq!((view.row(5)[146 * 3], view.row(40)[195 * 3], view.row(80)[170 * 3]), (200, 200, 16));
+    assert_eq!((view.row(8)[146 * 3], view.row(40)[195 * 3], view.row(80)[170 * 3]), (200, 200, 16));
     // Alone, the main picture takes the whole width.
     let mut node = Harness::<Screen>::from_toml(params).unwrap();
     let out = node.input_image::<Gray8>("main", 192, 92, &[70; 192 * 92]).process().unwrap();

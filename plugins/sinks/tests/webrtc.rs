@@ -276,8 +276,8 @@ fn malformed_and_foreign_requests_are_refused_and_nothing_is_lost() {
     let no_video = good.replace("m=video", "m=text");
     let control = good.replace("abcd", "ab\u{1}d");
     let cases: &[(&str, &str, &[u8], u16, &str)] = &[
-        ("POST /live", IS_SDP, b"", 400, "no SDP"),
-        ("POST /live", IS_SDP, b"\xff\0\xfe", 400, "no SDP"),
+        ("POST /live", IS_SDP, b"", 400, "not an SDP"),
+        ("POST /live", IS_SDP, b"\xff\0\xfe", 400, "not an SDP"),
         ("POST /live", IS_SDP, b"v=0\r\n", 400, "no video"),
         ("POST /live", IS_SDP, no_codec.as_bytes(), 400, "H.264"),
         ("POST /live", IS_SDP, no_video.as_bytes(), 400, "recvonly"),

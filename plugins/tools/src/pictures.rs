@@ -285,7 +285,7 @@ mod tests {
         for (channels, text, limit, part) in [
             (None, "panoscope-pictures-1 1 1", "1", "no output `features`"),
             (Some(1), "1 1", "1", "panoscope-pictures-1"),
-            (Some(1), "panoscope-pictures-1 1 x", "1", "no number"),
+            (Some(1), "panoscope-pictures-1 1 x", "1", "not a number"),
             (Some(2), "panoscope-pictures-1 1 2 3", "1", "3 numbers, 6 fit 2 channels"),
             (Some(1), "panoscope-pictures-1 1 1", "0", "`pictures_limit`"),
             (Some(1), "panoscope-pictures-1 1 1", "nan", "`pictures_limit`"),

@@ -85,7 +85,7 @@ fn mistakes_end_a_program_with_their_line() {
         ("x = [1.0][1]", "no element 1"),
         ("x = 1 / 2", "quotient"),
         ("x = floor(0.0 / 0.0)", "does not fit"),
-        ("if (1):\nend", "no truth value"),
+        ("if (1):\nend", "not a truth value"),
         ("write_output_integer_register(48, 1)", "no register"),
         ("movej([0.0])", "there is no `movej`"),
         ("while (True):\nx = 1\nend", "never waits"),

@@ -137,7 +137,7 @@ fn near_singular_poses_and_limits_nothing_runs_away() {
 #[test]
 fn wrong_files_are_refused_with_the_place() {
     let cases = [
-        ("", "no URDF"),
+        ("", "not a URDF"),
         ("<robot name=\"a\"></robot>", "`left_camera`"),
         (&SHIPPED_URDF.replace("\"left_camera\"", "\"eye\""), "`left_camera`"),
         (&SHIPPED_URDF.replace("<link name=\"trocar\"/>", ""), "`trocar`"),

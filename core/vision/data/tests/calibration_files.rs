@@ -125,7 +125,7 @@ fn wherever_a_file_is_cut_off_it_is_refused_and_said() {
         // Without the rectification the file says all that is needed, if it ends where a matrix ends.
         match one(&text[..at]) {
             Err(message) => assert!(
-                ["cut off", "empty", "no calibration", "is said to be", "no number", "has no `data`", "holds"]
+                ["cut off", "empty", "no calibration", "is said to be", "not a number", "has no `data`", "holds"]
                     .iter()
                     .any(|words| message.contains(words)),
                 "{at}: {message}"

@@ -46,7 +46,7 @@ impl Lens {
         let distorted = !model.is_pinhole();
         let ray = |u: usize, v: usize| {
             // Padding may lie beyond the fold of a strong lens; inside the picture it is an error.
-            match model.ray(u, v) {
+            match ray(model, u, v) {
                 Some(ray) => Ok(ray.map(|v| v as f32)),
                 None if u < width && v < height => Err(PhantomError::BadDistortion { camera, u, v }),
                 None => Ok([(u as f64 - model.cx) / model.fx, (v as f64 - model.cy) / model.fy].map(|v| v as f32)),
@@ -93,7 +93,7 @@ impl Lens {
     /// As [`Lens::new`].
     pub fn check(model: &CameraModel, camera: usize) -> Result<(), PhantomError> {
         for (u, v) in [(0, 0), (model.width - 1, 0), (0, model.height - 1), (model.width - 1, model.height - 1)] {
-            model.ray(u, v).ok_or(PhantomError::BadDistortion { camera, u, v })?;
+            ray(model, u, v).ok_or(PhantomError::BadDistortion { camera, u, v })?;
         }
         Ok(())
     }
@@ -143,4 +143,13 @@ pub fn undistort(k: &[f64; 5], place: [f64; 2]) -> Option<[f64; 2]> {
         ray = [ray[0] + (j[1][1] * ex - j[0][1] * ey) / det, ray[1] + (j[0][0] * ey - j[1][0] * ex) / det];
     }
     None
+}
+
+/// The ray `(x, y, 1)` that a pixel of a camera sees; `None` where its lens has none.
+fn ray(camera: &CameraModel, u: usize, v: usize) -> Option<[f64; 2]> {
+    let [x, y] = [(u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy];
+    match camera.equidistant {
+        Some(lens) => lens.undistort(x, y).map(|(x, y)| [x, y]),
+        None => undistort(&camera.distortion, [x, y]),
+    }
 }

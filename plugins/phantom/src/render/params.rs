@@ -4,7 +4,6 @@ use panoscope_imaging::stereo::Equidistant;
 use thiserror::Error;
 
 use super::kinds::{BoardPrint, SceneKind, ToolKind};
-use super::lens::undistort;
 use super::scenario::ToolMotion;
 
 /// Why a phantom cannot be built, or a picture cannot be drawn.
@@ -281,15 +280,6 @@ impl CameraModel {
     /// Whether rays go straight through the lens.
     pub fn is_pinhole(&self) -> bool {
         self.distortion == [0.0; 5] && self.equidistant.is_none()
-    }
-
-    /// The ray `(x, y, 1)` that a pixel sees; `None` where the lens has none.
-    pub(super) fn ray(&self, u: usize, v: usize) -> Option<[f64; 2]> {
-        let [x, y] = [(u as f64 - self.cx) / self.fx, (v as f64 - self.cy) / self.fy];
-        match self.equidistant {
-            Some(lens) => lens.undistort(x, y).map(|(x, y)| [x, y]),
-            None => undistort(&self.distortion, [x, y]),
-        }
     }
 
     /// An ideal camera of the thesis's scope: 640 columns at fx = fy = 750 px, wider ones in proportion.

@@ -144,7 +144,7 @@ mod tests {
     #[test]
     fn what_is_no_speed_is_refused_in_words() {
         for (text, words) in [
-            ("", "no number"),
+            ("", "not a number"),
             ("fast", "`fast` is not a number"),
             ("1,,2", "`` is not a number"),
             ("5..1", "`5..1` does not ascend"),
