@@ -32,6 +32,9 @@ pub enum Time {
 /// Lag of an .avi video behind its pictures that gives a warning, ms.
 const WARN_BEHIND_MS: f64 = 500.0;
 
+/// Smallest width and height in .mp4, .mov and .avi: GStreamer's writers of these files refuse smaller pictures, px.
+const MIN_INDEXED_PX: usize = 16;
+
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
@@ -95,6 +98,8 @@ pub struct WriteVideo {
     writer: VideoWriter,
     preparation: Option<Preparation>,
     bgr: Vec<u8>,
+    /// Smallest width and height that the file can hold, px.
+    min_px: usize,
     size_px: Option<(usize, usize)>,
     size_warned: bool,
     behind_warned: bool,
@@ -123,6 +128,7 @@ impl Node for WriteVideo {
             open.warn(&format!("a crash leaves an unplayable .{ending} file: .mkv survives it"));
         }
         claim(open, &params.path)?;
+        let min_px = if matches!(kind, FileKind::Indexed(_)) { MIN_INDEXED_PX } else { 1 };
         let (path, codec) = (params.path.clone(), params.codec);
         let preparation = Preparation::start(codec.with(params.quality, params.crf))?;
         let settings = VideoSettings { path, kind, codec, fps: params.fps, crf: params.crf };
@@ -130,6 +136,7 @@ impl Node for WriteVideo {
             writer: VideoWriter::new(settings),
             preparation: Some(preparation),
             bgr: Vec::new(),
+            min_px,
             size_px: None,
             size_warned: false,
             behind_warned: false,
@@ -148,6 +155,13 @@ impl Node for WriteVideo {
             )));
         };
         let size_px = pixels.size();
+        let (width, height) = size_px;
+        if self.size_px.is_none() && width.min(height) < self.min_px {
+            let (min_px, path) = (self.min_px, params.path.display());
+            return Err(NodeError::new(format!(
+                "{path} cannot hold pictures of {width}x{height} px, it needs at least {min_px}x{min_px}: write .mkv, or enlarge them"
+            )));
+        }
         let first = *self.size_px.get_or_insert(size_px);
         if size_px != first && !self.size_warned {
             self.size_warned = true;

@@ -158,6 +158,27 @@ fn files_that_cannot_hold_a_codec_are_refused() {
     }
 }
 
+#[test]
+fn pictures_below_16_px_are_refused_where_the_file_cannot_hold_them() {
+    let folder = Folder::new("small");
+    for (ending, is_held) in [("mp4", false), ("mov", false), ("avi", false), ("mkv", true)] {
+        let name = format!("v.{ending}");
+        let mut node = open(&folder.0, &format!(r#"path = "{name}""#));
+        let outcome = node.input_image::<Bgr8>("image", 40, 8, &[90; 40 * 8 * 3]).process();
+        match outcome.err().map(|error| error.to_string()) {
+            None => assert!(is_held, "{ending}"),
+            Some(error) => {
+                let words = "cannot hold pictures of 40x8 px, it needs at least 16x16: write .mkv";
+                assert!(!is_held && error.contains(&name) && error.contains(words), "{error}");
+                // Larger ones are written afterwards.
+                node.input_image::<Bgr8>("image", 40, 16, &[90; 40 * 16 * 3]).process().unwrap();
+            }
+        }
+        node.finish().unwrap();
+        assert_eq!(decode(&folder.0.join(&name)).len(), 1);
+    }
+}
+
 /// Runs in the child: writes pictures and names each that was accepted, until it is killed.
 fn write_until_killed(codec: &str, folder: &Path) -> ! {
     use std::io::Write as _;

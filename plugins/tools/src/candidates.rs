@@ -290,9 +290,12 @@ pub struct Suppression {
     pub unknown: Option<u32>,
 }
 
+/// Boxes beyond `max_boxes` that are counted.
+const MAX_COUNTED: usize = 1000;
+
 /// Non-maximum suppression: retains the best of overlapping boxes, highest score first. Ties go to the earlier row, so that the result does not depend
-/// on the sort.
-pub fn suppress(candidates: &mut Vec<Candidate>, rule: &Suppression) {
+/// on the sort. Returns how many further boxes `max_boxes` left out, up to a thousand.
+pub fn suppress(candidates: &mut Vec<Candidate>, rule: &Suppression) -> usize {
     let is_unknown = |c: &Candidate| Some(c.class_index) == rule.unknown;
     let best_first = |a: &Candidate, b: &Candidate| b.score.total_cmp(&a.score).then(a.row.cmp(&b.row));
     candidates.sort_unstable_by(|a, b| is_unknown(a).cmp(&is_unknown(b)).then(best_first(a, b)));
@@ -308,13 +311,15 @@ pub fn suppress(candidates: &mut Vec<Candidate>, rule: &Suppression) {
         if free {
             candidates[retained] = c;
             retained += 1;
-            if retained == rule.max_boxes {
+            if retained == rule.max_boxes + MAX_COUNTED {
                 break;
             }
         }
     }
-    candidates.truncate(retained);
+    let left_out = retained.saturating_sub(rule.max_boxes);
+    candidates.truncate(retained - left_out);
     candidates.sort_unstable_by(best_first);
+    left_out
 }
 
 #[cfg(test)]
@@ -323,6 +328,21 @@ mod tests {
 
     fn at(x: f32, score: f32, class_index: u32) -> Candidate {
         Candidate { corners: [x, 0.0, x + 10.0, 10.0], score, objectness: score, class_index, row: x as u32 }
+    }
+
+    #[test]
+    fn boxes_beyond_the_limit_are_counted() {
+        let rule = Suppression { max_overlap: 0.5, is_agnostic: false, max_boxes: 2, unknown: None };
+        let apart =
+            |count: usize| (0..count).map(|i| at(20.0 * i as f32, 0.9 - 0.01 * i as f32, 1)).collect::<Vec<_>>();
+        let mut five = apart(5);
+        // One more lies on the best.
+        five.push(at(1.0, 0.2, 1));
+        assert_eq!(suppress(&mut five, &rule), 3);
+        assert_eq!(five, apart(2));
+        assert_eq!(suppress(&mut apart(2), &rule), 0);
+        let mut many: Vec<Candidate> = (0..2500).map(|i| at(20.0 * i as f32, 0.5, 1)).collect();
+        assert_eq!((suppress(&mut many, &rule), many.len()), (1000, 2));
     }
 
     #[test]

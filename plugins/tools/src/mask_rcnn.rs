@@ -401,7 +401,8 @@ impl Node for MaskRcnn {
                 };
                 decoder.decode(outputs)?;
                 keep_lit(candidates, lit, size);
-                suppress(candidates, &suppression);
+                let left_out = suppress(candidates, &suppression);
+                damage.report_left_out(cx, left_out, ("max_instances", params.max_instances));
                 let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
                     return Err(error!("boxes and prototypes are f32"));
                 };
@@ -431,7 +432,8 @@ impl Node for MaskRcnn {
                 }
             }
             keep_lit(candidates, lit, size);
-            suppress(candidates, &suppression);
+            let left_out = suppress(candidates, &suppression);
+            damage.report_left_out(cx, left_out, ("max_instances", params.max_instances));
             *map_size = answer.map_size;
             let area = answer.map_size.0 * answer.map_size.1;
             for c in candidates.iter() {

@@ -167,10 +167,11 @@ pub(crate) struct Network {
     pub damage: Damage,
 }
 
-/// Warns once of values that are not finite.
+/// Warns once of values that are not finite, and once of boxes that were left out.
 #[derive(Default)]
 pub(crate) struct Damage {
     is_warned: bool,
+    is_limit_said: bool,
 }
 
 impl Damage {
@@ -183,6 +184,15 @@ impl Damage {
                 "{} answers {bad} values that are NaN or infinite; rows that hold them give no boxes (metric `bad_values` counts on)",
                 path.display()
             ));
+        }
+    }
+
+    /// Reports the boxes of one run that `max`, the value of the parameter `param`, left out.
+    pub fn report_left_out(&mut self, cx: &Context<'_>, left_out: usize, (param, max): (&str, usize)) {
+        cx.metric("left_out", left_out as f64);
+        if left_out > 0 && !self.is_limit_said {
+            self.is_limit_said = true;
+            cx.warn(&format!("{left_out} boxes more than `{param}` = {max} were left out (metric `left_out` counts on); raise `{param}` or `min_score`"));
         }
     }
 }
@@ -369,7 +379,8 @@ impl Node for Yolo {
             max_boxes: params.max_boxes,
             unknown: self.unknown,
         };
-        suppress(&mut self.candidates, &suppression);
+        let left_out = suppress(&mut self.candidates, &suppression);
+        damage.report_left_out(cx, left_out, ("max_boxes", params.max_boxes));
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {

@@ -219,6 +219,24 @@ fn a_network_that_answers_no_numbers_is_refused_and_single_ones_are_told() {
 }
 
 #[test]
+fn boxes_beyond_the_limit_are_counted_and_said_once() {
+    if !runtime_is_there() {
+        return;
+    }
+    let row = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
+    let places = [19, 40, 44].map(|cell| (cell, row.clone()));
+    let m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &places))]);
+    let mut node = open(&m.write(&folder("left_out"), "three.onnx"), ", max_boxes = 1").expect("it opens");
+    for _ in 0..2 {
+        let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("it runs");
+        assert_eq!(out.detections("detections").expect("detections").items().len(), 1);
+    }
+    assert_eq!(node.metric("left_out"), Some(2.0));
+    let said = node.logs().iter().filter(|l| l.message.contains("2 boxes more than `max_boxes` = 1")).count();
+    assert_eq!(said, 1, "{:?}", node.logs());
+}
+
+#[test]
 fn a_segmenter_without_numbers_is_refused() {
     if !runtime_is_there() {
         return;

@@ -25,6 +25,7 @@ pub struct Detector {
     candidates: Vec<Candidate>,
     items: Vec<Detection>,
     bad: usize,
+    left_out: usize,
 }
 
 fn own<'a>(outputs: &[String], tensors: &[Tensor<'a>]) -> Vec<Tensor<'a>> {
@@ -52,7 +53,7 @@ impl Detector {
         count_bad(path, &own, kind.rows())?;
         let classes = kind.classes(&own);
         let (labels, candidates, items) = (String::new(), Vec::new(), Vec::new());
-        Ok(Some(Self { outputs, kind, classes, labels, candidates, items, bad: 0 }))
+        Ok(Some(Self { outputs, kind, classes, labels, candidates, items, bad: 0, left_out: 0 }))
     }
 
     /// With names of the classes, see [`labels::table`].
@@ -63,6 +64,11 @@ impl Detector {
     /// Values of the last run that were not finite.
     pub fn bad(&self) -> usize {
         self.bad
+    }
+
+    /// Boxes of the last run that `max_boxes` left out.
+    pub fn left_out(&self) -> usize {
+        self.left_out
     }
 
     /// Finds the boxes of one run.
@@ -85,7 +91,7 @@ impl Detector {
             max_boxes: params.max_boxes,
             unknown: None,
         };
-        suppress(&mut self.candidates, &suppression);
+        self.left_out = suppress(&mut self.candidates, &suppression);
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         Ok(())

@@ -265,6 +265,7 @@ impl Node for Onnx {
             let Some(detector) = detector else { return Ok(()) };
             detector.find(path, tensors, &frame, params)?;
             damage.report(cx, path, detector.bad());
+            damage.report_left_out(cx, detector.left_out(), ("max_boxes", params.max_boxes));
             detector.write(&mut out.detections, frame.image)
         })?
     }
