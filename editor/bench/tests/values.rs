@@ -58,7 +58,7 @@ fn a_sweep_runs_beside_the_graph_and_its_points_are_drawn() {
     let mut window = Window::run(&folder.write("g.toml", GRAPH));
     window.select("level");
     window.harness.get_by_label("Sweep a parameter").click();
-    window.steps(3);
+    window.until_shown("Sweep measure");
     input::fill(&mut window.harness, "Sweep measure", "level.levels.mean");
     window.harness.get_by_label("Start the sweep").click();
     window.until("the sweep is done", |app| app.sweep().is_some_and(|p| p.done));
