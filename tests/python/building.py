@@ -1,4 +1,4 @@
-"""Graphs that are built in Python: the same as those of a file, and mistakes told at the calls. Started by tests/tests/python_host.rs."""
+"""Graphs that are built in Python: the same as those of a file, and mistakes reported at the calls. Started by tests/tests/python_host.rs."""
 
 import inspect
 import os

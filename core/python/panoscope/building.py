@@ -107,7 +107,7 @@ class AnyNode(Node):
     def __getattr__(self, port: str) -> Output[Any]:
         if port.startswith("_"):
             raise AttributeError(port)
-        # A wrong name is told by the check of its reader, as in a file.
+        # A wrong name is reported by the check of its reader, as in a file.
         return Output(self.id, meant(port))
 
 
@@ -139,7 +139,7 @@ class Writer:
     def line(self, text: str = "") -> None:
         self.lines.append(text)
 
-    def told(self, place: Place, *parts: tuple[str, tuple[str, ...]]) -> None:
+    def from_call(self, place: Place, *parts: tuple[str, tuple[str, ...]]) -> None:
         """A line of parts, each with patterns that find it in the call."""
         text = ""
         for part, patterns in parts:
@@ -201,7 +201,7 @@ class NodeMaker:
 
     def __init__(self, draft: Draft, name: str, described: dict[str, Any]) -> None:
         self._draft, self._name = draft, name
-        self.__name__, self.__doc__ = name, places.doc_of(described)
+        self.__name__, self.__doc__ = name, doc_of(described)
         self.inputs = sorted((port["name"] for port in described["inputs"]), key=lambda name: self._is_optional(described, name))
         self.params = [param["name"] for param in described["params"]]
         keywords = [*(argument_of(name, self.inputs) for name in self.params), "id", *OPTIONS]
@@ -238,6 +238,29 @@ def argument_of(param: str, inputs: Iterable[str]) -> str:
     """The argument of a call for a parameter: its name, with ``_`` behind it where Python, an input or an option has that name."""
     is_taken = keyword.iskeyword(param) or param in inputs or param == "id" or param in OPTIONS
     return f"{param}_" if is_taken else param
+
+
+def doc_of(described: dict[str, Any]) -> str:
+    """A node type as the text that ``help`` shows."""
+    def about(port: dict[str, Any]) -> str:
+        return f"    {port['name']} ({port['packet']['name']}): {' '.join(port['doc'].split())}"
+
+    sections = [described["doc"]]
+    for title, ports in (("Inputs", described["inputs"]), ("Outputs", described["outputs"])):
+        if ports:
+            sections.append("\n".join([f"{title}:", *map(about, ports)]))
+    if described["params"]:
+        sections.append("\n".join(["Parameters:", *map(_about_param, described["params"])]))
+    return "\n\n".join(sections)
+
+
+def _about_param(param: dict[str, Any]) -> str:
+    facts = [f"default {param['default']!r}"]
+    if param.get("min") is not None and param.get("max") is not None:
+        facts.insert(0, f"{param['min']:g} to {param['max']:g}" + (f" {param['unit']}" if param["unit"] else ""))
+    if param.get("choices"):
+        facts.insert(0, ", ".join(param["choices"]))
+    return f"    {param['name']}: {' '.join(param['doc'].split())} ({'; '.join(facts)})"
 
 
 class Draft:
@@ -396,8 +419,8 @@ class Draft:
         own = (rf"\b{re.escape(made.name.rpartition('/')[2])}\b",)
         name = moved(made.name, self.base, folder, True) if made.kind == "graph" else made.name
         writer.line()
-        writer.told(made.place, (f"[nodes.{_key(made.id)}]", own))
-        writer.told(made.place, (f"{made.kind} = {toml(name)}", own))
+        writer.from_call(made.place, (f"[nodes.{_key(made.id)}]", own))
+        writer.from_call(made.place, (f"{made.kind} = {toml(name)}", own))
         tables = (("inputs", made.inputs), ("params", made.params))
         for table, entries in tables:
             if not entries:
@@ -410,6 +433,6 @@ class Draft:
                 patterns = (*(rf"(?<=\.){re.escape(port)}\b" for port in ports), rf"\b{re.escape(key)}_?(?=\s*=)", *own)
                 comma = ", " if index else ""
                 parts.append((f"{comma}{_key(key)} = {toml(value)}", patterns))
-            writer.told(made.place, *parts, (" }", own))
+            writer.from_call(made.place, *parts, (" }", own))
         for option, value in made.options:
-            writer.told(made.place, (f"{option} = {toml(value)}", (rf"\b{option}(?=\s*=)", *own)))
+            writer.from_call(made.place, (f"{option} = {toml(value)}", (rf"\b{option}(?=\s*=)", *own)))

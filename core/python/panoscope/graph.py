@@ -232,7 +232,7 @@ class Graph(NodeTypes):
 
     @contextmanager
     def _at_calls(self) -> Iterator[None]:
-        """Mistakes of a graph that is built are told at the calls that they come from."""
+        """Reports mistakes of a graph that is built at the calls that they come from."""
         try:
             yield
         except GraphError as error:

@@ -84,26 +84,3 @@ def _render(entry: dict[str, Any]) -> str:
     if entry["help"]:
         lines.append(f"{pad} = help: {entry['help']}")
     return "\n".join(lines)
-
-
-def doc_of(described: dict[str, Any]) -> str:
-    """A node type as the text that ``help`` shows."""
-    def about(port: dict[str, Any]) -> str:
-        return f"    {port['name']} ({port['packet']['name']}): {' '.join(port['doc'].split())}"
-
-    sections = [described["doc"]]
-    for title, ports in (("Inputs", described["inputs"]), ("Outputs", described["outputs"])):
-        if ports:
-            sections.append("\n".join([f"{title}:", *map(about, ports)]))
-    if described["params"]:
-        sections.append("\n".join(["Parameters:", *map(_about_param, described["params"])]))
-    return "\n\n".join(sections)
-
-
-def _about_param(param: dict[str, Any]) -> str:
-    facts = [f"default {param['default']!r}"]
-    if param.get("min") is not None and param.get("max") is not None:
-        facts.insert(0, f"{param['min']:g} to {param['max']:g}" + (f" {param['unit']}" if param["unit"] else ""))
-    if param.get("choices"):
-        facts.insert(0, ", ".join(param["choices"]))
-    return f"    {param['name']}: {' '.join(param['doc'].split())} ({'; '.join(facts)})"

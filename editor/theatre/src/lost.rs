@@ -97,14 +97,14 @@ pub fn cameras<'f>(
     lost
 }
 
-/// When a fault came, seen from the begin of a silence.
+/// When a fault came, relative to the start of a silence.
 enum Came {
     Before,
     AtBegin,
     Later,
 }
 
-/// When a fault came, seen from the begin of a silence; of a silence since ever it is the begin.
+/// When a fault came, relative to the start of a silence; without an image ever, the start.
 fn came(fault: &Fault, since: Option<Duration>) -> Came {
     let Some(since) = since else { return Came::AtBegin };
     let begin_ms = time::unix_ms().saturating_sub(since.as_millis() as u64);

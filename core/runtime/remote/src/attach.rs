@@ -43,11 +43,11 @@ pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Resu
         timeout_ms.parse().map_err(|cause| RemoteError::NotANumber { text: timeout_ms.to_owned(), cause })?;
     let timeout = Duration::from_millis(timeout_ms.clamp(100, 60_000).into());
     if !keys::is_name(name) {
-        lose(&RemoteError::BadName { name: name.to_owned() }.to_string());
+        lose(RemoteError::BadName { name: name.to_owned() });
     }
     let (session, host) = match reach(address, timeout, plaintext, "panoscope run --attachable") {
         Ok(reached) => reached,
-        Err(error) => lose(&error.to_string()),
+        Err(error) => lose(error),
     };
     let prefix = network::prefix(name, &host, &session.zid().to_string());
     let from = parent.try_clone()?;
@@ -74,7 +74,7 @@ pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Resu
     let publish = |key: &str, is_urgent| network::publisher(&session, format!("{prefix}/{key}"), is_urgent);
     let (ping, down) = (publish("ping", true)?, publish("down", false)?);
     let called = address.to_owned();
-    let watch = network::watch_end(&down, move || lose(&format!("the connection to {called} ended")))?;
+    let watch = network::watch_end(&down, move || lose(format_args!("the connection to {called} ended")))?;
     let hello = [&timeout_ms.to_le_bytes()[..], crate::version().as_bytes()].concat();
     down.put(message(HELLO, hello)).wait()?;
     connection.tell(&Frame::words(Kind::Ready, 0, &host));
@@ -103,7 +103,7 @@ impl Connection {
         match split(sample) {
             Some((HELLO, _)) => self.is_ready.store(true, Ordering::Relaxed),
             Some((DATA, bytes)) => self.tell(&Frame { kind: Kind::Data, session: 0, bytes }),
-            Some((BYE, words)) => lose(&String::from_utf8_lossy(&words)),
+            Some((BYE, words)) => lose(String::from_utf8_lossy(&words)),
             _ => lose("a message of the machine is malformed; install the same version on both"),
         }
     }
@@ -135,7 +135,7 @@ impl Connection {
             if beyond(self.heard_ns.load(Ordering::Relaxed))
                 || beyond(begin_ns) && !self.is_ready.load(Ordering::Relaxed)
             {
-                lose(&match self.is_ready.load(Ordering::Relaxed) {
+                lose(match self.is_ready.load(Ordering::Relaxed) {
                     true => format!("nothing was heard of {address} for {seconds} s"),
                     false => format!(
                         "{address} does not answer within {seconds} s: its name is not `{name}`, or it lets no window of this machine attach"

@@ -2,6 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
+use std::fmt::Display;
 use std::io::{Seek, SeekFrom};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
@@ -59,7 +60,7 @@ impl Arguments {
 }
 
 /// Ends the process; the host shows the words.
-pub(crate) fn lose(words: &str) -> ! {
+pub(crate) fn lose(words: impl Display) -> ! {
     eprintln!("{words}");
     leave(EXIT_LINK)
 }
@@ -117,15 +118,15 @@ pub fn run(words: &[OsString]) -> ! {
     };
     let link = match Link::take() {
         Ok(link) => link,
-        Err(cause) => lose(&format!("its link cannot start: {cause}")),
+        Err(cause) => lose(format_args!("its link cannot start: {cause}")),
     };
     let Arguments { address, timeout, plaintext, .. } = &arguments;
     if let Err(error) = h264::check(arguments.pixels) {
-        lose(&error.to_string());
+        lose(error);
     }
     let (session, host) = match reach(address, *timeout, *plaintext, "panoscope serve") {
         Ok(reached) => reached,
-        Err(error) => lose(&error.to_string()),
+        Err(error) => lose(error),
     };
     match serve(&arguments, &link, &session, &host) {
         Ok(connection) => {
@@ -133,7 +134,7 @@ pub fn run(words: &[OsString]) -> ! {
             let _ = session.close().wait();
             leave(0)
         }
-        Err(error) => lose(&error.to_string()),
+        Err(error) => lose(error),
     }
 }
 
@@ -161,7 +162,10 @@ pub(crate) fn reach(
     let (done, opened) = channel::<()>();
     let watch = move || {
         if opened.recv_timeout(limit).is_err_and(|error| error == std::sync::mpsc::RecvTimeoutError::Timeout) {
-            lose(&format!("{text} answers, but no connection was made within {}; is it `{command}`?", seconds(limit)));
+            lose(format_args!(
+                "{text} answers, but no connection was made within {}; is it `{command}`?",
+                seconds(limit)
+            ));
         }
     };
     std::thread::Builder::new().spawn(watch)?;
@@ -229,7 +233,7 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
             mine.heard_ns.store(system_ns(), Ordering::Relaxed);
             mine.received_bytes.fetch_add(sample.payload().len() as u64, Ordering::Relaxed);
             if let Err(bad) = receive(&mine, &sample) {
-                lose(&bad.to_string());
+                lose(bad);
             }
         };
         session.declare_subscriber(format!("{prefix}/{key}")).callback(callback).wait()
@@ -239,7 +243,7 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
     let _pong = hear("pong", Connection::measure)?;
     let ping = network::publisher(session, format!("{prefix}/ping"), true)?;
     let address = arguments.address.clone();
-    let end = move || lose(&format!("the connection to {address} ended"));
+    let end = move || lose(format_args!("the connection to {address} ended"));
     // Ends with this function: a connection that this side closes is not lost.
     let _watch = network::watch_end(&connection.down, end)?;
     let settings = link.settings;
@@ -281,7 +285,7 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
                 let (mine, id) = (Arc::clone(&connection), lanes);
                 let work = move || {
                     if let Err(cause) = mine.carry(id, &lane, &received) {
-                        lose(&RemoteError::Lane { cause: Box::new(cause) }.to_string());
+                        lose(RemoteError::Lane { cause: Box::new(cause) });
                     }
                     lock(&mine.lanes).remove(&id);
                 };
@@ -318,7 +322,7 @@ impl Connection {
                 *lock(&self.is_ready) = true;
                 self.changed.notify_all();
             }
-            Message::Lost { words } => lose(&words),
+            Message::Lost { words } => lose(words),
             Message::Turn(turn) => {
                 let begin = (payload.len() - reader.remaining()) as u64;
                 // A lane that is closed has no reader any more.
@@ -365,7 +369,7 @@ impl Connection {
             let silent_ns = system_ns().saturating_sub(self.heard_ns.load(Ordering::Relaxed)).max(0);
             // Before that `wait_until_ready` says better what is wrong.
             if *lock(&self.is_ready) && Duration::from_nanos(silent_ns.unsigned_abs()) > timeout {
-                lose(&format!("nothing was heard of {} for {}", self.arguments.address, seconds(timeout)));
+                lose(format_args!("nothing was heard of {} for {}", self.arguments.address, seconds(timeout)));
             }
             let numbers = LinkNumbers {
                 clock: self.offset(),
