@@ -1,19 +1,17 @@
 //! Computes the rectangles of the images from the layout and the available space.
 
 use eframe::egui::{Rect, Vec2, pos2, vec2};
+use panoscope_imaging::composition::{Composition, Frame};
 
 /// Distance between images, points.
 pub const GAP: f32 = 12.0;
 /// Height of the title above each image, points.
 pub const TITLE: f32 = 30.0;
 
-/// Share of the width for the first of two views.
-const FIRST_OF_TWO: f32 = 0.62;
-
 /// Which views are shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Layout {
-    /// The first view large, the others beside it.
+    /// The first view large, the others next to it and below it.
     #[default]
     All,
     /// One view alone.
@@ -47,34 +45,40 @@ impl Layout {
         }
     }
 
-    /// Index and rectangle of each visible view inside `room`.
-    pub fn rects(self, count: usize, room: Rect) -> Vec<(usize, Rect)> {
+    /// Index and rectangle of each visible view inside `room`; `shapes` has the size of each view's image, if it has one.
+    pub fn rects(self, composition: &mut Composition, shapes: &[Option<Vec2>], room: Rect) -> Vec<(usize, Rect)> {
+        let count = shapes.len();
         match (self, count) {
             (_, 0) => Vec::new(),
             (Self::One(n), _) => vec![(n.min(count - 1), room)],
             (Self::All, 1) => vec![(0, room)],
-            (Self::All, 2) => {
-                let split = room.left() + ((room.width() - GAP) * FIRST_OF_TWO).round();
-                let first = Rect::from_min_max(room.min, pos2(split, room.bottom()));
-                let second = Rect::from_min_max(pos2(split + GAP, room.top()), room.max);
-                vec![(0, first), (1, second)]
-            }
             (Self::All, _) => {
-                let side = (room.width() * 0.32).round();
-                let main = Rect::from_min_max(room.min, pos2(room.right() - side - GAP, room.bottom()));
-                let height = (room.height() - GAP * (count - 2) as f32) / (count - 1) as f32;
-                let column = (1..count).map(|k| {
-                    let top = room.top() + (k - 1) as f32 * (height + GAP);
-                    (k, Rect::from_min_size(pos2(room.right() - side, top), vec2(side, height)))
-                });
-                std::iter::once((0, main)).chain(column).collect()
+                let points = |length: f32| length.max(0.0) as usize;
+                // A composition has a margin around everything, the room has none.
+                let [width, height] = [room.width(), room.height()].map(|length| points(length + 2.0 * GAP));
+                let frame = Frame { width, height, gap: points(GAP), side_share: 0.0 };
+                let images = shapes.iter().map(|shape| (shape.map(|s| (points(s.x), points(s.y))), points(TITLE)));
+                composition.update(frame, images);
+                let rect = |x: usize, y: usize, width: usize, height: usize| {
+                    let min = room.min + vec2(x as f32 - GAP, y as f32 - GAP);
+                    Rect::from_min_size(min, vec2(width as f32, height as f32))
+                };
+                let cells = composition.cells().iter();
+                let mut rects: Vec<_> = cells.map(|cell| rect(cell.x, cell.y, cell.width, cell.height)).collect();
+                if let [a, b] = &mut rects[..]
+                    && let [Some(one), Some(other)] = shapes
+                    && a.right() <= b.left()
+                {
+                    [*a, *b] = level([*a, *b], [*one, *other]);
+                }
+                rects.into_iter().enumerate().collect()
             }
         }
     }
 }
 
 /// Adjusts the rectangles of two views with images of these sizes so that the tops of both images are at the higher one's height.
-pub fn level(rooms: [Rect; 2], sizes: [Vec2; 2]) -> [Rect; 2] {
+fn level(rooms: [Rect; 2], sizes: [Vec2; 2]) -> [Rect; 2] {
     let below_title = |room: Rect| Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max);
     let pictures = [0, 1].map(|k| fit(below_title(rooms[k]), sizes[k]));
     let top = pictures[0].top().min(pictures[1].top());
@@ -163,18 +167,42 @@ mod tests {
         assert_eq!(Layout::All.next(0), Layout::All);
     }
 
+    fn rects(shapes: &[Vec2], room: Rect) -> Vec<Rect> {
+        let shapes: Vec<_> = shapes.iter().copied().map(Some).collect();
+        let rects = Layout::All.rects(&mut Composition::default(), &shapes, room);
+        assert!(rects.iter().enumerate().all(|(k, (n, _))| k == *n));
+        rects.into_iter().map(|(_, rect)| rect).collect()
+    }
+
     #[test]
-    fn pictures_lie_inside_and_apart() {
+    fn images_are_inside_and_apart() {
         let room = Rect::from_min_size(pos2(16.0, 80.0), vec2(1400.0, 700.0));
         for count in 1..6 {
-            let rects = Layout::All.rects(count, room);
+            let rects = rects(&vec![vec2(640.0, 480.0); count], room);
             assert_eq!(rects.len(), count);
-            for (k, (n, a)) in rects.iter().enumerate() {
-                assert!(*n == k && room.expand(0.5).contains_rect(*a), "{a:?}");
-                assert!(rects[..k].iter().all(|(_, b)| !a.shrink(0.5).intersects(b.shrink(0.5))));
+            for (k, a) in rects.iter().enumerate() {
+                assert!(room.expand(0.5).contains_rect(*a), "{a:?}");
+                assert!(rects[..k].iter().all(|b| !a.shrink(0.5).intersects(b.shrink(0.5))));
             }
         }
         assert_eq!(fit(room, vec2(100.0, 100.0)).size(), vec2(700.0, 700.0));
+    }
+
+    #[test]
+    fn the_first_image_takes_most_of_the_room() {
+        let view = vec2(640.0, 480.0);
+        for (width, height) in [(1248.0, 560.0), (1880.0, 900.0), (1248.0, 840.0)] {
+            let room = Rect::from_min_size(pos2(16.0, 80.0), vec2(width, height));
+            for wider in [1.0, 1.1, 1.3] {
+                let main = vec2(view.x * wider, view.y);
+                let rects = rects(&[main, view, view], room);
+                let share = |r: &Rect| r.width() * r.height() / (width * height);
+                let largest = fit(Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max), main);
+                let (first, all) = (share(&rects[0]), rects.iter().map(share).sum::<f32>());
+                let what = format!("{width} x {height}, {wider}: {first:.3} of {:.3}, all {all:.3}", share(&largest));
+                assert!(first >= share(&largest).min(0.6) && all >= 0.72, "{what} {rects:?}");
+            }
+        }
     }
 
     #[test]
@@ -198,7 +226,7 @@ mod tests {
         }
         // Several images: no middle is covered.
         for count in 1..6 {
-            let pictures: Vec<Rect> = Layout::All.rects(count, room).into_iter().map(|(_, r)| r).collect();
+            let pictures = rects(&vec![camera; count], room);
             let rect = inset(room, camera, &pictures);
             assert!(pictures.iter().all(|p| !rect.shrink(0.5).intersects(middle(*p))), "{count}: {rect:?}");
             let mut titles = pictures.iter().map(|p| p.with_max_y(p.top() + TITLE));
@@ -209,14 +237,8 @@ mod tests {
     #[test]
     fn two_pictures_begin_at_one_height() {
         let room = Rect::from_min_size(pos2(16.0, 80.0), vec2(1400.0, 700.0));
-        let rooms = [0, 1].map(|n| Layout::All.rects(2, room)[n].1);
-        let sizes = [vec2(900.0, 560.0), vec2(640.0, 480.0)];
-        let levelled = level(rooms, sizes);
-        assert_eq!(levelled[0].top(), levelled[1].top());
-        for k in 0..2 {
-            assert!(rooms[k].expand(0.5).contains_rect(levelled[k]));
-            let picture = |room: Rect| fit(Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max), sizes[k]).size();
-            assert!((picture(rooms[k]) - picture(levelled[k])).length() < 0.5, "as large as before");
-        }
+        let rects = rects(&[vec2(900.0, 560.0), vec2(640.0, 480.0)], room);
+        assert_eq!(rects[0].top(), rects[1].top());
+        assert!(rects.iter().all(|rect| room.expand(0.5).contains_rect(*rect)), "{rects:?}");
     }
 }

@@ -51,6 +51,7 @@ use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
 use panoscope_editor_texts::text;
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{GraphOptions, ParamValue};
+use panoscope_imaging::composition::Composition;
 
 use panoscope_editor_model::content::Rig;
 use panoscope_editor_model::observe::Output;
@@ -136,6 +137,8 @@ pub struct Theatre {
     /// Stereo geometry of the points that are measured.
     rig: Option<Rig>,
     viewpoints: HashMap<Output, Viewpoint>,
+    /// Where the views are while all of them are shown.
+    composition: Composition,
     storage: Storage,
     clip: Option<Clip>,
     sink_files: SinkFiles,
@@ -246,6 +249,7 @@ impl Theatre {
             measure: Measure::default(),
             rig: None,
             viewpoints: HashMap::new(),
+            composition: Composition::default(),
             storage: Storage::new(&options.folder, options.label.as_deref())?,
             clip: None,
             sink_files: SinkFiles::default(),

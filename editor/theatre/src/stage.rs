@@ -6,7 +6,7 @@ use eframe::egui::{
     WidgetInfo, WidgetType, pos2, vec2,
 };
 
-use super::arrange::{GAP, TITLE, fit, inset, level};
+use super::arrange::{GAP, TITLE, fit, inset};
 use super::marks::{fitting, focus_frame};
 use super::notices::{Facts, NoPicture, OLD_MS, STOPPED_MS};
 use super::{Layout, Pane, Theatre};
@@ -49,13 +49,11 @@ impl Theatre {
             return;
         }
         let views = self.plan.views.clone();
-        let mut rects = self.layout.rects(views.len(), room);
-        if let [(first, a), (second, b)] = &mut rects[..] {
-            let size = |n: usize| self.shown.texture(&views[n].output).map(|(_, size)| size);
-            if let (Some(one), Some(other)) = (size(*first), size(*second)) {
-                [*a, *b] = level([*a, *b], [one, other]);
-            }
-        }
+        // A surface is drawn in the proportions of its rectangle.
+        let shape =
+            |view: &Pane| self.shown.texture(&view.output).map(|(_, size)| size).filter(|_| view.packet != "cloud");
+        let shapes: Vec<_> = views.iter().map(shape).collect();
+        let rects = self.layout.rects(&mut self.composition, &shapes, room);
         // While the images are frozen, a live image is shown in a corner.
         let live = self.frozen.is_some().then(|| {
             let occupied = |(n, rect): &(usize, Rect)| {

@@ -8,7 +8,6 @@
 pub mod bar;
 pub mod colorize;
 pub mod fit;
-pub mod layout;
 pub mod marks;
 pub mod nearness;
 pub mod overlay;

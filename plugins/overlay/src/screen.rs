@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use panoscope_imaging::composition::{Cell, Composition, Frame, Size, Tile};
 use panoscope_imaging::draw;
 use panoscope_imaging::fit::Fit;
 use panoscope_node::{
@@ -9,7 +10,6 @@ use panoscope_node::{
 };
 
 use crate::fit::{bytes, fitted_size};
-use crate::layout::{self, Cell, Frame, Size, Tile};
 
 /// Inputs.
 #[derive(Ports)]
@@ -66,24 +66,17 @@ const STRIP: f32 = 12.0;
 /// Where the title begins in it, in the same units.
 const TITLE_TOP: f32 = 2.5;
 
-/// Proportions of a smaller picture that has not arrived.
-const USUAL: Size = (4, 3);
-/// A picture whose proportions change less does not move the others.
-const MIN_CHANGE: f64 = 0.03;
-
 /// Composes the screen. A smaller picture that has not arrived leaves its cell dark.
 #[derive(Default)]
 pub struct Screen {
     fit: Fit,
-    /// Frame and tiles for which `cells` were arranged.
-    arranged: Option<(Frame, Vec<Tile>)>,
-    cells: Vec<Cell>,
+    composition: Composition,
     /// What each picture covers.
     shown: Vec<Cell>,
 }
 
 impl Screen {
-    /// Arranges the cells anew when frame or pictures have changed.
+    /// Arranges the images again when the screen or their proportions have changed.
     fn arrange(&mut self, params: &Settings, input: &In<'_>) {
         let frame = Frame {
             width: params.width,
@@ -91,31 +84,13 @@ impl Screen {
             gap: (params.gap_px as f32 * grown(params)).round() as usize,
             side_share: params.side_share,
         };
-        let sides = input.side.as_ref().map_or(0, List::len);
-        let held = self.arranged.take().filter(|(old, tiles)| *old == frame && tiles.len() == sides + 1);
-        let (is_new, mut tiles) = match held {
-            Some((_, tiles)) => (false, tiles),
-            None => (true, vec![Tile { size: USUAL, caption: 0 }; sides + 1]),
-        };
-        let mut has_changed = is_new;
-        let pictures = std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
         let titles = titles(params).chain(std::iter::repeat(""));
-        for ((tile, picture), title) in tiles.iter_mut().zip(pictures).zip(titles) {
+        let images = std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter)).zip(titles);
+        let tiles = images.map(|(image, title)| {
             let caption = if title.is_empty() { 0 } else { (STRIP * text_scale(params)).ceil() as usize };
-            has_changed |= caption != tile.caption;
-            tile.caption = caption;
-            let Some(new) = picture.as_ref().and_then(bytes).map(|pixels| (pixels.width, pixels.height)) else {
-                continue;
-            };
-            let ratio = (new.0 * tile.size.1) as f64 / (new.1 * tile.size.0).max(1) as f64;
-            if (ratio - 1.0).abs() > MIN_CHANGE {
-                (tile.size, has_changed) = (new, true);
-            }
-        }
-        if has_changed && let Some((main, others)) = tiles.split_first() {
-            layout::arrange(&frame, *main, others, &mut self.cells);
-        }
-        self.arranged = Some((frame, tiles));
+            (image.as_ref().and_then(bytes).map(|pixels| (pixels.width, pixels.height)), caption)
+        });
+        self.composition.update(frame, tiles);
     }
 }
 
@@ -192,10 +167,10 @@ impl Node for Screen {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
         self.arrange(params, &input);
-        let tiles = self.arranged.as_ref().map_or(&[][..], |(_, tiles)| tiles);
+        let (cells, tiles) = (self.composition.cells(), self.composition.tiles());
         let pictures = || std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
         self.shown.clear();
-        for (index, ((picture, cell), tile)) in pictures().zip(&self.cells).zip(tiles).enumerate() {
+        for (index, ((picture, cell), tile)) in pictures().zip(cells).zip(tiles).enumerate() {
             let Some(picture) = picture else {
                 self.shown.push(Cell { height: 0, ..*cell });
                 continue;
@@ -210,7 +185,7 @@ impl Node for Screen {
         let whole = (params.width * params.height) as f64;
         cx.metric("main_pct", 100.0 * self.shown.first().map_or(0.0, area) / whole);
         let titled = |(cell, tile): (&Cell, &Tile)| (cell.width * tile.caption) as f64;
-        let used = self.shown.iter().map(area).sum::<f64>() + self.cells.iter().zip(tiles).map(titled).sum::<f64>();
+        let used = self.shown.iter().map(area).sum::<f64>() + cells.iter().zip(tiles).map(titled).sum::<f64>();
         cx.metric("dead_pct", 100.0 - 100.0 * used / whole);
         let mut screen = out.image.alloc(params.width, params.height)?;
         fill_around(&mut screen, &self.shown);
@@ -228,7 +203,7 @@ impl Node for Screen {
         // Right below the pictures, so that no word lies on one.
         let scale = text_scale(params);
         let titled = |((_, cell), tile): &((&str, &Cell), &Tile)| (1..=cell.height).contains(&tile.caption);
-        for ((words, cell), tile) in titles(params).zip(&self.cells).zip(tiles).filter(titled) {
+        for ((words, cell), tile) in titles(params).zip(cells).zip(tiles).filter(titled) {
             let y = (cell.y + cell.height).saturating_sub(tile.caption) as f32;
             draw::text(&mut screen, cell.x as f32 + scale, y + TITLE_TOP * scale, words, scale, [255; 3]);
         }

@@ -13,6 +13,7 @@ mod simd;
 pub use panoscope_base::{Parallel, Rect, Report, Serial, Silent, Simd, View, ViewMut};
 pub use shared_mut::SharedMut;
 
+pub mod composition;
 pub mod detect;
 pub mod draw;
 pub mod features;

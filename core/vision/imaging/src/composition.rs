@@ -1,6 +1,6 @@
-//! Where the pictures of a screen stand: the main one as large as possible, the others in a column beside it and a row below it.
+//! Arranges images on a screen: the main one as large as possible, the others in a column next to it and a row below it.
 
-/// A place on the screen, px.
+/// A rectangle of the screen, px.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cell {
     /// Left edge.
@@ -228,7 +228,7 @@ struct Plan {
 /// The cells of the main picture and of the smaller ones, each with its picture's proportions above a strip for its title, inside the frame and
 /// apart from each other.
 /// Earlier pictures come first: in the column, then in the row.
-pub fn arrange(frame: &Frame, main: Tile, sides: &[Tile], cells: &mut Vec<Cell>) {
+fn arrange(frame: &Frame, main: Tile, sides: &[Tile], cells: &mut Vec<Cell>) {
     let room = frame.room();
     let given = (frame.side_share > 0.0 && !sides.is_empty())
         .then(|| room.0 - (frame.width as f64 * f64::from(frame.side_share)) - frame.gap as f64);
@@ -253,6 +253,62 @@ pub fn arrange(frame: &Frame, main: Tile, sides: &[Tile], cells: &mut Vec<Cell>)
     }
     if let Some((_, plan)) = best {
         plan.place(frame, main, sides, cells);
+    }
+}
+
+/// Proportions of an image that has not arrived.
+pub const USUAL: Size = (4, 3);
+/// An image whose proportions change by less than this share does not move the others.
+const MIN_CHANGE: f64 = 0.03;
+
+/// An arrangement that stays as it is while the screen and the proportions of the images do.
+#[derive(Clone, Debug, Default)]
+pub struct Composition {
+    frame: Option<Frame>,
+    tiles: Vec<Tile>,
+    cells: Vec<Cell>,
+}
+
+impl Composition {
+    /// Arranges images, the main one first, each with its size and the height of the strip for its title, px.
+    ///
+    /// An image without a size keeps the proportions it had, 4:3 at first.
+    pub fn update(&mut self, frame: Frame, images: impl Iterator<Item = (Option<Size>, usize)>) {
+        let mut has_changed = self.frame.replace(frame) != Some(frame);
+        let mut count = 0;
+        for (size, caption) in images {
+            if count == self.tiles.len() {
+                self.tiles.push(Tile { size: USUAL, caption });
+                has_changed = true;
+            }
+            let tile = &mut self.tiles[count];
+            count += 1;
+            has_changed |= caption != tile.caption;
+            tile.caption = caption;
+            let Some(size) = size else { continue };
+            let ratio = (size.0 * tile.size.1) as f64 / (size.1 * tile.size.0).max(1) as f64;
+            if (ratio - 1.0).abs() > MIN_CHANGE {
+                (tile.size, has_changed) = (size, true);
+            }
+        }
+        has_changed |= count != self.tiles.len();
+        self.tiles.truncate(count);
+        if has_changed {
+            self.cells.clear();
+            if let Some((main, others)) = self.tiles.split_first() {
+                arrange(&frame, *main, others, &mut self.cells);
+            }
+        }
+    }
+
+    /// The rectangles of the images, strips for titles included.
+    pub fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    /// The images as they were arranged, one for each of [`Self::cells`].
+    pub fn tiles(&self) -> &[Tile] {
+        &self.tiles
     }
 }
 
@@ -478,6 +534,22 @@ mod tests {
             // The first of them, the instruments, is the largest: the bound has it as the smallest.
             assert!(main_share >= 0.64 && cells[2..].iter().all(|side| side.area() < 0.5 * cells[1].area()));
         }
+    }
+
+    #[test]
+    fn a_composition_holds_still_until_proportions_change() {
+        let mut composition = Composition::default();
+        let mut cells_of = |main: Option<Size>, frame: Frame| {
+            composition.update(frame, [(main, 0), (Some((640, 480)), 20)].into_iter());
+            composition.cells().to_vec()
+        };
+        let first = cells_of(None, HD);
+        assert_eq!(first, cells_of(Some((640, 480)), HD), "4:3 until it arrives");
+        assert_eq!(first, cells_of(Some((645, 480)), HD), "under 3 %");
+        let wide = cells_of(Some((900, 480)), HD);
+        assert!(wide[0].width * 480 > wide[0].height * 880, "{wide:?}");
+        assert_eq!(wide, cells_of(None, HD), "keeps what it had");
+        assert_ne!(wide, cells_of(None, FULL_HD));
     }
 
     #[test]
