@@ -18,8 +18,7 @@ pub struct In<'f> {
     tip: Option<Value<'f, Tip>>,
     /// Joint angles when the picture was taken: the driver's `joints`, wired with `delay = 1`.
     joints: Option<Value<'f, Joints>>,
-    /// The driver's newest set-points, wired with `delay = 1`. With them the controller takes set-points into account that the arm has not reached
-    /// yet.
+    /// Newest set-points of the driver, wired with `delay = 1`. With them the controller accounts for set-points that the arm has not reached yet.
     setpoint: Option<Value<'f, Joints>>,
     /// Calibration of the rectified views; without it `focal_px` and `baseline_mm` are used.
     calibration: Option<Value<'f, Calibration>>,
@@ -50,7 +49,7 @@ pub struct PidParams {
     /// Integral gain of the tip's position in the picture, 1/s^2.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     picture_i: f64,
-    /// Derivative gain of the tip's measured position in the picture: a new goal causes no kick.
+    /// Derivative gain on the tip's measured position in the image. A new goal causes no kick, because the goal is not differentiated.
     #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     picture_d: f64,
     /// Proportional gain of the distance, 1/s.
@@ -59,7 +58,7 @@ pub struct PidParams {
     /// Integral gain of the distance, 1/s^2.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     distance_i: f64,
-    /// Derivative gain of the measured distance.
+    /// Derivative gain on the measured distance.
     #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     distance_d: f64,
     /// Time constant of the low-pass filter of the derivatives.
@@ -91,14 +90,14 @@ pub struct PidParams {
     baseline_mm: f64,
 }
 
-/// Focal length at 640 columns, which the dead zone is stated for, px.
+/// Focal length at 640 columns for which the dead zone is stated, px.
 const THESIS_FOCAL_PX: f64 = 750.0;
-/// Fastest that an error is asked to go back, at 640 columns, px/s and mm/s, beside what is fed forward: faster than this the joints' accelerations
-/// limit the movement, and the tube misses the trocar by more.
+/// Speed limit for correcting an error, at 640 columns, px/s and mm/s, in addition to the feed-forward. Above it the joints' accelerations limit the
+/// movement, and the tube misses the trocar by more.
 const MAX_PX_S: f64 = 250.0;
 const MAX_MM_S: f64 = 20.0;
 
-/// Columns of the table.
+/// Columns of the table, in order.
 pub const COLUMNS: [&str; 10] = [
     "error_u_px",
     "error_v_px",
@@ -143,7 +142,7 @@ impl PidParams {
     }
 }
 
-/// The controller.
+/// PID controller with feed-forward of the tip's velocity.
 pub struct ArmPid {
     controller: Controller,
     time: RealTime,

@@ -1,5 +1,5 @@
-//! `arm_sim`: a simulated six-axis arm in virtual time (the media time of its ticks), behind the interlock. Ages are those of the host: in a live
-//! run a tip is as old as its light.
+//! `arm_sim`: a simulated six-axis arm behind the interlock. It moves in virtual time (the media time of its ticks). Ages are those of the host: in a
+//! live run a tip is as old as the light that it comes from.
 
 use std::path::PathBuf;
 
@@ -23,7 +23,7 @@ pub struct Out<'f> {
     /// One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, speed and acceleration
     /// of the camera, distance of the tube from the trocar, its depth and its tilt.
     table: Slot<'f, TableData>,
-    /// State of the arm in words.
+    /// State of the arm as text.
     text: Slot<'f, TextPacket>,
 }
 
@@ -49,7 +49,7 @@ pub struct SimParams {
     encoder_noise_deg: f64,
 }
 
-/// Columns of the table.
+/// Columns of the table, in order.
 pub const COLUMNS: [&str; 9] =
     ["following", "cause", "stops", "speed_rad_s", "camera_mm_s", "pivot_mm", "depth_mm", "tilt_deg", "camera_mm_s2"];
 
@@ -64,7 +64,7 @@ pub struct ArmSim {
     started: bool,
     /// When the light of the newest tip arrived, ns of the host's clock.
     tip_light_ns: Option<i64>,
-    /// The camera at the previous tick: position (mm), velocity (mm/s), time (ns).
+    /// State of the camera at the previous tick: position (mm), velocity (mm/s), time (ns).
     last: Option<(Vector3<f64>, Vector3<f64>, i64)>,
     words: String,
 }
@@ -176,7 +176,7 @@ impl Node for ArmSim {
         out.table.set_table(&COLUMNS, &row)
     }
 
-    /// Angles, and the cause of a latched stop: a replacement must not release a stop that a person latched.
+    /// Saves the joint angles and the cause of a latched stop: a replacement must not release a stop that a person latched.
     fn save_state(&self) -> Option<Vec<u8>> {
         let latched = self.lock.latched().map_or(0, |cause| cause.number() as u64);
         let words = self.lock.set_point().position.iter().map(|v| v.to_bits()).chain([latched]);

@@ -21,9 +21,8 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The row of this tick; errors are NaN while the tip is not known. `in_view` says whether it lies in the left picture, `seen`
-    /// whether nothing hides it there. `gap_ms` is the time since the tracker saw the tip, `track_off_mm` how far off the tracker's place is; both
-    /// NaN while it has none.
+    /// One row per tick; errors are NaN while the tip is not known. `in_view`: the tip is inside the left image. `seen`: nothing hides it there.
+    /// `gap_ms`: time since the tracker saw the tip. `track_off_mm`: error of the tracker's position. Both are NaN while the tracker has no tip.
     table: Slot<'f, TableData>,
 }
 
@@ -38,7 +37,7 @@ pub struct JudgeParams {
     track_id: i64,
 }
 
-/// Columns of the table; those from the arm's own table keep its names.
+/// Columns of the table. Columns copied from the arm's table keep their names.
 pub const COLUMNS: [&str; 13] = [
     "time_s",
     "error_mm",
@@ -55,7 +54,7 @@ pub const COLUMNS: [&str; 13] = [
     "track_off_mm",
 ];
 
-/// Columns that are copied from the arm's table.
+/// Positions of the columns that are copied from the arm's table.
 const OF_THE_ARM: std::ops::Range<usize> = 6..10;
 
 /// See the module.

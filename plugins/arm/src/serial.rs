@@ -20,7 +20,7 @@ pub struct SerialParams {
     /// Bits per second.
     #[param(default = 921600, range = 9600..=4_000_000, reopen)]
     baud: u32,
-    /// Longest time without an answer of the arm; after it the arm is stopped.
+    /// Time limit for an answer of the arm. After it the arm is stopped.
     #[param(default = 30.0, range = 10.0..=250.0, step = 5.0, unit = "ms", reopen)]
     answer_ms: f64,
     /// URDF file of the arm; empty takes the arm that comes with the plugin.

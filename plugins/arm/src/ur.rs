@@ -22,16 +22,16 @@ pub struct UrParams {
     /// TCP port of the controller's RTDE interface.
     #[param(default = 30004, range = 1..=65535, reopen)]
     port: u32,
-    /// TCP port of the controller's dashboard server, which gives the serial number.
+    /// TCP port of the controller's dashboard server, from which the serial number is read.
     #[param(default = 29999, range = 1..=65535, reopen)]
     dashboard_port: u32,
-    /// Longest time without an answer of the arm; after it the arm is stopped.
+    /// Time limit for an answer of the arm. After it the arm is stopped.
     #[param(default = 30.0, range = 10.0..=250.0, step = 5.0, unit = "ms", reopen)]
     answer_ms: f64,
-    /// URDF file of the robot as it stands, with scope and trocar. There is no default: limits of another arm would not be its limits.
+    /// URDF file of the robot as mounted, with scope and trocar. There is no default: the limits of another arm would not hold for this one.
     #[param(default = "", reopen)]
     arm: PathBuf,
-    /// The robot's six joint angles, in degrees as the pendant shows them and separated by commas, where the angles of the URDF file are 0.
+    /// The robot's six joint angles at which the angles of the URDF file are 0: in degrees as the pendant shows them, separated by commas.
     #[param(default = "0, 0, 0, 0, 0, 0", reopen)]
     home_deg: String,
     /// Lets the arm move after `reset` has released it. Off: requested velocities are ignored.
@@ -41,7 +41,7 @@ pub struct UrParams {
     stop: StopParams,
 }
 
-/// The joint angles of `home_deg`, rad.
+/// Joint angles of `home_deg`, rad.
 fn home(params: &UrParams) -> Option<JointVector> {
     let degrees = home_of(&params.home_deg)?;
     degrees.iter().all(|angle| angle.abs() <= 360.0).then(|| degrees.map(f64::to_radians))

@@ -1,4 +1,4 @@
-//! `data_set`: the pictures of a public data set with its calibration and truth, found by the layout of its folders.
+//! `data_set`: the images of a public data set with its calibration and ground truth. The layout of the folders identifies the data set.
 
 mod truth;
 
@@ -17,46 +17,46 @@ use crate::settings::{OnDamage, Pace, Settings, Split};
 use crate::source::SourceName;
 use truth::TruthMaps;
 
-/// Names that a message lists.
+/// Maximum number of names that a message lists.
 const LISTED: usize = 8;
 
-/// Outputs, called as those of `phantom`. What the data set does not state stays empty.
+/// Outputs, named as those of `phantom`. An output stays empty if the data set does not provide it.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Left view, or the only one.
     pub left: Slot<'f, Bgr8>,
     /// Right view.
     pub right: Slot<'f, Bgr8>,
-    /// Calibration of both views, with the rectification that the truth is meant for.
+    /// Calibration of both views, with the rectification that the ground truth refers to.
     pub calibration: Slot<'f, Calibration>,
     /// True disparity of the left rectified view, px; NaN where unknown.
     pub disparity: Slot<'f, Disparity>,
     /// True depth of the left rectified view, mm; NaN where unknown.
     pub depth: Slot<'f, Depth>,
-    /// True boxes in the left view as it comes, not rectified.
+    /// True boxes in the left view as stored, not rectified.
     pub detections: Slot<'f, LabeledDetections>,
-    /// True boxes and masks in the left view as it comes, where the data set has masks.
+    /// True boxes and masks in the left view as stored, if the data set has masks.
     pub instances: Slot<'f, LabeledInstances>,
-    /// Always empty: no data set of these states tips. It is there so that graphs for the phantom's truth run unchanged.
+    /// Always empty, because none of these data sets has tips. It exists so that graphs for the phantom's ground truth run unchanged.
     pub tip: Slot<'f, Tip>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct DataSetParams {
-    /// Folder of a data set, or of some of them; `panoscope import FOLDER` lists what is found there.
+    /// Folder of one data set or of several; `panoscope import FOLDER` lists what is found there.
     #[param(default = "", reopen, file)]
     folder: String,
-    /// Name of a sequence, as `panoscope import` lists it. Empty takes the first one.
+    /// Name of a sequence, as `panoscope import` lists it. Empty: the first one.
     #[param(default = "", reopen)]
     sequence: String,
     /// Starts again at the end.
     #[param(default = false, reopen)]
     r#loop: bool,
-    /// Pictures per second of media time. 0 takes the times in videos, and 30 per second for pictures.
+    /// Frames per second of media time. 0: the times in videos, and 30 per second for images.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     rate_hz: f64,
-    /// When to hold pictures back to their rate.
+    /// When to hold frames back to their rate.
     #[param(default = "auto")]
     pace: Pace,
     /// How a damaged picture is handled.
@@ -70,7 +70,7 @@ pub struct DataSet {
     /// Reads the pictures.
     capture: Capture,
     settings: Settings,
-    /// Index of the calibration set that `capture` has.
+    /// Index of the calibration set that `capture` uses now.
     calibration: Option<usize>,
     truth: TruthMaps,
     boxes: Boxes,
@@ -110,7 +110,7 @@ fn sources(sequence: &Sequence) -> Vec<SourceName> {
     }
 }
 
-/// What a sequence lacks of an output that is read, in words.
+/// What a sequence lacks for an output that is read, as text; `None` if nothing.
 fn lacks(sequence: &Sequence, output: &str) -> Option<&'static str> {
     let has_calibration = sequence.calibration.is_some();
     let has_masks = matches!(sequence.labels, Some(Labels::Masks(_)));
@@ -232,7 +232,7 @@ impl Node for DataSet {
 }
 
 impl DataSet {
-    /// The calibration of a picture, with the rectification that a `rectify` node will use.
+    /// Calibration of an image, with the rectification that a `rectify` node will use.
     fn calibration_of(&mut self, cx: &Context<'_>, picture: usize, parts: &[Part]) -> Result<Option<Calibration>> {
         let Some(files) = &self.sequence.calibration else { return Ok(None) };
         let set = files.set_of(picture);

@@ -1,4 +1,4 @@
-//! What is damaged is named with its place, ends a batch or is left out, and never shows pixels of another picture.
+//! Damaged files are named with their location, end a batch or are skipped, and never show pixels of another frame.
 
 use crate::common;
 use std::fs;

@@ -1,4 +1,4 @@
-//! `data_set` on tiny copies of each layout: pictures, calibration, truth at known pixels, boxes.
+//! `data_set` on tiny copies of each layout: images, calibration, ground truth at known pixels, boxes.
 
 use crate::samples;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Nothing that does not answer hangs the node, and what was lost is waited for.
+//! A source that does not answer never hangs the node, and a lost source is reopened.
 
 use crate::common;
 use std::io::{Read, Write};
@@ -51,7 +51,7 @@ fn jpeg(gray: u8) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// Serves Motion JPEG: `frames` for every text that comes, then the connection ends and the next one is waited for.
+/// Serves Motion JPEG: sends `frames` for every text received, then the connection ends and the next one is accepted.
 fn serve(listener: &TcpListener, connections: usize, served: &Sender<()>, end: &Receiver<()>) {
     for _ in 0..connections {
         let Ok((mut stream, _)) = listener.accept() else { return };

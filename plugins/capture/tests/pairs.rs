@@ -1,4 +1,4 @@
-//! Pictures of one instant belong together: by their numbers, by their times, and what has no partner is named.
+//! Frames of one instant are paired, by number or by time, and frames without a partner are named.
 
 use crate::common::{Folder, WIDTH, drain, value, warned, write_video_at};
 

@@ -317,7 +317,7 @@ fn a_calibration_travels_with_the_views() {
     assert!(message.contains("scope.yml") && message.contains("No such file"), "{message}");
 }
 
-/// A random texture that is never twice the same, in cells of some px.
+/// A random texture without repetition, in cells of a few px.
 fn texture(x: u32, y: u32) -> u8 {
     let layer = |cell: u32, seed: u32| {
         let (x, y) = (x / cell, y / cell);

@@ -1,33 +1,33 @@
-//! What nodes that serve video over the network share: paths, and errors of listening.
+//! Shared by nodes that serve video over the network: paths, and errors of listening.
 
 use std::net::SocketAddr;
 
 /// Why a stream cannot be served.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The address cannot be listened on.
+    /// The system does not allow listening on the address.
     #[error("cannot listen on {at}: {reason}; {help}")]
     Listen {
         /// Address and port.
         at: SocketAddr,
-        /// The system's words.
+        /// The system's message.
         reason: String,
         /// What to do.
         help: &'static str,
     },
-    /// Another node serves this path.
+    /// Another node already serves this path.
     #[error("node `{node}` already serves `{path}` on {at}: give this node another `path`")]
     Taken {
-        /// The other node.
+        /// Name of the other node.
         node: String,
-        /// Path of both.
+        /// The path that both ask for.
         path: String,
         /// Address and port.
         at: SocketAddr,
     },
 }
 
-/// What is wrong with a path of a stream.
+/// What is wrong with a path of a stream; `None` if nothing.
 pub fn path_problem(path: &str) -> Option<String> {
     if path.trim_matches('/').is_empty() {
         return Some("it is empty".to_owned());
@@ -40,7 +40,7 @@ pub fn path_problem(path: &str) -> Option<String> {
     }
 }
 
-/// Why the system refuses to listen, with what to do.
+/// Converts a refusal of the system to an error that says what to do.
 pub fn refused(at: SocketAddr, error: &std::io::Error) -> ServeError {
     let help = match error.kind() {
         std::io::ErrorKind::AddrInUse => "another program uses this port: give another `port`, or end that program",

@@ -1,4 +1,4 @@
-//! `stream`: the picture as a live video on the network.
+//! `stream`: sends its input as live video over the network.
 
 mod codec;
 pub(crate) mod fanout;
@@ -23,7 +23,7 @@ use worker::Worker;
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Pictures to send: bgr8, gray8 or rgba8.
+    /// Frames to send: bgr8, gray8 or rgba8.
     pub image: AnyImage<'f>,
 }
 
@@ -33,30 +33,30 @@ pub struct Settings {
     /// Serves RTSP at rtsp://ADDRESS:PORT/PATH. Several `stream` nodes share a port with different paths.
     #[param(default = true, reopen)]
     pub serve: bool,
-    /// Address of this machine to listen on. 127.0.0.1 serves programs on this machine only, because anybody who reaches the port sees the
-    /// pictures: there is no password. 0.0.0.0 listens on all networks.
+    /// Address of this machine to listen on. 127.0.0.1 serves only programs on this machine. 0.0.0.0 listens on all networks. There is no password:
+    /// anybody who reaches the port sees the video.
     #[param(default = "127.0.0.1", reopen)]
     pub address: String,
-    /// TCP port to listen on; 0 takes a free one, which the log names.
+    /// TCP port to listen on. 0 takes a free port, which the log names.
     #[param(default = 8554, range = 0..=65535, reopen)]
     pub port: u16,
     /// Path of the stream on its server.
     #[param(default = "/live", reopen)]
     pub path: String,
-    /// How pictures are compressed.
+    /// Compression of the stream.
     #[param(default = "h264", reopen)]
     pub codec: StreamCodec,
-    /// Bit rate of `h264` and `hevc` at 30 pictures per second.
+    /// Bit rate of `h264` and `hevc` at 30 frames per second.
     #[param(default = 4000, range = 50..=100000, unit = "kbit/s", reopen)]
     pub bitrate: u32,
-    /// Distance of key frames of `h264` and `hevc`. A client that joins gets one at once; after a lost packet the picture is whole again with the
+    /// Distance of keyframes of `h264` and `hevc`. A client that joins gets one at once; after a lost packet the image is complete again with the
     /// next one.
     #[param(default = 30, range = 1..=1000, unit = "frames", reopen)]
     pub key_interval: u32,
     /// Quality of `mjpg`.
     #[param(default = 80, range = 1..=100, unit = "%", reopen)]
     pub quality: u8,
-    /// Address to send the stream to besides: rtsp://HOST:PORT/PATH, a server that takes recordings, or udp://HOST:PORT, as RTP packets. Empty:
+    /// Additional address to send the stream to: rtsp://HOST:PORT/PATH, a server that accepts recordings, or udp://HOST:PORT, as RTP packets. Empty:
     /// none.
     #[param(default = "", reopen)]
     pub push: String,
@@ -72,7 +72,7 @@ impl Settings {
         }
     }
 
-    /// The parameter that is wrong, what is wrong with it, and what to write.
+    /// Each wrong parameter, with what is wrong and what to write.
     fn mistakes(&self) -> Vec<(&'static str, String, &'static str)> {
         let mut mistakes = Vec::new();
         if self.serve {
@@ -98,8 +98,8 @@ impl Settings {
     }
 }
 
-/// Sends the newest picture. The graph never waits for the network or the encoder: a picture that arrives while the one before is still being
-/// encoded replaces any that waits.
+/// Sends the newest frame. The graph never waits for the network or the encoder: a frame that arrives while the previous one is still being encoded
+/// replaces any waiting frame.
 pub struct Stream {
     /// Dropped before the worker, so that no client joins a stream that ends.
     mount: Option<Mount>,

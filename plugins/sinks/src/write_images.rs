@@ -1,4 +1,4 @@
-//! `write_images`: pictures as PNG or JPEG files.
+//! `write_images`: images as PNG or JPEG files.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use panoscope_data::formats::still;
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture to write: bgr8, gray8, rgba8 or gray16.
+    /// Image to write: bgr8, gray8, rgba8 or gray16.
     pub image: Option<AnyImage<'f>>,
     /// Mask to write, black and white.
     pub mask: Option<Image<'f, Mask>>,
@@ -24,17 +24,17 @@ pub struct In<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write, ending in .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it
-    /// every picture replaces the one before.
+    /// File to write, with the extension .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it every image
+    /// replaces the previous one.
     #[param(default = "out/image.png", reopen, writes)]
     pub path: PathBuf,
-    /// Writes only every so many pictures.
+    /// Every n-th image is written.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
     pub every: u64,
-    /// Stops writing after so many files; 0 never.
+    /// Stops writing after this many files; 0 never.
     #[param(default = 0, range = 0..=1000000000, unit = "frames")]
     pub limit: u64,
-    /// Writes only the last bgr8 picture, when the graph ends; `every` then is the number of ticks between the pictures considered.
+    /// Writes only the last bgr8 image, when the graph ends; `every` is then the number of ticks between the images considered.
     #[param(default = false)]
     pub at_end: bool,
     /// Quality of JPEG files.
@@ -42,7 +42,7 @@ pub struct Settings {
     pub jpeg_quality: u8,
 }
 
-/// Writes still pictures.
+/// Writes still images.
 pub struct WriteImages {
     pattern: Pattern,
     ending: String,
@@ -75,7 +75,7 @@ impl WriteImages {
 }
 
 impl WriteImages {
-    /// Writes the picture that was kept for the end.
+    /// Writes the image that was kept for the end.
     fn write_last(&mut self) -> Result<(), SinkError> {
         match self.last.take() {
             Some((kept, seq, quality)) => self.write(&Pixels::Bgr8(kept.view()), seq, "image", false, quality),

@@ -1,4 +1,4 @@
-//! `write_raw`: planes with their full precision.
+//! `write_raw`: planes in full precision.
 
 use std::path::PathBuf;
 
@@ -30,11 +30,11 @@ pub struct In<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write; its ending chooses the format: .pfm (floats), .npy, .tif, .pgm or .ppm, .raw (bare rows). `{seq}` becomes
-    /// the tick's number, `{port}` the input's name; with several inputs the name is added where `{port}` is missing.
+    /// File to write. Its extension selects the format: .pfm (floats), .npy, .tif, .pgm or .ppm, .raw (bare rows). `{seq}` becomes the tick's number,
+    /// `{port}` the input's name; with several inputs the name is added if `{port}` is missing.
     #[param(default = "out/plane.pfm", reopen, writes)]
     pub path: PathBuf,
-    /// Number of ticks per written one.
+    /// Every n-th tick is written.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
     pub every: u64,
     /// Number of ticks after which writing stops; 0 never stops.

@@ -51,7 +51,7 @@ fn read(path: &Path) -> Mat {
     mat
 }
 
-/// A smooth picture: JPEG keeps it nearly.
+/// A smooth image, which JPEG nearly preserves.
 fn gradient(width: usize, height: usize, shift: usize) -> Vec<u8> {
     (0..height * width)
         .flat_map(|i| {
@@ -240,7 +240,7 @@ fn the_journal_of_a_run_that_was_cut_off_is_kept() {
     assert_eq!(folder.names(), ["d.json.journal", "d.part2.json"]);
 }
 
-/// Opens a sink on a link, writes once and closes it.
+/// Opens a sink on a symbolic link, writes once and closes it.
 fn write_through_link(folder: &Folder, name: &str) {
     use std::os::unix::fs::{MetadataExt, symlink};
     let (target, link) = (folder.0.join(format!("target of {name}")), folder.0.join("new/folder").join(name));

@@ -1,4 +1,4 @@
-//! Videos of every codec are read back by GStreamer and ffprobe: pictures by their numbers, times, and what a kill leaves.
+//! Videos of every codec are read back by GStreamer and ffprobe: numbers and times of the frames, and what a kill leaves.
 
 use crate::common;
 use std::io::{BufRead, BufReader};
@@ -179,7 +179,7 @@ fn pictures_below_16_px_are_refused_where_the_file_cannot_hold_them() {
     }
 }
 
-/// Runs in the child: writes pictures and names each that was accepted, until it is killed.
+/// Runs in the child: writes frames and prints each that was accepted, until it is killed.
 fn write_until_killed(codec: &str, folder: &Path) -> ! {
     use std::io::Write as _;
     let mut node = open(folder, &format!(r#"path = "{codec}.mkv", codec = "{codec}""#));

@@ -1,10 +1,10 @@
-//! Errors of sources and pictures.
+//! Errors of sources and of image decoding.
 
 use std::path::PathBuf;
 
 use panoscope_media::input::jpeg::JpegError;
 
-/// Why a source gives no picture.
+/// Why a source delivers no frame.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// The file does not exist.
@@ -12,18 +12,18 @@ pub enum CaptureError {
     Missing {
         /// Absolute path.
         path: PathBuf,
-        /// More about the place, or empty.
+        /// More about the location, or empty.
         hint: String,
     },
     /// The camera does not exist.
     #[error("there is no camera {path}: {present}", path = path.display())]
     NoDevice {
-        /// The device's file.
+        /// Path of the device.
         path: PathBuf,
-        /// The cameras of this machine, in words.
+        /// The cameras of this machine, as text.
         present: String,
     },
-    /// A pattern or folder without any image.
+    /// No image matches a pattern or folder.
     #[error("no image matches {pattern}; {hint}")]
     NoMatch {
         /// Absolute pattern.
@@ -31,7 +31,7 @@ pub enum CaptureError {
         /// What to do.
         hint: String,
     },
-    /// A file that cannot be read or is no image.
+    /// A file that cannot be read or is not an image.
     #[error("{path}{place} cannot be read: {cause}", path = path.display())]
     Unreadable {
         /// Absolute path.
@@ -44,7 +44,7 @@ pub enum CaptureError {
     /// A device, video or pipeline that does not open.
     #[error("{name} does not open: {reason}")]
     Closed {
-        /// The source, in words.
+        /// Name of the source, for messages.
         name: String,
         /// Why, and what to do.
         reason: String,
@@ -52,7 +52,7 @@ pub enum CaptureError {
     /// A frame of a device, video or pipeline that cannot be decoded.
     #[error("{name}: frame {frame}{of_expected} cannot be decoded: {cause}")]
     Frame {
-        /// The source, in words.
+        /// Name of the source, for messages.
         name: String,
         /// Number of the frame, from 1.
         frame: u64,
@@ -63,16 +63,16 @@ pub enum CaptureError {
     },
 }
 
-/// What is wrong with a frame of a stream.
+/// Why a frame of a stream cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
-    /// Nothing was grabbed.
+    /// No frame was grabbed.
     #[error("no frame is there")]
     NotThere,
-    /// The decoder returned a picture of no pixels.
+    /// The decoder returned an image without pixels.
     #[error("an empty picture came")]
     Empty,
-    /// It was made from damaged or missing data.
+    /// The frame was decoded from damaged or missing data.
     #[error("its data are damaged: {reason}")]
     Damaged {
         /// What the source or the decoder reported.
@@ -81,15 +81,15 @@ pub enum FrameError {
     /// Fewer bytes than the format needs.
     #[error("{bytes} bytes came, its format needs {expected}")]
     Short {
-        /// Bytes that came.
+        /// Number of bytes received.
         bytes: usize,
-        /// Bytes of a whole frame.
+        /// Number of bytes of a complete frame.
         expected: usize,
     },
-    /// A format that is no picture of rows and columns.
+    /// The format does not describe an image of rows and columns.
     #[error("the format {format} is not supported")]
     Unsupported {
-        /// GStreamer's name.
+        /// GStreamer's name of the format.
         format: String,
     },
     /// A JPEG of another size than the stream announces.
@@ -106,12 +106,12 @@ pub enum FrameError {
         /// Rows announced, px.
         announced_height: usize,
     },
-    /// The frame holds a damaged picture.
+    /// The frame contains a damaged image.
     #[error(transparent)]
     Picture(#[from] PictureError),
 }
 
-/// What is wrong with the bytes of a picture.
+/// Why the bytes of an image cannot be decoded.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// The file cannot be read.
@@ -123,10 +123,10 @@ pub enum PictureError {
     /// The file has no bytes.
     #[error("the file is empty")]
     Empty,
-    /// No decoder takes it.
+    /// No decoder supports the format.
     #[error("the file is no image that can be read, or it is damaged: {reason}")]
     Unknown {
-        /// GStreamer's words.
+        /// GStreamer's message.
         reason: String,
     },
     /// A PNG, JPEG or EXR that its decoder refuses.
@@ -149,24 +149,24 @@ pub enum PictureError {
         /// The decoder's error.
         cause: tiff::TiffError,
     },
-    /// A file of several images.
+    /// The file contains several images.
     #[error("it holds {count} pages: write each to a file of its own")]
     Pages {
-        /// How many.
+        /// Number of images.
         count: usize,
     },
-    /// Parts of the picture are not in the file.
+    /// Parts of the image are missing in the file.
     #[error("the image is damaged: parts of it cannot be decoded")]
     Incomplete,
-    /// Values or channels that are no picture.
+    /// Values or channels that cannot be shown as an image.
     #[error(
         "its format ({format}) is not supported: convert it to gray or colour of 8 or 16 bits without sign, or of 32-bit floats"
     )]
     Unsupported {
-        /// The format in words.
+        /// The format, as text.
         format: String,
     },
-    /// A JPEG that is not whole.
+    /// A JPEG that is truncated.
     #[error(transparent)]
     Jpeg(#[from] JpegError),
 }

@@ -1,4 +1,4 @@
-//! Opening with a time limit. GStreamer may wait for ever for a disk, a driver or a network, so the call runs on a thread of its own, which is
+//! Opening with a time limit. GStreamer may block forever on a disk, a driver or a network. The call therefore runs on a separate thread, which is
 //! abandoned when it does not return in time.
 
 use std::collections::BTreeMap;
@@ -9,15 +9,15 @@ use std::time::Duration;
 use super::error::CaptureError;
 use super::name::SourceName;
 
-/// Calls that have not returned yet, by the source's name.
+/// Number of calls that have not returned yet, by the source's name.
 static RUNNING: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
-/// Maximum number of calls that may hang for one source; each abandoned call holds a thread.
+/// Maximum number of hanging calls per source; each abandoned call holds a thread.
 const MAX_RUNNING: usize = 3;
 
-/// A call that opens a source.
+/// A pending call that opens a source.
 pub struct Opening<T> {
     name: SourceName,
-    /// Time of the host's clock at the first [`Self::poll`], ns.
+    /// Host time of the first [`Self::poll`], ns.
     since_ns: Option<i64>,
     limit: Duration,
     result: Receiver<Result<T, CaptureError>>,
@@ -28,10 +28,10 @@ fn running<R>(change: impl FnOnce(&mut BTreeMap<String, usize>) -> R) -> R {
 }
 
 impl<T: Send + 'static> Opening<T> {
-    /// Begins to open `name` by `open`, which has `limit` for it.
+    /// Starts opening `name` by `open` with the time limit `limit`.
     ///
     /// # Errors
-    /// [`CaptureError::Closed`] when too many earlier calls for the same source have not returned, or no thread starts.
+    /// [`CaptureError::Closed`] when too many earlier calls for the same source have not returned, or no thread can be started.
     pub fn start(
         name: &SourceName,
         limit: Duration,
@@ -63,7 +63,7 @@ impl<T: Send + 'static> Opening<T> {
         Ok(Self { name: name.clone(), since_ns: None, limit, result })
     }
 
-    /// Waits for the result of the call, or for the limit.
+    /// Blocks until the call returns or the time limit passes.
     ///
     /// # Errors
     /// Why the source does not open.
@@ -75,7 +75,7 @@ impl<T: Send + 'static> Opening<T> {
         }
     }
 
-    /// The result of the call, or of the limit, once there is one. The limit counts from the first poll.
+    /// The result of the call or of the time limit, once there is one. The limit counts from the first poll.
     pub fn poll(&mut self, now_ns: i64) -> Option<Result<T, CaptureError>> {
         let passed_ns = now_ns.saturating_sub(*self.since_ns.get_or_insert(now_ns));
         let is_in_time = passed_ns < i64::try_from(self.limit.as_nanos()).unwrap_or(i64::MAX);

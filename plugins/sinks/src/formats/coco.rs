@@ -6,10 +6,10 @@ use std::io::{self, BufRead, Seek};
 use panoscope_data::formats::json;
 use panoscope_node::{Detections, Instances};
 
-/// Makes one line of a journal for each tick, and the file from the journal, so that memory does not grow with the run. Image ids are tick
+/// Writes one line of a journal for each tick, and the final file from the journal, so that memory does not grow with the run. Image ids are tick
 /// numbers, category ids are class index + 1, as in COCO.
 ///
-/// A line is a JSON object: `categories` that are new, the `image`, its `annotations`.
+/// A line is a JSON object with new `categories`, the `image`, and its `annotations`.
 #[derive(Debug, Default)]
 pub struct Coco {
     categories: Vec<String>,
@@ -17,7 +17,7 @@ pub struct Coco {
     count: u64,
 }
 
-/// What stands before the parts of a line. Inside of a JSON string the quotes would be escaped.
+/// Marks where a part of a line begins. Inside a JSON string the quotes would be escaped.
 const IMAGE: &str = "\"image\":";
 const ANNOTATIONS: &str = ",\"annotations\":[";
 const LINE_END: &str = "]}\n";
@@ -110,7 +110,7 @@ impl Coco {
         self.ticks += 1;
     }
 
-    /// Writes the whole file from the lines of its journal.
+    /// Writes the final file from the lines of its journal.
     ///
     /// # Errors
     /// Those of `journal` and `out`.

@@ -1,4 +1,4 @@
-//! Pictures that carry their number, and a reader by GStreamer.
+//! Images that carry their number, and a reader by GStreamer.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use gstreamer::prelude::*;
 use gstreamer::{ClockTime, Pipeline, State};
 use gstreamer_app::AppSink;
 
-/// Bits of a number that are drawn into a picture.
+/// Number of bits that are drawn into an image.
 const BITS: usize = 12;
 
 /// A folder of its own, removed at the end.
@@ -28,7 +28,7 @@ impl Drop for Folder {
     }
 }
 
-/// A BGR picture with `number` as black and white columns on the upper half, and a pattern below that moves with it.
+/// A BGR image with `number` as black and white columns in the upper half, and a pattern below that moves with it.
 pub fn numbered((width, height): (usize, usize), number: u64) -> Vec<u8> {
     (0..width * height)
         .flat_map(|i| {
@@ -43,7 +43,7 @@ pub fn numbered((width, height): (usize, usize), number: u64) -> Vec<u8> {
         .collect()
 }
 
-/// The number in a picture, if every column is clearly black or white.
+/// The number in an image, if every column is clearly black or white.
 pub fn number_in(bgr: &[u8], (width, height): (usize, usize)) -> Option<u64> {
     let mut number = 0;
     for bit in 0..BITS {
@@ -57,7 +57,7 @@ pub fn number_in(bgr: &[u8], (width, height): (usize, usize)) -> Option<u64> {
     Some(number)
 }
 
-/// A decoded picture.
+/// A decoded frame.
 pub struct Decoded {
     pub bgr: Vec<u8>,
     pub size_px: (usize, usize),
@@ -80,7 +80,7 @@ impl Decoded {
     }
 }
 
-/// Every picture of a file, decoded by GStreamer.
+/// Every frame of a file, decoded by GStreamer.
 pub fn decode(path: &Path) -> Vec<Decoded> {
     gstreamer::init().unwrap();
     let text = "filesrc name=file ! decodebin ! videoconvert ! video/x-raw,format=BGR ! appsink name=sink sync=false";
