@@ -1,4 +1,4 @@
-//! `gate`: lets pictures through, or not.
+//! `gate`: passes or blocks frames.
 
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
 
@@ -7,12 +7,12 @@ use crate::ports::{In, Out};
 /// The gate's state.
 #[derive(Params)]
 pub struct Switch {
-    /// Whether pictures pass; when closed, the output is empty.
+    /// Whether frames pass; when closed, the output is empty.
     #[param(default = true)]
     open: bool,
 }
 
-/// Forwards pictures while it is open.
+/// Forwards frames while it is open.
 pub struct Gate;
 
 impl Node for Gate {

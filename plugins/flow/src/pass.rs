@@ -1,4 +1,4 @@
-//! `pass` and `pass_blocking`: hand a picture on.
+//! `pass` and `pass_blocking`: forward a frame.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
 
 use crate::ports::{In, Out};
 
-/// Forwards pictures, inline after their producer.
+/// Forwards frames, inline after their producer.
 pub struct Pass;
 
 impl Node for Pass {
@@ -24,15 +24,15 @@ impl Node for Pass {
     }
 }
 
-/// How long to hold a picture.
+/// How long to hold a frame.
 #[derive(Params)]
 pub struct Wait {
-    /// Time that the node sleeps per picture, as a slow device would.
+    /// Time that the node sleeps per frame, as a slow device would.
     #[param(default = 0.0, range = 0.0..=10000.0, unit = "ms")]
     wait_ms: f64,
 }
 
-/// Forwards pictures from a thread of its own, after a pause.
+/// Forwards frames from a separate thread, after a pause.
 pub struct PassBlocking;
 
 impl Node for PassBlocking {

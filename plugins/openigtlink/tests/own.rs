@@ -1,4 +1,4 @@
-//! Both nodes at both ends: what arrives, slow and hostile programs, lost connections, requests, mistakes.
+//! Both nodes as peers of each other: what arrives, slow and hostile programs, lost connections, requests, mistakes.
 
 use crate::common;
 use std::io::{Read, Write};
@@ -26,7 +26,7 @@ fn server(params: &str) -> (Harness<Send>, u16) {
     (node, port)
 }
 
-/// A plain connection that speaks the protocol.
+/// A bare connection that speaks the protocol.
 struct Plain {
     stream: TcpStream,
     reader: Reader,

@@ -1,4 +1,4 @@
-//! `overlay`: what other nodes found, drawn onto their picture.
+//! `overlay`: draws the results of other nodes on their image.
 
 use std::fmt::Write;
 
@@ -17,7 +17,7 @@ use crate::marks::{self, Pen, Words};
 use crate::nearness;
 use crate::quantity::{error_column, write_with_error};
 
-/// Corner of the picture.
+/// A corner of the image.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Corner {
     /// Upper left.
@@ -31,7 +31,7 @@ pub enum Corner {
 }
 
 impl Corner {
-    /// Upper left point of something of `size` in this corner of a picture of `frame`, both width, height in px.
+    /// Upper left point of something of `size` in this corner of an image of `frame`; both are width, height in px.
     fn at(self, frame: (usize, usize), size: (f32, f32), margin: f32) -> (f32, f32) {
         let right = frame.0 as f32 - size.0 - margin;
         let bottom = frame.1 as f32 - size.1 - margin;
@@ -48,7 +48,7 @@ impl Corner {
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture to draw on.
+    /// The image to draw on.
     pub image: Image<'f, Bgr8>,
     /// Registration: draws the outline of the right view and writes the state.
     pub homography: Option<Value<'f, Homography>>,
@@ -66,9 +66,9 @@ pub struct In<'f> {
     pub table: Option<Table<'f>>,
     /// A number.
     pub scalar: Option<Value<'f, Scalar>>,
-    /// Texts, each on lines of its own.
+    /// Texts, each on separate lines.
     pub text: Option<List<'f, Text<'f>>>,
-    /// A mask of the picture's size.
+    /// A mask of the image's size.
     pub mask: Option<Image<'f, Mask>>,
     /// Disparity map, px, shown as an inset.
     pub disparity: Option<Image<'f, Disparity>>,
@@ -79,7 +79,7 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The picture with everything drawn on it. The input's own buffer when there is nothing to draw.
+    /// The image with everything drawn on it. The input's own buffer when there is nothing to draw.
     pub image: Slot<'f, Bgr8>,
 }
 
@@ -89,7 +89,7 @@ pub struct Settings {
     /// Draws the state of the registration.
     #[param(default = true)]
     pub show_registration: bool,
-    /// Draws the outline of the right view and the registration's numbers too. Without it only a registration that is held or lost is named.
+    /// Also draws the outline of the right view and the registration's numbers. Without it only a held or lost registration is named.
     #[param(default = true)]
     pub show_outline: bool,
     /// Draws the rectangle of `roi`.
@@ -98,7 +98,7 @@ pub struct Settings {
     /// Draws boxes with their labels.
     #[param(default = true)]
     pub show_boxes: bool,
-    /// Lowest score of boxes and masks that are drawn.
+    /// Minimum score of boxes and masks that are drawn.
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
     pub min_score: f32,
     /// Draws masks.
@@ -110,24 +110,24 @@ pub struct Settings {
     /// Writes table, scalar and text.
     #[param(default = true)]
     pub show_numbers: bool,
-    /// Columns of the table that are written, separated by commas; empty writes all. The unit follows the number, and the 95 % error bound where the
+    /// Columns of the table that are written, separated by commas; empty writes all. The unit follows the number, and the 95 % error bound if the
     /// next column holds it: `distance_mm` with `error_mm` is written as `distance 12.3 ± 1.2 mm`.
     #[param(default = "")]
     pub columns: String,
     /// Shows the disparity or depth map as an inset.
     #[param(default = true)]
     pub show_inset: bool,
-    /// Where words stand: on the picture, or below it where they cover nothing.
+    /// Where text is written: on the image, or below it where it covers nothing.
     #[param(default = "picture")]
     pub words: Words,
-    /// Lines of the bar below the picture.
+    /// Number of lines of the bar below the image.
     #[param(default = 2, range = 1..=8)]
     pub bar_lines: usize,
-    /// Width of the output that a small picture with a bar is enlarged to, by the nearest whole factor, so that the text stays sharp on a large screen.
-    /// 0 keeps its size.
+    /// Width to which a small image with a bar is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps
+    /// its size.
     #[param(default = 0, range = 0..=4096, unit = "px")]
     pub wanted_width: usize,
-    /// Text that is always written in the corner; the title of a bar below the picture.
+    /// Text that is always written in the corner; the title of a bar below the image.
     #[param(default = "")]
     pub label: String,
     /// Corner of all text.
@@ -136,13 +136,13 @@ pub struct Settings {
     /// Corner of the inset.
     #[param(default = "bottom_right")]
     pub inset_corner: Corner,
-    /// Width of the inset, as a share of the picture's width.
+    /// Width of the inset, as a share of the image's width.
     #[param(default = 0.3, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     pub inset_share: f32,
-    /// Colours of the inset.
+    /// Colour map of the inset.
     #[param(default = "rainbow")]
     pub colors: Colors,
-    /// Size of text: capital letters are six times as many px high.
+    /// Scale of text: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
     /// Width of lines.
@@ -151,17 +151,17 @@ pub struct Settings {
     /// Opacity of masks.
     #[param(default = 0.4, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     pub mask_alpha: f32,
-    /// Offset added to all coordinates, x and y in px: the position of the left view's corner in the picture.
+    /// Offset added to all coordinates, x and y in px: the position of the left view's corner in the image.
     #[param(default = [], range = 0..=2, unit = "px", points)]
     pub offset_px: Vec<f64>,
 }
 
-/// Width of text in a corner, as a share of the picture's: longer lines are wrapped and leave the middle free.
+/// Maximum width of text in a corner, as a share of the image's: longer lines are wrapped so that the middle stays free.
 const WORDS_SHARE: f32 = 0.45;
 
-/// Width of a picture at which marks and words have the size of the parameters where words stand below it.
+/// Width of an image at which marks and text have the size of the parameters, if text is written below it.
 const USUAL_WIDTH: f32 = 640.0;
-/// Least size of words below a picture, as a share of the parameter's.
+/// Minimum scale of text below an image, as a share of the parameter's.
 const MIN_SCALE: f32 = 0.5;
 
 /// Breaks lines that are wider than `width_px` at spaces.
@@ -183,21 +183,21 @@ fn wrap(words: &mut String, width_px: f32, scale: f32) {
     }
 }
 
-/// Draws onto pictures.
+/// Draws the results of other nodes on images.
 #[derive(Default)]
 pub struct Overlay {
     auto: AutoRange,
     words: String,
     item: String,
     inset: Vec<u8>,
-    /// A picture with its marks, before it is enlarged.
+    /// The image with its marks, before it is enlarged.
     small: Vec<u8>,
     fit: Fit,
     labels: Labels,
     bar: Bar,
     /// Indices of the boxes that are shown, in the order of their tracks.
     shown: Vec<usize>,
-    /// A label that cannot be drawn was reported.
+    /// Whether a label that cannot be drawn was reported.
     has_warned: bool,
 }
 

@@ -1,4 +1,4 @@
-//! `evaluate_stitch`: registration and panorama beside the truth, one row per tick.
+//! `evaluate_stitch`: registration and panorama compared with the ground truth, one row per tick.
 
 use panoscope_imaging::Rect;
 use panoscope_imaging::geometry::Homography as Map;
@@ -38,16 +38,16 @@ const COLUMNS: [&str; 21] = [
     "ghost_pct",
     "stretch_pct",
 ];
-/// State of a tick without a homography.
+/// Value of `state` for a tick without a homography.
 const STATE_NONE: f64 = 3.0;
 
 /// Parameters of the evaluation.
 #[derive(Params, Clone, PartialEq)]
 pub struct EvaluateParams {
-    /// Column of the wide truth at which the left view begins; -1: as in the phantom, an eighth of the extra width.
+    /// Column of the left view's origin in the wide ground truth; -1: as in the phantom, an eighth of the extra width.
     #[param(default = -1, range = -1..=8192, unit = "px")]
     wide_x: i32,
-    /// Row of the wide truth at which the left view begins; -1: as in the phantom, an eighth of the extra height.
+    /// Row of the left view's origin in the wide ground truth; -1: as in the phantom, an eighth of the extra height.
     #[param(default = -1, range = -1..=8192, unit = "px")]
     wide_y: i32,
     /// Half the width of the band along the seam that is compared.
@@ -56,16 +56,16 @@ pub struct EvaluateParams {
     /// Spacing of the true correspondences.
     #[param(default = 8, range = 1..=64, unit = "px")]
     step: u32,
-    /// Number of ticks between comparisons of pictures, which take longer than stitching.
+    /// Number of ticks between comparisons of images, which take longer than stitching.
     #[param(default = 3, range = 1..=1000, unit = "frames")]
     every: u32,
-    /// Without a connected truth, evaluates the alignment by correspondences found by correlation, on the same ticks.
+    /// If no ground truth is connected, evaluates the alignment by correspondences found by correlation, on the same ticks.
     #[param(default = false)]
     correlate: bool,
-    /// Columns by which the right view is displaced, in units of the true disparity.
+    /// Horizontal displacement of the right view, in units of the true disparity.
     #[param(default = 1.0, range = -8.0..=8.0, unit = "ratio")]
     along_x: f64,
-    /// Rows by which it is displaced: 1 for a camera one baseline below the left one.
+    /// Vertical displacement of the right view: 1 for a camera one baseline below the left one.
     #[param(default = 0.0, range = -8.0..=8.0, unit = "ratio")]
     along_y: f64,
     /// Number of the right view in `shown`.
@@ -96,7 +96,7 @@ pub struct In<'f> {
     visible: Option<Image<'f, Mask>>,
     /// True homography, or the best available.
     truth: Option<Value<'f, Homography>>,
-    /// Picture of one wide camera at the left camera's position.
+    /// Image of one wide camera at the left camera's position.
     wide: Option<Image<'f, Bgr8>>,
     /// 255 in each pixel of `wide` that at least one camera shows.
     footprint: Option<Image<'f, Mask>>,
@@ -107,8 +107,8 @@ pub struct In<'f> {
 /// Outputs of the evaluation.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// A row for every tick so far; NaN where there is no truth. `state`: 0 fresh, 1 held, 2 lost, 3 none. Areas over that of the left view:
-    /// `fov_pct` is covered by the panorama, `fov_truth_pct` lies in the footprint of all cameras, `fov_right_pct` in both.
+    /// A row for every tick so far; NaN where there is no ground truth. `state`: 0 fresh, 1 held, 2 lost, 3 none. Areas relative to that of the left
+    /// view: `fov_pct` is covered by the panorama, `fov_truth_pct` by the footprint of all cameras, `fov_right_pct` by both.
     table: Slot<'f, TableData>,
 }
 
@@ -119,7 +119,7 @@ pub struct EvaluateStitch {
     ticks: u64,
 }
 
-/// The mesh of a view that `composite_mesh` wrote, and that of the left view: vertices row after row, at the multiples of the side of a cell.
+/// Reads the meshes of view `view` and of the left view from a table of `composite_mesh`: vertices row after row, at multiples of the cell's side.
 fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<(Mesh, Option<Mesh>)>> {
     let bad = || error!("the table at `mesh` holds no mesh: connect the output `mesh` of a `composite_mesh`");
     let rows: Vec<&[f64]> = if table.names().eq(VERTEX_COLUMNS) {
@@ -149,8 +149,7 @@ fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<(Mesh, Option<Mesh>)>>
     Ok(Some((of(2)?, has_left.then(|| of(4)).transpose()?)))
 }
 
-/// Root mean square distance of two maps over the points of the right view that the true one brings into the left view, and how
-/// many points that are.
+/// Root mean square distance of two maps over the points of the right view that the true one maps into the left view, and the number of these points.
 fn between(map: &Map, truth: &Map, left: (usize, usize), right: (usize, usize), step: u32) -> Option<(f64, usize)> {
     let (mut squares, mut count) = (0.0, 0usize);
     for y in (0..right.1).step_by(step.max(1) as usize) {
@@ -179,7 +178,7 @@ fn cropped_pct(map: &Map, right: (usize, usize), canvas: &Roi, panorama: (usize,
     f64::from(outside) * 100.0 / 1024.0
 }
 
-/// Column and row of the wide truth at which the left view begins.
+/// Column and row of the left view's origin in the wide ground truth.
 fn left_in_wide(input: &In<'_>, wide: (usize, usize), params: &EvaluateParams) -> (i32, i32) {
     let auto = |given: i32, wide: usize, left: usize| if given >= 0 { given } else { (wide as i32 - left as i32) / 8 };
     match &input.left_in_wide {
@@ -188,7 +187,7 @@ fn left_in_wide(input: &In<'_>, wide: (usize, usize), params: &EvaluateParams) -
     }
 }
 
-/// Pixels that the panorama covers, that the footprint of all cameras has, and that both share.
+/// Numbers of pixels covered by the panorama, by the footprint of all cameras, and by both.
 fn areas(shown: View<'_, u8>, footprint: Option<View<'_, u8>>, canvas: Roi, offset: (i32, i32)) -> [usize; 3] {
     let covered = (0..shown.height).map(|y| shown.row(y).iter().filter(|v| **v != 0).count()).sum();
     let Some(footprint) = footprint else { return [covered, 0, 0] };
@@ -210,7 +209,7 @@ fn areas(shown: View<'_, u8>, footprint: Option<View<'_, u8>>, canvas: Roi, offs
     [covered, truth, both]
 }
 
-/// Compares the panorama with the wide truth, where both are connected.
+/// Compares the panorama with the wide ground truth, if both are connected.
 fn pictures(input: &In<'_>, map: &Map, params: &EvaluateParams) -> PictureMarks {
     let (Some(panorama), Some(canvas), Some(wide)) = (&input.panorama, &input.canvas, &input.wide) else {
         return PictureMarks::default();

@@ -1,4 +1,4 @@
-//! Connects to a server, and again whenever the connection is lost.
+//! Connects to a server, and reconnects whenever the connection is lost.
 
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs};
@@ -8,12 +8,12 @@ use std::time::Duration;
 
 use super::{LinkError, Remark, Shared, connected};
 
-/// Longest wait for an answer to a connection.
+/// Time limit of a connection attempt.
 const CONNECT_LIMIT: Duration = Duration::from_secs(2);
 /// Pause between two attempts.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Starts the thread that connects.
+/// Starts the connecting thread.
 pub fn start(shared: &Arc<Shared>) -> Result<JoinHandle<()>, LinkError> {
     let own = Arc::clone(shared);
     std::thread::Builder::new().name("igtl-client".to_owned()).spawn(move || run(&own)).map_err(LinkError::Thread)

@@ -1,4 +1,4 @@
-//! Serves one connection: reads what arrives, and answers it.
+//! Serves one connection: reads messages and answers them.
 
 use std::net::TcpStream;
 use std::sync::atomic::Ordering;
@@ -51,7 +51,7 @@ pub fn serve(shared: &Arc<Shared>, stream: TcpStream, is_client: bool) {
     lock(&shared.inboxes).iter().filter_map(Weak::upgrade).for_each(|inbox: Arc<Inbox>| inbox.wake());
 }
 
-/// Reads until the connection ends; why it ended.
+/// Reads until the connection ends. Returns why it ended.
 fn read(peer: &Peer, shared: &Shared) -> Option<String> {
     let mut reader = Reader::default();
     let mut has_warned = false;
@@ -80,7 +80,7 @@ fn read(peer: &Peer, shared: &Shared) -> Option<String> {
     }
 }
 
-/// One remark per connection: a peer that sends one wrong message sends many.
+/// Logs only the first malformed message of a connection: a peer that sends one sends many.
 fn warn_once(peer: &Peer, shared: &Shared, has_warned: &mut bool, error: &IgtlError) {
     if !std::mem::replace(has_warned, true) {
         shared.remark(true, format!("a message of {} was dropped: {error}; further ones are counted only", peer.words));

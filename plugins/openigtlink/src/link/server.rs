@@ -1,4 +1,4 @@
-//! Waits for programs that connect.
+//! Accepts connections of programs.
 
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::{LinkError, MAX_PEERS, Shared, connected, lock};
 
-/// How often new connections are looked for.
+/// Interval at which new connections are accepted.
 const STEP: Duration = Duration::from_millis(20);
 
 fn refused(at: SocketAddr, error: &std::io::Error) -> LinkError {
@@ -20,7 +20,7 @@ fn refused(at: SocketAddr, error: &std::io::Error) -> LinkError {
     LinkError::Listen { at, reason: error.to_string(), help }
 }
 
-/// Listens, and starts the thread that accepts connections. Returns where it listens.
+/// Listens, and starts the thread that accepts connections. Returns the thread and the address.
 pub fn start(shared: &Arc<Shared>) -> Result<(JoinHandle<()>, SocketAddr), LinkError> {
     let address = &shared.endpoint.address;
     let ip: IpAddr = address.parse().map_err(|_| LinkError::Address { address: address.clone() })?;

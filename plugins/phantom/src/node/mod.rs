@@ -1,4 +1,4 @@
-//! `phantom`: a rendered scene seen by two or four cameras, with exact truth.
+//! `phantom`: a rendered scene seen by two or four cameras, with exact ground truth.
 
 mod calibration;
 mod params;
@@ -14,7 +14,7 @@ use calibration::calibration;
 use params::{DropViews, Layout, PhantomParams};
 use ports::{In, Out};
 
-/// Columns of `clearance`: places in the left camera's frame; distances below 0 lie inside the tissue; NaN where there is no other tip.
+/// Columns of `clearance`: positions are in the left camera's frame; distances below 0 are inside the tissue; NaN where there is no other tip.
 const CLEARANCE: [&str; 8] = ["track_id", "class_index", "seen", "x_mm", "y_mm", "z_mm", "tissue_mm", "tip_mm"];
 
 /// See the module.
@@ -25,11 +25,11 @@ pub struct PhantomNode {
     canvas: Canvas,
     labels: String,
     tools: ToolBuffers,
-    /// Buffer for a dropped view.
+    /// Buffer for a view that is dropped.
     unseen: Vec<u8>,
 }
 
-/// Buffers of the instruments' truth, reused from tick to tick.
+/// Buffers of the instruments' ground truth, reused from tick to tick.
 #[derive(Default)]
 struct ToolBuffers {
     ids: Vec<u8>,
@@ -197,7 +197,7 @@ impl PhantomNode {
         Ok(())
     }
 
-    /// Boxes, masks and tip of the instruments.
+    /// Writes boxes, masks and tips of the instruments.
     fn tools(&mut self, cx: &Context<'_>, frame: u64, pose: Option<Pose>, out: &mut Out<'_>) -> Result<()> {
         let read = [out.detections.is_read(), out.instances.is_read(), out.tip.is_read(), out.lead.is_read()];
         if !read.contains(&true) && !out.second.is_read() && !out.clearance.is_read() {

@@ -1,4 +1,4 @@
-//! Instruments: shapes and joints of the seven kinds, their movement, their truth in a picture.
+//! Instruments: shapes and joints of the seven kinds, their movement, their ground truth in an image.
 
 use super::kinds::ToolKind;
 use super::math::{Pose, Stream, sin_turns};
@@ -6,22 +6,22 @@ use super::params::SceneParams;
 use super::scenario::Script;
 use super::solid::{Paint, Part, Solid, add, dot};
 
-/// Truth of one instrument in the first camera's ideal view.
+/// Ground truth of one instrument in the first camera's ideal view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolTruth {
     /// Kind.
     pub kind: ToolKind,
     /// Value of its pixels in the plane of identities.
     pub id: u8,
-    /// Pixels seen.
+    /// Number of visible pixels.
     pub pixels: usize,
-    /// Box around them: x, y, width, height, px; all zero when none is seen.
+    /// Bounding box of the visible pixels: x, y, width, height, px; all zero if none is visible.
     pub bounds_px: [usize; 4],
     /// The tip in the first camera's frame, mm.
     pub tip_mm: [f64; 3],
-    /// Where the tip projects, px; NaN behind the camera.
+    /// Projection of the tip, px; NaN behind the camera.
     pub tip_px: [f64; 2],
-    /// Whether the tip lies inside the picture with nothing before it.
+    /// Whether the tip is inside the image with nothing in front of it.
     pub tip_visible: bool,
 }
 
@@ -37,19 +37,19 @@ const BAG: Paint = Paint { albedo: [0.26, 0.31, 0.33], metal: 0.05 };
 pub struct Tool {
     kind: ToolKind,
     id: u8,
-    /// Where it passes the wall of the belly, scene, mm.
+    /// Where it passes the abdominal wall, scene, mm.
     trocar: [f64; 3],
     /// Mean position of the tip, scene, mm.
     home: [f64; 3],
-    /// Amplitude mm, frequency Hz and phase of the tip along x, y, z.
+    /// Movement of the tip along x, y, z: amplitude (mm), frequency (Hz), phase (turns).
     sway: [[f64; 3]; 3],
     roll: [f64; 3],
     open: [f64; 3],
-    /// Movement of the leading one, or of the second one before it.
+    /// Script of the leading instrument, or of the second one that passes in front of it.
     script: Option<Script>,
 }
 
-/// Share of the distance to the tissue at which the leading instrument's tip stands when it is scripted.
+/// Depth of the tip of a scripted leading instrument, as a share of the distance to the tissue.
 const SCRIPTED_DEPTH: f64 = 0.78;
 
 /// Share of its roll that a scripted instrument keeps.
@@ -82,7 +82,7 @@ impl Posed {
     }
 }
 
-/// The instruments of a scene: `params.tools` of them.
+/// The `params.tools` instruments of a scene.
 pub fn cast_of(params: &SceneParams) -> Vec<Tool> {
     let mut stream = Stream::new(params.seed, 400);
     let first = stream.bits() as usize;
@@ -118,7 +118,7 @@ pub fn cast_of(params: &SceneParams) -> Vec<Tool> {
 }
 
 impl Tool {
-    /// Moves by a script instead of swinging: the first instrument always, the second where the script says how it passes.
+    /// Replaces swinging by a script: always for the first instrument, for the second only if the script lets it pass.
     fn follow(&mut self, script: Script, distance_mm: f64) {
         let leads = self.id == 1;
         if script.is_sway() || !(leads || script.crossing(0.0).is_some()) {
@@ -129,7 +129,7 @@ impl Tool {
         self.script = Some(script);
     }
 
-    /// Where the tip stands at a time.
+    /// Position of the tip at a time, scene, mm.
     fn tip(&self, seconds: f64) -> [f64; 3] {
         let swing = |[amplitude, hz, phase]: [f64; 3]| amplitude * sin_turns(hz * seconds + phase);
         let Some(script) = &self.script else { return [0, 1, 2].map(|k| self.home[k] + swing(self.sway[k])) };
@@ -143,7 +143,7 @@ impl Tool {
         add(self.home, offset, 1.0)
     }
 
-    /// The instrument at a time.
+    /// Pose of the instrument at a time.
     pub fn at(&self, seconds: f64) -> Posed {
         let swing = |[amplitude, hz, phase]: [f64; 3]| amplitude * sin_turns(hz * seconds + phase);
         let tip = self.tip(seconds);
@@ -245,7 +245,7 @@ impl Tool {
 }
 
 impl Posed {
-    /// Appends the parts in the frame of a camera `offset_mm` beside the first one.
+    /// Appends the parts in the frame of a camera at `offset_mm` from the first one.
     pub fn place_in_camera(&self, pose: &Pose, offset_mm: [f64; 3], out: &mut Vec<Solid>) {
         for part in self.parts() {
             let (a, b) = (to_camera(pose, offset_mm, part.a), to_camera(pose, offset_mm, part.b));
@@ -256,7 +256,7 @@ impl Posed {
     }
 }
 
-/// A point of the scene in a camera's frame, mm.
+/// Transforms a point of the scene to a camera's frame, mm.
 pub fn to_camera(pose: &Pose, offset_mm: [f64; 3], p: [f64; 3]) -> [f64; 3] {
     let r = pose.rotation();
     let q = add(p, pose.translation_mm, -1.0);
