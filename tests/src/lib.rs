@@ -1,4 +1,4 @@
-//! What the tests that cross crates share: where things are, and how a graph is run inside a test.
+//! Shared by the tests that involve several crates: where things are, and how a graph is run inside a test.
 
 #![forbid(unsafe_code)]
 
@@ -44,12 +44,12 @@ pub const DOCUMENTS: [&str; 16] = [
 /// The text of a document.
 ///
 /// # Panics
-/// When it cannot be read.
+/// The document cannot be read.
 pub fn document(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// Whether Python with NumPy is there; says why a test is skipped.
+/// Whether Python with NumPy is installed; reports why a test is skipped.
 pub fn has_python() -> bool {
     match std::process::Command::new("python3").args(["-c", "import numpy"]).output() {
         Ok(output) if output.status.success() => true,
@@ -64,19 +64,19 @@ pub fn has_python() -> bool {
     }
 }
 
-/// Runs the unit tests of a file in `tests/python` with the package of this build. `modules` are those of other packages that they import, which
+/// Runs the unit tests of a file in `tests/python` with the package of this build. `modules`: modules of other packages that they import, which
 /// `cargo xtask test` fetches; without them the test is skipped.
 ///
 /// # Panics
-/// When a test fails.
+/// A test fails.
 pub fn run_python_tests(file: &str, modules: &str) {
     run_python(file, &[], modules);
 }
 
-/// As [`run_python_tests`], of one class of the file, which imports no other package.
+/// As [`run_python_tests`], for one class of the file that imports no other package.
 ///
 /// # Panics
-/// When a test fails, or there is no such class.
+/// A test fails, or there is no such class.
 pub fn run_python_class(file: &str, class: &str) {
     run_python(file, &[class], "");
 }
@@ -113,10 +113,10 @@ fn run_python(file: &str, classes: &[&str], modules: &str) {
     assert!(words.contains("OK") && !words.contains("Ran 0 tests"), "{words}");
 }
 
-/// A fresh folder for the files of one test.
+/// A new folder for the files of one test.
 ///
 /// # Panics
-/// When the folder cannot be made.
+/// The folder cannot be created.
 pub fn scratch(name: &str) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("panoscope-{}-{name}", std::process::id()));
     let _ = std::fs::remove_dir_all(&folder);
@@ -124,7 +124,7 @@ pub fn scratch(name: &str) -> PathBuf {
     folder
 }
 
-/// A run that ended.
+/// A finished run.
 pub struct Run {
     /// Counters and times.
     pub report: Report,
@@ -134,7 +134,7 @@ pub struct Run {
     pub log: Vec<String>,
 }
 
-/// Loads and checks a graph text as if it were the file `path`; `Err` holds the rendered mistakes.
+/// Loads and checks a graph text as if it were the file `path`; `Err` contains the rendered errors.
 pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Loader), String> {
     let text = GraphText::parse(path, text);
     let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
@@ -148,7 +148,7 @@ pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Loader), String>
 /// Runs a graph text to its end on a number of threads.
 ///
 /// # Panics
-/// When the graph is wrong, does not start or does not end within two minutes.
+/// The graph is invalid, does not start, or does not end within two minutes.
 pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
     let (graph, catalog, loader) = load(path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let run = start(path, graph, &catalog, &loader, frames, threads).unwrap_or_else(|error| panic!("{error}"));
@@ -156,10 +156,10 @@ pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
     run.unwrap_or_else(|| unreachable!("asserted above"))
 }
 
-/// Runs a graph file with overlays, arguments and settings to its end. `None` where it needs ONNX Runtime, which is not there: the test is skipped.
+/// Runs a graph file with overlays, arguments and settings to its end. `None` if it needs ONNX Runtime, which is not installed: the test is skipped.
 ///
 /// # Panics
-/// When the graph is wrong, does not start or does not end within two minutes.
+/// The graph is invalid, does not start, or does not end within two minutes.
 pub fn run_file(path: &Path, options: &GraphOptions, frames: u64) -> Option<Run> {
     let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     run_with(path, &text, options, frames)
@@ -217,7 +217,7 @@ fn start(
     Ok(Some(Run { report, outcome, log }))
 }
 
-/// The phantom's cameras at 640x480, as `panoscope calibrate` would write them.
+/// Calibration of the phantom's cameras at 640x480, as `panoscope calibrate` would write it.
 pub const CALIBRATION: &str = "%YAML:1.0
 ---
 image_width: 640
@@ -257,7 +257,7 @@ T: !!opencv-matrix
 /// All files of a folder with their bytes, by name.
 ///
 /// # Panics
-/// When the folder cannot be read.
+/// The folder cannot be read.
 pub fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
     let mut found: Vec<_> = std::fs::read_dir(folder)
         .expect("the folder of a test")

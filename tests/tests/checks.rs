@@ -1,4 +1,5 @@
-//! What `check` finds in graphs of the real plugins, which `run` would refuse or lose: every node's own check, files, folders, models.
+//! What `check` reports in graphs of the real plugins: problems that `run` would refuse or data that it would lose. Every node's own check, files,
+//! folders, models.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -14,7 +15,7 @@ fn diagnostics(folder: &Path, text: &str) -> Diagnostics {
     check(&text, &loader.catalog_of(&text)).diagnostics
 }
 
-/// One node under test: `stage` gives what feeds it, and it is read by previews of `outputs`.
+/// A node under test: `stage` gives its producers, and previews read its `outputs`.
 struct Case {
     /// Name for messages.
     name: &'static str,
@@ -302,7 +303,7 @@ const CASES: &[Case] = &[
     },
 ];
 
-/// A folder with a picture of 64 x 32 px and a file of words.
+/// A folder with an image of 64 x 32 px and a text file.
 fn folder(name: &str) -> PathBuf {
     let folder = panoscope_tests::scratch(name);
     image::RgbImage::new(64, 32).save(folder.join("wide.png")).expect("a picture");
@@ -333,7 +334,7 @@ fn every_node_refuses_at_check_what_it_would_refuse_when_it_runs() {
     std::fs::remove_dir_all(folder).expect("removed");
 }
 
-/// Sinks that take the outputs of a case, by what the outputs carry.
+/// Sinks that read the outputs of a case, by their packet type.
 fn readers(case: &Case) -> String {
     let mut out = String::new();
     for output in case.outputs {
@@ -362,7 +363,7 @@ fn readers(case: &Case) -> String {
     out
 }
 
-/// What is checked is exactly what `open` refuses: each parameter error above ends a run too, with the same words.
+/// `check` reports exactly what `open` refuses: each parameter error above also ends a run, with the same message.
 #[test]
 fn a_run_refuses_with_the_same_words() {
     let folder = folder("open");

@@ -1,4 +1,5 @@
-//! Public data sets in graphs: truth beside what the matcher finds, shipped graphs on other data than the phantom's, `panoscope import`.
+//! Public data sets in graphs: ground truth compared with what the matcher finds, shipped graphs on other data than the phantom's, `panoscope
+//! import`.
 
 use crate::samples;
 use std::path::{Path, PathBuf};
@@ -27,7 +28,7 @@ fn cell(folder: &Folder, file: &str, column: &str) -> f64 {
     row.split(',').nth(at).and_then(|value| value.parse().ok()).unwrap_or_else(|| panic!("{column}: {row}"))
 }
 
-/// Rectifies and matches the first sequence of `DIR/set` and writes the scores of disparity and depth beside the truth.
+/// Rectifies and matches the first sequence of `DIR/set` and writes the scores of disparity and depth compared with the ground truth.
 fn judge(folder: &Folder, matcher: &str, more: &str) -> Run {
     let graph = format!(
         r#"
@@ -76,7 +77,7 @@ params = {{ path = "rectified.png" }}
     done
 }
 
-/// Views that are rectified already, with principal columns 6 px apart: `rectify` leaves them alone and depth counts `doffs`.
+/// Views that are already rectified, with principal columns 6 px apart: `rectify` leaves them unchanged, and depth accounts for `doffs`.
 #[test]
 fn matched_depth_of_rectified_views_agrees_with_the_truth() {
     const SHIFT: u32 = 14;
@@ -109,8 +110,8 @@ fn texture(x: f64, y: f64) -> u8 {
     (row(j) * (1.0 - v) + row(j + 1) * v) as u8
 }
 
-/// A SCARED keyframe of a slanted plane, rendered for raw cameras of which the right one is turned by 6 degrees: what `rectify` and the matcher
-/// find is what the points say, once these are moved into the rectified view.
+/// A SCARED keyframe of a slanted plane, rendered for raw cameras of which the right one is rotated by 6 degrees: `rectify` and the matcher find what
+/// the points state, once these are moved into the rectified view.
 #[test]
 fn matched_depth_of_raw_views_agrees_with_points_of_the_raw_camera() {
     const FOCAL: f64 = 320.0;
@@ -299,7 +300,7 @@ fn import_says_what_it_looked_for() {
     assert!(code == Some(2) && errors.contains("there is no folder"), "{errors}");
 }
 
-/// The data of this machine, where it is.
+/// Real data sets, if this machine has them.
 #[test]
 fn real_pictures_play() {
     let data = root().join("../shared/data");

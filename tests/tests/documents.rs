@@ -1,4 +1,4 @@
-//! The commands in the documents: every block is marked, every command and option exists, and what is marked to run runs.
+//! The commands in the documents: every block is marked, every command and option exists, and blocks that are marked to run do run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::process::Command;
 
 use panoscope_tests::{DOCUMENTS, document, root, scratch};
 
-/// What the comment in the line before a block says about it.
+/// Mark in the comment on the line before a block.
 #[derive(Clone, Debug, PartialEq)]
 enum Mark {
     None,
@@ -27,7 +27,7 @@ struct Block {
 }
 
 impl Block {
-    /// Command lines of a shell block, without comments; lines joined by `&&` are several.
+    /// Command lines of a shell block, without comments; lines joined by `&&` are split.
     fn commands(&self) -> impl Iterator<Item = &str> {
         let lines = self.text.lines().map(|line| line.split(" #").next().unwrap_or_default());
         lines.flat_map(|line| line.split("&&")).map(str::trim).filter(|c| !c.is_empty() && !c.starts_with('#'))
@@ -123,7 +123,7 @@ fn every_block_is_marked() {
     }
 }
 
-/// The `--help` of commands, each asked once.
+/// The `--help` of commands; each is run once.
 struct Help {
     program: PathBuf,
     known: BTreeMap<Vec<String>, Option<String>>,
@@ -155,7 +155,7 @@ impl Help {
         entry.as_deref()
     }
 
-    /// What is wrong with a command line, as far as commands and options go.
+    /// What is wrong with the commands and options of a command line.
     fn mistake(&mut self, command: &str) -> Option<String> {
         let words: Vec<&str> = command.split_whitespace().skip(1).collect();
         let first = words.first().filter(|w| !w.starts_with('-'))?;
@@ -180,10 +180,10 @@ impl Help {
     }
 }
 
-/// Commands that have commands of their own.
+/// Commands with subcommands.
 const NESTED: [&str; 4] = ["bench", "dicom", "eval", "new"];
 
-/// The words of a `--help`, options among them.
+/// The words of a `--help`, including options.
 fn options_in(help: &str) -> BTreeSet<String> {
     help.split(|c: char| !(c.is_alphanumeric() || c == '-')).map(str::to_owned).collect()
 }
@@ -261,7 +261,7 @@ fn the_table_of_commands_has_each_command_and_its_options() {
     assert!(count > 15, "{count} commands in --help");
 }
 
-/// A folder as the reader has it: a copy of the graphs, beside the plugins and their models.
+/// A folder as the reader has it: a copy of the graphs, next to the plugins and their models.
 fn reader_folder(name: &str) -> PathBuf {
     let folder = scratch(&format!("documents-{}", name.replace('/', "-")));
     for graphs in ["graphs", "graphs/parts", "graphs/sources", "graphs/machines"] {
@@ -306,7 +306,7 @@ fn run_blocks(name: &str, program: &Path) -> PathBuf {
     folder
 }
 
-/// Runs a document's blocks and looks for the files that it promises.
+/// Runs a document's blocks and checks the files that it promises.
 fn runs(name: &str, promised: &[&str], look: impl Fn(&Path)) {
     let Some(program) = program() else { return };
     let folder = run_blocks(name, &program);
@@ -363,7 +363,7 @@ fn the_commands_of_the_other_pages_run() {
     }
 }
 
-/// The anchor that a heading gets.
+/// The anchor of a heading.
 fn anchor(heading: &str) -> String {
     let kept = heading.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
     kept.collect::<String>().to_lowercase().replace(' ', "-")

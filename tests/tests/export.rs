@@ -1,4 +1,4 @@
-//! Recordings as files of other programs: what `panoscope export` writes, read by others, and what it refuses.
+//! Recordings exported to files of other programs: what `panoscope export` writes, read by others, and what it refuses.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -53,7 +53,7 @@ fn more_frames(live: &Live<Box<Engine>>, node: &str) {
     until("frames are written", || made(live, node) > before + 10);
 }
 
-/// Stops the run; answers the calls of a node.
+/// Stops the run; returns the number of calls of a node.
 fn end(live: &Live<Box<Engine>>, node: &str) -> u64 {
     live.engine().stop();
     assert!(live.engine().wait(Some(PATIENCE)), "it does not end");
@@ -61,7 +61,7 @@ fn end(live: &Live<Box<Engine>>, node: &str) -> u64 {
     made(live, node)
 }
 
-/// Frames of a completed video: a known size, whole JPEGs, an index.
+/// Number of frames of a completed video: a known size, complete JPEGs, an index.
 fn frames(path: &Path) -> u64 {
     let bytes = std::fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let segment = bytes.windows(4).position(|w| w == [0x18, 0x53, 0x80, 0x67]).expect("a segment");

@@ -1,4 +1,4 @@
-//! What a call of an isolated node costs, what its process may do, and where a source goes on after its process died.
+//! Cost of a call of an isolated node, permissions of its process, and where a source continues after its process died.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,13 +9,13 @@ use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_host::isolate::kernel;
 use panoscope_tests::{DisturbedRun, run_disturbed, scratch};
 
-/// One test at a time: they kill processes of this one.
+/// Runs one test at a time: they kill processes of this one.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A filter that forwards, one that makes pictures, one that writes to its input's pixels, one that asks for ages and a source with a clock.
+/// A filter that forwards, one that makes frames, one that writes to its input's pixels, one that asks for ages, and a source with a clock.
 const FILTERS: &str = r#"
 mode = "batch"
 plugins = ["flow", "phantom", "stereo", "overlay", "fixtures"]
@@ -153,7 +153,7 @@ fn children() -> Vec<i32> {
     numbers.filter(is_own).collect()
 }
 
-/// Kills the process of isolated nodes once a source has made so many ticks.
+/// Kills the process of isolated nodes once a source has made this many ticks.
 fn kill_once(source: &'static str, at: u64) -> impl FnMut(&Engine) {
     let mut is_done = false;
     move |engine| {
@@ -168,7 +168,7 @@ fn kill_once(source: &'static str, at: u64) -> impl FnMut(&Engine) {
     }
 }
 
-/// Pictures that each have another content.
+/// Writes images with different content.
 fn pictures(folder: &Path, count: u8) -> PathBuf {
     let pictures = folder.join("pictures");
     std::fs::create_dir_all(&pictures).expect("a folder");

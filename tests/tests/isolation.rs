@@ -1,4 +1,4 @@
-//! Nodes in processes of their own: the same bytes as in the process of the graph, and whatever happens there stays there.
+//! Nodes in separate processes: the same bytes as in the process of the graph, and faults stay inside their process.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use panoscope_tests::{files, load, run, scratch};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Threads that run a test or wait for their turn to. They start while another test counts threads.
+/// Threads that run a test or wait for their turn. They start while another test counts threads.
 static TESTS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 /// This thread, as the system lists it.
@@ -31,14 +31,14 @@ fn threads() -> usize {
     all.flatten().filter(|entry| !tests.contains(&entry.path())).count()
 }
 
-/// One test at a time: they count processes, files and memory of this process.
+/// Runs one test at a time: they count processes, files and memory of this process.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     TESTS.lock().unwrap_or_else(PoisonError::into_inner).insert(this_thread());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Rendered stereo pictures, their registration and the wide picture, all of them written.
+/// Rendered stereo frames, their registration and the wide image, all of them written.
 fn panorama(folder: &Path, isolate: &str) -> String {
     let folder = folder.display();
     format!(
@@ -93,7 +93,7 @@ fn isolated_nodes_make_the_same_bytes() {
     }
 }
 
-/// A run of a graph text, with its faults.
+/// A finished run of a graph text, with its faults.
 struct Ran {
     report: Report,
     outcome: Outcome,
@@ -121,7 +121,7 @@ fn ran(folder: &Path, text: &str, options: Options) -> Ran {
     Ran { report, outcome, faults }
 }
 
-/// Frames through an isolated node that does harm, beside a node of the graph's process and one of another group.
+/// Frames through an isolated node that misbehaves, next to a node of the graph's process and one of another group.
 fn harmed(folder: &Path, harm: &str, kind: &str) -> String {
     let folder = folder.display();
     format!(
@@ -243,7 +243,7 @@ fn a_node_that_crashes_while_it_opens_is_named() {
     }
 }
 
-/// Frames, passed on by an isolated node.
+/// Frames, forwarded by an isolated node.
 fn passing(params: &str) -> String {
     format!(
         r#"
@@ -400,7 +400,7 @@ fn a_run_with_a_crash_replays_to_the_byte() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// Processes of isolated nodes that this process started, as they are listed.
+/// Ids of the processes of isolated nodes that this process started.
 fn children() -> Vec<u32> {
     let own = std::process::id();
     let Ok(entries) = std::fs::read_dir("/proc") else { return Vec::new() };
@@ -419,7 +419,7 @@ fn children() -> Vec<u32> {
     found
 }
 
-/// Open files of this process that isolation makes.
+/// Open files of this process that isolation created.
 fn shared_files() -> Vec<String> {
     let entries = std::fs::read_dir("/proc/self/fd").expect("the system lists open files").flatten();
     let names = entries.filter_map(|entry| Some(std::fs::read_link(entry.path()).ok()?.display().to_string()));
@@ -428,7 +428,7 @@ fn shared_files() -> Vec<String> {
         .collect()
 }
 
-/// Mappings of frames and lanes. The code of plugins stays mapped, as it always does.
+/// Mappings of frames and lanes. The code of plugins stays mapped, which is intended.
 fn shared_memory() -> Vec<String> {
     let maps = std::fs::read_to_string("/proc/self/maps").expect("the system lists memory");
     let of = |line: &&str| ["memfd:panoscope-frames", "memfd:panoscope-lane"].iter().any(|name| line.contains(name));

@@ -1,4 +1,4 @@
-//! Nodes on other machines: the same bytes, and what becomes of a graph when the machine or the network fails.
+//! Nodes on other machines: the same bytes, and what happens to a graph when the machine or the network fails.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
@@ -14,8 +14,8 @@ use panoscope_engine::{Engine, Listener, Options, Outcome, StartError};
 use panoscope_tests::machines::{Machine, Namespace, Relay, free_port, program, random};
 use panoscope_tests::{DisturbedRun, load, run_disturbed, scratch};
 
-/// A filter that forwards, one that makes pictures, one that writes to its input's pixels, one that asks for ages and a source with a clock, all on
-/// the other machine; and one that is here, between two that are there.
+/// On the other machine: a filter that forwards, one that makes frames, one that writes to its input's pixels, one that asks for ages, and a source
+/// with a clock. Here: one filter between two of the other machine.
 const FILTERS: &str = r#"
 mode = "batch"
 plugins = ["flow", "phantom", "stereo", "overlay", "fixtures"]
@@ -55,7 +55,7 @@ inputs = { image = "far.right" }
 
 /// Maximum time to wait for a condition.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// On a loaded machine a connection may take seconds.
+/// Timeout for a loaded machine, on which a connection may take seconds.
 const PATIENT: &str = "timeout_ms = 5000";
 
 fn machine(address: &str, more: &str) -> String {
@@ -70,7 +70,7 @@ fn options(frames: u64) -> Options {
     Options { frames: Some(frames), ..Options::default() }
 }
 
-/// A machine without encryption on this one; `None` where there is no program.
+/// A machine without encryption on this computer; `None` if there is no program.
 fn plain_machine(folder: &Path) -> Option<(Machine, u16)> {
     let port = free_port();
     let machine = Machine::start(&[], "rack", &format!("tcp/127.0.0.1:{port}"), &[], folder);
@@ -134,7 +134,7 @@ fn a_slow_and_lossy_network_changes_no_byte() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// Starts a graph and closes it; the reason why it does not start.
+/// Starts and closes a graph. Returns why it does not start.
 fn refusal(folder: &Path, text: &str) -> String {
     let (graph, catalog, loader) =
         load(&folder.join("graph.toml"), text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
@@ -219,7 +219,7 @@ fn another_build_of_a_plugin_is_refused_with_both_hashes() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// Makes keys for machines; `None` where there is no program.
+/// Creates keys for machines; `None` if there is no program.
 fn keys(folder: &Path, names: &[&str]) -> Option<PathBuf> {
     let keys = folder.join("keys");
     let made = Command::new(program()?).arg("keys").arg(&keys).args(names).output().expect("it runs");
@@ -227,12 +227,12 @@ fn keys(folder: &Path, names: &[&str]) -> Option<PathBuf> {
     Some(keys)
 }
 
-/// Runs a graph with the keys of a host, in a process of its own: the variable is that of the process.
+/// Runs a graph with the keys of a host, in a separate process, because the environment variable belongs to the process.
 fn run_as(folder: &Path, keys: &Path, text: &str) -> (bool, String) {
     run_frames_as(folder, keys, text, 20)
 }
 
-/// The same with so many frames.
+/// The same with a number of frames.
 fn run_frames_as(folder: &Path, keys: &Path, text: &str, frames: u64) -> (bool, String) {
     let graph = folder.join("graph.toml");
     std::fs::write(&graph, text).expect("a file");
@@ -377,7 +377,7 @@ fn ages_of_light_from_another_machine_count_its_way_here() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// A `panoscope run` without an end, and what it writes. It is killed when this is dropped.
+/// A `panoscope run` without an end, and its log. Killed when dropped.
 struct Host {
     child: Child,
     /// Lines of its standard error.
@@ -402,7 +402,7 @@ impl Host {
         self.log.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Waits for something while it runs.
+    /// Waits for a condition while it runs.
     fn until(&mut self, what: &str, holds: impl Fn(&Self) -> bool) {
         let end = Instant::now() + PATIENCE;
         while !holds(self) {
@@ -412,7 +412,7 @@ impl Host {
         }
     }
 
-    /// Ends it as its user does.
+    /// Interrupts it, as its user does.
     fn interrupt(mut self) -> ExitStatus {
         let sent = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
         assert!(sent.is_ok_and(|status| status.success()), "it takes a signal");
@@ -434,7 +434,7 @@ impl Drop for Host {
     }
 }
 
-/// Number of pictures `NAME_000000.png` and so on in a folder.
+/// Number of images `NAME_000000.png` and so on in a folder.
 fn pictures_of(folder: &Path, name: &str) -> usize {
     let files = std::fs::read_dir(folder).expect("a folder").flatten().map(|entry| entry.file_name());
     let mine = |file: &str| file.strip_prefix(name).is_some_and(|rest| rest.starts_with('_') && rest.ends_with(".png"));
@@ -504,21 +504,22 @@ fn three_machines_in_namespaces_survive_a_cut_cable() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// Pictures of an output by tick.
+/// Frames of an output by tick.
 type Pictures = Arc<Mutex<BTreeMap<u64, Vec<u8>>>>;
 
-/// A run with a node on another machine that makes a picture of its own of the one that arrives: what was sent and made, and the bytes that crossed.
+/// A run with a node on another machine that makes a new frame from each one that arrives: the frames sent and made, and the number of bytes
+/// transferred.
 struct ColourRun {
     sent: BTreeMap<u64, Vec<u8>>,
     made: BTreeMap<u64, Vec<u8>>,
     bytes: u64,
     faults: usize,
-    /// Connections that were made.
+    /// Number of connections that were made.
     connections: u64,
 }
 
 impl ColourRun {
-    /// Runs until `is_done`, which sees the number of pictures that were made so far and of connections.
+    /// Runs until `is_done`, which is given the numbers of frames made so far and of connections.
     fn new(folder: &Path, machine: &str, mut is_done: impl FnMut(usize, u64) -> bool) -> Self {
         // What was made comes back as a second stream.
         let text = format!(
@@ -561,7 +562,7 @@ impl ColourRun {
         Self { sent, made, bytes, faults: engine.recent_faults().len(), connections }
     }
 
-    /// Peak signal-to-noise ratio of the worst picture, dB.
+    /// Peak signal-to-noise ratio of the worst frame, dB.
     fn worst_db(&self) -> f64 {
         let psnr_db = |(seq, picture): (&u64, &Vec<u8>)| {
             let pairs = picture.iter().zip(&self.sent[seq]);
@@ -629,9 +630,9 @@ fn streams_of_h264_begin_anew_with_each_connection() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// Faults of the network at random moments: each picture that arrives is the right one, and every node works again in the end.
+/// Faults of the network at random moments: each frame that arrives is correct, and every node works again in the end.
 ///
-/// `PANOSCOPE_NETWORK_FAULTS` is their number, `PANOSCOPE_NETWORK_SEED` picks others.
+/// `PANOSCOPE_NETWORK_FAULTS` is their number, `PANOSCOPE_NETWORK_SEED` selects others.
 #[test]
 fn no_fault_of_the_network_makes_a_wrong_picture() {
     let number =

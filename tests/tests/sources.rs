@@ -1,4 +1,4 @@
-//! A source that fails says where, and neither hides it nor begins again at its first picture.
+//! A source that fails names its position, does not hide the fault, and does not restart at its first frame.
 
 use std::path::{Path, PathBuf};
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// Why a file gives no names.
+/// Why there are no usable names.
 #[derive(Debug, thiserror::Error)]
 pub enum LabelsError {
     /// The file cannot be read.
@@ -13,17 +13,17 @@ pub enum LabelsError {
         /// The system's error.
         cause: std::io::Error,
     },
-    /// More or fewer names than the model has classes.
+    /// The number of names differs from the model's number of classes.
     #[error("{model} has {classes} classes, the label table has {names} names", model = model.display())]
     Count {
-        /// The model.
+        /// File of the model.
         model: PathBuf,
-        /// Its classes.
+        /// Number of classes of the model.
         classes: usize,
-        /// Names of the table.
+        /// Number of names in the table.
         names: usize,
     },
-    /// All lines are empty.
+    /// The file has no names.
     #[error("{path} holds no names", path = path.display())]
     Empty {
         /// The file.
@@ -34,7 +34,7 @@ pub enum LabelsError {
 /// Reads one name per line; empty lines at the end are ignored.
 ///
 /// # Errors
-/// A file that cannot be read, or has no names.
+/// The file cannot be read or has no names.
 pub fn from_file(path: &Path) -> Result<Vec<String>, LabelsError> {
     let text =
         std::fs::read_to_string(path).map_err(|cause| LabelsError::Unreadable { path: path.to_owned(), cause })?;
@@ -42,11 +42,11 @@ pub fn from_file(path: &Path) -> Result<Vec<String>, LabelsError> {
     if names.iter().all(String::is_empty) { Err(LabelsError::Empty { path: path.to_owned() }) } else { Ok(names) }
 }
 
-/// Names of the `classes` of a model, separated by line feeds: those of `file`, where it is not empty, else those of the model's `metadata`, else
+/// Names of the `classes` classes of a model, separated by line feeds: those of `file` if it is not empty, else those of the model's `metadata`, else
 /// numbers. 0 classes: as many as there are names.
 ///
 /// # Errors
-/// A file that cannot be read, or another number of names.
+/// The file cannot be read, or the number of names is wrong.
 pub fn table(model: &Path, metadata: Option<&str>, file: &Path, classes: usize) -> Result<String, LabelsError> {
     let mut names = match file.as_os_str().is_empty() {
         true => metadata.and_then(from_metadata).unwrap_or_default(),
@@ -59,7 +59,7 @@ pub fn table(model: &Path, metadata: Option<&str>, file: &Path, classes: usize) 
     Ok(names.join("\n"))
 }
 
-/// Reads `{0: 'grasper', 1: "hook"}` and `['grasper', 'hook']`, as exports write them.
+/// Parses `{0: 'grasper', 1: "hook"}` and `['grasper', 'hook']`, as exports write them.
 pub fn from_metadata(text: &str) -> Option<Vec<String>> {
     let (mut names, mut rest, mut next) = (Vec::<String>::new(), text.trim(), 0usize);
     if !(rest.starts_with('{') || rest.starts_with('[')) {

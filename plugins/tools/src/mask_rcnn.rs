@@ -25,21 +25,21 @@ use crate::yolo::{Network, check_labels, detection, picture_of};
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture to search, bgr8 or gray8.
+    /// Image to search, bgr8 or gray8.
     image: AnyImage<'f>,
-    /// What of the picture is lit, not 0. Instances whose boxes lie outside by more than half are dropped; without it all is lit.
+    /// Nonzero where the image is illuminated. Instances whose boxes are more than half outside are dropped. Unconnected: the whole image.
     mask: Option<Image<'f, Mask>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Boxes and masks in px of the picture, highest score first, with their labels.
+    /// Boxes and masks in px of the image, highest score first, with their labels.
     instances: Slot<'f, LabeledInstances>,
-    /// How unlike the pictures that the model learned from the last ones are, smoothed, as a share of the model's limit: from 1 on it knows little of
-    /// such pictures. Empty where the model carries no statistics of pictures. Metric `unlike` is 1 while it is above.
+    /// How unlike the model's training images the last images are, smoothed, as a share of the model's limit. From 1 on the model is unreliable for
+    /// such images. Empty if the model has no image statistics. Metric `unlike` is 1 while it is above.
     unlikeness: Slot<'f, Scalar>,
-    /// What a screen says while the images are too unlike those that the model learned from; else empty text.
+    /// Message for a screen while the images are too unlike the training images; otherwise empty text.
     text: Slot<'f, TextPacket>,
 }
 
@@ -48,7 +48,7 @@ pub struct Out<'f> {
 pub enum Family {
     /// Recognised from the shapes of the outputs and the model's metadata.
     Auto,
-    /// Red first, 0..1; class 0 is background; masks of the whole picture or of 28 px.
+    /// Red first, 0..1; class 0 is background; masks of the whole image or of 28 px.
     Torchvision,
     /// Blue first, 0..255; masks of 28 px.
     Detectron2,
@@ -65,16 +65,16 @@ pub struct MaskRcnnParams {
     /// Family of the export.
     #[param(default = "auto", reopen)]
     family: Family,
-    /// Lowest score of an instance.
+    /// Minimum score of an instance.
     #[param(default = 0.5, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
     /// Overlap (intersection over union) above which the box with the lower score is dropped, within a class.
     #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     max_overlap: f32,
-    /// Probability from which a pixel belongs to the mask.
+    /// Minimum probability of a pixel of the mask.
     #[param(default = 0.5, range = 0.01..=0.99, step = 0.01, unit = "ratio")]
     mask_threshold: f32,
-    /// Largest number of instances in the output.
+    /// Maximum number of instances in the output.
     #[param(default = 20, range = 1..=200)]
     max_instances: usize,
     /// File with the names of the classes, one per line. Empty: the names in the model file.
@@ -89,11 +89,11 @@ pub struct MaskRcnnParams {
     /// Gives each tool a number (`track_id`) that it keeps over time.
     #[param(default = true)]
     track: bool,
-    /// Gives a tracked tool the class that it had most often: votes weigh as much as their score, and half as much after this time. 0: each picture's
-    /// own class.
+    /// Gives a tracked tool the class that it had most often: votes are weighted by score, and their weight halves after this time. 0: the class in
+    /// each image.
     #[param(default = 0.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     vote_s: f32,
-    /// Time over which the deviation of the pictures from those learned from is smoothed.
+    /// Time constant of the smoothing of `unlikeness`.
     #[param(default = 2.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     unlike_s: f32,
     /// What happens to the instruments while `unlikeness` is 1 or more.
@@ -102,8 +102,8 @@ pub struct MaskRcnnParams {
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
-    /// What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the
-    /// processor does, with a warning.
+    /// Execution provider: the processor, or an accelerator if ONNX Runtime's library supports it and finds a device. Otherwise the processor is
+    /// used, with a warning.
     #[param(default = "cpu", reopen)]
     provider: Provider,
 }
@@ -115,7 +115,7 @@ pub struct MaskRcnn {
     family: Family,
     familiarity: Familiarity,
     candidates: Vec<Candidate>,
-    /// Probabilities per candidate, one map after the other: whole or small maps, or sums of prototypes.
+    /// Probabilities per candidate, one map after the other: full-size or small maps, or sums of prototypes.
     maps: Vec<f32>,
     map_size: (usize, usize),
     /// Buffers of painting: position of each column of a box in its map, and a row of the map for each task.
@@ -127,7 +127,7 @@ pub struct MaskRcnn {
     lit: HeldMask,
 }
 
-/// The four outputs of a Mask R-CNN, in any order.
+/// The four outputs of a Mask R-CNN, identified in any order.
 struct NetworkOutputs<'a> {
     boxes: &'a [f32],
     scores: &'a [f32],
@@ -171,7 +171,7 @@ fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<NetworkOutputs<'a
     Ok(NetworkOutputs { boxes, scores, labels, masks, map_size: (width, height), count })
 }
 
-/// Rows of a mask that one task paints.
+/// Rows of a mask per task.
 const ROWS_PER_CHUNK: usize = 32;
 
 /// Position of a pixel along one side of a map: between cell `first` and the next, counted from a cell of zeros before the map.
@@ -182,7 +182,7 @@ struct CellPosition {
 }
 
 impl CellPosition {
-    /// The position of a coordinate in cells, whose centres are whole numbers. Outside the map the value is that of the zeros around it.
+    /// The position of a coordinate in cells, whose centres are integers. Outside the map the value is that of the zeros around it.
     fn new(at: f32, cells: usize) -> Self {
         if at > -1.0 && at < cells as f32 {
             let low = at.floor();
@@ -202,7 +202,7 @@ enum Covers {
 }
 
 impl MaskRcnn {
-    /// Bit masks of all items: most significant bit first, rows padded to whole bytes. Each map is enlarged bilinearly, rows first.
+    /// Paints the bit masks of all items: most significant bit first, rows padded to whole bytes. Each map is enlarged bilinearly, rows first.
     fn paint(&mut self, covers: Covers, size: (usize, usize), threshold: f32, pool: &dyn Parallel) {
         let len = mask_len(size.0, size.1);
         let row_bytes = size.0.div_ceil(8);
@@ -252,7 +252,7 @@ impl MaskRcnn {
     }
 }
 
-/// A row of the map at a height between two of its rows, with a zero before and after it.
+/// A row of the map interpolated between two of its rows, with a zero before and after it.
 fn mix(map: &[f32], (width, height): (usize, usize), at: CellPosition, line: &mut [f32]) {
     let row = |index: usize| (1..=height).contains(&index).then(|| &map[(index - 1) * width..index * width]);
     let first = at.first as usize;
@@ -270,7 +270,7 @@ fn mix(map: &[f32], (width, height): (usize, usize), at: CellPosition, line: &mu
     }
 }
 
-/// Segmenting YOLO exports return their boxes in columns.
+/// Memory layout of the boxes: segmenting YOLO exports return them in columns.
 fn rows_of(is_yolo: bool) -> Rows {
     if is_yolo { Rows::Columns } else { Rows::Whole }
 }

@@ -1,4 +1,4 @@
-//! A session of ONNX Runtime: the file is checked first, a provider is chosen, tensors go in and out as slices.
+//! A session of ONNX Runtime: checks the file, selects a provider, and passes tensors in and out as slices.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,21 +17,21 @@ use crate::runtime_library::{self, LibraryError};
 /// Why a model cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
-    /// No ONNX Runtime.
+    /// ONNX Runtime cannot be used.
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// The file itself.
+    /// The file cannot be used.
     #[error(transparent)]
     File(#[from] OnnxFileError),
-    /// ONNX Runtime refused it.
+    /// ONNX Runtime cannot open the file.
     #[error("ONNX Runtime cannot open {path}: {reason}", path = path.display())]
     Open {
         /// The file.
         path: PathBuf,
-        /// Its message.
+        /// ONNX Runtime's message.
         reason: String,
     },
-    /// A run failed.
+    /// A run of the network failed.
     #[error("{path} failed: {reason}", path = path.display())]
     Run {
         /// The file.
@@ -46,7 +46,7 @@ pub enum SessionError {
 pub struct Declared {
     /// Its name.
     pub name: String,
-    /// Type of its elements; `None` where it is not a tensor.
+    /// Type of its elements; `None` if it is not a tensor.
     pub element: Option<TensorElementType>,
     /// Its shape; -1 for an axis of any length.
     pub dims: Vec<i64>,
@@ -69,13 +69,13 @@ impl fmt::Display for Declared {
     }
 }
 
-/// A shape as messages show it, as in `1x3x?x?`.
+/// A shape as text for messages, as in `1x3x?x?`.
 pub fn dims_text(dims: &[i64]) -> String {
     let one = |&dim: &i64| if dim < 0 { "?".to_owned() } else { dim.to_string() };
     if dims.is_empty() { "number".to_owned() } else { dims.iter().map(one).collect::<Vec<_>>().join("x") }
 }
 
-/// Several inputs or outputs as messages show them.
+/// Several inputs or outputs as text for messages.
 pub fn list_text<T: fmt::Display>(all: &[T]) -> String {
     if all.is_empty() { "nothing".into() } else { all.iter().map(T::to_string).collect::<Vec<_>>().join(", ") }
 }
@@ -98,10 +98,10 @@ impl fmt::Display for Tensor<'_> {
     }
 }
 
-/// Numbers of an output. Other floats, small whole numbers and truth values are read as f32, i32 as i64.
+/// Values of an output. Other floats, small integers and booleans are read as f32, i32 as i64.
 #[derive(Clone, Copy)]
 pub enum Values<'a> {
-    /// Maximum number of outputs.
+    /// 32-bit floats.
     Float(&'a [f32]),
     /// Class numbers.
     Int(&'a [i64]),
@@ -110,7 +110,7 @@ pub enum Values<'a> {
 }
 
 impl<'a> Values<'a> {
-    /// The numbers, where they are floats.
+    /// The values if they are floats.
     pub fn floats(self) -> Option<&'a [f32]> {
         if let Self::Float(values) = self { Some(values) } else { None }
     }
@@ -135,11 +135,11 @@ pub struct RunInput<'a> {
     pub name: &'a str,
     /// Its shape.
     pub dims: Vec<i64>,
-    /// As many values as the shape has.
+    /// Values; as many as the shape has.
     pub values: InputValues<'a>,
 }
 
-/// Values of an output of another type than f32 and i64.
+/// Converted values of an output of another type than f32 and i64.
 #[derive(Default)]
 struct Widened {
     floats: Vec<f32>,
@@ -199,7 +199,7 @@ fn metadata_of(session: &Session) -> BTreeMap<String, String> {
 }
 
 impl ModelSession {
-    /// Opens a file. Where `provider` cannot run it the processor does: see [`Self::refused`].
+    /// Opens a file. If `provider` cannot run it, the processor does; see [`Self::refused`].
     ///
     /// # Errors
     /// No ONNX Runtime, or a file that cannot be used.
@@ -224,12 +224,12 @@ impl ModelSession {
         })
     }
 
-    /// Why the provider that was asked for does not run the network, where the processor runs it instead.
+    /// Why the requested provider does not run the network, if the processor runs it instead.
     pub fn refused(&self) -> Option<&str> {
         self.refused.as_deref()
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -244,12 +244,12 @@ impl ModelSession {
         &self.outputs
     }
 
-    /// A custom key of the file.
+    /// Value of a custom metadata key of the file.
     pub fn metadata(&self, key: &str) -> Option<&str> {
         self.metadata.get(key).map(String::as_str)
     }
 
-    /// Runs the network and hands its outputs, in the order of the file, to `read`.
+    /// Runs the network and passes its outputs, in the order of the file, to `read`.
     ///
     /// # Errors
     /// ONNX Runtime's message.

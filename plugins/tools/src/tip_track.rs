@@ -13,10 +13,10 @@ use panoscope_tracking::tracker::{Known, Report, Rules, Tracker, UNKNOWN_CLASS};
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their pictures. Wire a detector that is slower than the
-    /// camera with `align = "latest"`: each of its tips is used once, with the age of its picture.
+    /// Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their images. Wire a detector that is slower than the
+    /// camera with `align = "latest"`: each of its tips is used once, with the age of its image.
     tip: List<'f, Value<'f, Tip>>,
-    /// Tips that another tool covers: the output `hidden` of `tool_tip`. A leading tool whose tip is covered keeps the lead for up to 5 s.
+    /// Tips that another tool hides: the output `hidden` of `tool_tip`. A leading tool whose tip is hidden keeps the lead for up to 5 s.
     hidden: Option<List<'f, Value<'f, Tip>>>,
     /// Pose of the left camera in the scene. Without it the camera's own movement counts as the tip's movement.
     camera_pose: Option<Value<'f, Pose>>,
@@ -27,8 +27,8 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The leading tip in the left camera's frame, mm. The score of a predicted tip falls with the time since it was last seen. A tip of unknown class
-    /// gets the class that its tool had most often. Empty when lost.
+    /// The leading tip in the left camera's frame, mm. The score of a predicted tip falls with the time since it was last seen. A tip of unknown
+    /// class gets the class that its tool had most often. Empty when lost.
     tip: Slot<'f, Tip>,
     /// One row per tick while the tip is known: position in the camera's frame and in the scene (mm), velocity (mm/s), standard deviation (mm), time
     /// since it was seen (ms), score, number of the tool.
@@ -41,19 +41,19 @@ pub struct TrackParams {
     /// Standard deviation of a tool's unknown acceleration, mm/s^2. Higher values follow faster and are less smooth.
     #[param(default = 200.0, range = 1.0..=5000.0, step = 1.0)]
     acceleration: f64,
-    /// Squared Mahalanobis distance above which a detection is not of this tip; 16.3 accepts 99.9 % of the true ones.
+    /// Squared Mahalanobis distance above which a detection does not belong to this tip; 16.3 accepts 99.9 % of the true ones.
     #[param(default = 16.3, range = 1.0..=200.0, step = 0.1)]
     gate: f64,
-    /// Standard deviation of a tip's position in the picture.
+    /// Standard deviation of a tip's position in the image.
     #[param(default = 1.0, range = 0.05..=20.0, step = 0.05, unit = "px")]
     lateral_px: f64,
     /// Standard deviation of a tip's disparity.
     #[param(default = 0.5, range = 0.05..=20.0, step = 0.05, unit = "px")]
     disparity_px: f64,
-    /// Lowest score of a tip that is used.
+    /// Minimum score of a tip that is used.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f64,
-    /// Longest prediction of an unseen tip; after it the tip is lost.
+    /// Maximum duration of a prediction without a detection; after it the tip is lost.
     #[param(default = 300.0, range = 0.0..=2000.0, step = 10.0, unit = "ms")]
     max_gap_ms: f64,
     /// Time for which only other tools must be seen before one of them leads.
@@ -86,7 +86,7 @@ const MAX_POSES: usize = 64;
 /// Tracks the leading tip.
 pub struct TipTrack {
     tracker: Tracker,
-    /// The last tip that was seen, and when, ns of real time.
+    /// The last detected tip, and its capture time, ns.
     last: Option<(Tip, i64)>,
     had_pose: bool,
     /// Poses of the camera in the last ticks, with their capture times, ns.
@@ -104,7 +104,7 @@ fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
     all.iter().all(|v| v.is_finite()).then(|| Isometry3::from_parts(Translation3::new(tx, ty, tz), turn))
 }
 
-/// What the tracker is to do, and the projection of the left view where a calibration is connected.
+/// Settings of the tracker, and the projection of the left view if a calibration is connected.
 fn rules_of(params: &TrackParams, calibration: Option<&Calibration>) -> Result<(Rules, Option<[f64; 12]>)> {
     let mut rules = Rules {
         model: Model { acceleration_mm_s2: params.acceleration, gate: params.gate },
@@ -129,7 +129,7 @@ fn rules_of(params: &TrackParams, calibration: Option<&Calibration>) -> Result<(
 }
 
 impl TipTrack {
-    /// Stores the pose of the camera at a tick, and forgets what a new frame of reference or a step back in time makes invalid.
+    /// Stores the camera's pose at a tick, and drops what a new frame of reference or a step back in time makes invalid.
     fn begin_tick(&mut self, now_ns: i64, pose: Option<Isometry3<f64>>, detectors: usize) {
         if pose.is_some() != self.had_pose {
             // The frame has changed, so positions of the filter are invalid.

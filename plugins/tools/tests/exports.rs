@@ -1,4 +1,4 @@
-//! Every kind of export is recognised and its boxes come out where the network put them.
+//! Every kind of export is recognised, and its boxes are where the network put them.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ fn open(path: &Path, more: &str) -> Result<Harness<Yolo>, HarnessError> {
     Harness::<Yolo>::from_toml(&format!("params = {{ model = {path:?}, min_score = 0.25 {more} }}"))
 }
 
-/// Runs on a gray picture of 128 x 96 px, twice as large as the input, and gives the boxes.
+/// Runs on a gray image of 128 x 96 px, twice as large as the input, and returns the boxes.
 fn boxes(path: &Path, more: &str) -> Vec<(Detection, String)> {
     let mut node = open(path, more).expect("the model opens");
     let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("it runs");
@@ -44,7 +44,7 @@ fn rows(count: usize, len: usize, set: &[(usize, Vec<f32>)]) -> Fixed {
     Fixed::Floats(values)
 }
 
-/// Cell (3, 2) of stride 8 is row 19: centre (28, 20), size 16 x 8 in the input; the picture is twice as large.
+/// Cell (3, 2) of stride 8 is row 19: centre (28, 20), size 16 x 8 in the input; the image is twice as large.
 fn one_hook() -> TinyModel {
     let v = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
     model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[(19, v)]))])
@@ -82,7 +82,7 @@ fn boxes_in_the_dark_are_dropped() {
     }
 }
 
-/// A model with three rows: a sure hook, an instrument of unsure kind, and a weak one.
+/// A model with three rows: a certain hook, an instrument of uncertain kind, and a weak one.
 fn calibrated(folder_name: &str, more: &[(&'static str, &str)]) -> std::path::PathBuf {
     let row =
         |x: f32, objectness: f32, grasper: f32, hook: f32| vec![x, 0.5, 2f32.ln(), 0.0, objectness, grasper, hook];

@@ -1,4 +1,4 @@
-//! `skill`, `proximity` and `evaluate_proximity` on tips and depths whose distances and measures are known.
+//! `skill`, `proximity` and `evaluate_proximity` on tips and depths with known distances and measures.
 
 use panoscope_node::abi::{Calibration, Camera, CloudPoint, Detection, Pose, Tip};
 use panoscope_node::harness::{Harness, HarnessError, Level, Outputs};

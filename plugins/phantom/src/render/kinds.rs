@@ -11,7 +11,7 @@ pub enum SceneKind {
     Cavity,
     /// A phantom box: printed rulers, crosses of known spacing, blocks of known height.
     Box,
-    /// A flat calibration board; a moving camera shows it in another pose each frame.
+    /// A flat calibration board; a moving camera sees it in another pose in each frame.
     Board,
 }
 

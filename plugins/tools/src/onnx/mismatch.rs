@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use crate::finite::BrokenNetwork;
 
-/// Where model, table and images disagree.
+/// How model, table and images disagree.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Mismatch {
-    /// A name of the table that the model does not have.
+    /// The table has a name that the model does not have.
     #[error("{path} has no {side} `{name}`, which the table names; it has {found}", path = path.display())]
     NoSuch {
         /// File of the model.
@@ -16,10 +16,10 @@ pub enum Mismatch {
         side: &'static str,
         /// Name in the table.
         name: String,
-        /// What the model has.
+        /// The names that the model has.
         found: String,
     },
-    /// An input of the model that the table does not have.
+    /// The model has an input that the table does not have.
     #[error("{path} wants {found}, the table names no port for it; add [inputs.{name}]", path = path.display())]
     Unnamed {
         /// File of the model.
@@ -29,31 +29,31 @@ pub enum Mismatch {
         /// Its declaration.
         found: String,
     },
-    /// An input of another shape or type.
+    /// An input has another shape or type.
     #[error("{path} wants {found}, the table says {expected}", path = path.display())]
     Input {
         /// File of the model.
         path: PathBuf,
         /// Declaration of the input.
         found: String,
-        /// What the table makes of it, with its shape.
+        /// Shape that the table requires.
         expected: String,
     },
-    /// An output of another shape or type.
+    /// An output has another shape or type.
     #[error("{path} answers {found} to an input of {width}x{height}, the table says {expected}", path = path.display())]
     Output {
         /// File of the model.
         path: PathBuf,
         /// Name and shape of the output.
         found: String,
-        /// What the table makes of it, with its shape.
+        /// Shape that the table requires.
         expected: String,
         /// Columns of the input, px.
         width: usize,
         /// Rows of the input, px.
         height: usize,
     },
-    /// Two views of different sizes.
+    /// Two views have different sizes.
     #[error("`{first}` is {first_size}, `{second}` is {second_size}: wire views of one size")]
     Views {
         /// A port.
@@ -65,12 +65,12 @@ pub enum Mismatch {
         /// Its width and height, px.
         second_size: String,
     },
-    /// A network without usable values.
+    /// The network outputs no usable values.
     #[error(transparent)]
     Broken(#[from] BrokenNetwork),
 }
 
-/// Width and height as messages show them.
+/// Width and height, as text for messages.
 pub fn size_text((width, height): (usize, usize)) -> String {
     format!("{width}x{height}")
 }

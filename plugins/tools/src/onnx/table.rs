@@ -18,21 +18,21 @@ use serde::Deserialize;
 use crate::image_input::Layout;
 use crate::yolo::Layout as Family;
 
-/// Largest side of a network's image, px.
+/// Maximum side of a network's image, px.
 const MAX_SIDE: usize = 8192;
 
 /// Why a table cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// There is none.
+    /// No table is given.
     #[error("no table says what the inputs and outputs of {model} are; write {file}, or set `table`; `panoscope describe {model}` prints one", model = model.display(), file = file.display())]
     Missing {
         /// The model.
         model: PathBuf,
-        /// The file that was looked for.
+        /// Path of the missing file.
         file: PathBuf,
     },
-    /// There are two.
+    /// Two tables are given.
     #[error("`table` and `table_file` are both set; remove one")]
     Twice,
     /// The file cannot be read.
@@ -43,7 +43,7 @@ pub enum TableError {
         /// The system's error.
         cause: std::io::Error,
     },
-    /// It is not a table as it must be.
+    /// The table is malformed.
     #[error("{source_name}, line {line}: {message}")]
     Malformed {
         /// The file, or the parameter.
@@ -53,34 +53,34 @@ pub enum TableError {
         /// What is wrong.
         message: String,
     },
-    /// A value that cannot be.
+    /// A value is not allowed.
     #[error("{source_name}: `{key}`: {message}")]
     Value {
         /// The file, or the parameter.
         source_name: String,
-        /// The key, as in `inputs.left.std`.
+        /// Key of the value, as in `inputs.left.std`.
         key: String,
-        /// What is wrong, and what would do.
+        /// What is wrong, and what is allowed.
         message: String,
     },
 }
 
-/// An input of the node.
+/// Image that an input of the network takes.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, PartialOrd, Ord)]
 #[serde(rename_all = "snake_case")]
 pub enum InputPort {
-    /// One view.
+    /// The only view.
     Image,
     /// Left rectified view.
     Left,
     /// Right rectified view.
     Right,
-    /// The image of the tick before.
+    /// The image of the previous tick.
     Previous,
 }
 
 impl InputPort {
-    /// Its name.
+    /// Name of the node's port.
     pub fn name(self) -> &'static str {
         match self {
             Self::Image => "image",
@@ -91,7 +91,7 @@ impl InputPort {
     }
 }
 
-/// What an output of the network is.
+/// Meaning of an output of the network.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, PartialOrd, Ord)]
 #[serde(rename_all = "snake_case")]
 pub enum OutputPort {
@@ -99,20 +99,20 @@ pub enum OutputPort {
     Disparity,
     /// Depth of the left view.
     Depth,
-    /// A mask.
+    /// Mask.
     Mask,
     /// Confidence.
     Confidence,
-    /// Boxes.
+    /// Boxes of a detector.
     Detections,
     /// Motion in the image; two maps.
     Flow,
-    /// An image.
+    /// Image.
     Image,
 }
 
 impl OutputPort {
-    /// Its name in tables.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Disparity => "disparity",
@@ -139,7 +139,7 @@ impl OutputPort {
     }
 }
 
-/// Order of the colours.
+/// Order of the colour channels.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum Order {
@@ -151,26 +151,26 @@ pub enum Order {
     Gray,
 }
 
-/// How an image becomes as large as the network's input.
+/// How an image is fitted to the network's input.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum FitRule {
-    /// Stretched to it.
+    /// Stretched to the input's size.
     #[default]
     Stretch,
-    /// Scaled in proportion, upper left corner.
+    /// Scaled in proportion, at the upper left corner.
     Letterbox,
-    /// Scaled in proportion, in the middle.
+    /// Scaled in proportion, centred.
     LetterboxCentre,
-    /// Not scaled: filled up at the right and below to the next multiple.
+    /// Not scaled: padded at the right and below to the next multiple.
     Multiple,
 }
 
-/// A function of a value, after scale and offset.
+/// Function applied to a value after scale and offset.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
-    /// The value itself.
+    /// Identity.
     #[default]
     None,
     /// 1 / (1 + e^-v).
@@ -182,7 +182,7 @@ pub enum Activation {
 }
 
 impl Activation {
-    /// The function's value.
+    /// Applies the function.
     pub fn of(self, v: f32) -> f32 {
         match self {
             Self::None => v,
@@ -199,9 +199,9 @@ impl Activation {
 pub enum Unit {
     /// Pixels of the network's input.
     Px,
-    /// Cells of the output, which may be smaller than the input.
+    /// Cells of the output, which may have fewer cells than the input has pixels.
     Cells,
-    /// Shares of the width of the network's input, of its height for vertical motion.
+    /// Share of the width of the network's input, or of its height for vertical motion.
     Share,
     /// Millimetres.
     Mm,
@@ -211,33 +211,33 @@ pub enum Unit {
     M,
 }
 
-/// An input of the network.
+/// Rule of an input of the network.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct InputRule {
     /// The node's port that it takes.
     pub port: InputPort,
-    /// Order of the colours; rgb where it is not given, gray for one channel.
+    /// Order of the colours. Default: rgb, or gray for one channel.
     pub order: Option<Order>,
-    /// What 0 and 255 become. 0 and 1 where it is not given; for bytes 0 and 255, for signed bytes -128 and 127.
+    /// Values that 0 and 255 are mapped to. Default: 0 and 1; 0 and 255 for bytes; -128 and 127 for signed bytes.
     pub range: Option<[f32; 2]>,
-    /// Subtracted after that, one number or one for each channel in the network's order.
+    /// Subtracted after that: one number, or one for each channel in the network's order.
     #[serde(default)]
     pub mean: Vec<f32>,
-    /// Divides after that.
+    /// Divides after that: one number, or one for each channel.
     #[serde(default)]
     pub std: Vec<f32>,
-    /// How the image becomes as large as the input.
+    /// How the image is fitted to the input.
     #[serde(default)]
     pub fit: FitRule,
-    /// Width and height in px, where the network takes any.
+    /// Width and height in px, if the network accepts any size.
     pub size: Option<[usize; 2]>,
-    /// What sides are a multiple of, px, with `fit = "multiple"`.
+    /// Multiple to which sides are padded, px, with `fit = "multiple"`.
     pub multiple: Option<usize>,
-    /// Gray beside the image, 0 to 255.
+    /// Gray level of the padding, 0 to 255.
     #[serde(default = "default_border")]
     pub border: f32,
-    /// Order of the axes, where the shape leaves it open.
+    /// Order of the axes, if the shape is ambiguous.
     pub axes: Option<Layout>,
 }
 
@@ -249,53 +249,53 @@ fn one() -> f32 {
     1.0
 }
 
-/// An output of the network.
+/// Rule of an output of the network.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct OutputRule {
-    /// What it is.
+    /// Meaning of the output.
     pub port: OutputPort,
     /// Multiplies each value.
     #[serde(default = "one")]
     pub scale: f32,
-    /// Added after that.
+    /// Added after the scale.
     #[serde(default)]
     pub offset: f32,
-    /// Applied after that.
+    /// Applied after the offset.
     #[serde(default)]
     pub activation: Activation,
-    /// Unit of the result; px for disparity and flow, mm for depth where it is not given.
+    /// Unit of the result. Default: px for disparity and flow, mm for depth.
     pub unit: Option<Unit>,
-    /// The channel that is taken, from 0, of an output with several.
+    /// Index of the used channel, from 0, for an output with several.
     pub channel: Option<usize>,
-    /// What black and white are in an image.
+    /// Values of black and white in an image.
     pub range: Option<[f32; 2]>,
     /// Order of the colours of an image.
     pub order: Option<Order>,
-    /// Order of the axes, where the shape leaves it open.
+    /// Order of the axes, if the shape is ambiguous.
     pub axes: Option<Layout>,
     /// Family of a detector.
     #[serde(default)]
     pub family: Family,
 }
 
-/// What the inputs and outputs of a network are, by their names.
+/// Rules of the inputs and outputs of a network, by their names.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct PortTable {
-    /// Inputs.
+    /// Inputs by name.
     pub inputs: BTreeMap<String, InputRule>,
-    /// Outputs. Those that are not in the table are not used.
+    /// Outputs by name. Those that are not in the table are not used.
     pub outputs: BTreeMap<String, OutputRule>,
 }
 
-/// Where a table stands that is not in the graph.
+/// Default path of the table of a model: its name with the extension `toml`.
 pub fn file_beside(model: &Path) -> PathBuf {
     model.with_extension("toml")
 }
 
 impl PortTable {
-    /// The table of a model: `text`, else `file`, else the file beside the model.
+    /// The table of a model: `text`, else `file`, else the file next to the model.
     ///
     /// # Errors
     /// There is none, there are two, or it cannot be used.
@@ -314,7 +314,7 @@ impl PortTable {
         }
     }
 
-    /// Reads a table; `source_name` stands in messages.
+    /// Parses a table; `source_name` appears in messages.
     ///
     /// # Errors
     /// See [`TableError`].
@@ -330,7 +330,7 @@ impl PortTable {
         }
     }
 
-    /// The first value that cannot be: its key, and what would do.
+    /// The first value that is not allowed: its key, and what is allowed.
     fn wrong(&self) -> Option<(String, String)> {
         for (part, is_empty) in [("inputs", self.inputs.is_empty()), ("outputs", self.outputs.is_empty())] {
             if is_empty {
@@ -361,7 +361,7 @@ impl PortTable {
         None
     }
 
-    /// Whether some output is `port`.
+    /// Whether any output is `port`.
     pub fn gives(&self, port: OutputPort) -> bool {
         self.outputs.values().any(|rule| rule.port == port)
     }
