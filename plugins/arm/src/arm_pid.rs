@@ -1,4 +1,4 @@
-//! `arm_pid`: from the tip's error in the picture (px) and in distance (mm) to joint velocities (thesis, chapter 6, fig. 6.3).
+//! `arm_pid`: from the tip's error in the image (px) and in distance (mm) to joint velocities (thesis, chapter 6, fig. 6.3).
 
 use std::path::PathBuf;
 
@@ -11,12 +11,12 @@ use panoscope_tracking::real_time::RealTime;
 
 use crate::joints::{angles, arm_of, check_arm, packet};
 
-/// Inputs.
+/// Input ports of `arm_pid`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The tip to follow, in the left rectified camera's frame, mm. Empty: no velocities are requested.
     tip: Option<Value<'f, Tip>>,
-    /// Joint angles when the picture was taken: the driver's `joints`, wired with `delay = 1`.
+    /// Joint angles when the image was taken: the driver's `joints`, wired with `delay = 1`.
     joints: Option<Value<'f, Joints>>,
     /// Newest set-points of the driver, wired with `delay = 1`. With them the controller accounts for set-points that the arm has not reached yet.
     setpoint: Option<Value<'f, Joints>>,
@@ -24,7 +24,7 @@ pub struct In<'f> {
     calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Outputs.
+/// Output ports of `arm_pid`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Requested joint velocities (rad/s), with the present joint angles (rad). Empty without a tip.
@@ -43,10 +43,10 @@ pub struct PidParams {
     /// Distance of the tip from the left camera.
     #[param(default = 66.0, range = 30.0..=120.0, step = 1.0, unit = "mm")]
     distance_mm: f64,
-    /// Proportional gain of the tip's position in the picture, 1/s.
+    /// Proportional gain of the tip's position in the image, 1/s.
     #[param(default = 6.0, range = 0.0..=20.0, step = 0.1)]
     picture_p: f64,
-    /// Integral gain of the tip's position in the picture, 1/s^2.
+    /// Integral gain of the tip's position in the image, 1/s^2.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     picture_i: f64,
     /// Derivative gain on the tip's measured position in the image. A new goal causes no kick, because the goal is not differentiated.
@@ -67,7 +67,7 @@ pub struct PidParams {
     /// Share of the tip's own velocity that is fed forward.
     #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     feed_forward: f64,
-    /// Dead zone of the error in the picture, for 640 columns.
+    /// Dead zone of the error in the image, for 640 columns.
     #[param(default = 2.0, range = 0.0..=50.0, step = 0.5, unit = "px")]
     dead_zone_px: f64,
     /// Dead zone of the error of the distance.

@@ -15,7 +15,7 @@ use crate::declared::{In, MotionOut, StopParams};
 use crate::guard::{self, Switches, age_ns, duration_ns};
 use crate::joints::{arm_of, check_arm, requested};
 
-/// Outputs.
+/// Output ports of `arm_sim`.
 #[derive(Ports)]
 pub struct Out<'f> {
     #[ports(flatten)]
@@ -27,7 +27,7 @@ pub struct Out<'f> {
     text: Slot<'f, TextPacket>,
 }
 
-/// Parameters.
+/// Parameters of `arm_sim`.
 #[derive(Params)]
 pub struct SimParams {
     /// URDF file of the arm; empty takes the arm that comes with the plugin.
@@ -53,7 +53,7 @@ pub struct SimParams {
 pub const COLUMNS: [&str; 9] =
     ["following", "cause", "stops", "speed_rad_s", "camera_mm_s", "pivot_mm", "depth_mm", "tilt_deg", "camera_mm_s2"];
 
-/// See the module.
+/// The `arm_sim` node.
 pub struct ArmSim {
     lock: Interlock,
     arm: SimArm,

@@ -5,10 +5,10 @@ use panoscope_arm_core::control::{CameraGeometry, errors, goal_mm};
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Value};
 
-/// Inputs.
+/// Input ports of `evaluate_arm`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The true tip (`lead` of the phantom), mm; score 0 while it is hidden or outside the picture.
+    /// The true tip (`lead` of the phantom), mm; score 0 while it is hidden or outside the image.
     tip: Option<Value<'f, Tip>>,
     /// Table of the arm's driver.
     arm: Option<Table<'f>>,
@@ -18,7 +18,7 @@ pub struct In<'f> {
     calibration: Value<'f, Calibration>,
 }
 
-/// Outputs.
+/// Output ports of `evaluate_arm`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// One row per tick; errors are NaN while the tip is not known. `in_view`: the tip is inside the left image. `seen`: nothing hides it there.
@@ -26,7 +26,7 @@ pub struct Out<'f> {
     table: Slot<'f, TableData>,
 }
 
-/// Parameters.
+/// Parameters of `evaluate_arm`.
 #[derive(Params)]
 pub struct JudgeParams {
     /// Requested distance of the tip from the left camera.
@@ -57,7 +57,7 @@ pub const COLUMNS: [&str; 13] = [
 /// Positions of the columns that are copied from the arm's table.
 const OF_THE_ARM: std::ops::Range<usize> = 6..10;
 
-/// See the module.
+/// The `evaluate_arm` node.
 pub struct EvaluateArm;
 
 impl Node for EvaluateArm {

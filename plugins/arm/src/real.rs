@@ -15,7 +15,7 @@ use crate::declared::{In, MotionOut, StopParams};
 use crate::guard::{self, age_ns};
 use crate::joints::{arm_of, requested};
 
-/// Outputs.
+/// Output ports of the drivers of real arms.
 #[derive(Ports)]
 pub struct Out<'f> {
     #[ports(flatten)]

@@ -11,7 +11,7 @@ use crate::declared::{In, StopParams};
 use crate::joints::check_arm;
 use crate::real::{Out, RealArm};
 
-/// Parameters.
+/// Parameters of `arm_serial`.
 #[derive(Params)]
 pub struct SerialParams {
     /// Device of the serial line, such as /dev/ttyUSB0.
@@ -33,7 +33,7 @@ pub struct SerialParams {
     stop: StopParams,
 }
 
-/// See the module.
+/// The `arm_serial` node.
 pub struct ArmSerial(RealArm);
 
 impl Node for ArmSerial {

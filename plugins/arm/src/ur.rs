@@ -13,7 +13,7 @@ use crate::declared::{In, StopParams};
 use crate::joints::check_arm;
 use crate::real::{Out, RealArm};
 
-/// Parameters.
+/// Parameters of `arm_ur`.
 #[derive(Params)]
 pub struct UrParams {
     /// Name or address of the robot's controller.
@@ -51,7 +51,7 @@ fn bad_home(text: &str) -> String {
     format!("`home_deg = \"{text}\"` is not {JOINTS} angles from -360 to 360 degrees, separated by commas")
 }
 
-/// See the module.
+/// The `arm_ur` node.
 pub struct ArmUr(RealArm);
 
 impl Node for ArmUr {

@@ -24,7 +24,7 @@ const IMAGE_FPS: f64 = 30.0;
 /// Names of the views in messages, by their number.
 const VIEW_NAMES: [&str; MAX_VIEWS] = ["left view", "right view", "third view", "fourth view"];
 
-/// Outputs.
+/// Output ports of `capture`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Left view: view 0.
@@ -197,10 +197,10 @@ impl Capture {
         }
     }
 
-    /// Reads the images that were grabbed and takes the frames of streams; `false` when a damaged picture leaves the tick empty.
+    /// Reads the images that were grabbed and takes the frames of streams; `false` when a damaged frame leaves the tick empty.
     ///
     /// # Errors
-    /// A damaged picture, by file and number.
+    /// A damaged frame, by file and number.
     fn decode(&mut self, cx: &Context<'_>, params: &Settings) -> Result<bool> {
         let views = self.views.locked();
         cx.pool().run(views.len(), &|index| {

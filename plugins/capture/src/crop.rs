@@ -4,37 +4,17 @@ use panoscope_node::Rect;
 
 /// Why a frame cannot be cropped.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum CropError {
     /// The crop extends beyond the frame.
     #[error("the crop {width}x{height} at ({x}, {y}) leaves the picture of {picture_width}x{picture_height}")]
-    Leaves {
-        /// Left edge of the crop, px.
-        x: usize,
-        /// Upper edge of the crop, px.
-        y: usize,
-        /// Columns of the crop, px.
-        width: usize,
-        /// Rows of the crop, px.
-        height: usize,
-        /// Columns of the picture, px.
-        picture_width: usize,
-        /// Rows of the picture, px.
-        picture_height: usize,
-    },
+    Leaves { x: usize, y: usize, width: usize, height: usize, picture_width: usize, picture_height: usize },
     /// A number is negative, not an integer, or larger than any frame.
     #[error("the crop {crop:?} must be whole numbers of px from 0 on: x, y, width, height")]
-    NotWhole {
-        /// The crop as given.
-        crop: [f64; 4],
-    },
+    NotWhole { crop: [f64; 4] },
     /// The list does not have four numbers, or four for each view.
     #[error("`crop` has {count} numbers: give x, y, width, height once for all views or once for each of the {views}")]
-    Count {
-        /// Numbers given.
-        count: usize,
-        /// Views of the node.
-        views: usize,
-    },
+    Count { count: usize, views: usize },
 }
 
 /// How one source holds two views.

@@ -41,7 +41,7 @@ pub struct Out<'f> {
     pub tip: Slot<'f, Tip>,
 }
 
-/// Parameters.
+/// Parameters of `data_set`.
 #[derive(Params)]
 pub struct DataSetParams {
     /// Folder of one data set or of several; `panoscope import FOLDER` lists what is found there.
@@ -59,15 +59,15 @@ pub struct DataSetParams {
     /// When to hold frames back to their rate.
     #[param(default = "auto")]
     pace: Pace,
-    /// How a damaged picture is handled.
+    /// How a damaged image is handled.
     #[param(default = "fail")]
     on_damage: OnDamage,
 }
 
-/// See the module.
+/// The `data_set` node.
 pub struct DataSet {
     sequence: Sequence,
-    /// Reads the pictures.
+    /// Reads the images.
     capture: Capture,
     settings: Settings,
     /// Index of the calibration set that `capture` uses now.
@@ -83,7 +83,7 @@ impl DataSetParams {
         Ok((folder, found))
     }
 
-    /// Settings of the node `capture` that reads the pictures.
+    /// Settings of the node `capture` that reads the images.
     fn settings(&self, sequence: &Sequence) -> Settings {
         let mut settings = Settings::of_files();
         (settings.r#loop, settings.rate_hz) = (self.r#loop, self.rate_hz);

@@ -27,9 +27,9 @@ pub struct Live {
     pub unpaired: u64,
     /// Frames dropped because a newer pair was complete.
     pub superseded: u64,
-    /// Time between the first and the last picture of the newest pair, ms.
+    /// Time between the first and the last frame of the newest pair, ms.
     pub skew_ms: f64,
-    /// Arrival of the oldest picture of the newest pair, ns of `CLOCK_MONOTONIC`.
+    /// Arrival of the oldest frame of the newest pair, ns of `CLOCK_MONOTONIC`.
     pub arrived_ns: i64,
 }
 

@@ -19,7 +19,7 @@ pub enum Pairing {
     Wait,
 }
 
-/// Result of grabbing one picture of every view.
+/// Result of grabbing one frame of every view.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Grabbed {
     /// No view is lost. A silent live view may have no frame.

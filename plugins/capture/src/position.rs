@@ -10,7 +10,7 @@ const MAGIC: &[u8; 8] = b"capture1";
 pub struct ViewPosition {
     /// The source of the view, as the parameters name it.
     pub text: String,
-    /// Pictures grabbed so far.
+    /// Frames grabbed so far.
     pub grabbed: u64,
     /// The next file, if every frame has a separate file.
     pub next_file: Option<PathBuf>,

@@ -10,10 +10,10 @@ use panoscope_node::{
 use crate::boxes::{self, Boxes};
 use crate::series::Series;
 
-/// Inputs.
+/// Input ports of `read_labels`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture of the source, such as `left` of `capture`. The labels with its number are read; boxes are scaled to its size.
+    /// Image of the source, such as `left` of `capture`. The labels with its number are read; boxes are scaled to its size.
     image: AnyImage<'f>,
 }
 
@@ -24,7 +24,7 @@ pub struct Out<'f> {
     detections: Slot<'f, LabeledDetections>,
 }
 
-/// Parameters.
+/// Parameters of `read_labels`.
 #[derive(Params)]
 pub struct ReadLabelsParams {
     /// Folder or pattern (labels/*.txt, Annotations/*.xml) of YOLO or VOC labels.
@@ -39,7 +39,7 @@ pub struct ReadLabelsParams {
     r#loop: bool,
 }
 
-/// See the module.
+/// The `read_labels` node.
 pub struct ReadLabels {
     series: Series,
     boxes: Boxes,

@@ -17,23 +17,23 @@ pub enum Holds {
     Depth,
 }
 
-/// Inputs.
+/// Input ports of `read_maps`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture of the source, such as `left` of `capture`. The map with its number is read, and must have its size.
+    /// Image of the source, such as `left` of `capture`. The map with its number is read, and must have its size.
     image: AnyImage<'f>,
 }
 
 /// Outputs. Empty after the last file.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Disparity of the picture, if `holds` is `disparity`; NaN where the file has 0, a negative number or none.
+    /// Disparity of the image, if `holds` is `disparity`; NaN where the file has 0, a negative number or none.
     disparity: Slot<'f, Disparity>,
     /// Depth of the image, if `holds` is `depth`; NaN where the file has 0, a negative number or none.
     depth: Slot<'f, Depth>,
 }
 
-/// Parameters.
+/// Parameters of `read_maps`.
 #[derive(Params)]
 pub struct ReadMapsParams {
     /// Folder, pattern (truth/*.pfm or truth/%04d.png) or file: NPY, PFM, TIFF, EXR or PNG; a single file belongs to every image. Of TIFF files with three floats the third one is taken; SCARED's x, y, z are of the raw left
@@ -56,7 +56,7 @@ pub struct ReadMapsParams {
     r#loop: bool,
 }
 
-/// See the module.
+/// The `read_maps` node.
 pub struct ReadMaps {
     series: Series,
     /// The map that was read last, with its index and divisor.

@@ -9,54 +9,31 @@ use panoscope_node::Context;
 
 /// Why there are no files.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SeriesError {
     /// No file, folder or pattern is given.
     #[error("`path` is empty: give a file, a folder or a pattern such as truth/*.pfm or truth/%04d.pfm")]
     Empty,
     /// The file does not exist.
     #[error("there is no file {path}", path = path.display())]
-    Missing {
-        /// Absolute path.
-        path: PathBuf,
-    },
+    Missing { path: PathBuf },
     /// No file matches a pattern or folder.
     #[error("no {what} matches {pattern}; {hint}", pattern = pattern.display())]
-    NoMatch {
-        /// Kind of file that is searched.
-        what: &'static str,
-        /// Absolute pattern.
-        pattern: PathBuf,
-        /// What the folder holds instead.
-        hint: PatternError,
-    },
+    NoMatch { what: &'static str, pattern: PathBuf, hint: PatternError },
     /// Numbers are missing in the series.
     #[error(
         "number(s) between {before} and {after} are missing, so that it is not known which image each {what} belongs to: name the images in `pictures`",
         before = before.display(),
         after = after.display()
     )]
-    Gap {
-        /// Kind of file.
-        what: &'static str,
-        /// The last file before the gap.
-        before: PathBuf,
-        /// The first file after it.
-        after: PathBuf,
-    },
+    Gap { what: &'static str, before: PathBuf, after: PathBuf },
     /// No file belongs to any of the images.
     #[error(
         "no {what} has the name or the number of an image: {file} and {image} are the first of each",
         file = file.display(),
         image = image.display()
     )]
-    Unpaired {
-        /// Kind of file.
-        what: &'static str,
-        /// The first file.
-        file: PathBuf,
-        /// The first image.
-        image: PathBuf,
-    },
+    Unpaired { what: &'static str, file: PathBuf, image: PathBuf },
 }
 
 /// The file that belongs to each image.

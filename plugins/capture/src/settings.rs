@@ -58,7 +58,7 @@ pub enum OnDamage {
     Skip,
 }
 
-/// Parameters.
+/// Parameters of `capture`.
 #[derive(Params)]
 pub struct Settings {
     /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address (rtsp://...,
@@ -99,13 +99,13 @@ pub struct Settings {
     /// Frame rate requested from cameras; 0 keeps their mode.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     pub fps: f64,
-    /// Locks exposure and gain of all cameras at the values of view 0 after `lock_after` pictures.
+    /// Locks exposure and gain of all cameras at the values of view 0 after `lock_after` frames.
     #[param(default = false, reopen)]
     pub lock_exposure: bool,
-    /// Locks the white balance of all cameras at the value of view 0 after `lock_after` pictures.
+    /// Locks the white balance of all cameras at the value of view 0 after `lock_after` frames.
     #[param(default = false, reopen)]
     pub lock_white_balance: bool,
-    /// Number of pictures after which exposure and white balance are locked.
+    /// Number of frames after which exposure and white balance are locked.
     #[param(default = 30, range = 0..=10000, unit = "frames", reopen)]
     pub lock_after: u64,
     /// What happens when a frame of a file is damaged. Damaged frames of live sources are counted and leave their tick empty.
@@ -114,7 +114,7 @@ pub struct Settings {
     /// Whether frames are rotated as their metadata says (EXIF of images, the display matrix of videos).
     #[param(default = "upright", reopen)]
     pub orientation: Shown,
-    /// Bit depth of pictures with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
+    /// Bit depth of frames with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
     #[param(default = 0, range = 0..=16)]
     pub bit_depth: u32,
     /// Maximum time between frames that belong together. 0: half a period of the fastest view.
@@ -134,6 +134,7 @@ pub struct Settings {
 
 /// Why the parameters do not name a valid set of sources.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SourcesError {
     /// No source is given.
     #[error("no source: give `left` and `right` (camera, video, images or pipeline), `left` with `split`, or `views`")]
@@ -146,10 +147,7 @@ pub enum SourcesError {
     RightAlone,
     /// More views than the node supports.
     #[error("{count} views are given, {MAX_VIEWS} are the most")]
-    TooMany {
-        /// Number of views given.
-        count: usize,
-    },
+    TooMany { count: usize },
     /// `split` with more than one source.
     #[error("`split` cuts one picture in two: give `left` only")]
     SplitOfMany,

@@ -20,11 +20,11 @@ const LIVE_FPS: f64 = 30.0;
 /// Maximum number of file names that a message lists.
 const LISTED: usize = 6;
 
-/// One source and its newest picture.
+/// One source and its newest frame.
 pub struct View {
     /// The camera, file or pipeline.
     pub source: Source,
-    /// The newest picture.
+    /// The newest frame.
     pub picture: Picture,
     /// Whether the tick has a frame of it.
     pub is_there: bool,

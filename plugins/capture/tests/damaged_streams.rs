@@ -1,4 +1,4 @@
-//! A campaign of damaged videos, seeded: bits flipped, parts cut out, cut off or zeroed. No picture that is shown may have pixels of an earlier one,
+//! A campaign of damaged videos, seeded: bits flipped, parts cut out, cut off or zeroed. No frame that is shown may have pixels of an earlier one,
 //! and nothing may crash.
 //!
 //! A flipped bit can leave data that are valid and mean something else. No decoder sees that. In a JPEG it changes pixels but cannot bring earlier

@@ -1,4 +1,4 @@
-//! Two RTSP streams whose server is killed and started again. The number in every picture is the time at which it was drawn, so that the age of what is
+//! Two RTSP streams whose server is killed and started again. The number in every frame is the time at which it was drawn, so that the age of what is
 //! shown can be read from it.
 //!
 //! The ordinary form lasts some seconds. PANOSCOPE_RTSP_SECONDS and PANOSCOPE_RTSP_KILLS choose the duration and how often the server is killed:
@@ -118,7 +118,7 @@ fn from_environment(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }
 
-/// Age of the picture with this number, ms.
+/// Age of the frame with this number, ms.
 fn age_ms(number: usize) -> f64 {
     let periods = (number_now() as i64 - number as i64).rem_euclid(0x1_0000);
     let periods = if periods > 0x8000 { periods - 0x1_0000 } else { periods };

@@ -1,4 +1,4 @@
-//! `read_maps` and `read_labels`: the file that belongs to the picture, in every tick.
+//! `read_maps` and `read_labels`: the file that belongs to the frame, in every tick.
 
 use std::fs;
 

@@ -3,14 +3,14 @@
 use panoscope_node::abi::Scalar;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, View};
 
-/// Inputs.
+/// Input ports of `level`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The image to measure.
     image: Image<'f, Gray8>,
 }
 
-/// Outputs.
+/// Output ports of `level`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Mean of the window, times the gain.

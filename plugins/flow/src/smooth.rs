@@ -2,7 +2,7 @@
 
 use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot};
 
-/// Inputs.
+/// Input ports of `smooth`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The newest image.
@@ -11,7 +11,7 @@ pub struct In<'f> {
     past: Option<Image<'f, Bgr8>>,
 }
 
-/// Outputs.
+/// Output ports of `smooth`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Weighted mean of `image` and `past`.

@@ -5,7 +5,7 @@ use panoscope_node::{Bgr8, Context, Disparity, Image, Node, NodeInfo, Open, Port
 /// Side of the square tiles in which pixels are moved, px: source and destination of a tile fit into the cache.
 const TILE: usize = 32;
 
-/// Inputs.
+/// Input ports of `transpose`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Image to transpose.
@@ -14,7 +14,7 @@ pub struct In<'f> {
     disparity: Option<Image<'f, Disparity>>,
 }
 
-/// Outputs.
+/// Output ports of `transpose`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The image, mirrored at its diagonal.

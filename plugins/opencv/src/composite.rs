@@ -90,7 +90,7 @@ pub struct Out<'f> {
     shown: Slot<'f, Gray8>,
 }
 
-/// See the module.
+/// The `composite_opencv` node.
 pub struct CompositeOpencv {
     canvas: Compositor,
     threads: Threads,

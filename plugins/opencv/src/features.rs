@@ -49,7 +49,7 @@ pub struct Out<'f> {
     matches: Slot<'f, TableData>,
 }
 
-/// See the module.
+/// The `features_opencv` node.
 pub struct FeaturesOpencv {
     threads: Threads,
 }

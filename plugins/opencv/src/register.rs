@@ -62,7 +62,7 @@ pub struct Out<'f> {
     homography: Slot<'f, Homography>,
 }
 
-/// See the module.
+/// The `register_opencv` node.
 pub struct RegisterOpencv {
     last: [f64; 9],
     watch: RmsWatch,

@@ -51,7 +51,7 @@ pub enum TimeFrom {
     Arrival,
 }
 
-/// Parameters.
+/// Parameters of `igtl_receive`.
 #[derive(Params)]
 pub struct Settings {
     #[param(flatten)]

@@ -51,7 +51,7 @@ pub enum PosesAs {
     Tracking,
 }
 
-/// Parameters.
+/// Parameters of `igtl_send`.
 #[derive(Params)]
 pub struct Settings {
     #[param(flatten)]

@@ -44,14 +44,14 @@ pub struct In<'f> {
     pub drifted: Option<Value<'f, Scalar>>,
 }
 
-/// Outputs.
+/// Output ports of `colorize`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The coloured map. Unknown pixels are dark gray; numbers below the range are black, those above it white (in `gray`: blue and red).
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `colorize`.
 #[derive(Params)]
 pub struct Settings {
     /// Value of the first colour. When `high` is not greater, the range is that of the image, rounded; it is held as long as it fits.

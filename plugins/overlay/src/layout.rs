@@ -26,7 +26,7 @@ pub struct Frame {
     pub width: usize,
     /// Height.
     pub height: usize,
-    /// Margin around pictures.
+    /// Margin around images.
     pub gap: usize,
     /// Width of the column as a share of the screen's; 0 finds the best arrangement.
     pub side_share: f32,
@@ -49,7 +49,7 @@ const SCATTERED: f64 = 0.05;
 /// Number of widths of the main image that are tried.
 const STEPS: usize = 96;
 
-/// Width by height of a picture.
+/// Width by height of an image.
 pub type Size = (usize, usize);
 
 /// Content of a cell.
@@ -217,7 +217,7 @@ impl<'t> Group<'t> {
 /// A candidate arrangement.
 #[derive(Clone, Copy)]
 struct Plan {
-    /// Width of the main picture, px.
+    /// Width of the main image, px.
     main_px: f64,
     /// Number of images in the column; the others are in the row.
     in_column: usize,

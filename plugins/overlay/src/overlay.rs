@@ -45,7 +45,7 @@ impl Corner {
     }
 }
 
-/// Inputs.
+/// Input ports of `overlay`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The image to draw on.
@@ -76,14 +76,14 @@ pub struct In<'f> {
     pub depth: Option<Image<'f, Depth>>,
 }
 
-/// Outputs.
+/// Output ports of `overlay`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The image with everything drawn on it. The input's own buffer when there is nothing to draw.
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `overlay`.
 #[derive(Params)]
 pub struct Settings {
     /// Draws the state of the registration.

@@ -11,7 +11,7 @@ use panoscope_node::{
 use crate::fit::{bytes, fitted_size};
 use crate::layout::{self, Cell, Frame, Size, Tile};
 
-/// Inputs.
+/// Input ports of `screen`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The large image: bgr8, gray8 or rgba8.
@@ -20,14 +20,14 @@ pub struct In<'f> {
     pub side: Option<List<'f, AnyImage<'f>>>,
 }
 
-/// Outputs.
+/// Output ports of `screen`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The complete screen, always of the same size.
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `screen`.
 #[derive(Params)]
 pub struct Settings {
     /// Width of the screen.

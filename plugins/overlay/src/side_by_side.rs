@@ -6,21 +6,21 @@ use panoscope_node::{AnyImage, Bgr8, Context, List, Node, NodeError, NodeInfo, O
 
 use crate::fit::{bytes, fitted_size};
 
-/// Inputs.
+/// Input ports of `side_by_side`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Images, row after row: bgr8, gray8 or rgba8.
     pub views: List<'f, AnyImage<'f>>,
 }
 
-/// Outputs.
+/// Output ports of `side_by_side`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// All images in a grid.
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `side_by_side`.
 #[derive(Params)]
 pub struct Settings {
     /// Images per row; 0 makes the grid about as wide as it is high.

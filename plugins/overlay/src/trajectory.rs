@@ -10,7 +10,7 @@ use panoscope_node::{
     error,
 };
 
-/// Inputs.
+/// Input ports of `trajectory`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The left rectified view.
@@ -25,7 +25,7 @@ pub struct In<'f> {
     detections: Option<Detections<'f>>,
 }
 
-/// Outputs.
+/// Output ports of `trajectory`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The image with the trajectory drawn on it.
@@ -34,7 +34,7 @@ pub struct Out<'f> {
     text: Slot<'f, TextPacket>,
 }
 
-/// Parameters.
+/// Parameters of `trajectory`.
 #[derive(Params)]
 pub struct Settings {
     /// Length of the trajectory.

@@ -6,7 +6,7 @@ use panoscope_imaging::draw::{DrawnPoint, GradientLimit, Orbit, SurfacePainter, 
 use panoscope_node::abi::{Calibration, Scalar};
 use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value};
 
-/// Inputs.
+/// Input ports of `turntable`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Points of `reproject`, mm. Those that were filled in are drawn darker.
@@ -17,14 +17,14 @@ pub struct In<'f> {
     pub drifted: Option<Value<'f, Scalar>>,
 }
 
-/// Outputs.
+/// Output ports of `turntable`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The surface seen from the side, with a ruler while lengths are known.
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `turntable`.
 #[derive(Params)]
 pub struct Settings {
     /// Width of the image.

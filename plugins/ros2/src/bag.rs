@@ -10,7 +10,7 @@ use panoscope_ros::messages;
 pub use crate::incoming::Out;
 use crate::incoming::{Arrived, Incoming, IncomingError, Ready, Role, info_topic};
 
-/// Parameters.
+/// Parameters of `ros2_bag`.
 #[derive(Params)]
 pub struct Settings {
     /// Folder of a bag with MCAP files, or one MCAP file.
@@ -95,7 +95,7 @@ fn roles(params: &Settings, topics: &[BagTopic]) -> Result<Vec<(String, Role)>> 
     Ok(roles)
 }
 
-/// See the module.
+/// The `ros2_bag` node.
 pub struct Bag {
     path: PathBuf,
     reader: BagReader,

@@ -26,37 +26,20 @@ pub const MAX_DOMAIN: u16 = 232;
 
 /// Why DDS cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum DdsError {
     /// The domain cannot be joined.
     #[error("domain {domain} of DDS cannot be joined: {words}")]
-    Join {
-        /// Number of the domain.
-        domain: u16,
-        /// Message of the DDS library.
-        words: String,
-    },
+    Join { domain: u16, words: String },
     /// A socket cannot be restricted to this machine.
     #[error("the sockets of DDS cannot be bound to the loopback device: {words}; `networks = \"all\"` does without")]
-    Confine {
-        /// The system's message.
-        words: String,
-    },
+    Confine { words: String },
     /// A topic cannot be created.
     #[error("topic `{topic}`: {words}")]
-    Topic {
-        /// Name of the topic.
-        topic: String,
-        /// Message of the DDS library.
-        words: String,
-    },
+    Topic { topic: String, words: String },
     /// A message cannot be encoded or sent.
     #[error("topic `{topic}`: a message was not sent: {words}")]
-    Send {
-        /// Name of the topic.
-        topic: String,
-        /// Message of the DDS library.
-        words: String,
-    },
+    Send { topic: String, words: String },
 }
 
 /// Quality of service of a topic.

@@ -140,23 +140,14 @@ impl<'m> Arrived<'m> {
 
 /// Why a message was left out.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum IncomingError {
     /// The bytes are malformed.
     #[error("`{topic}`: {cause}")]
-    Bytes {
-        /// The topic.
-        topic: String,
-        /// The decoding error.
-        cause: CdrError,
-    },
+    Bytes { topic: String, cause: CdrError },
     /// The message cannot be converted to a packet.
     #[error("`{topic}`: {cause}")]
-    Value {
-        /// The topic.
-        topic: String,
-        /// The conversion error.
-        cause: ConvertError,
-    },
+    Value { topic: String, cause: ConvertError },
 }
 
 /// Collects messages until a tick is complete.

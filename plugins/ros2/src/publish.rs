@@ -58,7 +58,7 @@ pub enum Stamps {
     Capture,
 }
 
-/// Parameters.
+/// Parameters of `ros2_publish`.
 #[derive(Params)]
 pub struct Settings {
     /// Prefix of the name of every topic.
@@ -98,7 +98,7 @@ struct Writers {
     joints: Option<TopicWriter>,
 }
 
-/// See the module.
+/// The `ros2_publish` node.
 pub struct Publish {
     member: Member,
     writers: Writers,

@@ -14,7 +14,7 @@ const STEP: Duration = Duration::from_millis(2);
 /// Maximum wait of one call; a tick without data follows.
 const MAX_WAIT: Duration = Duration::from_millis(200);
 
-/// Parameters.
+/// Parameters of `ros2_subscribe`.
 #[derive(Params)]
 pub struct Settings {
     /// Topic of the left view, such as /camera/left/image_raw, or of the only one. A topic that ends with /compressed has JPEG or PNG. Its camera is
@@ -88,7 +88,7 @@ fn absolute(topic: &str) -> String {
     if topic.is_empty() || topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") }
 }
 
-/// See the module.
+/// The `ros2_subscribe` node.
 pub struct Subscribe {
     readers: Vec<(String, &'static str, TopicReader)>,
     incoming: Incoming,

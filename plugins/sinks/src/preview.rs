@@ -4,7 +4,7 @@ use panoscope_node::{
     AnyImage, Bgr8, Context, Gray8, Gray16, GrayF32, NoPorts, Node, NodeInfo, Open, Ports, Result, Retained, Rgba8,
 };
 
-/// Inputs.
+/// Input ports of `preview`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The image to show.

@@ -4,27 +4,14 @@ use std::net::SocketAddr;
 
 /// Why a stream cannot be served.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum ServeError {
     /// The system does not allow listening on the address.
     #[error("cannot listen on {at}: {reason}; {help}")]
-    Listen {
-        /// Address and port.
-        at: SocketAddr,
-        /// The system's message.
-        reason: String,
-        /// What to do.
-        help: &'static str,
-    },
+    Listen { at: SocketAddr, reason: String, help: &'static str },
     /// Another node already serves this path.
     #[error("node `{node}` already serves `{path}` on {at}: give this node another `path`")]
-    Taken {
-        /// Name of the other node.
-        node: String,
-        /// The path that both ask for.
-        path: String,
-        /// Address and port.
-        at: SocketAddr,
-    },
+    Taken { node: String, path: String, at: SocketAddr },
 }
 
 /// What is wrong with a path of a stream; `None` if nothing.

@@ -20,14 +20,14 @@ use push::{Push, Target};
 use server::Mount;
 use worker::Worker;
 
-/// Inputs.
+/// Input ports of `stream`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Frames to send: bgr8, gray8 or rgba8.
     pub image: AnyImage<'f>,
 }
 
-/// Parameters.
+/// Parameters of `stream`.
 #[derive(Params)]
 pub struct Settings {
     /// Serves RTSP at rtsp://ADDRESS:PORT/PATH. Several `stream` nodes share a port with different paths.

@@ -14,53 +14,23 @@ pub const PART: &str = ".tmp-part";
 
 /// Why a file could not be written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SinkError {
     /// The operating system refused an operation.
     #[error("cannot write {path}: {reason}; {help}", path = path.display(), help = help(source))]
-    Io {
-        /// The requested file.
-        path: PathBuf,
-        /// The system's message.
-        reason: String,
-        /// The system's error.
-        source: io::Error,
-    },
+    Io { path: PathBuf, reason: String, source: io::Error },
     /// The path parameter is empty or has no file name.
     #[error("`path` = \"{path}\" names no file: write something like `path = \"out/{example}\"`", path = path.display())]
-    NoName {
-        /// Value of the parameter.
-        path: PathBuf,
-        /// A name that would be valid.
-        example: &'static str,
-    },
+    NoName { path: PathBuf, example: &'static str },
     /// The node has no format with this extension.
     #[error("{path}: no format has the ending `{ending}` here; known are: {known}", path = path.display())]
-    Ending {
-        /// The requested file.
-        path: PathBuf,
-        /// Extension of the file.
-        ending: String,
-        /// Extensions that the node supports.
-        known: &'static str,
-    },
+    Ending { path: PathBuf, ending: String, known: &'static str },
     /// The format cannot hold these pixels.
     #[error("{path}: {what} cannot be stored in this format; {help}", path = path.display())]
-    Unfit {
-        /// The requested file.
-        path: PathBuf,
-        /// Description of the pixels.
-        what: String,
-        /// What would work.
-        help: &'static str,
-    },
+    Unfit { path: PathBuf, what: String, help: &'static str },
     /// An encoder failed.
     #[error("{path}: the encoder failed: {reason}", path = path.display())]
-    Encode {
-        /// The requested file.
-        path: PathBuf,
-        /// What the encoder reported.
-        reason: String,
-    },
+    Encode { path: PathBuf, reason: String },
 }
 
 impl SinkError {

@@ -18,14 +18,14 @@ use crate::stream::worker::Worker;
 use room::Room;
 use server::Mount;
 
-/// Inputs.
+/// Input ports of `webrtc`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Frames to send: bgr8, gray8 or rgba8.
     pub image: AnyImage<'f>,
 }
 
-/// Parameters.
+/// Parameters of `webrtc`.
 #[derive(Params)]
 pub struct Settings {
     /// Address of this machine to listen on. 127.0.0.1 serves only programs on this machine. 0.0.0.0 listens on all networks. There is no password:

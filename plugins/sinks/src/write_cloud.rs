@@ -8,7 +8,7 @@ use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Para
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_files, make_folder};
 use panoscope_data::formats::ply::{self, GradientLimit};
 
-/// Inputs.
+/// Input ports of `write_cloud`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Points in mm with colours. Unknown points are skipped; points that were filled in have the property `filled` 1.
@@ -17,7 +17,7 @@ pub struct In<'f> {
     pub calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Parameters.
+/// Parameters of `write_cloud`.
 #[derive(Params)]
 pub struct Settings {
     /// File to write, with the extension .ply. `{seq}` becomes the tick's number; without it each cloud replaces the previous one.

@@ -12,7 +12,7 @@ use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_fi
 use panoscope_data::formats::Pixels;
 use panoscope_data::formats::still;
 
-/// Inputs.
+/// Input ports of `write_images`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Image to write: bgr8, gray8, rgba8 or gray16.
@@ -21,7 +21,7 @@ pub struct In<'f> {
     pub mask: Option<Image<'f, Mask>>,
 }
 
-/// Parameters.
+/// Parameters of `write_images`.
 #[derive(Params)]
 pub struct Settings {
     /// File to write, with the extension .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it every image

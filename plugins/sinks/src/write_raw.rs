@@ -12,7 +12,7 @@ use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_fi
 use panoscope_data::formats::Pixels;
 use panoscope_data::formats::array::{self, ArrayFormat};
 
-/// Inputs.
+/// Input ports of `write_raw`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Any image.
@@ -27,7 +27,7 @@ pub struct In<'f> {
     pub mask: Option<Image<'f, Mask>>,
 }
 
-/// Parameters.
+/// Parameters of `write_raw`.
 #[derive(Params)]
 pub struct Settings {
     /// File to write. Its extension selects the format: .pfm (floats), .npy, .tif, .pgm or .ppm, .raw (bare rows). `{seq}` becomes the tick's number,

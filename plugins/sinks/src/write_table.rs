@@ -22,7 +22,7 @@ const ENDINGS: &str = "jsonl, ndjson, csv, json";
 /// Inputs that COCO's format cannot hold.
 const NOT_IN_COCO: [&str; 8] = ["table", "scalar", "homography", "roi", "tip", "pose", "joints", "text"];
 
-/// Inputs.
+/// Input ports of `write_table`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Named columns of numbers.
@@ -47,7 +47,7 @@ pub struct In<'f> {
     pub instances: Option<Instances<'f>>,
 }
 
-/// Parameters.
+/// Parameters of `write_table`.
 #[derive(Params)]
 pub struct Settings {
     /// File to write. .jsonl: one JSON object per tick. .csv: one line per tick or table row. .json: one COCO file of all detections or instances,

@@ -35,14 +35,14 @@ const WARN_BEHIND_MS: f64 = 500.0;
 /// Minimum width and height in .mp4, .mov and .avi, px: GStreamer's muxers refuse smaller frames.
 const MIN_INDEXED_PX: usize = 16;
 
-/// Inputs.
+/// Input ports of `write_video`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Frames to write: bgr8, gray8 or rgba8.
     pub image: AnyImage<'f>,
 }
 
-/// Parameters.
+/// Parameters of `write_video`.
 #[derive(Params)]
 pub struct Settings {
     /// File to write: .mkv, .webm, .mp4, .mov or .avi. .mkv and .webm survive a crash and play to the last frame; the others do not. A node that is

@@ -16,7 +16,7 @@ use panoscope_sinks::write_raw::WriteRaw;
 use panoscope_sinks::write_table::WriteTable;
 use panoscope_sinks::write_video::WriteVideo;
 
-/// A folder of its own, removed at the end.
+/// A separate folder, removed at the end.
 struct Folder(PathBuf);
 
 impl Folder {

@@ -334,7 +334,7 @@ pub struct Out<'f> {
     gain_text: Slot<'f, TextPacket>,
 }
 
-/// See the module.
+/// The `composite` node.
 pub struct Composite {
     drawer: Drawer,
 }

@@ -156,7 +156,7 @@ impl BlindWatch {
     }
 }
 
-/// See the module.
+/// The `composite_mesh` node.
 pub struct CompositeMesh {
     drawer: Drawer,
     views: CalibratedViews,

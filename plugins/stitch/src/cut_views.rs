@@ -64,7 +64,7 @@ pub struct Out<'f> {
     left_in_image: Slot<'f, Roi>,
 }
 
-/// See the module.
+/// The `cut_views` node.
 pub struct CutViews;
 
 impl Node for CutViews {

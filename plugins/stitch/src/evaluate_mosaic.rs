@@ -42,7 +42,7 @@ pub struct Out<'f> {
     table: Slot<'f, TableData>,
 }
 
-/// See the module.
+/// The `evaluate_mosaic` node.
 pub struct EvaluateMosaic {
     rows: Vec<f64>,
     first: Option<Pose>,

@@ -112,7 +112,7 @@ pub struct Out<'f> {
     table: Slot<'f, TableData>,
 }
 
-/// See the module.
+/// The `evaluate_stitch` node.
 pub struct EvaluateStitch {
     rows: Vec<f64>,
     previous: Option<Placement>,

@@ -85,7 +85,7 @@ pub struct Out<'f> {
     matches: Slot<'f, TableData>,
 }
 
-/// See the module.
+/// The `features_surf` node.
 pub struct FeaturesSurf {
     surf: Surf,
     matcher: Matcher,

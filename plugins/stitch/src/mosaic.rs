@@ -184,7 +184,7 @@ pub const COLUMNS: [&str; 14] = [
     "spread_px",
 ];
 
-/// See the module.
+/// The `mosaic` node.
 pub struct Mosaic {
     kernel: mosaic::Mosaic,
     restart: u32,

@@ -86,7 +86,7 @@ pub struct In<'f> {
     right: Option<Picture<'f>>,
 }
 
-/// See the module.
+/// The `register_grid` node.
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
     views: CalibratedViews,

@@ -109,7 +109,7 @@ pub struct In<'f> {
     right: Image<'f, Gray8>,
 }
 
-/// See the module.
+/// The `register_surf` node.
 pub struct RegisterSurf {
     kernel: features::RegisterSurf,
     reporter: Reporter,

@@ -8,6 +8,7 @@ use crate::session::Tensor;
 
 /// Why the outputs do not fit the kind of export.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum DecodeError {
     /// The network has no outputs.
     #[error("the network returned nothing")]
@@ -17,32 +18,13 @@ pub enum DecodeError {
     NotFloat,
     /// The number of dimensions does not fit the kind.
     #[error("the output of a {kind} network has three dimensions")]
-    Dimensions {
-        /// Kind of export.
-        kind: &'static str,
-    },
+    Dimensions { kind: &'static str },
     /// The number of rows does not fit the size of the input.
     #[error("{rows} rows of {values} values do not fit a YOLOX input of {width}x{height}")]
-    YoloxRows {
-        /// Number of rows of the output.
-        rows: usize,
-        /// Number of values per row.
-        values: usize,
-        /// Columns of the input, px.
-        width: usize,
-        /// Rows of the input, px.
-        height: usize,
-    },
+    YoloxRows { rows: usize, values: usize, width: usize, height: usize },
     /// The length of the rows does not fit the kind.
     #[error("{rows} boxes of {values} values are no output of a {kind} network")]
-    Rows {
-        /// Kind of export.
-        kind: &'static str,
-        /// Number of boxes of the output.
-        rows: usize,
-        /// Number of values per box.
-        values: usize,
-    },
+    Rows { kind: &'static str, rows: usize, values: usize },
     /// A DETR network lacks one of its two outputs.
     #[error("a DETR network has the outputs logits 1xNxC and boxes 1xNx4")]
     DetrOutputs,

@@ -6,7 +6,7 @@ use panoscope_node::{Context, Detections, Node, NodeInfo, Open, Params, Ports, R
 
 use crate::yolo::UNKNOWN;
 
-/// Inputs.
+/// Input ports of `evaluate_detections`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Boxes to evaluate. A tick without them counts as no detection.
@@ -29,7 +29,7 @@ pub struct Out<'f> {
     table: Slot<'f, TableData>,
 }
 
-/// Parameters.
+/// Parameters of `evaluate_detections`.
 #[derive(Params)]
 pub struct EvaluateDetectionsParams {
     /// Minimum score of a detection that counts for precision and recall.
@@ -42,7 +42,7 @@ const COLUMNS: [&str; 7] = ["class", "objects", "detections", "hits", "precision
 /// Maximum number of classes that are distinguished.
 const MAX_CLASSES: usize = 1000;
 
-/// See the module.
+/// The `evaluate_detections` node.
 #[derive(Default)]
 pub struct EvaluateDetections {
     /// Normalised class names, in order of first appearance.

@@ -5,7 +5,7 @@ use panoscope_tracking::proximity::{Judge, Rule, Verdict};
 
 use crate::proximity;
 
-/// Inputs.
+/// Input ports of `evaluate_proximity`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Table of `proximity`. A tip without a row has no warning.
@@ -14,7 +14,7 @@ pub struct In<'f> {
     truth: Table<'f>,
 }
 
-/// Outputs.
+/// Output ports of `evaluate_proximity`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Counts since the start, for all tips together. The first row applies the thresholds exactly, the second one tolerates `margin_mm` around them.
@@ -77,7 +77,7 @@ struct Tip {
     judges: [[Judge; 2]; 2],
 }
 
-/// See the module.
+/// The `evaluate_proximity` node.
 #[derive(Default)]
 pub struct EvaluateProximity {
     tips: Vec<Tip>,

@@ -4,31 +4,17 @@ use std::path::{Path, PathBuf};
 
 /// Why there are no usable names.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum LabelsError {
     /// The file cannot be read.
     #[error("cannot read the labels {path}: {cause}; one name a line is expected", path = path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        cause: std::io::Error,
-    },
+    Unreadable { path: PathBuf, cause: std::io::Error },
     /// The number of names differs from the model's number of classes.
     #[error("{model} has {classes} classes, the label table has {names} names", model = model.display())]
-    Count {
-        /// File of the model.
-        model: PathBuf,
-        /// Number of classes of the model.
-        classes: usize,
-        /// Number of names in the table.
-        names: usize,
-    },
+    Count { model: PathBuf, classes: usize, names: usize },
     /// The file has no names.
     #[error("{path} holds no names", path = path.display())]
-    Empty {
-        /// The file.
-        path: PathBuf,
-    },
+    Empty { path: PathBuf },
 }
 
 /// Reads one name per line; empty lines at the end are ignored.

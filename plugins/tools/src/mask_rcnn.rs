@@ -22,7 +22,7 @@ use crate::session::{Tensor, Values, list_text};
 use crate::track::Tracker;
 use crate::yolo::{Network, check_labels, detection, picture_of};
 
-/// Inputs.
+/// Input ports of `mask_rcnn`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Image to search, bgr8 or gray8.
@@ -31,7 +31,7 @@ pub struct In<'f> {
     mask: Option<Image<'f, Mask>>,
 }
 
-/// Outputs.
+/// Output ports of `mask_rcnn`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Boxes and masks in px of the image, highest score first, with their labels.
@@ -56,7 +56,7 @@ pub enum Family {
     YoloSeg,
 }
 
-/// Parameters.
+/// Parameters of `mask_rcnn`.
 #[derive(Params)]
 pub struct MaskRcnnParams {
     /// ONNX file of the network.

@@ -8,32 +8,21 @@ use crate::session::{ModelSession, SessionError, Tensor, list_text};
 
 /// Why a model cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum ModelError {
     /// The file, ONNX Runtime, or a run of the network.
     #[error(transparent)]
     Session(#[from] SessionError),
     /// The model's input is not an image.
     #[error("{path} wants {found}, expected one image: f32 or f16, 1x3xHxW or 1xHxWx3", path = path.display())]
-    Input {
-        /// The file.
-        path: PathBuf,
-        /// Its inputs, as text.
-        found: String,
-    },
+    Input { path: PathBuf, found: String },
     /// The model has no fixed input size, and none was given.
     #[error("{path} takes images of any size ({found}): say which with `input_width` and `input_height`", path = path.display())]
-    Size {
-        /// The file.
-        path: PathBuf,
-        /// Its inputs, as text.
-        found: String,
-    },
+    Size { path: PathBuf, found: String },
     /// The model solves another task than the node expects.
     #[error("{path} is exported for the task `{task}`: {help}", path = path.display())]
     Task {
-        /// The file.
         path: PathBuf,
-        /// The task in the model's metadata.
         task: String,
         /// What the node reads, and what to use instead.
         help: &'static str,

@@ -14,57 +14,26 @@ const MAX_BYTES: u64 = 2 << 30;
 
 /// Why a model file is refused.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum OnnxFileError {
     /// The file cannot be read.
     #[error("cannot read the model {path}: {source}; name an .onnx file with `model`", path = path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// The file is too large for the format.
     #[error("{path} has {bytes} bytes, an ONNX file has at most {MAX_BYTES}", path = path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// Its length, bytes.
-        bytes: u64,
-    },
+    TooLarge { path: PathBuf, bytes: u64 },
     /// The file is not ONNX, or is truncated.
     #[error("{path} is not a whole ONNX file: {reason} at byte {offset}; copy or export it again", path = path.display())]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: &'static str,
-        /// Position in the file, bytes.
-        offset: usize,
-    },
+    Malformed { path: PathBuf, reason: &'static str, offset: usize },
     /// Opening it would take too long.
     #[error("{path} would keep ONNX Runtime busy: {reason}; export it again, simplified (onnxsim), or use another model", path = path.display())]
-    TooMuch {
-        /// The file.
-        path: PathBuf,
-        /// The limit that is exceeded.
-        reason: TooMuch,
-    },
+    TooMuch { path: PathBuf, reason: TooMuch },
     /// Weights are outside the model's folder.
     #[error("{path} reads its weights from `{location}`, which is not in its own folder: refused", path = path.display())]
-    Outside {
-        /// The file.
-        path: PathBuf,
-        /// Path that the model names.
-        location: String,
-    },
+    Outside { path: PathBuf, location: String },
     /// A file of weights is missing.
     #[error("{path} keeps its weights in `{location}`, which is not beside it: copy both files", path = path.display())]
-    MissingWeights {
-        /// The file.
-        path: PathBuf,
-        /// Path that the model names.
-        location: String,
-    },
+    MissingWeights { path: PathBuf, location: String },
 }
 
 /// A checked model file.

@@ -14,7 +14,7 @@ use panoscope_tracking::real_time::RealTime;
 
 use crate::silhouette::{Cues, Nearness, Silhouette};
 
-/// Inputs.
+/// Input ports of `proximity`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Tips in the left rectified camera's frame, mm, one per tool: two detections of one tip would count as two touching tips. Warnings follow the
@@ -36,7 +36,7 @@ pub struct In<'f> {
     image: Option<AnyImage<'f>>,
 }
 
-/// Outputs.
+/// Output ports of `proximity`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// One row per tip: number and class; pixel and position (mm); distance to the tissue (mm) and pixel of the nearest point; whether that point is
@@ -47,7 +47,7 @@ pub struct Out<'f> {
     text: Slot<'f, TextPacket>,
 }
 
-/// Parameters.
+/// Parameters of `proximity`.
 #[derive(Params)]
 pub struct ProximityParams {
     /// Distance to the tissue below which a tip counts as near.
@@ -108,7 +108,7 @@ struct Watch {
     other: Hysteresis,
 }
 
-/// See the module.
+/// The `proximity` node.
 #[derive(Default)]
 pub struct Proximity {
     surface: Surface,

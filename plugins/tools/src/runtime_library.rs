@@ -19,29 +19,17 @@ pub struct LibraryError {
 
 /// Why a file is not a usable ONNX Runtime.
 #[derive(Clone, Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum FileError {
     /// The system cannot load it.
     #[error("{path}: {reason}", path = path.display())]
-    NotLoaded {
-        /// The file.
-        path: PathBuf,
-        /// The system's message.
-        reason: String,
-    },
+    NotLoaded { path: PathBuf, reason: String },
     /// It is another library.
     #[error("{path}: has no OrtGetApiBase", path = path.display())]
-    OtherLibrary {
-        /// The file.
-        path: PathBuf,
-    },
+    OtherLibrary { path: PathBuf },
     /// ONNX Runtime cannot start.
     #[error("{path}: {reason}", path = path.display())]
-    NotStarted {
-        /// The file.
-        path: PathBuf,
-        /// ONNX Runtime's message.
-        reason: String,
-    },
+    NotStarted { path: PathBuf, reason: String },
 }
 
 /// Whether this process has already loaded an ONNX Runtime: a host that compares it with a lock does so before any node opens.

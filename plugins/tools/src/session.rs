@@ -16,6 +16,7 @@ use crate::runtime_library::{self, LibraryError};
 
 /// Why a model cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SessionError {
     /// ONNX Runtime cannot be used.
     #[error(transparent)]
@@ -25,20 +26,10 @@ pub enum SessionError {
     File(#[from] OnnxFileError),
     /// ONNX Runtime cannot open the file.
     #[error("ONNX Runtime cannot open {path}: {reason}", path = path.display())]
-    Open {
-        /// The file.
-        path: PathBuf,
-        /// ONNX Runtime's message.
-        reason: String,
-    },
+    Open { path: PathBuf, reason: String },
     /// A run of the network failed.
     #[error("{path} failed: {reason}", path = path.display())]
-    Run {
-        /// The file.
-        path: PathBuf,
-        /// ONNX Runtime's message.
-        reason: String,
-    },
+    Run { path: PathBuf, reason: String },
 }
 
 /// An input or output as the model declares it.

@@ -13,7 +13,7 @@ use panoscope_node::{
 use panoscope_tracking::skill::measures::FIGURES;
 use panoscope_tracking::skill::{Measures, Sample, Session, Settings};
 
-/// Inputs.
+/// Input ports of `skill`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Tips in the left rectified camera's frame, mm. Connect one `tip_track` per hand.
@@ -26,7 +26,7 @@ pub struct In<'f> {
     proximity: Option<Table<'f>>,
 }
 
-/// Outputs.
+/// Output ports of `skill`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// One row per tool and phase: number and class of the tool, number of the phase (-1: all phases), then all measures since the start. Times count
@@ -50,7 +50,7 @@ pub enum Tools {
     Class,
 }
 
-/// Parameters.
+/// Parameters of `skill`.
 #[derive(Params)]
 pub struct SkillParams {
     /// Which tips belong to one tool.
@@ -100,7 +100,7 @@ pub const PAIRS: [&str; 6] = ["a", "b", "seen_s", "both_s", "overlap", "correlat
 /// Maximum number of poses of the camera that are stored for late tips.
 const MAX_POSES: usize = 64;
 
-/// See the module.
+/// The `skill` node.
 pub struct Skill {
     session: Session,
     poses: VecDeque<(i64, Isometry3<f64>)>,

@@ -10,7 +10,7 @@ use panoscope_tracking::kalman::Model;
 use panoscope_tracking::real_time::RealTime;
 use panoscope_tracking::tracker::{Known, Report, Rules, Tracker, UNKNOWN_CLASS};
 
-/// Inputs.
+/// Input ports of `tip_track`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their images. Wire a detector that is slower than the
@@ -24,7 +24,7 @@ pub struct In<'f> {
     calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Outputs.
+/// Output ports of `tip_track`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The leading tip in the left camera's frame, mm. The score of a predicted tip falls with the time since it was last seen. A tip of unknown
@@ -35,7 +35,7 @@ pub struct Out<'f> {
     table: Slot<'f, TableData>,
 }
 
-/// Parameters.
+/// Parameters of `tip_track`.
 #[derive(Params)]
 pub struct TrackParams {
     /// Standard deviation of a tool's unknown acceleration, mm/s^2. Higher values follow faster and are less smooth.

@@ -17,7 +17,7 @@ use crate::silhouette::{Cues, Nearness, Silhouette};
 use crate::tip_position::{Position, Scene, Space, TipPosition};
 use crate::yolo::UNKNOWN;
 
-/// Inputs.
+/// Input ports of `tool_tip`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Boxes of tools in the left rectified view. Boxes of a detector that is slower than the camera (wired with `align = "latest"`) are moved along
@@ -40,7 +40,7 @@ pub struct In<'f> {
     calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Outputs.
+/// Output ports of `tool_tip`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Tip of the leading tool; between open jaws the middle of both ends. Where masks and depth show that another tool hides one of two jaws, the
@@ -52,7 +52,7 @@ pub struct Out<'f> {
     hidden: Slot<'f, Tip>,
 }
 
-/// Parameters.
+/// Parameters of `tool_tip`.
 #[derive(Params)]
 pub struct ToolTipParams {
     /// Name of the class to follow; empty takes any.

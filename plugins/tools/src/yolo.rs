@@ -22,7 +22,7 @@ use crate::pictures::{self, Familiarity, Unlike};
 use crate::provider::Provider;
 use crate::track::Tracker;
 
-/// Inputs.
+/// Input ports of `yolo`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Image to search, bgr8 or gray8.
@@ -31,7 +31,7 @@ pub struct In<'f> {
     mask: Option<Image<'f, Mask>>,
 }
 
-/// Outputs.
+/// Output ports of `yolo`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Boxes in px of the image, highest score first, with their labels. If the model has a calibration, scores are probabilities, and the last label
@@ -92,7 +92,7 @@ impl Layout {
     }
 }
 
-/// Parameters.
+/// Parameters of `yolo`.
 #[derive(Params)]
 pub struct YoloParams {
     /// ONNX file of the network.

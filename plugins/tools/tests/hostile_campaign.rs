@@ -278,7 +278,7 @@ fn ask(program: &Path, model: &Path, big: bool, most: Duration) -> Result<(Vec<S
     if answers.len() < NODES { Err(format!("said only {answers:?}")) } else { Ok((answers, took)) }
 }
 
-/// Started by the campaign in a process of its own.
+/// Started by the campaign in its own process.
 #[test]
 #[ignore = "started by the campaign"]
 fn child_of_the_campaign() {

@@ -89,7 +89,7 @@ pub fn rule_of(harm: Harm) -> Option<&'static HarmRule> {
     HARMS.iter().find(|rule| rule.harm == harm)
 }
 
-/// See the module.
+/// Everything that is derived from one seed.
 #[derive(Clone, Debug)]
 pub struct Case {
     /// The seed.

@@ -16,7 +16,7 @@ pub const HEIGHT: usize = 8;
 /// Time limit for anything a test waits for.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A folder of its own, removed at the end.
+/// A separate folder, removed at the end.
 pub struct Folder(pub PathBuf);
 
 impl Folder {
@@ -194,7 +194,7 @@ pub fn encode(
 /// Rows of the number at the top of a [`scene`].
 const NUMBER_ROWS: usize = 32;
 
-/// BGR pixels of picture `number` of a stream: the number's 16 lower bits as black and white blocks, above a texture that moves with every picture.
+/// BGR pixels of frame `number` of a stream: the number's 16 lower bits as black and white blocks, above a texture that moves with every frame.
 pub fn scene(number: usize, (width, height): (usize, usize)) -> Vec<u8> {
     let mut bgr = Vec::with_capacity(3 * width * height);
     for y in 0..height {

@@ -29,23 +29,14 @@ const MAX_NEWEST: usize = 256;
 
 /// Why there is no connection.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum LinkError {
     /// The system does not allow listening on the address.
     #[error("cannot listen on {at}: {reason}; {help}")]
-    Listen {
-        /// Address and port.
-        at: SocketAddr,
-        /// The system's message.
-        reason: String,
-        /// What to do.
-        help: &'static str,
-    },
+    Listen { at: SocketAddr, reason: String, help: &'static str },
     /// `address` is not an IP address.
     #[error("`{address}` is not an IP address to listen on; write 127.0.0.1, 0.0.0.0 or the address of a network card")]
-    Address {
-        /// Value of the parameter.
-        address: String,
-    },
+    Address { address: String },
     /// The system cannot start a thread.
     #[error("no thread could be started for the connection: {0}")]
     Thread(std::io::Error),

@@ -17,7 +17,7 @@ use ports::{In, Out};
 /// Columns of `clearance`: positions are in the left camera's frame; distances below 0 are inside the tissue; NaN where there is no other tip.
 const CLEARANCE: [&str; 8] = ["track_id", "class_index", "seen", "x_mm", "y_mm", "z_mm", "tissue_mm", "tip_mm"];
 
-/// See the module.
+/// The `phantom` node.
 pub struct PhantomNode {
     phantom: Phantom,
     frame: u64,

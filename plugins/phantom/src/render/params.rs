@@ -8,51 +8,28 @@ use super::scenario::ToolMotion;
 
 /// Why a phantom cannot be built, or an image cannot be drawn.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum PhantomError {
     /// No scene has this name.
     #[error("no scene is called {name:?}; there are liver, bowel, cavity, box and board")]
-    UnknownScene {
-        /// The requested name.
-        name: String,
-    },
+    UnknownScene { name: String },
     /// A parameter is outside its range.
     #[error("{name} is {value}, expected {low} to {high}")]
-    OutOfRange {
-        /// Name of the parameter.
-        name: &'static str,
-        /// Value of the parameter.
-        value: f64,
-        /// Minimum value.
-        low: f64,
-        /// Maximum value.
-        high: f64,
-    },
+    OutOfRange { name: &'static str, value: f64, low: f64, high: f64 },
     /// An image has the wrong size.
     #[error("view {view} is {width}x{height}x{channels}, expected {want_width}x{want_height}x{want_channels}")]
     WrongSize {
-        /// Index of the image.
         view: usize,
-        /// Number of columns.
         width: usize,
-        /// Number of rows.
         height: usize,
-        /// Number of channels.
         channels: usize,
-        /// Columns expected.
         want_width: usize,
-        /// Rows expected.
         want_height: usize,
-        /// Channels expected.
         want_channels: usize,
     },
     /// The number of images differs from the number of cameras.
     #[error("{got} views given, the rig has {want} cameras")]
-    WrongViewCount {
-        /// Number of images.
-        got: usize,
-        /// Number of cameras.
-        want: usize,
-    },
+    WrongViewCount { got: usize, want: usize },
     /// A pose with a NaN or an infinity.
     #[error("the camera pose holds a number that is not finite")]
     BadPose,
@@ -61,9 +38,7 @@ pub enum PhantomError {
     BadDistortion {
         /// Index of the camera in the rig.
         camera: usize,
-        /// Column, px.
         u: usize,
-        /// Row, px.
         v: usize,
     },
 }

@@ -48,12 +48,12 @@ impl Coco {
         self.ticks
     }
 
-    /// Appends the line of tick `seq` to `out`: boxes of the picture called `file_name`.
+    /// Appends the line of tick `seq` to `out`: boxes of the image called `file_name`.
     pub fn push_detections(&mut self, out: &mut String, seq: u64, file_name: &str, detections: &Detections<'_>) {
         self.push(out, seq, file_name, detections, None);
     }
 
-    /// Appends the line of tick `seq` to `out`: boxes and masks of the picture called `file_name`.
+    /// Appends the line of tick `seq` to `out`: boxes and masks of the image called `file_name`.
     pub fn push_instances(&mut self, out: &mut String, seq: u64, file_name: &str, instances: &Instances<'_>) {
         self.push(out, seq, file_name, &instances.detections(), Some(instances));
     }

@@ -154,12 +154,12 @@ impl Fanout {
         self.count.store(0, Ordering::Release);
     }
 
-    /// Counts an encoded picture.
+    /// Counts an encoded frame.
     pub fn count_encoded(&self) {
         self.encoded.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Counts a picture that was replaced by a newer one.
+    /// Counts a frame that was replaced by a newer one.
     pub fn count_replaced(&self) {
         self.replaced.fetch_add(1, Ordering::Relaxed);
     }

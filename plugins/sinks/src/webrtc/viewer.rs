@@ -33,18 +33,14 @@ const KEY_EVERY_MS: u64 = 300;
 
 /// Why a viewer cannot be served.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum ViewerError {
     /// GStreamer refuses an element or a pipeline.
     #[error(transparent)]
     Media(#[from] MediaError),
     /// `webrtcbin` refuses a step of the negotiation, or exceeds its time limit.
     #[error("GStreamer's webrtcbin failed to {step}: {reason}")]
-    Step {
-        /// The step.
-        step: &'static str,
-        /// GStreamer's message.
-        reason: String,
-    },
+    Step { step: &'static str, reason: String },
     /// The answer does not contain the offered video.
     #[error("GStreamer's webrtcbin does not send the video that was offered")]
     Answer,

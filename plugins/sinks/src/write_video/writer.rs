@@ -29,7 +29,7 @@ pub struct VideoSettings {
     pub kind: FileKind,
     /// Compression.
     pub codec: Codec,
-    /// Constant rate of the file in Hz; 0 gives each picture its own time.
+    /// Constant rate of the file in Hz; 0 gives each frame its own time.
     pub fps: f64,
     /// Constant rate factor of H.264 and HEVC.
     pub crf: u8,

@@ -10,7 +10,7 @@ use gstreamer_app::AppSink;
 /// Number of bits that are drawn into an image.
 const BITS: usize = 12;
 
-/// A folder of its own, removed at the end.
+/// A separate folder, removed at the end.
 pub struct Folder(pub PathBuf);
 
 impl Folder {

@@ -56,7 +56,7 @@ pub struct Out<'f> {
     image: Slot<'f, AnyFormat>,
 }
 
-/// Parameters.
+/// Parameters of `onnx`.
 #[derive(Params)]
 pub struct OnnxParams {
     /// ONNX file of the network.

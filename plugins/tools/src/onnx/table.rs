@@ -23,40 +23,23 @@ const MAX_SIDE: usize = 8192;
 
 /// Why a table cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum TableError {
     /// No table is given.
     #[error("no table says what the inputs and outputs of {model} are; write {file}, or set `table`; `panoscope describe {model}` prints one", model = model.display(), file = file.display())]
-    Missing {
-        /// The model.
-        model: PathBuf,
-        /// Path of the missing file.
-        file: PathBuf,
-    },
+    Missing { model: PathBuf, file: PathBuf },
     /// Two tables are given.
     #[error("`table` and `table_file` are both set; remove one")]
     Twice,
     /// The file cannot be read.
     #[error("cannot read the table {path}: {cause}", path = path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        cause: std::io::Error,
-    },
+    Unreadable { path: PathBuf, cause: std::io::Error },
     /// The table is malformed.
     #[error("{source_name}, line {line}: {message}")]
-    Malformed {
-        /// The file, or the parameter.
-        source_name: String,
-        /// Line, from 1.
-        line: usize,
-        /// What is wrong.
-        message: String,
-    },
+    Malformed { source_name: String, line: usize, message: String },
     /// A value is not allowed.
     #[error("{source_name}: `{key}`: {message}")]
     Value {
-        /// The file, or the parameter.
         source_name: String,
         /// Key of the value, as in `inputs.left.std`.
         key: String,

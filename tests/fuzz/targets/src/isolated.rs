@@ -324,7 +324,7 @@ unsafe extern "C" fn nothing(_: *mut c_void, _: *mut abi::Call) -> abi::Status {
     abi::STATUS_INVALID
 }
 
-/// Makes a picture.
+/// Makes a frame.
 unsafe extern "C" fn feed(_: *mut c_void, call: *mut abi::Call) -> abi::Status {
     // SAFETY: the contract: the call and its table live until this returns.
     let call = unsafe { &mut *call };
