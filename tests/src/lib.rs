@@ -204,7 +204,7 @@ fn start(
     };
     let engine = match Engine::start(graph, catalog, loader, options) {
         Ok(engine) => engine,
-        Err(error) if error.to_string().contains("ONNX Runtime's shared library is not there") => {
+        Err(error) if error.to_string().contains("ONNX Runtime's shared library was not found") => {
             panoscope_testing::skipped!("{error}");
             return Ok(None);
         }

@@ -51,7 +51,7 @@ static CASES: [Case; 21] = [
     plays("path_bang", &["still.toml", "--left", "wow!.png"], 1, "done"),
     plays("calibration_transposed", &["depthcal.toml", "--cal", "metres.yml"], 0, "is its translation in m?"),
     refused("calibration_transposed", &["depthcal.toml", "--cal", "transposed.yml"], "`M1` is transposed"),
-    plays("cjk_label", &["yolo.toml", "--model", "names.onnx"], 1, "has no letters for the class"),
+    plays("cjk_label", &["yolo.toml", "--model", "names.onnx"], 1, "cannot draw the class name"),
     refused("ros_unsorted", &["bag.toml", "--bag", "missing.mcap"], "missing.mcap"),
 ];
 

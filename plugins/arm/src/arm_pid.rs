@@ -152,7 +152,7 @@ impl Node for ArmPid {
     const INFO: NodeInfo = NodeInfo::compute(
         "arm_pid",
         "arm",
-        "Requests joint velocities about the trocar that bring the tip to the centre of the shared picture and to its distance.",
+        "Requests joint velocities about the trocar that bring the tip to the centre of the shared image and to its distance.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

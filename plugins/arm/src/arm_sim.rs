@@ -186,7 +186,7 @@ impl Node for ArmSim {
     fn load_state(&mut self, state: &[u8]) -> Result<()> {
         let words: Vec<u64> = state.chunks_exact(8).map(|b| b.try_into().map_or(0, u64::from_le_bytes)).collect();
         if words.len() != JOINTS + 1 {
-            return Err(error!("the state of another arm: {} numbers", words.len()));
+            return Err(error!("the saved state has {} numbers, which do not fit this arm", words.len()));
         }
         let angles = JointVector::from_fn(|k, _| f64::from_bits(words[k]));
         *self = Self::at(self.lock.chain().clone(), angles, self.quality);

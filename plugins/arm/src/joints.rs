@@ -23,11 +23,7 @@ pub fn arm_of(file: &Path) -> Result<Chain> {
 /// Reports an arm file that [`arm_of`] refuses.
 pub fn check_arm(check: &mut Validation<'_>, file: &Path) {
     if let Err(error) = arm_of(file) {
-        check.error(
-            "arm",
-            error.message(),
-            "name a URDF file of six axes, or leave it empty for the arm that comes with the plugin",
-        );
+        check.error("arm", error.message(), "name a URDF file of six axes, or leave it empty for the shipped arm");
     }
 }
 
@@ -37,7 +33,10 @@ pub fn check_arm(check: &mut Validation<'_>, file: &Path) {
 /// The packet has another number of joints than the arm.
 pub fn angles(packet: &Joints) -> Result<JointVector> {
     if packet.count as usize != JOINTS {
-        return Err(error!("joints of {} axes arrived, the arm has {JOINTS}", packet.count));
+        return Err(error!(
+            "the joints packet has {} axes, but the arm has {JOINTS}; connect the joints of this arm",
+            packet.count
+        ));
     }
     Ok(JointVector::from_column_slice(&packet.position_rad[..JOINTS]))
 }

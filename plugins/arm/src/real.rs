@@ -86,7 +86,7 @@ impl RealArm {
             return status;
         }
         if !std::mem::replace(&mut self.has_reported_end, true) {
-            cx.fault("the process that guards the arm has ended; the arm's own watchdog holds it. Change `reset` to start it again");
+            cx.fault("the process that guards the arm has ended; the arm's own watchdog has stopped it. Change `reset` to restart the guard");
         }
         ended(self.guard.last_status())
     }
@@ -99,7 +99,7 @@ impl RealArm {
                 self.has_reported_end = false;
                 cx.info("the arm is guarded again and stopped; change `reset` once more to release it");
             }
-            Err(error) => cx.warn(&format!("the arm's guard does not start again: {error}")),
+            Err(error) => cx.warn(&format!("the arm's guard cannot be restarted: {error}")),
         }
     }
 

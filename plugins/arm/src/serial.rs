@@ -40,7 +40,7 @@ impl Node for ArmSerial {
     const INFO: NodeInfo = NodeInfo::realtime(
         "arm_serial",
         "arm",
-        "A six-axis arm on a serial line. A process of its own guards it and stops it whatever the program does.",
+        "A six-axis arm on a serial line. A separate process guards it and stops it whatever the program does.",
     )
     .exclusive()
     .side_effects();
@@ -52,8 +52,8 @@ impl Node for ArmSerial {
         check_arm(check, &params.arm);
         // A line may be plugged in until the graph runs.
         if !Path::new(&params.port).exists() {
-            let message = format!("there is no serial line {}", params.port);
-            check.warning("port", message, "plug the arm in before the graph runs, or name its line");
+            let message = format!("the serial line {} does not exist", params.port);
+            check.warning("port", message, "connect the arm before the graph runs, or correct the path");
         }
     }
 

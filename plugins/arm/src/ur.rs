@@ -58,7 +58,7 @@ impl Node for ArmUr {
     const INFO: NodeInfo = NodeInfo::realtime(
         "arm_ur",
         "arm",
-        "A Universal Robots arm over RTDE. A process of its own guards it and stops it whatever the program does.",
+        "A Universal Robots arm over RTDE. A separate process guards it and stops it whatever the program does.",
     )
     .exclusive()
     .side_effects();
@@ -68,7 +68,7 @@ impl Node for ArmUr {
 
     fn validate(params: &UrParams, check: &mut Validation<'_>) {
         if params.arm.as_os_str().is_empty() {
-            let message = "the robot has no description";
+            let message = "no description of the robot is given";
             check.error(
                 "arm",
                 message,
@@ -82,12 +82,16 @@ impl Node for ArmUr {
             check.error("home_deg", bad_home(&params.home_deg), help);
         }
         if params.host.trim().is_empty() {
-            check.error("host", "the robot has no address", "name the address that the pendant shows under About");
+            check.error(
+                "host",
+                "no address of the robot is given",
+                "name the address that the pendant shows under About",
+            );
         }
     }
 
     fn open(cx: &Open<'_>, params: &UrParams) -> Result<Self> {
-        let port = |number: u32| u16::try_from(number).map_err(|_| error!("there is no port {number}"));
+        let port = |number: u32| u16::try_from(number).map_err(|_| error!("port {number} is not valid"));
         let connection = UrConnection {
             host: params.host.trim().to_owned(),
             rtde_port: port(params.port)?,
@@ -96,7 +100,7 @@ impl Node for ArmUr {
             answer_within: Duration::from_secs_f64(params.answer_ms * 1e-3),
         };
         if params.arm.as_os_str().is_empty() {
-            return Err(error!("`arm` names no URDF file of this robot"));
+            return Err(error!("`arm` is empty: give the URDF file of this robot"));
         }
         RealArm::open(cx, Target::Ur(connection), &params.arm).map(Self)
     }

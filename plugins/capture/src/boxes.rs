@@ -90,7 +90,7 @@ impl Boxes {
         let cut = same.then(|| mask.cropped([part.x, part.y, part.width, part.height])).flatten();
         let Some(mask) = cut else {
             return Err(NodeError::new(format!(
-                "{} is {}x{}, its picture {}x{}: masks must have the pictures' size",
+                "{} is {}x{}, but its image is {}x{}: give masks of the size of the images",
                 file.path.display(),
                 mask.width,
                 mask.height,

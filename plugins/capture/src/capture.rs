@@ -99,7 +99,7 @@ impl Capture {
             Grabbed::Ready => {
                 if self.lost.is_some() && self.views.iter().all(|view| view.is_there) {
                     self.lost = None;
-                    cx.info("all sources are back");
+                    cx.info("all sources are available again");
                 }
             }
             Grabbed::End => {
@@ -139,9 +139,7 @@ impl Capture {
                 true => format!("{} lost: {reason}", names(&lost)),
                 false => reason.to_owned(),
             };
-            cx.fault(&format!(
-                "{prefix}. Outputs without a picture stay empty until it is back; it is opened again every second"
-            ));
+            cx.fault(&format!("{prefix}. Outputs without a frame stay empty until it is back; retrying every second"));
         } else if let Some(before) = before {
             let back: Vec<usize> = before.into_iter().filter(|view| !lost.contains(view)).collect();
             if !back.is_empty() {
@@ -156,7 +154,7 @@ impl Capture {
         self.has_ended = true;
         if self.views.unpaired() > 0 {
             cx.warn(&format!(
-                "{} pictures were skipped because no other view had a partner for them",
+                "{} frames were skipped because no other view had a partner for them",
                 self.views.unpaired()
             ));
         }
@@ -227,7 +225,7 @@ impl Capture {
         if is_live {
             // One warning for each series: a stream may be damaged until its next key picture.
             if !std::mem::replace(&mut self.damage_warned, true) {
-                cx.warn(&format!("{why}: outputs stay empty until an undamaged picture comes"));
+                cx.warn(&format!("{why}: outputs stay empty until an undamaged frame arrives"));
             }
             return Ok(false);
         }
@@ -237,7 +235,7 @@ impl Capture {
                 Ok(false)
             }
             OnDamage::Fail => {
-                let words = format!("{why}; with `on_damage = \"skip\"` such a picture is skipped");
+                let words = format!("{why}; set `on_damage = \"skip\"` to skip damaged frames");
                 // In live mode the host opens the node again, which continues with the next picture.
                 Err(if cx.is_batch() { self.ended_early(words) } else { NodeError::new(words) })
             }
@@ -277,11 +275,11 @@ impl Capture {
                 white_balance_k: values.white_balance_k.filter(|_| params.lock_white_balance),
             };
             if !device.set_lock(lock) {
-                cx.warn(&format!("{} does not take the locked exposure or white balance", view.name));
+                cx.warn(&format!("{} does not accept the locked exposure or white balance", view.name));
             }
         }
         if found.is_none() {
-            cx.warn("exposure and white balance are locked on cameras only: there is none");
+            cx.warn("exposure and white balance cannot be locked: no source is a camera");
         }
     }
 
@@ -371,7 +369,7 @@ impl Capture {
         {
             self.sizes_warned = true;
             cx.warn(&format!(
-                "the views differ in size ({}x{} and {}x{}): each is passed on as it is",
+                "the views differ in size ({}x{} and {}x{}): each is forwarded unchanged",
                 parts[0].rect.width, parts[0].rect.height, rect.width, rect.height
             ));
         }
@@ -407,17 +405,17 @@ impl Capture {
             let camera = if *view == 0 { &mut calibration.left } else { &mut calibration.right };
             if camera.width == 0 {
                 (camera.width, camera.height) = (rect.width as u32, rect.height as u32);
-                cx.info(&format!("the calibration states no size: it is assumed to be that of view {view}"));
+                cx.info(&format!("the calibration states no image size: assuming the size of view {view}"));
             }
             if (camera.width as usize, camera.height as usize) != (rect.width, rect.height) {
                 let is_turned = (camera.height as usize, camera.width as usize) == (rect.width, rect.height);
                 let help = if is_turned {
-                    ": `orientation` chooses whether pictures are turned as their file says"
+                    ": `orientation` selects whether frames are rotated as their metadata says"
                 } else {
                     ""
                 };
                 return Err(NodeError::new(format!(
-                    "calibration: it was made for views of {}x{}, view {view} is {}x{}{help}",
+                    "the calibration was made for views of {}x{}, but view {view} is {}x{}{help}",
                     camera.width, camera.height, rect.width, rect.height
                 )));
             }
@@ -442,7 +440,7 @@ impl Capture {
         }
         if rect.width == 0 || rect.height == 0 {
             let name = &self.views.view(source).name;
-            return Err(NodeError::new(format!("{name}: a picture of {rect:?} is too small to be split")));
+            return Err(NodeError::new(format!("{name}: a frame of {rect:?} is too small to be split")));
         }
         Ok(Some(Part { view, source, rect }))
     }
@@ -511,7 +509,7 @@ impl Node for Capture {
         let mut names = names.collect::<std::result::Result<Vec<_>, _>>()?;
         if let Some([a, b]) = same_files(&names) {
             return Err(NodeError::new(format!(
-                "views {a} and {b} are the same files, `{}`: give each view its own folder or pattern, such as left_*.png and right_*.png",
+                "views {a} and {b} read the same files, `{}`: give each view its own folder or pattern, such as left_*.png and right_*.png",
                 texts[b]
             )));
         }
@@ -554,7 +552,7 @@ impl Node for Capture {
 
     fn load_state(&mut self, state: &[u8]) -> Result<()> {
         let Some(position) = Position::from_bytes(state) else {
-            return Err(NodeError::new("the position is not one of `capture`"));
+            return Err(NodeError::new("the saved position is malformed"));
         };
         let texts: Vec<String> = self.views.iter().map(|view| view.text.clone()).collect();
         // Other sources start at their beginning.

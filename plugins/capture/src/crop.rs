@@ -7,13 +7,15 @@ use panoscope_node::Rect;
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum CropError {
     /// The crop extends beyond the frame.
-    #[error("the crop {width}x{height} at ({x}, {y}) leaves the picture of {picture_width}x{picture_height}")]
+    #[error("the crop {width}x{height} at ({x}, {y}) extends beyond the frame of {picture_width}x{picture_height}")]
     Leaves { x: usize, y: usize, width: usize, height: usize, picture_width: usize, picture_height: usize },
     /// A number is negative, not an integer, or larger than any frame.
-    #[error("the crop {crop:?} must be whole numbers of px from 0 on: x, y, width, height")]
+    #[error("the crop {crop:?} is not valid: give x, y, width, height as integers in px, not negative")]
     NotWhole { crop: [f64; 4] },
     /// The list does not have four numbers, or four for each view.
-    #[error("`crop` has {count} numbers: give x, y, width, height once for all views or once for each of the {views}")]
+    #[error(
+        "`crop` has {count} numbers: give x, y, width, height once for all views, or once for each of the {views} views"
+    )]
     Count { count: usize, views: usize },
 }
 

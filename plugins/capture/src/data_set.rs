@@ -117,7 +117,7 @@ fn lacks(sequence: &Sequence, output: &str) -> Option<&'static str> {
     match output {
         "right" if sequence.views() < 2 => Some("the sequence has one view"),
         "calibration" if !has_calibration => Some("the sequence has no calibration"),
-        "disparity" | "depth" if sequence.truth.is_none() => Some("the sequence has no true maps"),
+        "disparity" | "depth" if sequence.truth.is_none() => Some("the sequence has no ground-truth maps"),
         "disparity" | "depth" => truth::lacks(sequence, output),
         "detections" if sequence.labels.is_none() => Some("the sequence has no labels"),
         "instances" if !has_masks => Some("the sequence has no masks"),
@@ -129,7 +129,7 @@ impl Node for DataSet {
     const INFO: NodeInfo = NodeInfo::blocking(
         "data_set",
         "source",
-        "Pictures of SCARED, Hamlyn, StereoMIS, EndoVis, KITTI, Middlebury, CholecSeg8k, VOC and YOLO folders, with their calibration and truth.",
+        "Images of SCARED, Hamlyn, StereoMIS, EndoVis, KITTI, Middlebury, CholecSeg8k, VOC and YOLO folders, with their calibration and truth.",
     )
     .source();
     type In<'f> = NoPorts;
@@ -155,14 +155,17 @@ impl Node for DataSet {
             ["calibration", "disparity", "depth"].iter().any(|port| check.is_read(port) != Some(false));
         let first = sequence.calibration.as_ref().filter(|_| needs_calibration);
         if let Some(Err(error)) = first.map(|files| files.read(0)) {
-            check.error("folder", format!("calibration: {error}"), "unpack or download that file again");
+            check.error("folder", format!("calibration: {error}"), "unpack or download this file again");
         }
         for output in ["right", "calibration", "disparity", "depth", "detections", "instances"] {
             if check.is_read(output) == Some(true)
                 && let Some(why) = lacks(sequence, output)
             {
-                let message = format!("output `{output}` is read and stays empty: {why} (`{}`)", sequence.name);
-                check.node_warning(message, "take another sequence: `panoscope import FOLDER` shows what each has");
+                let message = format!("output `{output}` is connected but stays empty: {why} (`{}`)", sequence.name);
+                check.node_warning(
+                    message,
+                    "select another sequence: `panoscope import FOLDER` shows what each one has",
+                );
             }
         }
     }

@@ -42,7 +42,7 @@ pub fn in_words() -> String {
         return "this machine has no video device".to_owned();
     }
     let names: Vec<String> = devices.iter().map(|d| format!("{} ({})", d.path.display(), d.name)).collect();
-    format!("present are: {}", names.join(", "))
+    format!("existing devices: {}", names.join(", "))
 }
 
 #[cfg(test)]

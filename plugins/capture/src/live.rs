@@ -99,7 +99,7 @@ impl Live {
             let all_give = || streams.iter().all(|stream| stream.is_heard_within(self.limit / 2, clock));
             if !is_lost && since.elapsed().min(begin.elapsed()) > self.limit && all_give() {
                 break Grabbed::Lost(format!(
-                    "all views give pictures, but none of them arrived within {:.1} ms of each other (`tolerance_ms`)",
+                    "all views deliver frames, but no frames arrived within {:.1} ms of each other; increase `tolerance_ms`",
                     self.tolerance_ns as f64 * 1e-6
                 ));
             }

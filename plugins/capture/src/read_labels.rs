@@ -60,7 +60,7 @@ impl Node for ReadLabels {
     const INFO: NodeInfo = NodeInfo::blocking(
         "read_labels",
         "source",
-        "Reads true boxes from VOC or YOLO files, those of one picture after the other.",
+        "Reads true boxes from VOC or YOLO files, one image after the other.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

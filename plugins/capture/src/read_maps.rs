@@ -67,7 +67,7 @@ impl Node for ReadMaps {
     const INFO: NodeInfo = NodeInfo::blocking(
         "read_maps",
         "source",
-        "Reads true disparity or depth from files (NPY, PFM, TIFF, EXR, PNG), one map for each picture.",
+        "Reads true disparity or depth from files (NPY, PFM, TIFF, EXR, PNG), one map for each image.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -101,7 +101,7 @@ impl Node for ReadMaps {
         let (width, height) = (input.image.width(), input.image.height());
         if (map.width, map.height) != (width, height) {
             return Err(error!(
-                "{} is {}x{}, its picture {width}x{height}: give maps of the pictures' size",
+                "{} is {}x{}, but its image is {width}x{height}: give maps of the size of the images",
                 file.display(),
                 map.width,
                 map.height

@@ -15,14 +15,14 @@ pub enum SeriesError {
     #[error("`path` is empty: give a file, a folder or a pattern such as truth/*.pfm or truth/%04d.pfm")]
     Empty,
     /// The file does not exist.
-    #[error("there is no file {path}", path = path.display())]
+    #[error("the file {path} does not exist", path = path.display())]
     Missing { path: PathBuf },
     /// No file matches a pattern or folder.
     #[error("no {what} matches {pattern}; {hint}", pattern = pattern.display())]
     NoMatch { what: &'static str, pattern: PathBuf, hint: PatternError },
     /// Numbers are missing in the series.
     #[error(
-        "number(s) between {before} and {after} are missing, so that it is not known which image each {what} belongs to: name the images in `pictures`",
+        "number(s) between {before} and {after} are missing, so the image of each {what} is unknown: name the images in `pictures`",
         before = before.display(),
         after = after.display()
     )]
@@ -109,7 +109,7 @@ impl Series {
         if index >= count && !self.is_end_reported {
             self.is_end_reported = true;
             cx.warn(&format!(
-                "image {} and later ones have no {}: there are {count}, from {} on",
+                "image {} and later ones have no {}: only {count} exist, from {} on",
                 number + 1,
                 self.what,
                 self.files().next().map_or_else(String::new, |file| file.display().to_string()),

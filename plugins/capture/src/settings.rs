@@ -137,7 +137,9 @@ pub struct Settings {
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SourcesError {
     /// No source is given.
-    #[error("no source: give `left` and `right` (camera, video, images or pipeline), `left` with `split`, or `views`")]
+    #[error(
+        "no source is given: set `left` and `right` (camera, video, images or pipeline), `left` with `split`, or `views`"
+    )]
     None,
     /// Both forms are given.
     #[error("give either `views` or `left` and `right`, not both")]
@@ -146,10 +148,10 @@ pub enum SourcesError {
     #[error("`right` is given without `left`")]
     RightAlone,
     /// More views than the node supports.
-    #[error("{count} views are given, {MAX_VIEWS} are the most")]
+    #[error("{count} views exceed the limit of {MAX_VIEWS}")]
     TooMany { count: usize },
     /// `split` with more than one source.
-    #[error("`split` cuts one picture in two: give `left` only")]
+    #[error("`split` divides one frame into both views: give only `left`")]
     SplitOfMany,
 }
 
@@ -248,7 +250,7 @@ impl Settings {
         } else if let Some(doubt) = calibration.iter().flatten().find_map(panoscope_data::calibration::doubt) {
             check.warning("calibration", doubt, "");
         } else if self.calibration.trim().is_empty() && check.is_read("calibration") == Some(true) {
-            let message = "output `calibration` is read and stays empty: no calibration file is given";
+            let message = "output `calibration` is connected but stays empty: no calibration file is given";
             check.warning("calibration", message, "give a file, as in calibration = \"stereo.yaml\"");
         }
         let texts = match self.source_texts() {
@@ -260,7 +262,7 @@ impl Settings {
             if text.contains('!')
                 && let Some(element) = unknown_element(text)
             {
-                let message = format!("the pipeline names `{element}`, which is no GStreamer element of this machine");
+                let message = format!("the pipeline names `{element}`, which is not an installed GStreamer element");
                 check.error(
                     param,
                     message,
@@ -271,7 +273,7 @@ impl Settings {
                 Ok(name) => Some(name),
                 // A camera may be plugged in before the graph runs.
                 Err(error @ CaptureError::NoDevice { .. }) => {
-                    check.warning(param, error.to_string(), "plug it in before the graph runs");
+                    check.warning(param, error.to_string(), "connect it before the graph runs");
                     None
                 }
                 Err(error) => {
@@ -290,7 +292,7 @@ impl Settings {
             missing.iter().find(|(name, view)| *view >= views && check.is_read(name) == Some(true))
         {
             let message = format!(
-                "output `{output}` is read and stays empty: {views} view{} given",
+                "output `{output}` is connected but stays empty: only {views} view{} given",
                 if views == 1 { " is" } else { "s are" }
             );
             check.node_warning(message, "name one more source, or set `split`");
@@ -338,13 +340,13 @@ impl Settings {
         let (Some(left), Some(right)) = (view(0), view(1)) else { return };
         if let Some(OrderEvidence { pairs, fitting, .. }) = exchanged([left, right], calibration) {
             let message = format!(
-                "left and right look swapped: of {pairs} features that both views show, {} fit the calibration as the views are given and {} with the views exchanged",
+                "left and right appear to be swapped: of {pairs} features in both views, {} fit the calibration as given and {} with the views swapped",
                 fitting[0], fitting[1]
             );
             let help = if is_split {
                 "connect output `right` where `left` is meant and `left` where `right` is, or use the calibration of these views"
             } else {
-                "exchange the sources of `left` and `right`, or use the calibration of these views"
+                "swap the sources of `left` and `right`, or use the calibration of these views"
             };
             check.warning("calibration", message, help);
         }

@@ -98,14 +98,14 @@ pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String
         if !lonely.is_empty() {
             remarks.push(format!(
                 "{} of `{}` without a partner in every other view are skipped: {}",
-                if lonely.len() == 1 { "1 picture".to_owned() } else { format!("{} pictures", lonely.len()) },
+                if lonely.len() == 1 { "1 image".to_owned() } else { format!("{} images", lonely.len()) },
                 texts[index],
                 listed(lonely)
             ));
         }
     }
     if !found.by_number && !remarks.is_empty() {
-        remarks.push("the names share no numbers: the pictures are paired in the order of their names".to_owned());
+        remarks.push("the names share no numbers: images are paired in the order of their names".to_owned());
     }
     for (index, files) in series.into_iter().zip(found.views) {
         names[index] = SourceName::Images(files);
@@ -237,10 +237,12 @@ impl Views {
         let rates: Vec<String> = self
             .iter()
             .filter(|view| !view.source.is_still() && !view.source.is_device())
-            .map(|view| format!("{} has {:.3} per second", view.name, view.source.native_fps().unwrap_or(rate_hz)))
+            .map(|view| {
+                format!("{} has {:.3} frames per second", view.name, view.source.native_fps().unwrap_or(rate_hz))
+            })
             .collect();
         Some(format!(
-            "the views have different rates ({}): pictures are paired by time, those between are skipped",
+            "the views have different rates ({}): frames are paired by time, and frames in between are skipped",
             rates.join(", ")
         ))
     }
@@ -324,7 +326,7 @@ impl Views {
                 if self.unpaired == 0 {
                     let name = self.view(behind[0]).name.clone();
                     cx.warn(&format!(
-                        "the picture of {name} at {oldest:.3} s has no partner within {:.1} ms in every other view and is skipped",
+                        "the frame of {name} at {oldest:.3} s has no partner within {:.1} ms in every other view and is skipped",
                         tolerance_s * 1e3
                     ));
                 }

@@ -25,7 +25,7 @@ fn a_batch_ends_at_a_damaged_picture_with_its_place() {
     let (all, failure) = drain_to_failure(&mut node);
     assert_eq!(all.len(), 2);
     let message = failure.unwrap();
-    for words in ["STATUS_END", "2.png", "picture 3 of 5", "on_damage"] {
+    for words in ["STATUS_END", "2.png", "image 3 of 5", "on_damage"] {
         assert!(message.contains(words), "{words}: {message}");
     }
     // It stays ended, whoever asks.

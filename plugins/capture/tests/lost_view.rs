@@ -184,7 +184,7 @@ fn a_view_that_stops_gives_no_pairs_of_old_frames() {
     assert!((1..=20).contains(&pairs), "{pairs}");
     let out = out.unwrap();
     assert!(
-        !has(&out, "right") && out.fault().is_some_and(|fault| fault.contains("is gone after")),
+        !has(&out, "right") && out.fault().is_some_and(|fault| fault.contains("disappeared after")),
         "{:?}",
         out.fault()
     );

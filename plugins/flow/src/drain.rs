@@ -47,7 +47,7 @@ impl Count {
 pub struct Drain(Count);
 
 impl Node for Drain {
-    const INFO: NodeInfo = NodeInfo::compute("drain", "sink", "Counts pictures and releases them.").side_effects();
+    const INFO: NodeInfo = NodeInfo::compute("drain", "sink", "Counts frames and releases them.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = DrainParams;
@@ -68,7 +68,7 @@ pub struct DrainBlocking(Count);
 
 impl Node for DrainBlocking {
     const INFO: NodeInfo =
-        NodeInfo::blocking("drain_blocking", "sink", "Counts pictures and releases them, on its own thread.")
+        NodeInfo::blocking("drain_blocking", "sink", "Counts frames and releases them, on its own thread.")
             .side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;

@@ -16,7 +16,7 @@ pub struct Thinning {
 pub struct EveryNth;
 
 impl Node for EveryNth {
-    const INFO: NodeInfo = NodeInfo::compute("every_nth", "flow", "Forwards every n-th picture.");
+    const INFO: NodeInfo = NodeInfo::compute("every_nth", "flow", "Forwards every n-th frame.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Thinning;

@@ -16,7 +16,7 @@ pub struct Switch {
 pub struct Gate;
 
 impl Node for Gate {
-    const INFO: NodeInfo = NodeInfo::compute("gate", "flow", "Forwards pictures while it is open.");
+    const INFO: NodeInfo = NodeInfo::compute("gate", "flow", "Forwards frames while it is open.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Switch;

@@ -48,7 +48,7 @@ fn window(image: &View<'_, u8>, window: &[f64]) -> (std::ops::Range<usize>, std:
 }
 
 impl Node for Level {
-    const INFO: NodeInfo = NodeInfo::compute("level", "flow", "Measures the brightness of pictures.");
+    const INFO: NodeInfo = NodeInfo::compute("level", "flow", "Measures the brightness of images.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = LevelParams;

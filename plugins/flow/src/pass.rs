@@ -10,7 +10,7 @@ use crate::ports::{In, Out};
 pub struct Pass;
 
 impl Node for Pass {
-    const INFO: NodeInfo = NodeInfo::compute("pass", "flow", "Forwards pictures without a copy.");
+    const INFO: NodeInfo = NodeInfo::compute("pass", "flow", "Forwards frames without a copy.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = ();
@@ -37,7 +37,7 @@ pub struct PassBlocking;
 
 impl Node for PassBlocking {
     const INFO: NodeInfo =
-        NodeInfo::blocking("pass_blocking", "flow", "Forwards pictures from its own thread, after an optional pause.");
+        NodeInfo::blocking("pass_blocking", "flow", "Forwards frames from its own thread, after an optional pause.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Wait;

@@ -30,7 +30,7 @@ pub struct Memory {
 pub struct Smooth;
 
 impl Node for Smooth {
-    const INFO: NodeInfo = NodeInfo::compute("smooth", "filter", "Averages pictures over time.");
+    const INFO: NodeInfo = NodeInfo::compute("smooth", "filter", "Averages images over time.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Memory;

@@ -44,7 +44,7 @@ impl Node for Transpose {
     const INFO: NodeInfo = NodeInfo::compute(
         "transpose",
         "flow",
-        "Swaps rows and columns of a picture or a disparity map, so that views above one another can be matched.",
+        "Swaps rows and columns of an image or a disparity map, so that views above one another can be matched.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

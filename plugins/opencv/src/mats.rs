@@ -28,7 +28,7 @@ pub fn write(mat: &Mat, out: &mut ViewMut<'_, u8>) -> Result<()> {
     let row = out.width * out.channels;
     let bytes = mat.data_bytes().map_err(failed)?;
     if bytes.len() != row * out.height {
-        return Err(NodeError::new(format!("OpenCV made {} bytes, {} were expected", bytes.len(), row * out.height)));
+        return Err(NodeError::new(format!("OpenCV returned {} bytes instead of {}", bytes.len(), row * out.height)));
     }
     for (y, source) in bytes.chunks_exact(row.max(1)).enumerate() {
         out.row_mut(y).copy_from_slice(source);

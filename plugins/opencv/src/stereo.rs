@@ -80,8 +80,8 @@ const MIN_BM_BLOCK_PX: i32 = 5;
 /// Reports a window that the matcher refuses.
 fn check_window(check: &mut Validation<'_>, method: Method, block_px: i32) {
     if method == Method::Bm && block_px < MIN_BM_BLOCK_PX {
-        let message = format!("`block_px` is {block_px}, OpenCV's block matching takes at least {MIN_BM_BLOCK_PX}");
-        check.error("block_px", message, "take a larger window, or method = \"sgbm\"");
+        let message = format!("`block_px` is {block_px}, but OpenCV's block matching needs at least {MIN_BM_BLOCK_PX}");
+        check.error("block_px", message, "set a larger window, or method = \"sgbm\"");
     }
 }
 
@@ -193,7 +193,10 @@ impl Node for StereoOpencv {
         let (left, right) = (input.left.view(), input.right.view());
         let (width, height) = (left.width, left.height);
         if (right.width, right.height) != (width, height) {
-            return Err(error!("the left view is {width}x{height}, the right one {}x{}", right.width, right.height));
+            return Err(error!(
+                "the left view is {width}x{height}, but the right one is {}x{}: connect views of one size",
+                right.width, right.height
+            ));
         }
         let place = SearchParams {
             auto_offset: params.auto_offset,
@@ -337,9 +340,10 @@ unsafe impl Send for DisparityWlsOpencv {}
 
 fn one_size(sizes: &[(usize, usize)]) -> Result<()> {
     match sizes.iter().find(|size| **size != sizes[0]) {
-        Some(other) => {
-            Err(error!("inputs of {}x{} and {}x{}: one size is needed", sizes[0].0, sizes[0].1, other.0, other.1))
-        }
+        Some(other) => Err(error!(
+            "the inputs are {}x{} and {}x{}: connect inputs of one size",
+            sizes[0].0, sizes[0].1, other.0, other.1
+        )),
         None => Ok(()),
     }
 }

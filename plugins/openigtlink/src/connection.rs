@@ -40,8 +40,8 @@ impl Connection {
                 check.error("address", format!("`{address}` is not an IP address to listen on"), help);
             }
             Role::Client if address.is_empty() || address.contains(|c: char| c.is_whitespace() || c == '/') => {
-                let help = "write a name or an IP address, such as 127.0.0.1; the port is a parameter of its own";
-                check.error("address", format!("`{address}` names no machine"), help);
+                let help = "write a name or an IP address, such as 127.0.0.1; the port is a separate parameter";
+                check.error("address", format!("`{address}` is not the name of a machine"), help);
             }
             Role::Client if self.port == 0 => {
                 check.error("port", "a client cannot connect to port 0", "write the port of the server, such as 18944");

@@ -168,7 +168,7 @@ impl Receive {
         if cx.is_batch() && is_missing && self.opened.elapsed() > BATCH_CONNECT_LIMIT {
             let (at, limit_s) = (self.link.words(), BATCH_CONNECT_LIMIT.as_secs());
             return Err(NodeError::ended_early(format!(
-                "nobody answered at {at} within {limit_s} s: start the server first"
+                "no server answered at {at} within {limit_s} s: start the server first"
             )));
         }
         // By the clock: time goes on.
@@ -189,7 +189,7 @@ impl Receive {
         self.refused += 1;
         if !std::mem::replace(&mut self.has_warned, true) {
             let Received { kind, device, .. } = received;
-            cx.warn(&format!("{kind} of `{device}` was not passed on: {words}; further ones are counted only"));
+            cx.warn(&format!("{kind} of `{device}` was dropped: {words}; further ones are only counted"));
         }
     }
 
@@ -216,7 +216,7 @@ impl Node for Receive {
     const INFO: NodeInfo = NodeInfo::blocking(
         "igtl_receive",
         "source",
-        "Receives pictures, poses, points, surfaces and texts from programs that speak OpenIGTLink.",
+        "Receives images, poses, points, surfaces and texts from programs that speak OpenIGTLink.",
     )
     .source();
     type In<'f> = NoPorts;

@@ -194,7 +194,7 @@ impl Send {
                 let picture = Image::picture(width, height, components, scalar, params.pixel_mm as f32, &pixels)?;
                 self.send(call, &params.image_name, call.cx.age(image), Content::Image(picture), &[], true)
             }
-            None => Err(NodeError::new("the image's format is unknown")),
+            None => Err(NodeError::new("the image has an unknown pixel format")),
         };
         self.pixels = pixels;
         result
@@ -355,7 +355,7 @@ impl Node for Send {
     const INFO: NodeInfo = NodeInfo::blocking(
         "igtl_send",
         "sink",
-        "Sends pictures, poses, tips, surfaces, detections and texts to programs that speak OpenIGTLink.",
+        "Sends images, poses, tips, surfaces, detections and texts to programs that speak OpenIGTLink.",
     )
     .side_effects();
     type In<'f> = In<'f>;
@@ -423,7 +423,7 @@ impl Node for Send {
         }
         let left = self.link.drain(DRAIN_LIMIT);
         if left > 0 {
-            finish.warn(&format!("{left} messages were not taken within {} s and are lost", DRAIN_LIMIT.as_secs()));
+            finish.warn(&format!("{left} messages were not read within {} s and are lost", DRAIN_LIMIT.as_secs()));
         }
         Ok(())
     }

@@ -156,7 +156,10 @@ impl Node for Colorize {
     fn validate(_: &Settings, check: &mut Validation<'_>) {
         let is_connected = |name: &&&str| check.is_connected(name) == Some(true);
         if ["disparity", "depth", "confidence"].iter().filter(is_connected).count() > 1 {
-            check.node_error("it colours one map, and more than one is connected", "give each map a `colorize`");
+            check.node_error(
+                "more than one map is connected, but the node colours one",
+                "use a separate `colorize` node for each map",
+            );
         }
     }
 
@@ -172,7 +175,7 @@ impl Node for Colorize {
         ];
         if maps.iter().flatten().count() > 1 {
             return Err(NodeError::new(
-                "one map at a time: give `disparity`, `depth` and `confidence` a `colorize` each",
+                "more than one map is connected: use a separate `colorize` node for each of `disparity`, `depth` and `confidence`",
             ));
         }
         let is_confidence = maps[2].is_some();

@@ -273,7 +273,7 @@ impl Node for Overlay {
     const INFO: NodeInfo = NodeInfo::compute(
         "overlay",
         "overlay",
-        "Draws registrations, boxes, masks, tips, numbers and maps on a picture.",
+        "Draws registrations, boxes, masks, tips, numbers and maps on an image.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -281,7 +281,11 @@ impl Node for Overlay {
 
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         if params.offset_px.len() == 1 {
-            check.error("offset_px", "`offset_px` is x and y, one number is given", "give two numbers, or none");
+            check.error(
+                "offset_px",
+                "`offset_px` needs two numbers, x and y, but has one",
+                "give two numbers, or none",
+            );
         }
     }
 
@@ -294,7 +298,9 @@ impl Node for Overlay {
         let offset = match params.offset_px.as_slice() {
             [] => (0.0, 0.0),
             [x, y] => (*x as f32, *y as f32),
-            other => return Err(NodeError::new(format!("`offset_px` is x and y, {} numbers are given", other.len()))),
+            other => {
+                return Err(NodeError::new(format!("`offset_px` needs two numbers, x and y, but has {}", other.len())));
+            }
         };
         let homography = input.homography.filter(|_| params.show_registration);
         let roi = input.roi.filter(|_| params.show_roi);
@@ -302,7 +308,7 @@ impl Node for Overlay {
         if let Some(label) = boxes.as_ref().and_then(marks::undrawable_label)
             && !std::mem::replace(&mut self.has_warned, true)
         {
-            cx.warn(&format!("the font has no letters for the class `{label}`: its number is written"));
+            cx.warn(&format!("the font cannot draw the class name `{label}`: its number is drawn instead"));
         }
         let instances = input.instances.filter(|_| params.show_masks);
         let mask = input.mask.filter(|_| params.show_masks);

@@ -181,7 +181,7 @@ fn mark_stale(screen: &mut ViewMut<'_, u8>, cell: Cell, age: Duration, scale: f3
 
 impl Node for Screen {
     const INFO: NodeInfo =
-        NodeInfo::compute("screen", "overlay", "Puts one large picture and smaller ones beside it on a screen.");
+        NodeInfo::compute("screen", "overlay", "Puts one large image and smaller ones next to it on a screen.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
@@ -201,8 +201,8 @@ impl Node for Screen {
                 continue;
             };
             let Some(pixels) = bytes(&picture) else {
-                let name = if index == 0 { "`main`".to_owned() } else { format!("picture {} of `side`", index - 1) };
-                return Err(NodeError::new(format!("{name} holds no 8-bit picture: put a `colorize` node in front")));
+                let name = if index == 0 { "`main`".to_owned() } else { format!("image {} of `side`", index - 1) };
+                return Err(NodeError::new(format!("{name} is not an 8-bit image: put a `colorize` node in front")));
             };
             self.shown.push(place((pixels.width, pixels.height), *cell, tile.caption));
         }

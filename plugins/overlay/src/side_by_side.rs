@@ -54,7 +54,7 @@ pub struct SideBySide {
 }
 
 impl Node for SideBySide {
-    const INFO: NodeInfo = NodeInfo::compute("side_by_side", "overlay", "Puts several pictures with titles into one.");
+    const INFO: NodeInfo = NodeInfo::compute("side_by_side", "overlay", "Puts several images with titles into one.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
@@ -90,7 +90,7 @@ impl Node for SideBySide {
             if let Some(view) = view {
                 let Some(pixels) = bytes(&view) else {
                     return Err(NodeError::new(format!(
-                        "view {index} holds no 8-bit picture: put a `colorize` node in front"
+                        "view {index} is not an 8-bit image: put a `colorize` node in front"
                     )));
                 };
                 let size = fitted_size((pixels.width, pixels.height), cell);

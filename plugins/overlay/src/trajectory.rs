@@ -205,7 +205,7 @@ impl Trajectory {
 
 impl Node for Trajectory {
     const INFO: NodeInfo =
-        NodeInfo::compute("trajectory", "overlay", "Draws the trajectory of a tool's tip on the picture and in a box.");
+        NodeInfo::compute("trajectory", "overlay", "Draws the trajectory of a tool's tip on the image and in a box.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
@@ -216,7 +216,9 @@ impl Node for Trajectory {
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, settings: &Settings) -> Result<()> {
         let frame = match &input.camera_pose {
-            Some(pose) => Frame::of(pose).ok_or_else(|| error!("the camera pose holds numbers that are no pose"))?,
+            Some(pose) => Frame::of(pose).ok_or_else(|| {
+                error!("the camera pose is not valid: its numbers are not finite, or its quaternion is 0")
+            })?,
             None => Frame::NONE,
         };
         let tip = input.tip.filter(|tip| tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()));

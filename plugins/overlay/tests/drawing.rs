@@ -398,7 +398,7 @@ fn maps_get_colours_and_unknown_places_are_gray() {
     let out = node.input_image::<Confidence>("confidence", 64, 48, &[0.5; 64 * 48]).process().unwrap();
     assert_eq!(out.plane::<Bgr8>("image").unwrap().width, 64);
     node.input_image::<Depth>("depth", 64, 48, &map).input_image::<Disparity>("disparity", 64, 48, &map);
-    assert!(node.process().err().unwrap().to_string().contains("one map at a time"));
+    assert!(node.process().err().unwrap().to_string().contains("more than one map is connected"));
     // The scale beside the map leaves the map as it is.
     let picture = |params: &str| {
         let mut node =
@@ -464,7 +464,7 @@ fn a_screen_keeps_its_size_and_its_main_picture_large() {
     let out = node.input_image::<Gray8>("main", 192, 92, &[70; 192 * 92]).process().unwrap();
     assert_eq!(out.plane::<Bgr8>("image").unwrap().row(50)[195 * 3], 70);
     node.input_image::<GrayF32>("main", 1, 1, &[0.5]);
-    assert!(node.process().err().unwrap().to_string().contains("`main` holds no 8-bit picture"));
+    assert!(node.process().err().unwrap().to_string().contains("`main` is not an 8-bit image"));
 }
 
 #[test]

@@ -84,7 +84,7 @@ fn roles(params: &Settings, topics: &[BagTopic]) -> Result<Vec<(String, Role)>> 
         return Err(NodeError::new(format!("the bag has no topic `{missing}`; it has {all}")));
     }
     if roles.is_empty() {
-        return Err(NodeError::new("the bag has no topic of a type that is read here"));
+        return Err(NodeError::new("the bag has no topic of a supported type"));
     }
     let views = roles.iter().filter_map(|(topic, role)| match role {
         Role::View(view) => Some((info_topic(topic)?, Role::Info(*view))),
@@ -148,7 +148,7 @@ impl Bag {
             return Err(error);
         }
         if let Some(damage) = self.damage.take().filter(|_| cx.is_batch()) {
-            return Err(NodeError::ended_early(format!("{damage}; what is whole was played")));
+            return Err(NodeError::ended_early(format!("{damage}; all undamaged messages were played")));
         }
         let alone = self.incoming.without_partner();
         if alone > 0 {
@@ -170,7 +170,7 @@ impl Node for Bag {
     const INFO: NodeInfo = NodeInfo::blocking(
         "ros2_bag",
         "ros2",
-        "Plays a bag of ROS 2: pictures in pairs with their cameras, depth, disparity, points, boxes, poses, joints.",
+        "Plays a bag of ROS 2: images in pairs with their cameras, depth, disparity, points, boxes, poses, joints.",
     )
     .source();
     type In<'f> = NoPorts;
@@ -179,7 +179,11 @@ impl Node for Bag {
 
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         if params.path.trim().is_empty() {
-            return check.error("path", "no bag is given", "give its folder, as in path = \"/data/run1\"");
+            return check.error(
+                "path",
+                "`path` is empty: no bag is given",
+                "give its folder, as in path = \"/data/run1\"",
+            );
         }
         let path = check.graph_dir().join(params.path.trim());
         let topics = match survey(&path) {
@@ -212,7 +216,7 @@ impl Node for Bag {
                 Ok(Some(message)) => message,
                 Ok(None) => return self.end(cx, params),
                 Err(error @ BagError::CutOff { .. }) => {
-                    cx.warn(&format!("{error}; what came before was played"));
+                    cx.warn(&format!("{error}; the messages before it were played"));
                     return self.end(cx, params);
                 }
                 Err(error) => return Err(wrong(error)),
@@ -250,7 +254,7 @@ impl Node for Bag {
 
     fn load_state(&mut self, state: &[u8]) -> Result<()> {
         let ticks = state.try_into().map(u64::from_le_bytes);
-        self.skip = ticks.map_err(|_| NodeError::new("the state is that of another node"))?;
+        self.skip = ticks.map_err(|_| NodeError::new("the saved state belongs to another node"))?;
         Ok(())
     }
 }

@@ -29,13 +29,13 @@ pub const MAX_DOMAIN: u16 = 232;
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum DdsError {
     /// The domain cannot be joined.
-    #[error("domain {domain} of DDS cannot be joined: {words}")]
+    #[error("cannot join DDS domain {domain}: {words}")]
     Join { domain: u16, words: String },
     /// A socket cannot be restricted to this machine.
-    #[error("the sockets of DDS cannot be bound to the loopback device: {words}; `networks = \"all\"` does without")]
+    #[error("cannot bind the sockets of DDS to the loopback device: {words}; `networks = \"all\"` does not need that")]
     Confine { words: String },
     /// A topic cannot be created.
-    #[error("topic `{topic}`: {words}")]
+    #[error("cannot create topic `{topic}`: {words}")]
     Topic { topic: String, words: String },
     /// A message cannot be encoded or sent.
     #[error("topic `{topic}`: a message was not sent: {words}")]
@@ -219,7 +219,7 @@ fn confine(domain: u16) -> Result<(), DdsError> {
         }
     }
     if bound == 0 {
-        return Err(failed("none of them was found".to_owned()));
+        return Err(failed("none of its sockets was found".to_owned()));
     }
     Ok(())
 }

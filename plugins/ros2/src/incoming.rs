@@ -456,7 +456,7 @@ fn write_picture(slot: &mut Slot<'_, Bgr8>, picture: &Picture, white: f32) -> Re
             gray(&mut pixels.iter().map(|value| (f32::from(*value) * (255.0 / white) + 0.5) as u8), out.data);
         }
         Samples::F32(_) => {
-            return Err(NodeError::new("a picture of floats is no view: read its topic as `depth`"));
+            return Err(NodeError::new("an image of floats cannot be a view: set its topic as `depth`"));
         }
     }
     Ok(())

@@ -138,7 +138,7 @@ impl Node for Publish {
     const INFO: NodeInfo = NodeInfo::blocking(
         "ros2_publish",
         "ros2",
-        "Publishes pictures, cameras, depth, disparity, points, boxes, poses and joints as topics of ROS 2.",
+        "Publishes images, cameras, depth, disparity, points, boxes, poses and joints as topics of ROS 2.",
     )
     .side_effects();
     type In<'f> = In<'f>;
@@ -148,7 +148,10 @@ impl Node for Publish {
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         if names::sanitized(&params.namespace) != params.namespace.trim_start_matches('/') {
             let fixed = format!("write \"/{}\"", names::sanitized(&params.namespace));
-            let words = format!("`{}` is no name of ROS: letters, digits and `_`, divided by `/`", params.namespace);
+            let words = format!(
+                "`{}` is not a valid ROS name: use letters, digits and `_`, separated by `/`",
+                params.namespace
+            );
             check.error("namespace", words, &fixed);
         }
     }
@@ -156,7 +159,7 @@ impl Node for Publish {
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let member = Member::join(params.domain.min(MAX_DOMAIN), params.networks).map_err(wrong)?;
         if params.networks == Networks::All {
-            open.warn("other machines can reach this domain; whoever does sees the topics");
+            open.warn("other machines can reach this domain and read the topics");
         }
         let name = names::sanitized(&params.namespace);
         let namespace = if name.is_empty() { String::new() } else { format!("/{name}") };

@@ -103,7 +103,7 @@ impl Node for Subscribe {
     const INFO: NodeInfo = NodeInfo::blocking(
         "ros2_subscribe",
         "ros2",
-        "Receives pictures, cameras, depth, disparity, points, boxes, poses and joints from topics of ROS 2.",
+        "Receives images, cameras, depth, disparity, points, boxes, poses and joints from topics of ROS 2.",
     )
     .source();
     type In<'f> = NoPorts;
@@ -124,7 +124,7 @@ impl Node for Subscribe {
         let wrong = |error: crate::dds::DdsError| NodeError::new(error.to_string());
         let member = Member::join(params.domain.min(MAX_DOMAIN), params.networks).map_err(wrong)?;
         if params.networks == Networks::All {
-            open.warn("other machines can reach this domain; whoever does can send to these topics");
+            open.warn("other machines can reach this domain and send to these topics");
         }
         let quality = Quality { is_reliable: params.reliable, depth: params.queue };
         let incoming = Incoming::new(roles, params.tolerance_ms, params.bit_depth);

@@ -28,9 +28,8 @@ impl Times {
         let mut remark = None;
         if stamp_ns == 0 && !self.uses_log {
             self.uses_log = true;
-            remark = Some(format!(
-                "messages of `{topic}` have no time: the times at which they were recorded are used for all topics"
-            ));
+            remark =
+                Some(format!("messages of `{topic}` have no timestamp: the recording times are used for all topics"));
         }
         if self.uses_log {
             return (log_ns, remark);
@@ -44,7 +43,7 @@ impl Times {
             self.offset_ns = before_ns.saturating_add(since_ns).saturating_sub(stamp_ns);
             self.last.retain(|other, _| other == topic);
             remark = Some(format!(
-                "the times of `{topic}` step back by {back_ms:.0} ms: they go on by the times at which the messages were recorded"
+                "the timestamps of `{topic}` step back by {back_ms:.0} ms: they continue by the recording times"
             ));
         }
         (stamp_ns.saturating_add(self.offset_ns), remark)

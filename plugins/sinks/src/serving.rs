@@ -21,8 +21,8 @@ pub fn path_problem(path: &str) -> Option<String> {
     }
     let is_good = |c: char| c.is_ascii_alphanumeric() || "-_./~".contains(c);
     match path.chars().find(|&c| !is_good(c)) {
-        Some(' ') => Some("it has a space".to_owned()),
-        Some(other) => Some(format!("it has `{other}`")),
+        Some(' ') => Some("it contains a space".to_owned()),
+        Some(other) => Some(format!("it contains `{other}`")),
         None => None,
     }
 }
@@ -33,9 +33,9 @@ pub fn refused(at: SocketAddr, error: &std::io::Error) -> ServeError {
         std::io::ErrorKind::AddrInUse => "another program uses this port: give another `port`, or end that program",
         std::io::ErrorKind::AddrNotAvailable => "this machine has no such address: see `ip address`",
         std::io::ErrorKind::PermissionDenied if (1..1024).contains(&at.port()) => {
-            "ports below 1024 need root: give a `port` above"
+            "ports below 1024 need root: choose a higher `port`"
         }
-        std::io::ErrorKind::PermissionDenied => "sockets are denied: take `network` out of the graph's `deny`",
+        std::io::ErrorKind::PermissionDenied => "sockets are denied: remove `network` from the graph's `deny`",
         _ => "give another `address` or `port`",
     };
     ServeError::Listen { at, reason: error.to_string(), help }

@@ -82,7 +82,7 @@ impl Settings {
             }
             if let Some(problem) = path_problem(&self.path) {
                 let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
-                mistakes.push(("path", format!("`{}` is no path of a stream: {problem}", self.path), help));
+                mistakes.push(("path", format!("`{}` is not a valid path of a stream: {problem}", self.path), help));
             }
         }
         if !self.push.is_empty()
@@ -92,7 +92,7 @@ impl Settings {
         }
         if !self.serve && self.push.is_empty() {
             let help = "set `serve = true`, or give an address in `push`";
-            mistakes.push(("serve", "the stream goes nowhere".to_owned(), help));
+            mistakes.push(("serve", "the stream has no destination".to_owned(), help));
         }
         mistakes
     }
@@ -111,7 +111,7 @@ pub struct Stream {
 
 impl Node for Stream {
     const INFO: NodeInfo =
-        NodeInfo::compute("stream", "sink", "Serves the picture as live video over RTSP, or sends it to a server.")
+        NodeInfo::compute("stream", "sink", "Serves its input as live video over RTSP, or sends it to a server.")
             .side_effects()
             .exclusive();
     type In<'f> = In<'f>;
@@ -158,7 +158,7 @@ impl Node for Stream {
             if error != self.push_error {
                 match &error {
                     Some(error) => cx.fault(error),
-                    None => cx.info("the stream is sent again"),
+                    None => cx.info("the stream is being sent again"),
                 }
                 self.push_error = error;
             }
@@ -166,12 +166,12 @@ impl Node for Stream {
         let fanout = self.worker.fanout();
         if fanout.has_consumers() {
             let Some(pixels) = pixels_of(&input.image) else {
-                return Err(NodeError::new("the image's format is unknown"));
+                return Err(NodeError::new("the image has an unknown pixel format"));
             };
             if !pixels.to_bgr(&mut self.bgr) {
                 let name = pixels.name();
                 return Err(NodeError::new(format!(
-                    "a stream holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
+                    "a stream needs 8-bit images, but {name} arrived: put a `colorize` node in front"
                 )));
             }
             self.bgr = self.worker.offer(std::mem::take(&mut self.bgr), pixels.size());

@@ -20,10 +20,10 @@ pub enum SinkError {
     #[error("cannot write {path}: {reason}; {help}", path = path.display(), help = help(source))]
     Io { path: PathBuf, reason: String, source: io::Error },
     /// The path parameter is empty or has no file name.
-    #[error("`path` = \"{path}\" names no file: write something like `path = \"out/{example}\"`", path = path.display())]
+    #[error("`path = \"{path}\"` has no file name: write for example `path = \"out/{example}\"`", path = path.display())]
     NoName { path: PathBuf, example: &'static str },
     /// The node has no format with this extension.
-    #[error("{path}: no format has the ending `{ending}` here; known are: {known}", path = path.display())]
+    #[error("{path}: the extension `{ending}` is not supported here; supported are: {known}", path = path.display())]
     Ending { path: PathBuf, ending: String, known: &'static str },
     /// The format cannot hold these pixels.
     #[error("{path}: {what} cannot be stored in this format; {help}", path = path.display())]
@@ -42,7 +42,7 @@ impl SinkError {
 
 fn help(error: &io::Error) -> &'static str {
     match error.kind() {
-        ErrorKind::NotFound => "the folder is not there and could not be made",
+        ErrorKind::NotFound => "the folder does not exist and could not be created",
         ErrorKind::PermissionDenied => {
             "the folder is not writable for this user: choose another or change its permissions"
         }
@@ -50,7 +50,9 @@ fn help(error: &io::Error) -> &'static str {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
             "the disk is full: free some space or choose another folder"
         }
-        ErrorKind::FileTooLarge => "the file has reached the limit of its size (`ulimit -f`, or the file system's)",
+        ErrorKind::FileTooLarge => {
+            "the file has reached its size limit (`ulimit -f`, or the file system's): raise the limit or choose another folder"
+        }
         ErrorKind::IsADirectory => "a folder has that name: choose another file name",
         ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "a part of the path is a file, not a folder",
         _ => "check that the folder exists and is writable",
@@ -106,8 +108,8 @@ pub fn check_path(
     }
     let text = path.to_string_lossy();
     if let Some(printf) = printf_number(&text) {
-        let message = format!("`{printf}` stays as it is: each file replaces the one before");
-        check.warning("path", message, "write {seq} for the number of the tick, {seq:4} for four digits");
+        let message = format!("`{printf}` is not a placeholder: each file replaces the previous one");
+        check.warning("path", message, "write {seq} for the tick number, or {seq:4} for four digits");
     }
     Some(ending)
 }

@@ -65,7 +65,7 @@ impl Settings {
         }
         if let Some(problem) = path_problem(&self.path) {
             let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
-            mistakes.push(("path", format!("`{}` is no path of a stream: {problem}", self.path), help));
+            mistakes.push(("path", format!("`{}` is not a valid path of a stream: {problem}", self.path), help));
         }
         mistakes
     }
@@ -82,7 +82,7 @@ pub struct WebRtc {
 
 impl Node for WebRtc {
     const INFO: NodeInfo =
-        NodeInfo::compute("webrtc", "sink", "Serves the picture as live video to web browsers (WebRTC).")
+        NodeInfo::compute("webrtc", "sink", "Serves its input as live video to web browsers (WebRTC).")
             .side_effects()
             .exclusive();
     type In<'f> = In<'f>;
@@ -116,12 +116,12 @@ impl Node for WebRtc {
         let fanout = self.worker.fanout();
         if fanout.has_consumers() {
             let Some(pixels) = pixels_of(&input.image) else {
-                return Err(NodeError::new("the image's format is unknown"));
+                return Err(NodeError::new("the image has an unknown pixel format"));
             };
             if !pixels.to_bgr(&mut self.bgr) {
                 let name = pixels.name();
                 return Err(NodeError::new(format!(
-                    "a stream holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
+                    "a stream needs 8-bit images, but {name} arrived: put a `colorize` node in front"
                 )));
             }
             self.bgr = self.worker.offer(std::mem::take(&mut self.bgr), pixels.size());

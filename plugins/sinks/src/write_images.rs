@@ -86,7 +86,7 @@ impl WriteImages {
 
 impl Node for WriteImages {
     const INFO: NodeInfo =
-        NodeInfo::blocking("write_images", "sink", "Writes pictures as PNG or JPEG files.").side_effects();
+        NodeInfo::blocking("write_images", "sink", "Writes images as PNG or JPEG files.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;
@@ -94,11 +94,7 @@ impl Node for WriteImages {
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         check_path(check, &params.path, "{seq}.png", still::ENDINGS);
         if params.at_end && check.is_connected("image") == Some(false) {
-            check.error(
-                "at_end",
-                "`at_end` keeps a picture of input `image`, which is not connected",
-                "connect `image`",
-            );
+            check.error("at_end", "`at_end` needs input `image`, which is not connected", "connect `image`");
         }
     }
 
@@ -116,7 +112,7 @@ impl Node for WriteImages {
         if params.at_end {
             let image = input.image.as_ref().and_then(|image| image.as_plane::<Bgr8>());
             let Some(image) = image else {
-                return Err(NodeError::new("`at_end` needs a bgr8 picture at input `image`"));
+                return Err(NodeError::new("`at_end` needs a bgr8 image at input `image`"));
             };
             self.last = Some((image.retain(), seq, params.jpeg_quality));
             return Ok(());
@@ -126,7 +122,7 @@ impl Node for WriteImages {
         }
         let both = input.image.is_some() && input.mask.is_some();
         if let Some(image) = &input.image {
-            let pixels = pixels_of(image).ok_or_else(|| NodeError::new("the image's format is unknown"))?;
+            let pixels = pixels_of(image).ok_or_else(|| NodeError::new("the image has an unknown pixel format"))?;
             self.write(&pixels, seq, "image", both, params.jpeg_quality)?;
         }
         if let Some(mask) = &input.mask {

@@ -65,7 +65,7 @@ impl Node for WriteRaw {
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let ending = check_name(&params.path, "{seq}_{port}.pfm", ArrayFormat::ENDINGS)?;
-        let format = ArrayFormat::from_ending(&ending).ok_or_else(|| NodeError::new("the ending has no format"))?;
+        let format = ArrayFormat::from_ending(&ending).ok_or_else(|| NodeError::new("the extension has no format"))?;
         let pattern = Pattern::new(&claim_files(open, &params.path)?);
         Ok(Self { pattern, files: Wholes::default(), format, ticks: 0, bare_reported: false })
     }
@@ -97,7 +97,7 @@ impl Node for WriteRaw {
             if self.format == ArrayFormat::Bare && !self.bare_reported {
                 self.bare_reported = true;
                 let (width, height) = pixels.size();
-                cx.info(&format!("{} holds {width}x{height} {} without a header", path.display(), pixels.name()));
+                cx.info(&format!("{} contains {width}x{height} {} without a header", path.display(), pixels.name()));
             }
         }
         cx.metric("ticks", self.ticks as f64);

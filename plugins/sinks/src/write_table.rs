@@ -138,7 +138,9 @@ impl Csv {
             && let Some(name) = names.find(|name| self.columns.iter().all(|column| column != name))
         {
             self.loss_reported = true;
-            cx.warn(&format!("column `{name}` came after the file's first line and is left out: .jsonl would keep it"));
+            cx.warn(&format!(
+                "column `{name}` first appeared after the header and is left out: write .jsonl to keep it"
+            ));
         }
         1
     }
@@ -169,11 +171,12 @@ impl Node for WriteTable {
         if ending == "json"
             && let Some(other) = NOT_IN_COCO.iter().find(|name| is_connected(name))
         {
-            let message = format!("a .json file holds detections or instances in COCO's form, not input `{other}`");
+            let message =
+                format!("a .json file can hold only detections or instances in COCO's format, not input `{other}`");
             check.error("path", message, "write it to .jsonl or .csv");
         } else if ending == "csv" && ["table", "detections"].iter().all(is_connected) {
-            let message = "a CSV file has one kind of line: `table` and `detections` are both connected";
-            check.error("path", message, "give each a `write_table`, or write .jsonl");
+            let message = "a CSV file can have only one kind of line, but `table` and `detections` are both connected";
+            check.error("path", message, "use a separate `write_table` for each, or write .jsonl");
         }
     }
 
@@ -205,7 +208,7 @@ impl Node for WriteTable {
             Form::Csv(csv) => {
                 if input.detections.is_some() && input.table.is_some() {
                     return Err(NodeError::new(
-                        "a CSV file has one kind of line: give `table` and `detections` a `write_table` each, or write .jsonl",
+                        "a CSV file can have only one kind of line: use a separate `write_table` for each of `table` and `detections`, or write .jsonl",
                     ));
                 }
                 let columns_before = csv.columns.len();
@@ -229,7 +232,7 @@ impl Node for WriteTable {
                 ];
                 if others.contains(&true) {
                     return Err(NodeError::new(
-                        "a .json file holds detections or instances in COCO's form: write other inputs to .jsonl or .csv",
+                        "a .json file can hold only detections or instances in COCO's format: write other inputs to .jsonl or .csv",
                     ));
                 }
                 if begun.is_none() {
@@ -237,7 +240,7 @@ impl Node for WriteTable {
                     while journal_of(&file).exists() {
                         let next = cx.begin_file(&self.path, true)?;
                         cx.warn(&format!(
-                            "{} is of a run that was cut off: this one continues in {}",
+                            "{} belongs to a run that was cut off: this run continues in {}",
                             journal_of(&file).display(),
                             next.display()
                         ));

@@ -107,7 +107,7 @@ pub struct WriteVideo {
 }
 
 impl Node for WriteVideo {
-    const INFO: NodeInfo = NodeInfo::blocking("write_video", "sink", "Writes pictures as a video file.").side_effects();
+    const INFO: NodeInfo = NodeInfo::blocking("write_video", "sink", "Writes frames as a video file.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;
@@ -125,7 +125,7 @@ impl Node for WriteVideo {
         let ending = check_name(&params.path, EXAMPLE, ENDINGS)?;
         let kind = FileKind::of(&ending);
         if matches!(kind, FileKind::Indexed(_)) {
-            open.warn(&format!("a crash leaves an unplayable .{ending} file: .mkv survives it"));
+            open.warn(&format!("a crash makes a .{ending} file unplayable: use .mkv, which survives it"));
         }
         claim(open, &params.path)?;
         let min_px = if matches!(kind, FileKind::Indexed(_)) { MIN_INDEXED_PX } else { 1 };
@@ -146,12 +146,12 @@ impl Node for WriteVideo {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
         let Some(pixels) = pixels_of(&input.image) else {
-            return Err(NodeError::new("the image's format is unknown"));
+            return Err(NodeError::new("the image has an unknown pixel format"));
         };
         let Some(bgr) = pixels.bgr(&mut self.bgr) else {
             let name = pixels.name();
             return Err(NodeError::new(format!(
-                "a video holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
+                "a video needs 8-bit images, but {name} arrived: put a `colorize` node in front"
             )));
         };
         let size_px = pixels.size();
@@ -159,14 +159,14 @@ impl Node for WriteVideo {
         if self.size_px.is_none() && width.min(height) < self.min_px {
             let (min_px, path) = (self.min_px, params.path.display());
             return Err(NodeError::new(format!(
-                "{path} cannot hold pictures of {width}x{height} px, it needs at least {min_px}x{min_px}: write .mkv, or enlarge them"
+                "{path} cannot hold frames of {width}x{height} px, it needs at least {min_px}x{min_px}: write .mkv, or enlarge them"
             )));
         }
         let first = *self.size_px.get_or_insert(size_px);
         if size_px != first && !self.size_warned {
             self.size_warned = true;
             cx.warn(&format!(
-                "pictures changed from {}x{} to {}x{}: fitted onto the first size with black borders",
+                "frames changed from {}x{} to {}x{}: fitted into the first size with black borders",
                 first.0, first.1, size_px.0, size_px.1
             ));
         }
@@ -188,7 +188,7 @@ impl Node for WriteVideo {
         if !self.behind_warned && self.writer.behind_ms() > WARN_BEHIND_MS {
             self.behind_warned = true;
             cx.warn(&format!(
-                "pictures come faster than the first two: {} plays too slowly; give `fps`, or write .mkv",
+                "frames arrive faster than the first two: {} plays too slowly; set `fps`, or write .mkv",
                 self.writer.path().display()
             ));
         }

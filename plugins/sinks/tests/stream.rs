@@ -365,7 +365,7 @@ fn mistakes_are_named_with_their_remedies() {
         (format!("port = {port}"), vec![format!("127.0.0.1:{port}"), "another program uses this port".to_owned()]),
         (
             r#"path = "/my view""#.to_owned(),
-            vec!["`/my view`".to_owned(), "has a space".to_owned(), "such as `/wide`".to_owned()],
+            vec!["`/my view`".to_owned(), "contains a space".to_owned(), "such as `/wide`".to_owned()],
         ),
         (r#"path = "/""#.to_owned(), vec!["it is empty".to_owned()]),
         (
@@ -374,7 +374,7 @@ fn mistakes_are_named_with_their_remedies() {
         ),
         (r#"port = 0, address = "203.0.113.7""#.to_owned(), vec!["no such address".to_owned()]),
         (r#"push = "http://a/b""#.to_owned(), vec!["`http://a/b`".to_owned(), "udp://HOST:PORT".to_owned()]),
-        ("serve = false".to_owned(), vec!["goes nowhere".to_owned(), "`push`".to_owned()]),
+        ("serve = false".to_owned(), vec!["has no destination".to_owned(), "`push`".to_owned()]),
     ];
     for (params, words) in cases {
         let message = open_as("out", &params).err().unwrap_or_else(|| panic!("{params} was accepted"));

@@ -168,7 +168,7 @@ fn pictures_below_16_px_are_refused_where_the_file_cannot_hold_them() {
         match outcome.err().map(|error| error.to_string()) {
             None => assert!(is_held, "{ending}"),
             Some(error) => {
-                let words = "cannot hold pictures of 40x8 px, it needs at least 16x16: write .mkv";
+                let words = "cannot hold frames of 40x8 px, it needs at least 16x16: write .mkv";
                 assert!(!is_held && error.contains(&name) && error.contains(words), "{error}");
                 // Larger ones are written afterwards.
                 node.input_image::<Bgr8>("image", 40, 16, &[90; 40 * 16 * 3]).process().unwrap();

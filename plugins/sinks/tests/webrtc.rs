@@ -349,7 +349,7 @@ fn mistakes_are_named_with_their_remedies() {
     let port = taken.local_addr().unwrap().port();
     let cases = [
         (format!("port = {port}"), vec![format!("127.0.0.1:{port}"), "another program uses this port".to_owned()]),
-        (r#"path = "/my view""#.to_owned(), vec!["`/my view`".to_owned(), "has a space".to_owned()]),
+        (r#"path = "/my view""#.to_owned(), vec!["`/my view`".to_owned(), "contains a space".to_owned()]),
         (r#"path = "/""#.to_owned(), vec!["it is empty".to_owned(), "such as `/wide`".to_owned()]),
         (
             r#"address = "localhost""#.to_owned(),

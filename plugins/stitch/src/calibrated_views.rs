@@ -93,7 +93,7 @@ pub(crate) fn check_map(map: (usize, usize), picture: (usize, usize)) -> Result<
     match map_factor(map, picture) {
         Some(_) => Ok(()),
         None => Err(error!(
-            "the disparity is {}x{}, the left view {}x{}: connect the disparity of these views, as large as they are or smaller by a whole factor",
+            "the disparity is {}x{}, but the left view is {}x{}: connect the disparity of these views, of their size or smaller by an integer factor",
             map.0, map.1, picture.0, picture.1
         )),
     }

@@ -222,7 +222,7 @@ impl Drawer {
                     (None, _) => ("`mask_right`".to_owned(), "`right`".to_owned()),
                 };
                 return Err(error!(
-                    "{mask_name} is {}x{}, {name} is {}x{}: connect the mask of this view",
+                    "{mask_name} is {}x{}, but {name} is {}x{}: connect the mask of this view",
                     mask.width(),
                     mask.height(),
                     image.width(),
@@ -373,7 +373,7 @@ impl<'f> Scene<'f> {
 
     fn push(&mut self, view: View<'f, u8>, map: Option<&Homography>) -> Result<()> {
         if self.count == MAX_VIEWS {
-            return Err(error!("more than {MAX_VIEWS} views are connected"));
+            return Err(error!("the connected views exceed the limit of {MAX_VIEWS}"));
         }
         self.views[self.count] = view;
         if let Some(map) = map {
@@ -399,7 +399,7 @@ impl<'f> Scene<'f> {
             let given = maps.map_or(0, List::len);
             if given + 1 != views.len() {
                 return Err(error!(
-                    "{} views need {} homographies, {given} are connected",
+                    "{} views need {} homographies, but {given} are connected",
                     views.len(),
                     views.len() - 1
                 ));
@@ -473,14 +473,14 @@ pub(crate) fn check_views(check: &mut Validation<'_>) {
         return;
     };
     if views > MAX_VIEWS {
-        check.node_error(format!("{views} views are connected, {MAX_VIEWS} are the most"), "connect fewer");
+        check.node_error(format!("{views} connected views exceed the limit of {MAX_VIEWS}"), "connect fewer");
     } else if views > 0 && maps + 1 != views {
         check.node_error(
-            format!("{views} views need {} homographies, {maps} are connected", views - 1),
+            format!("{views} views need {} homographies, but {maps} are connected", views - 1),
             "connect one homography for each view but the first",
         );
     } else if views == 0 && (left == 0 || right == 0) {
-        check.node_warning("there are no two views to put together", "connect `left` and `right`, or `views`");
+        check.node_warning("no two views are connected", "connect `left` and `right`, or `views`");
     }
 }
 

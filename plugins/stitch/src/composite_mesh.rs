@@ -146,12 +146,12 @@ impl BlindWatch {
         if self.ticks >= BLIND_TICKS && !self.is_blind {
             self.is_blind = true;
             cx.warn(&format!(
-                "along {:.0} % of the border between the views nothing matches: they share too little there, and the panorama may be off by many pixels. Move back from the tissue",
+                "along {:.0} % of the border between the views nothing matches: they overlap too little there, and the panorama may be wrong by many pixels. Move back from the tissue",
                 100.0 * report.blind
             ));
         } else if self.is_blind && !is_blind {
             self.is_blind = false;
-            cx.info("the views match again all along the border between them");
+            cx.info("the views match again along their whole border");
         }
     }
 }
@@ -193,7 +193,7 @@ fn cameras(
     if known != sizes {
         let [[(width, height), (right_width, right_height)], [left, right]] = [sizes, known];
         return Err(error!(
-            "the views are {width}x{height} and {right_width}x{right_height}, the calibration is for {}x{} and {}x{}: connect the calibration of these views",
+            "the views are {width}x{height} and {right_width}x{right_height}, but the calibration is for {}x{} and {}x{}: connect the calibration of these views",
             left.0, left.1, right.0, right.1
         ));
     }
@@ -208,7 +208,7 @@ fn join(joined: &mut Vec<f32>, maps: &List<'_, Image<'_, Disparity>>, (width, he
         let map = map.view();
         if (map.width, map.height) != (width, height) {
             return Err(error!(
-                "a disparity is {}x{}, the first view {width}x{height}: connect disparities of the first view at full size",
+                "a disparity is {}x{}, but the first view is {width}x{height}: connect disparities of the first view at full size",
                 map.width, map.height
             ));
         }
@@ -273,7 +273,7 @@ impl CompositeMesh {
             let mask = mask.view();
             if (mask.width, mask.height) != (width, height) {
                 return Err(error!(
-                    "`mask` is {}x{}, the left view {width}x{height}: connect a mask of the left view",
+                    "`mask` is {}x{}, but the left view is {width}x{height}: connect a mask of the left view",
                     mask.width, mask.height
                 ));
             }
@@ -356,13 +356,13 @@ impl Node for CompositeMesh {
         let depth = if is_list { "disparities" } else { "disparity" };
         if check.is_connected(depth) == Some(false) {
             check.node_warning(
-                "there is no disparity: the homography alone places the right view",
+                "no disparity is connected: the homography alone places the right view",
                 format!("connect `{depth}`, or use `composite`"),
             );
         }
         if is_list && check.is_connected("calibration") == Some(true) {
             check.node_error(
-                "a calibration is of two cameras, and `views` are taken as rectified",
+                "a calibration describes two cameras, but `views` must be rectified",
                 "leave `calibration` unconnected, or connect `left` and `right` instead of `views`",
             );
         }

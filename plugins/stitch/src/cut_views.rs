@@ -71,7 +71,7 @@ impl Node for CutViews {
     const INFO: NodeInfo = NodeInfo::compute(
         "cut_views",
         "stitch",
-        "Cuts a picture into two overlapping views with another perspective, exposure and noise: real pictures with a true homography.",
+        "Cuts an image into two overlapping views with different perspective, exposure and noise: real images with a true homography.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

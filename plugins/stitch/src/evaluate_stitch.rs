@@ -121,7 +121,7 @@ pub struct EvaluateStitch {
 
 /// Reads the meshes of view `view` and of the left view from a table of `composite_mesh`: vertices row after row, at multiples of the cell's side.
 fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<(Mesh, Option<Mesh>)>> {
-    let bad = || error!("the table at `mesh` holds no mesh: connect the output `mesh` of a `composite_mesh`");
+    let bad = || error!("the table at `mesh` is not a mesh: connect the output `mesh` of a `composite_mesh`");
     let rows: Vec<&[f64]> = if table.names().eq(VERTEX_COLUMNS) {
         table.rows().collect()
     } else if table.names().eq(VIEW_VERTEX_COLUMNS) {
@@ -226,7 +226,7 @@ impl Node for EvaluateStitch {
     const INFO: NodeInfo = NodeInfo::compute(
         "evaluate_stitch",
         "stitch",
-        "Compares a registration and its panorama with the truth: alignment, likeness in the overlap and along the seam, jitter.",
+        "Compares a registration and its panorama with the ground truth: alignment, similarity in the overlap and along the seam, jitter.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

@@ -204,13 +204,13 @@ impl Mosaic {
     fn log_state(&mut self, cx: &Context<'_>, report: &MosaicReport) {
         let is_lost = report.state == MosaicState::Lost;
         if is_lost && !self.was_lost && report.keyframes == 0 {
-            cx.warn("the mosaic cannot begin: the picture has too few features; lower `hessian_threshold`, or look at the source");
+            cx.warn("the mosaic cannot start: the frame has too few features; lower `hessian_threshold`, or check the source");
         } else if is_lost && !self.was_lost {
             cx.warn(
-                "the camera is lost: the frame matches no keyframe, and nothing is added until one does; move the scope back to what the mosaic shows, or change `restart` to begin a new one",
+                "the camera is lost: the frame matches no keyframe, and nothing is added until one does; move the scope back to what the mosaic shows, or change `restart` to start a new mosaic",
             );
         } else if !is_lost && self.was_lost {
-            cx.info("the camera is found again");
+            cx.info("the camera has been found again");
         }
         self.was_lost = is_lost;
     }
@@ -246,7 +246,7 @@ impl Node for Mosaic {
     const INFO: NodeInfo = NodeInfo::compute(
         "mosaic",
         "stitch",
-        "Adds each picture of one moving camera to a mosaic of all that it has seen; closed loops take the drift away.",
+        "Adds each frame of one moving camera to a mosaic of everything it has seen; closed loops remove the drift.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -257,7 +257,7 @@ impl Node for Mosaic {
             check.error(
                 "min_inliers",
                 format!(
-                    "{} inliers are asked for, but a frame has {} keypoints at most",
+                    "`min_inliers` asks for {} inliers, but a frame has at most {} keypoints",
                     params.min_inliers, params.max_points
                 ),
                 "lower `min_inliers` to half of `max_points` or less",

@@ -106,7 +106,7 @@ impl RegisterGridNode {
     ) -> Result<()> {
         let (Some(left), Some(right)) = (&input.left, &input.right) else { return Ok(()) };
         if self.features.is_none() {
-            cx.warn("there is no disparity: the views are registered by their features, and one homography joins them");
+            cx.warn("no disparity arrived: the views are registered by their features, with one homography");
         }
         let wanted = register_surf::by_default(&params.keep);
         let kernel = self.features.get_or_insert_with(|| RegisterSurf::new(wanted));
@@ -140,7 +140,7 @@ impl Node for RegisterGridNode {
         let is_open = |name: &str| check.is_connected(name) == Some(false);
         if is_open("disparity") && (is_open("left") || is_open("right")) {
             check.node_error(
-                "there is nothing to register by",
+                "neither a disparity nor two views are connected",
                 "connect `disparity`, as in disparity = \"match.disparity\", or the views `left` and `right`",
             );
         }
@@ -168,7 +168,7 @@ impl Node for RegisterGridNode {
         }
         let Some(disparity) = &input.disparity else { return self.by_features(cx, &input, &mut out, params) };
         if self.features.take().is_some() {
-            cx.info("there is a disparity: the views are registered by it from now on");
+            cx.info("a disparity arrived: it is used to register the views from now on");
         }
         let size = (disparity.width(), disparity.height());
         // Without a calibration the pictures tell their own size.

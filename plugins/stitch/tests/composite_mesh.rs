@@ -116,7 +116,7 @@ fn a_smaller_disparity_does_as_well() {
     let whole = difference(&made((SIZE.0 / 2, SIZE.1 / 2), &small).expect("a panorama"));
     assert!(whole < 8.0, "{whole} levels");
     let error = made((SIZE.0, SIZE.1 / 2), &large[..SIZE.0 * SIZE.1 / 2]).err().expect("an error").to_string();
-    assert!(error.contains("320x120") && error.contains("320x240") && error.contains("whole factor"), "{error}");
+    assert!(error.contains("320x120") && error.contains("320x240") && error.contains("integer factor"), "{error}");
 }
 
 #[test]

@@ -96,7 +96,7 @@ fn without_a_disparity_the_views_are_registered_by_features() {
         }
         let found: Homography = node.process().unwrap().value("homography").unwrap();
         let said = |word: &str| node.logs().iter().filter(|line| line.message.contains(word)).count();
-        (found, said("registered by their features"), said("registered by it from now on"))
+        (found, said("registered by their features"), said("to register the views from now on"))
     };
     let (found, warnings, _) = look(false);
     let [x, y] = panoscope_imaging::geometry::Homography(found.left_from_right).map([80.0, 100.0]);
@@ -111,7 +111,7 @@ fn without_a_disparity_the_views_are_registered_by_features() {
     );
     assert_eq!((warnings, back, look(false).1), (1, 1, 2));
     let nothing = Harness::<RegisterGridNode>::problems(&Setup::new(""), &["left", "calibration"]).unwrap();
-    assert!(format!("{nothing:?}").contains("there is nothing to register by"), "{nothing:?}");
+    assert!(format!("{nothing:?}").contains("neither a disparity nor two views are connected"), "{nothing:?}");
 }
 
 #[test]
@@ -165,7 +165,7 @@ fn a_smaller_map_registers_the_pictures_that_it_belongs_to() {
     node.input_image::<Disparity>("disparity", 200, 120, &vec![60.0; 200 * 120])
         .input_value("calibration", calibration());
     let error = node.process().err().expect("an error").to_string();
-    assert!(error.contains("200x120") && error.contains("320x240") && error.contains("whole factor"), "{error}");
+    assert!(error.contains("200x120") && error.contains("320x240") && error.contains("integer factor"), "{error}");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use crate::candidates::Candidate;
 
 /// The calibration in a model's metadata cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{key}` in the model's metadata is `{value}`, expected {expected}; export the model again")]
+#[error("`{key}` in the model's metadata is `{value}`; expected {expected}: export the model again")]
 pub struct CalibrationError {
     /// Key of the metadata.
     pub key: &'static str,

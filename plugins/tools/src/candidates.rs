@@ -14,25 +14,25 @@ pub enum DecodeError {
     #[error("the network returned nothing")]
     NoOutput,
     /// The first output is not a tensor of 32-bit floats.
-    #[error("the network's first output is no f32 tensor")]
+    #[error("the network's first output is not an f32 tensor")]
     NotFloat,
     /// The number of dimensions does not fit the kind.
-    #[error("the output of a {kind} network has three dimensions")]
+    #[error("the output of a {kind} network must have three dimensions")]
     Dimensions { kind: &'static str },
     /// The number of rows does not fit the size of the input.
     #[error("{rows} rows of {values} values do not fit a YOLOX input of {width}x{height}")]
     YoloxRows { rows: usize, values: usize, width: usize, height: usize },
     /// The length of the rows does not fit the kind.
-    #[error("{rows} boxes of {values} values are no output of a {kind} network")]
+    #[error("{rows} boxes of {values} values do not fit the output of a {kind} network")]
     Rows { kind: &'static str, rows: usize, values: usize },
     /// A DETR network lacks one of its two outputs.
-    #[error("a DETR network has the outputs logits 1xNxC and boxes 1xNx4")]
+    #[error("a DETR network must have the outputs logits 1xNxC and boxes 1xNx4")]
     DetrOutputs,
     /// An output of a DETR network has another type of values.
-    #[error("logits and boxes of a DETR network are f32")]
+    #[error("logits and boxes of a DETR network must be f32")]
     DetrType,
     /// The outputs of a DETR network have different lengths.
-    #[error("logits and boxes of a DETR network have equally many rows")]
+    #[error("logits and boxes of a DETR network must have the same number of rows")]
     DetrRows,
 }
 

@@ -88,7 +88,7 @@ fn columns<const N: usize>(table: &Table<'_>, what: &str, names: [&str; N]) -> R
     let mut places = [0; N];
     for (place, name) in places.iter_mut().zip(names) {
         *place = table.names().position(|n| n == name).ok_or_else(|| {
-            error!("the table at `{what}` has no column `{name}`: wire a table with {}", names.join(", "))
+            error!("the table at `{what}` has no column `{name}`: connect a table with {}", names.join(", "))
         })?;
     }
     Ok(places)
@@ -98,7 +98,7 @@ impl Node for EvaluateProximity {
     const INFO: NodeInfo = NodeInfo::compute(
         "evaluate_proximity",
         "tools",
-        "Counts false and missed warnings of `proximity` beside distances that are known exactly.",
+        "Counts false and missed warnings of `proximity`, compared with exactly known distances.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

@@ -9,7 +9,7 @@ use crate::session::{Tensor, list_text};
 /// The outputs match no known kind of export.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{path} answers {shapes} to a picture of {width}x{height}: expected 1x{cells}x(5+C) (YOLOX), 1x{anchors}x(5+C) (YOLOv5), 1x(4+C)x{cells} (YOLOv8 and later), 1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`, or with `family` in a table of `onnx`",
+    "{path} returns {shapes} for an image of {width}x{height}; expected 1x{cells}x(5+C) (YOLOX), 1x{anchors}x(5+C) (YOLOv5), 1x(4+C)x{cells} (YOLOv8 and later), 1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`, or with `family` in a table of `onnx`",
     path = path.display(), anchors = 3 * cells
 )]
 pub struct UnknownKind {

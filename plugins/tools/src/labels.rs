@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum LabelsError {
     /// The file cannot be read.
-    #[error("cannot read the labels {path}: {cause}; one name a line is expected", path = path.display())]
+    #[error("cannot read the labels {path}: {cause}; expected one name per line", path = path.display())]
     Unreadable { path: PathBuf, cause: std::io::Error },
     /// The number of names differs from the model's number of classes.
-    #[error("{model} has {classes} classes, the label table has {names} names", model = model.display())]
+    #[error("{model} has {classes} classes, but the label table has {names} names", model = model.display())]
     Count { model: PathBuf, classes: usize, names: usize },
     /// The file has no names.
-    #[error("{path} holds no names", path = path.display())]
+    #[error("{path} contains no names: write one name per line", path = path.display())]
     Empty { path: PathBuf },
 }
 

@@ -149,7 +149,7 @@ fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<NetworkOutputs<'a
         (floats(2, Some(4)), floats(1, None), masks)
     else {
         return Err(error!(
-            "{} answers {}, expected boxes Nx4, scores N, labels N and masks Nx1xHxW",
+            "{} returns {}; expected boxes Nx4, scores N, labels N and masks Nx1xHxW",
             path.display(),
             list_text(outputs)
         ));
@@ -159,14 +159,14 @@ fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<NetworkOutputs<'a
         .find_map(|t| if let Values::Int(l) = t.data { Some(l).filter(|_| t.shape.len() == 1) } else { None });
     let count = shape[0];
     let [.., height, width] = mask_shape[..] else {
-        return Err(error!("{}: masks have no height and width", path.display()));
+        return Err(error!("{}: the masks have no height and width", path.display()));
     };
     let whole = boxes.len() >= 4 * count
         && scores.len() >= count
         && labels.is_none_or(|l| l.len() >= count)
         && width.checked_mul(height).and_then(|n| n.checked_mul(count)).is_some_and(|n| masks.len() >= n);
     if !whole {
-        return Err(error!("{}: boxes, scores and masks of the answer do not have as many rows", path.display()));
+        return Err(error!("{}: boxes, scores and masks do not have the same number of rows", path.display()));
     }
     Ok(NetworkOutputs { boxes, scores, labels, masks, map_size: (width, height), count })
 }
@@ -385,9 +385,9 @@ impl Node for MaskRcnn {
             maps.clear();
             candidates.clear();
             if family == Family::YoloSeg {
-                let [_, prototypes] = outputs else { return Err(error!("the model answers no prototypes")) };
+                let [_, prototypes] = outputs else { return Err(error!("the model returns no prototypes")) };
                 let [1, masks, height, width] = prototypes.shape[..] else {
-                    return Err(error!("prototypes are {:?}, expected 1xMxHxW", prototypes.shape));
+                    return Err(error!("the prototypes are {:?}; expected 1xMxHxW", prototypes.shape));
                 };
                 let kind = ExportKind::YoloV8 { extra: masks };
                 let mut decoder = Decoder {
@@ -404,7 +404,7 @@ impl Node for MaskRcnn {
                 let left_out = suppress(candidates, &suppression);
                 damage.report_left_out(cx, left_out, ("max_instances", params.max_instances));
                 let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
-                    return Err(error!("boxes and prototypes are f32"));
+                    return Err(error!("boxes and prototypes must be f32"));
                 };
                 let (len, rows, area) = (outputs[0].shape[1], outputs[0].shape[2], width * height);
                 *map_size = (width, height);

@@ -14,10 +14,10 @@ pub enum ModelError {
     #[error(transparent)]
     Session(#[from] SessionError),
     /// The model's input is not an image.
-    #[error("{path} wants {found}, expected one image: f32 or f16, 1x3xHxW or 1xHxWx3", path = path.display())]
+    #[error("{path} takes {found}; expected one image: f32 or f16, 1x3xHxW or 1xHxWx3", path = path.display())]
     Input { path: PathBuf, found: String },
     /// The model has no fixed input size, and none was given.
-    #[error("{path} takes images of any size ({found}): say which with `input_width` and `input_height`", path = path.display())]
+    #[error("{path} takes images of any size ({found}): set `input_width` and `input_height`", path = path.display())]
     Size { path: PathBuf, found: String },
     /// The model solves another task than the node expects.
     #[error("{path} is exported for the task `{task}`: {help}", path = path.display())]

@@ -20,19 +20,19 @@ pub enum OnnxFileError {
     #[error("cannot read the model {path}: {source}; name an .onnx file with `model`", path = path.display())]
     Read { path: PathBuf, source: std::io::Error },
     /// The file is too large for the format.
-    #[error("{path} has {bytes} bytes, an ONNX file has at most {MAX_BYTES}", path = path.display())]
+    #[error("{path} has {bytes} bytes, which exceed the limit of {MAX_BYTES} for an ONNX file", path = path.display())]
     TooLarge { path: PathBuf, bytes: u64 },
     /// The file is not ONNX, or is truncated.
-    #[error("{path} is not a whole ONNX file: {reason} at byte {offset}; copy or export it again", path = path.display())]
+    #[error("{path} is malformed or truncated: {reason} at byte {offset}; copy or export it again", path = path.display())]
     Malformed { path: PathBuf, reason: &'static str, offset: usize },
     /// Opening it would take too long.
     #[error("{path} would keep ONNX Runtime busy: {reason}; export it again, simplified (onnxsim), or use another model", path = path.display())]
     TooMuch { path: PathBuf, reason: TooMuch },
     /// Weights are outside the model's folder.
-    #[error("{path} reads its weights from `{location}`, which is not in its own folder: refused", path = path.display())]
+    #[error("{path} reads its weights from `{location}`, which is outside its folder: put the weights into the folder of the model", path = path.display())]
     Outside { path: PathBuf, location: String },
     /// A file of weights is missing.
-    #[error("{path} keeps its weights in `{location}`, which is not beside it: copy both files", path = path.display())]
+    #[error("{path} reads its weights from `{location}`, which does not exist: copy both files", path = path.display())]
     MissingWeights { path: PathBuf, location: String },
 }
 

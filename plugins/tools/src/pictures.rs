@@ -71,15 +71,15 @@ impl Kind {
         let wrong = |reason: String| PicturesError { key: key.to_owned(), reason };
         let channels = channels.ok_or_else(|| wrong(format!("the model has no output `{OUTPUT}`")))?;
         let text = text.strip_prefix(FORMAT).ok_or_else(|| wrong(format!("it does not begin with `{FORMAT}`")))?;
-        let all = numbers(text).ok_or_else(|| wrong("it holds what is not a number".to_owned()))?;
+        let all = numbers(text).ok_or_else(|| wrong("it contains something that is not a number".to_owned()))?;
         let wanted = channels * (channels + 1);
         if channels == 0 || all.len() != wanted {
-            return Err(wrong(format!("{} numbers, {wanted} fit {channels} channels", all.len())));
+            return Err(wrong(format!("it has {} numbers instead of {wanted} for {channels} channels", all.len())));
         }
         let key = format!("{key}_limit");
         let limit = metadata(&key).and_then(|text| text.trim().parse::<f32>().ok());
         let limit = limit.filter(|limit| limit.is_finite() && *limit > 0.0);
-        let limit = limit.ok_or_else(|| PicturesError { key, reason: "a number above 0 was expected".to_owned() })?;
+        let limit = limit.ok_or_else(|| PicturesError { key, reason: "expected a number above 0".to_owned() })?;
         let (mean, whitening) = all.split_at(channels);
         Ok(Self { mean: mean.to_vec(), whitening: whitening.to_vec(), limit })
     }
@@ -199,7 +199,7 @@ impl Familiarity {
         cx.metric("unlike", f64::from(u8::from(is_unlike)));
         if is_unlike && !self.is_unlike {
             cx.warn(&format!(
-                "pictures are unlike those that {} learned from ({smoothed:.1} times its limit): expect it to miss instruments and to name them wrongly",
+                "images are unlike the training images of {} ({smoothed:.1} times its limit): it may miss or misname instruments",
                 path.display()
             ));
         }

@@ -40,7 +40,7 @@ impl Provider {
     pub fn warn_if_refused(self, open: &Open<'_>, path: &Path, reason: Option<&str>) {
         if let Some(reason) = reason {
             open.warn(&format!(
-                "{} cannot run {} ({reason}); the processor does. Name an ONNX Runtime with that provider in ORT_DYLIB_PATH, or set `provider = \"cpu\"`",
+                "{} cannot run {} ({reason}); using the processor. Name an ONNX Runtime with that provider in ORT_DYLIB_PATH, or set `provider = \"cpu\"`",
                 self.title(),
                 path.display()
             ));

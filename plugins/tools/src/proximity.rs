@@ -156,7 +156,7 @@ impl Proximity {
                 return Ok(());
             }
             Err(error!(
-                "`{what}` is of a picture of {width}x{height}, depth is {}x{}: wire both of one view",
+                "`{what}` belongs to an image of {width}x{height}, but depth is {}x{}: connect both of one view",
                 size.0, size.1
             ))
         };
@@ -262,7 +262,7 @@ impl Proximity {
             let _ = match state {
                 2.0 => writeln!(self.words, " touches tissue"),
                 1.0 => writeln!(self.words, " is {tissue_mm:.1} mm from tissue"),
-                _ => writeln!(self.words, ": distance to tissue not known"),
+                _ => writeln!(self.words, ": distance to tissue unknown"),
             };
         }
         if let Some((other, tip_mm)) = near {

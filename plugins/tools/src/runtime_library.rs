@@ -9,7 +9,7 @@ use panoscope_base::onnx;
 /// No usable ONNX Runtime was found.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error(
-    "ONNX Runtime's shared library is not there: run `cargo xtask onnxruntime`, or name the file in ORT_DYLIB_PATH (tried: {})",
+    "ONNX Runtime's shared library was not found: run `cargo xtask onnxruntime`, or name the file in ORT_DYLIB_PATH (tried: {})",
     .tried.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 )]
 pub struct LibraryError {
@@ -25,7 +25,7 @@ pub enum FileError {
     #[error("{path}: {reason}", path = path.display())]
     NotLoaded { path: PathBuf, reason: String },
     /// It is another library.
-    #[error("{path}: has no OrtGetApiBase", path = path.display())]
+    #[error("{path}: not an ONNX Runtime (no OrtGetApiBase)", path = path.display())]
     OtherLibrary { path: PathBuf },
     /// ONNX Runtime cannot start.
     #[error("{path}: {reason}", path = path.display())]

@@ -28,7 +28,7 @@ pub enum SessionError {
     #[error("ONNX Runtime cannot open {path}: {reason}", path = path.display())]
     Open { path: PathBuf, reason: String },
     /// A run of the network failed.
-    #[error("{path} failed: {reason}", path = path.display())]
+    #[error("{path} failed in ONNX Runtime: {reason}", path = path.display())]
     Run { path: PathBuf, reason: String },
 }
 

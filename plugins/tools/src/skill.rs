@@ -137,7 +137,7 @@ fn tissue_mm(table: &Table<'_>, track_id: i64) -> Result<f64> {
     let column = |name: &str| {
         let place = table.names().position(|n| n == name);
         place.ok_or_else(|| {
-            error!("the table at `proximity` has no column `{name}`: wire the table of a `proximity` node")
+            error!("the table at `proximity` has no column `{name}`: connect the table of a `proximity` node")
         })
     };
     let (id, tissue) = (column("track_id")?, column("tissue_mm")?);
@@ -180,7 +180,7 @@ impl Skill {
         };
         let Some(tool) = self.session.tool(key, String::new) else {
             if !std::mem::replace(&mut self.refused, true) {
-                cx.warn("there are more tools than 16: the last ones are not measured; `tools = \"class\"` has fewer");
+                cx.warn("more than 16 tools: the last ones are not measured; set `tools = \"class\"` to have fewer");
             }
             return Ok(());
         };
@@ -256,7 +256,9 @@ impl Node for Skill {
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &SkillParams) -> Result<()> {
         let now_ns = cx.tick().capture_ns;
         let room_from_camera = match &input.camera_pose {
-            Some(pose) => pose_of(pose).ok_or_else(|| error!("the camera pose holds numbers that are no pose"))?,
+            Some(pose) => pose_of(pose).ok_or_else(|| {
+                error!("the camera pose is not valid: its numbers are not finite, or its quaternion is 0")
+            })?,
             None => Isometry3::identity(),
         };
         if self.poses.len() == MAX_POSES {

@@ -173,7 +173,7 @@ impl Node for TipTrack {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &TrackParams) -> Result<()> {
         let (rules, lens) = rules_of(params, input.calibration.as_deref())?;
-        let no_pose = || error!("the camera pose holds numbers that are no pose");
+        let no_pose = || error!("the camera pose is not valid: its numbers are not finite, or its quaternion is 0");
         let pose = input.camera_pose.as_ref().map(|pose| pose_of(pose).ok_or_else(no_pose)).transpose()?;
         let room_from_camera = pose.unwrap_or_default();
         let now_ns = cx.tick().capture_ns;

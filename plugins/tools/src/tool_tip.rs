@@ -194,7 +194,7 @@ impl<'f> Tools<'_, 'f> {
         let view = image.and_then(|image| image.as_plane::<Bgr8>()).map(|image| image.view());
         match &view {
             Some(view) if (view.width, view.height) != self.size => Err(error!(
-                "`{input}` is {}x{}, tools were found in a picture of {}x{}: wire {what}",
+                "`{input}` is {}x{}, but tools were found in an image of {}x{}: connect {what}",
                 view.width, view.height, self.size.0, self.size.1
             )),
             _ => Ok(view),
@@ -418,7 +418,7 @@ impl Node for ToolTip {
             return Ok(());
         }
         let tools = Tools { found: &found, masks, size: found.image_size(), class: &params.class };
-        let picture = tools.view("image", input.image, "the picture that was searched")?;
+        let picture = tools.view("image", input.image, "the image that was searched")?;
         let right = tools.view("right", input.right, "the other view of the same pair")?;
         let space = Space {
             depth: input.depth.as_ref().map(|plane| plane.view()),

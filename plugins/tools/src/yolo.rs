@@ -182,7 +182,7 @@ impl Damage {
         if bad > 0 && !self.is_warned {
             self.is_warned = true;
             cx.warn(&format!(
-                "{} answers {bad} values that are NaN or infinite; rows that hold them give no boxes (metric `bad_values` counts on)",
+                "{} returned {bad} values that are NaN or infinite; rows with such values give no boxes (metric `bad_values` counts them)",
                 path.display()
             ));
         }
@@ -193,7 +193,7 @@ impl Damage {
         cx.metric("left_out", left_out as f64);
         if left_out > 0 && !self.is_limit_said {
             self.is_limit_said = true;
-            cx.warn(&format!("{left_out} boxes more than `{param}` = {max} were left out (metric `left_out` counts on); raise `{param}` or `min_score`"));
+            cx.warn(&format!("{left_out} boxes beyond `{param}` = {max} were left out (metric `left_out` counts them); raise `{param}` or `min_score`"));
         }
     }
 }

@@ -13,10 +13,14 @@ pub(super) fn lacks(sequence: &Sequence, output: &str) -> Option<&'static str> {
         return None;
     }
     match (sequence.truth.as_ref()?.holds, output) {
-        (Holds::Disparity, "depth") => Some("it takes a calibration to turn disparity into depth, and there is none"),
-        (Holds::Depth, "disparity") => Some("it takes a calibration to turn depth into disparity, and there is none"),
+        (Holds::Disparity, "depth") => {
+            Some("a calibration is needed to convert disparity to depth, and the sequence has none")
+        }
+        (Holds::Depth, "disparity") => {
+            Some("a calibration is needed to convert depth to disparity, and the sequence has none")
+        }
         (Holds::Points | Holds::StackedPoints, _) => {
-            Some("it takes a calibration to move points into the view, and there is none")
+            Some("a calibration is needed to project points into the view, and the sequence has none")
         }
         _ => None,
     }
@@ -70,7 +74,7 @@ impl TruthMaps {
                 return Ok(());
             }
             Err(error!(
-                "{} is {width}x{height}, its picture {}x{}: truth must have the pictures' size",
+                "{} is {width}x{height}, but its image is {}x{}: give ground truth of the size of the images",
                 file.display(),
                 size.0,
                 size.1

@@ -9,10 +9,10 @@ use panoscope_media::input::jpeg::JpegError;
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum CaptureError {
     /// The file does not exist.
-    #[error("there is no file {path}{hint}", path = path.display())]
+    #[error("the file {path} does not exist{hint}", path = path.display())]
     Missing { path: PathBuf, hint: String },
     /// The camera does not exist.
-    #[error("there is no camera {path}: {present}", path = path.display())]
+    #[error("the camera {path} does not exist: {present}", path = path.display())]
     NoDevice {
         path: PathBuf,
         /// The cameras of this machine, as text.
@@ -48,10 +48,10 @@ pub enum CaptureError {
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum FrameError {
     /// No frame was grabbed.
-    #[error("no frame is there")]
+    #[error("no frame was grabbed")]
     NotThere,
     /// The decoder returned an image without pixels.
-    #[error("an empty picture came")]
+    #[error("the decoder returned an empty frame")]
     Empty,
     /// The frame was decoded from damaged or missing data.
     #[error("its data are damaged: {reason}")]
@@ -60,7 +60,7 @@ pub enum FrameError {
         reason: String,
     },
     /// Fewer bytes than the format needs.
-    #[error("{bytes} bytes came, its format needs {expected}")]
+    #[error("it has {bytes} bytes, but its format needs {expected}")]
     Short {
         bytes: usize,
         /// Number of bytes of a complete frame.
@@ -71,7 +71,7 @@ pub enum FrameError {
     Unsupported { format: String },
     /// A JPEG of another size than the stream announces.
     #[error(
-        "a JPEG of {width}x{height} came where {announced_width}x{announced_height} was announced (interlaced?): convert it to another format"
+        "the JPEG is {width}x{height}, but the stream announces {announced_width}x{announced_height} (interlaced?): convert it to another format"
     )]
     OtherSize { width: usize, height: usize, announced_width: usize, announced_height: usize },
     /// The frame contains a damaged image.
@@ -90,7 +90,7 @@ pub enum PictureError {
     #[error("the file is empty")]
     Empty,
     /// No decoder supports the format.
-    #[error("the file is no image that can be read, or it is damaged: {reason}")]
+    #[error("the file is not a supported image, or is damaged: {reason}")]
     Unknown { reason: String },
     /// A PNG, JPEG or EXR that its decoder refuses.
     #[error("the image is damaged: {cause}")]
@@ -99,10 +99,10 @@ pub enum PictureError {
     #[error("an image of {width}x{height} px exceeds the limit of 512 MiB of decoded pixels: make it smaller")]
     TooLarge { width: u32, height: u32 },
     /// A TIFF that its decoder refuses.
-    #[error("the TIFF is damaged or of an unknown kind: {cause}")]
+    #[error("the TIFF is damaged or unsupported: {cause}")]
     Tiff { cause: tiff::TiffError },
     /// The file contains several images.
-    #[error("it holds {count} pages: write each to a file of its own")]
+    #[error("it has {count} pages: write each one to a separate file")]
     Pages { count: usize },
     /// Parts of the image are missing in the file.
     #[error("the image is damaged: parts of it cannot be decoded")]

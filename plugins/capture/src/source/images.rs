@@ -87,7 +87,7 @@ impl Images {
         let count = self.files.len();
         *out = read(path).map_err(|cause| CaptureError::Unreadable {
             path: path.clone(),
-            place: if count > 1 { format!(" (picture {} of {count})", self.grabbed + 1) } else { String::new() },
+            place: if count > 1 { format!(" (image {} of {count})", self.grabbed + 1) } else { String::new() },
             cause,
         })?;
         if let Some(slot) = self.retained.get_mut(self.grabbed)

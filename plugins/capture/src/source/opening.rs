@@ -58,7 +58,7 @@ impl<T: Send + 'static> Opening<T> {
         });
         if let Err(error) = started {
             returned(&key);
-            return Err(closed(format!("no thread starts: {error}")));
+            return Err(closed(format!("no thread can be started: {error}")));
         }
         Ok(Self { name: name.clone(), since_ns: None, limit, result })
     }
@@ -97,14 +97,14 @@ pub fn too_late(name: &SourceName, limit: Duration) -> CaptureError {
     let seconds = limit.as_secs_f64();
     let hint = match name {
         SourceName::Address(_) => {
-            "is the address right, and the sender running? `open_limit_s` sets the time".to_owned()
+            "check that the address is correct and the sender is running; `open_limit_s` sets the time limit".to_owned()
         }
         SourceName::Pipeline(text) => format!(
             "one of its elements ({}) waits for data, a device or an address; try it with gst-launch-1.0, or set `open_limit_s`",
             super::elements::names(text).join(", ")
         ),
-        SourceName::Device(_) => "the driver does not answer; unplug the camera and plug it in again".to_owned(),
-        _ => "is it a file, on a disk that answers?".to_owned(),
+        SourceName::Device(_) => "the driver does not answer; unplug and reconnect the camera".to_owned(),
+        _ => "check that it is a file on a disk that responds".to_owned(),
     };
     CaptureError::Closed { name: name.in_words(), reason: format!("no answer within {seconds} s: {hint}") }
 }

@@ -123,7 +123,7 @@ fn open(
         SourceName::Pipeline(text) => {
             if let Some(missing) = elements::unknown_element(text) {
                 return Err(closed(format!(
-                    "GStreamer has no element `{missing}`: is it spelt right, and is the package installed that brings it? gst-inspect-1.0 lists what there is"
+                    "GStreamer has no element `{missing}`: check its spelling, or install its package; gst-inspect-1.0 lists the installed elements"
                 )));
             }
             InputName::Text(resolved(text)?)
@@ -131,7 +131,7 @@ fn open(
         SourceName::Address(text) => InputName::Address(resolved(text)?),
         SourceName::Video(path) if FileKind::of(path) == FileKind::Gif => {
             let help = "convert it, for example by `ffmpeg -i IN.gif OUT.mkv`, or one image to PNG";
-            return Err(closed(format!("GIF files are not read: {help}")));
+            return Err(closed(format!("GIF files are not supported: {help}")));
         }
         SourceName::Video(path) => match path.to_str().filter(|_| FileKind::of(path) == FileKind::Jpegs) {
             Some(text) => InputName::Text(format!("filesrc location={} ! jpegparse", elements::quoted(text))),
@@ -157,11 +157,11 @@ fn open(
         error @ (MediaError::MissingDecoder { .. } | MediaError::MissingElement { .. }) => closed(error.to_string()),
         error => closed(match name {
             SourceName::Device(_) => {
-                format!("{error}. It may be in use by another program, or be no camera; {}", devices::in_words())
+                format!("{error}. It may be in use by another program, or may not be a camera; {}", devices::in_words())
             }
             SourceName::Pipeline(_) => format!("{error}. Try it with gst-launch-1.0"),
-            SourceName::Address(_) => format!("{error}. Is the address right, and the sender running?"),
-            _ => format!("it is no video that GStreamer knows, or it is damaged: {error}"),
+            SourceName::Address(_) => format!("{error}. Check that the address is correct and the sender is running"),
+            _ => format!("it is not a video that GStreamer supports, or it is damaged: {error}"),
         }),
     })
 }
@@ -280,14 +280,14 @@ impl Stream {
         let mut parts = Vec::new();
         if width != height {
             parts.push(format!(
-                "its pixels are {width}:{height}: they are kept as they are, so fx and fy of its calibration differ by this ratio"
+                "its pixel aspect ratio is {width}:{height}: pixels are kept, so fx and fy of its calibration differ by this ratio"
             ));
         }
         if format.exif_orientation > 1 {
-            parts.push("its file says that it is to be turned (`orientation`)".to_owned());
+            parts.push("its metadata asks for a rotation (`orientation`)".to_owned());
         }
         if format.is_interlaced {
-            parts.push("its pictures are interlaced: each is made of the upper field".to_owned());
+            parts.push("its frames are interlaced: only the upper field of each is used".to_owned());
         }
         (!parts.is_empty())
             .then(|| format!("{} ({}x{}): {}", self.name.in_words(), format.width, format.height, parts.join("; ")))
@@ -363,7 +363,7 @@ impl Stream {
             self.frames_before = if self.is_newest_wins() { self.frames() } else { self.frames };
             self.dropped_before += input.queue().dropped();
         }
-        self.loss = format!("{} is gone after {} frames: {why}", self.name.in_words(), self.frames_before);
+        self.loss = format!("{} disappeared after {} frames: {why}", self.name.in_words(), self.frames_before);
         self.current = None;
         self.state = waiting(FIRST_WAIT, clock());
         Grab::Lost(self.loss.clone())
@@ -508,7 +508,7 @@ impl Stream {
                 words.unwrap_or_else(|| format!("{} failed after {} frames", self.name.in_words(), self.frames))
             )),
             (None, _) => Grab::Failed(format!(
-                "{} gave nothing for {} s after {} frames",
+                "{} delivered no data for {} s after {} frames",
                 self.name.in_words(),
                 limit.as_secs_f64(),
                 self.frames
@@ -545,7 +545,7 @@ impl Stream {
         let counts = |announced: u64| {
             (announced > read + HEADER_ERROR_FRAMES + read / 100).then(|| {
                 format!(
-                    "{name} ended after {read} of {announced} frames: it is cut off or damaged, or a frame in it cannot be decoded"
+                    "{name} ended after {read} of {announced} frames: it is truncated or damaged, or a frame in it cannot be decoded"
                 )
             })
         };
@@ -560,7 +560,7 @@ impl Stream {
         let slack_s = HEADER_ERROR_FRAMES as f64 * frame_s + span_s / 100.0 + self.max_step_s;
         if end_s + slack_s < length_s {
             return Some(format!(
-                "{name} ended at {end_s:.1} of {length_s:.1} s, after {read} frames: it is cut off or damaged, or a frame in it cannot be decoded"
+                "{name} ended at {end_s:.1} of {length_s:.1} s, after {read} frames: it is truncated or damaged, or a frame in it cannot be decoded"
             ));
         }
         if input.has_damage() { counts(announced) } else { None }

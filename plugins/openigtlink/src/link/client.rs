@@ -31,7 +31,7 @@ fn run(shared: &Arc<Shared>) {
                 let words = error.to_string();
                 if words != said {
                     let at = shared.endpoint.words();
-                    let message = format!("cannot connect to {at}: {words}; trying again every 0.5 s");
+                    let message = format!("cannot connect to {at}: {words}; retrying every 0.5 s");
                     shared.add_remark(Remark { is_fault: true, is_end: false, is_apart: true, words: message });
                     said = words;
                 }
@@ -43,7 +43,7 @@ fn run(shared: &Arc<Shared>) {
 
 fn connect(shared: &Shared) -> io::Result<TcpStream> {
     let endpoint = &shared.endpoint;
-    let mut last = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
+    let mut last = io::Error::new(io::ErrorKind::NotFound, "the name cannot be resolved to an address");
     for address in (endpoint.address.as_str(), endpoint.port).to_socket_addrs()? {
         match TcpStream::connect_timeout(&address, CONNECT_LIMIT) {
             // On one machine a connection can meet itself where nobody listens.

@@ -169,7 +169,8 @@ impl Peer {
                 Err(error) => {
                     if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) {
                         let limit_s = WRITE_LIMIT.as_secs();
-                        shared.remark(true, format!("{} took nothing for {limit_s} s and was given up", self.words));
+                        shared
+                            .remark(true, format!("{} read nothing for {limit_s} s and was disconnected", self.words));
                     }
                     self.close();
                     return;

@@ -14,7 +14,7 @@ fn refused(at: SocketAddr, error: &std::io::Error) -> LinkError {
     let help = match error.kind() {
         std::io::ErrorKind::AddrInUse => "another program uses this port: give another `port`, or end that program",
         std::io::ErrorKind::AddrNotAvailable => "this machine has no such address: see `ip address`",
-        std::io::ErrorKind::PermissionDenied => "ports below 1024 need root: give a `port` above",
+        std::io::ErrorKind::PermissionDenied => "ports below 1024 need root: choose a higher `port`",
         _ => "give another `address` or `port`",
     };
     LinkError::Listen { at, reason: error.to_string(), help }
@@ -44,7 +44,7 @@ fn accept(shared: &Arc<Shared>, listener: &TcpListener) {
             continue;
         };
         if lock(&shared.peers).len() >= MAX_PEERS || threads.len() >= MAX_PEERS {
-            shared.remark(true, format!("{address} was turned away: {MAX_PEERS} programs are connected already"));
+            shared.remark(true, format!("{address} was refused: {MAX_PEERS} programs are already connected"));
             continue;
         }
         // A socket may inherit the listener's mode.
@@ -57,9 +57,7 @@ fn accept(shared: &Arc<Shared>, listener: &TcpListener) {
             .spawn(move || connected::serve(&own, stream, false));
         match spawned {
             Ok(thread) => threads.push(thread),
-            Err(error) => {
-                shared.remark(true, format!("{address} was turned away: no thread could be started: {error}"))
-            }
+            Err(error) => shared.remark(true, format!("{address} was refused: no thread could be started: {error}")),
         }
     }
     for thread in threads {

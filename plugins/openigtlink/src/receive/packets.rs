@@ -65,7 +65,7 @@ impl Packets {
     pub fn image(&mut self, image: &Image<'_>, device: &str, out: &mut Slot<'_, AnyFormat>) -> Result<Refusal> {
         let [width, height, depth] = image.size.map(usize::from);
         if depth != 1 || width == 0 || height == 0 {
-            return Ok(Some(format!("it has {width} x {height} x {depth} pixels, pictures have one slice")));
+            return Ok(Some(format!("it has {width} x {height} x {depth} pixels, but an image has one slice")));
         }
         if image.is_whole() {
             return write(image, image.pixels, out);
@@ -73,7 +73,9 @@ impl Packets {
         let pixel = usize::from(image.components) * image.scalar.bytes();
         let bytes = width * height * pixel;
         if bytes > MAX_PICTURE_BYTES {
-            return Ok(Some(format!("it comes in parts and has {bytes} bytes, {MAX_PICTURE_BYTES} are the most")));
+            return Ok(Some(format!(
+                "it comes in parts, and its {bytes} bytes exceed the limit of {MAX_PICTURE_BYTES}"
+            )));
         }
         let same = |whole: &Whole| {
             (whole.size, whole.components, whole.scalar) == (image.size, image.components, image.scalar)
@@ -108,7 +110,7 @@ impl Packets {
                 self.row(&message.device, transform.translation_mm, 0.0);
                 pose = rigid(transform);
                 if pose.is_none() {
-                    refusal = Some("it is not a rotation with a translation, so it is no pose".to_owned());
+                    refusal = Some("it is not a pose: the transform is not a rotation with a translation".to_owned());
                 }
             }
             Content::Position(position) => {
@@ -199,7 +201,7 @@ fn write(image: &Image<'_>, pixels: &[u8], out: &mut Slot<'_, AnyFormat>) -> Res
             }
         }
         (components, scalar) => {
-            return Ok(Some(format!("{components} components of {scalar:?} are no picture format")));
+            return Ok(Some(format!("{components} components of {scalar:?} are not a supported image format")));
         }
     }
     Ok(None)

@@ -44,7 +44,7 @@ impl Node for PhantomNode {
     const INFO: NodeInfo = NodeInfo::compute(
         "phantom",
         "source",
-        "Renders a tissue-like scene for two or four parallel cameras at a scope's tip, with exact truth.",
+        "Renders a tissue-like scene for two or four parallel cameras at a scope's tip, with exact ground truth.",
     )
     .source();
     type In<'f> = In<'f>;
@@ -57,7 +57,7 @@ impl Node for PhantomNode {
         }
         for (index, model) in params.rig().cameras.iter().enumerate() {
             if let Err(error) = Lens::check(model, index) {
-                let help = "bring `distortion_k1` and `distortion_k2` nearer to 0, or raise `zoom`";
+                let help = "set `distortion_k1` and `distortion_k2` nearer to 0, or increase `zoom`";
                 check.error("distortion_k1", error.to_string(), help);
                 break;
             }
@@ -66,7 +66,7 @@ impl Node for PhantomNode {
         let is_read = ["wide", "footprint"].map(|port| check.is_read(port) == Some(true));
         if is_read.contains(&true) && canvas.width.max(canvas.height) > MAX_WIDE_PX {
             let message = format!(
-                "the `wide` picture would have {}x{} px, {MAX_WIDE_PX} are the most",
+                "the `wide` image would have {}x{} px, which exceeds the limit of {MAX_WIDE_PX} px a side",
                 canvas.width, canvas.height
             );
             check.error("wide_factor", message, "lower `wide_factor`, or the size of the views");

@@ -263,7 +263,7 @@ impl PhantomParams {
                 ToolKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| {
                     let known: Vec<&str> = ToolKind::ALL.iter().map(|kind| kind.name()).collect();
                     NodeError::new(format!(
-                        "`tool_kinds`: no instrument is called `{name}`; there are {}",
+                        "`tool_kinds`: there is no instrument `{name}`; known instruments: {}",
                         known.join(", ")
                     ))
                 })

@@ -11,10 +11,10 @@ use super::scenario::ToolMotion;
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum PhantomError {
     /// No scene has this name.
-    #[error("no scene is called {name:?}; there are liver, bowel, cavity, box and board")]
+    #[error("there is no scene {name:?}; known scenes: liver, bowel, cavity, box and board")]
     UnknownScene { name: String },
     /// A parameter is outside its range.
-    #[error("{name} is {value}, expected {low} to {high}")]
+    #[error("{name} is {value}; expected {low} to {high}")]
     OutOfRange { name: &'static str, value: f64, low: f64, high: f64 },
     /// An image has the wrong size.
     #[error("view {view} is {width}x{height}x{channels}, expected {want_width}x{want_height}x{want_channels}")]
@@ -28,13 +28,13 @@ pub enum PhantomError {
         want_channels: usize,
     },
     /// The number of images differs from the number of cameras.
-    #[error("{got} views given, the rig has {want} cameras")]
+    #[error("{got} views were given, but the rig has {want} cameras")]
     WrongViewCount { got: usize, want: usize },
     /// A pose with a NaN or an infinity.
     #[error("the camera pose holds a number that is not finite")]
     BadPose,
     /// The distortion is not invertible inside the image.
-    #[error("the lens distortion of camera {camera} folds the picture over itself at pixel ({u}, {v})")]
+    #[error("the lens distortion of camera {camera} folds the image over itself at pixel ({u}, {v}); reduce it")]
     BadDistortion {
         /// Index of the camera in the rig.
         camera: usize,

@@ -41,7 +41,7 @@ pub enum Target {
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum TargetError {
     /// A quote or a space would end the text of a pipeline.
-    #[error("`{shown}` is no address: it has a space or a quote")]
+    #[error("`{shown}` is not a valid address: it contains a space or a quote")]
     Quoted { shown: String },
     /// UDP without `:PORT`.
     #[error("`{shown}` has no port")]
@@ -53,7 +53,7 @@ pub enum TargetError {
     #[error("`{shown}` has no host")]
     NoHost { shown: String },
     /// Neither RTSP nor UDP.
-    #[error("`{shown}` is no address that a stream can be sent to")]
+    #[error("`{shown}` is not an address that a stream can be sent to")]
     Unknown { shown: String },
 }
 
@@ -180,7 +180,7 @@ fn keep_sending(
         }
         let rest_s = rest.as_secs_f64();
         set(Some(format!(
-            "cannot send the stream to {target}: {}; trying again in {rest_s} s",
+            "cannot send the stream to {target}: {}; retrying in {rest_s} s",
             redact(&reason.to_string())
         )));
         if stopped.recv_timeout(rest) != Err(RecvTimeoutError::Timeout) {
@@ -200,7 +200,8 @@ fn send(
 ) -> Result<(), MediaError> {
     let failed = |reason: String| MediaError::Encoder { encoder: target.element().to_owned(), reason };
     let pipeline = gstreamer::parse::launch(&target.text(payload)).map_err(|error| failed(error.to_string()))?;
-    let pipeline = pipeline.downcast::<Pipeline>().map_err(|_| failed("it makes no pipeline".to_owned()))?;
+    let pipeline =
+        pipeline.downcast::<Pipeline>().map_err(|_| failed("GStreamer cannot build the pipeline".to_owned()))?;
     let (source, sink) = (pipeline.by_name("source"), pipeline.by_name("sink"));
     let source = source.and_then(|source| source.downcast::<AppSrc>().ok());
     let (Some(source), Some(sink), Some(bus)) = (source, sink, pipeline.bus()) else {
@@ -249,9 +250,9 @@ mod tests {
             ("udp://host", "has no port"),
             ("udp://host:0", "from 1 to 65535"),
             ("udp://:5000", "has no host"),
-            ("http://host/a", "is no address"),
-            ("rtsp://", "is no address"),
-            ("rtsp://a b", "has a space"),
+            ("http://host/a", "is not an address"),
+            ("rtsp://", "is not an address"),
+            ("rtsp://a b", "contains a space"),
         ] {
             let message = Target::parse(text).unwrap_err().to_string();
             assert!(message.contains(problem) && message.contains(text), "{text}: {message}");

@@ -7,10 +7,10 @@ use panoscope_base::web::is_own_host;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Foreign {
     /// `Host` is a name, which could belong to another page.
-    #[error("ask with an IP address or `localhost` as the host: a name could belong to another page")]
+    #[error("use an IP address or `localhost` as the host: a name could belong to another page")]
     Host,
     /// A page of another origin sent it.
-    #[error("only pages of this server may ask: open its own page")]
+    #[error("only pages of this server may send requests: open the server's own page")]
     Origin,
 }
 

@@ -17,7 +17,7 @@ pub const MAX_VIEWERS: usize = 8;
 #[derive(Debug, thiserror::Error)]
 pub enum JoinError {
     /// The maximum number of viewers is reached.
-    #[error("{MAX_VIEWERS} viewers watch already: close one of them")]
+    #[error("{MAX_VIEWERS} viewers are already connected: close one of them")]
     Full,
     /// The node has ended.
     #[error("the stream has ended")]

@@ -191,7 +191,7 @@ fn refuse(status: StatusCode, words: &dyn std::fmt::Display) -> Answer {
 }
 
 fn not_allowed(allowed: &'static str) -> Answer {
-    let mut answer = refuse(StatusCode::METHOD_NOT_ALLOWED, &format_args!("this address answers {allowed}"));
+    let mut answer = refuse(StatusCode::METHOD_NOT_ALLOWED, &format_args!("this address accepts {allowed}"));
     answer.headers_mut().insert(header::ALLOW, HeaderValue::from_static(allowed));
     answer
 }
@@ -237,7 +237,7 @@ async fn route(rooms: &Rooms, local: IpAddr, request: Request<Incoming>) -> Answ
         };
     }
     let paths = lock(rooms).keys().cloned().collect::<Vec<_>>().join(", ");
-    refuse(StatusCode::NOT_FOUND, &format_args!("nothing is served here; there is {paths}"))
+    refuse(StatusCode::NOT_FOUND, &format_args!("nothing is served at this path; available: {paths}"))
 }
 
 fn is_sdp(headers: &HeaderMap) -> bool {
@@ -253,7 +253,7 @@ async fn join(room: Arc<Room>, path: &str, local: IpAddr, request: Request<Incom
     let body = match Limited::new(request.into_body(), MAX_OFFER_BYTES).collect().await {
         Ok(body) => body.to_bytes(),
         Err(error) if error.is::<http_body_util::LengthLimitError>() => {
-            let words = format_args!("an offer has at most {MAX_OFFER_BYTES} bytes");
+            let words = format_args!("the offer exceeds the limit of {MAX_OFFER_BYTES} bytes");
             return refuse(StatusCode::PAYLOAD_TOO_LARGE, &words);
         }
         Err(error) => return refuse(StatusCode::BAD_REQUEST, &error),

@@ -187,7 +187,9 @@ impl Viewer {
         let pipeline = pipeline.downcast::<Pipeline>().map_err(|_| refused("no pipeline".to_owned()))?;
         let source = pipeline.by_name("source").and_then(|source| source.downcast::<AppSrc>().ok());
         let peer = pipeline.by_name("peer");
-        let (Some(source), Some(peer)) = (source, peer) else { return Err(refused("an element is lost".to_owned())) };
+        let (Some(source), Some(peer)) = (source, peer) else {
+            return Err(refused("an element of the pipeline is missing".to_owned()));
+        };
         let link = Arc::new(Link {
             begin: Instant::now(),
             phase: Mutex::new(Phase::Connecting),

@@ -9,7 +9,7 @@ use crate::finite::BrokenNetwork;
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum Mismatch {
     /// The table has a name that the model does not have.
-    #[error("{path} has no {side} `{name}`, which the table names; it has {found}", path = path.display())]
+    #[error("the table names {side} `{name}`, which {path} does not have; it has {found}", path = path.display())]
     NoSuch {
         path: PathBuf,
         /// `input` or `output`.
@@ -18,16 +18,16 @@ pub enum Mismatch {
         found: String,
     },
     /// The model has an input that the table does not have.
-    #[error("{path} wants {found}, the table names no port for it; add [inputs.{name}]", path = path.display())]
+    #[error("{path} takes {found}, for which the table names no port; add [inputs.{name}]", path = path.display())]
     Unnamed { path: PathBuf, name: String, found: String },
     /// An input has another shape or type.
-    #[error("{path} wants {found}, the table says {expected}", path = path.display())]
+    #[error("{path} takes {found}, but the table says {expected}", path = path.display())]
     Input { path: PathBuf, found: String, expected: String },
     /// An output has another shape or type.
-    #[error("{path} answers {found} to an input of {width}x{height}, the table says {expected}", path = path.display())]
+    #[error("{path} returns {found} for an input of {width}x{height}, but the table says {expected}", path = path.display())]
     Output { path: PathBuf, found: String, expected: String, width: usize, height: usize },
     /// Two views have different sizes.
-    #[error("`{first}` is {first_size}, `{second}` is {second_size}: wire views of one size")]
+    #[error("`{first}` is {first_size}, but `{second}` is {second_size}: connect views of one size")]
     Views { first: &'static str, first_size: String, second: &'static str, second_size: String },
     /// The network outputs no usable values.
     #[error(transparent)]

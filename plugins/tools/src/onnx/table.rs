@@ -324,7 +324,7 @@ impl PortTable {
         for (index, (name, rule)) in self.inputs.iter().enumerate() {
             let wrong = rule.wrong().or_else(|| {
                 let is_twice = ports[..index].contains(&rule.port);
-                is_twice.then(|| ("port", format!("`{}` is taken by another input", rule.port.name())))
+                is_twice.then(|| ("port", format!("`{}` is already used by another input", rule.port.name())))
             });
             if let Some((key, message)) = wrong {
                 return Some((format!("inputs.{name}.{key}"), message));
@@ -335,7 +335,7 @@ impl PortTable {
             let wrong = rule.wrong().or_else(|| {
                 // Boxes and scores of a detector may be two outputs.
                 let is_twice = rule.port != OutputPort::Detections && ports[..index].contains(&rule.port);
-                is_twice.then(|| ("port", format!("`{}` is taken by another output", rule.port.name())))
+                is_twice.then(|| ("port", format!("`{}` is already used by another output", rule.port.name())))
             });
             if let Some((key, message)) = wrong {
                 return Some((format!("outputs.{name}.{key}"), message));
@@ -364,28 +364,28 @@ impl InputRule {
         for (key, numbers) in [("mean", &self.mean), ("std", &self.std)] {
             let fits = [0, 1, channels].contains(&numbers.len()) && numbers.iter().all(|v| v.is_finite());
             if !fits {
-                return Some((key, format!("{} numbers; 1 or {channels} were expected", numbers.len())));
+                return Some((key, format!("{} numbers; expected 1 or {channels}", numbers.len())));
             }
         }
         if self.std.iter().any(|v| *v <= 0.0) {
-            return Some(("std", "above 0 was expected".to_owned()));
+            return Some(("std", "expected a number above 0".to_owned()));
         }
         if let Some([width, height]) = self.size
             && (width == 0 || height == 0 || width.max(height) > MAX_SIDE)
         {
-            return Some(("size", format!("{width}x{height}; 1 to {MAX_SIDE} px were expected")));
+            return Some(("size", format!("{width}x{height}; expected 1 to {MAX_SIDE} px")));
         }
         if self.size.is_some() && self.fit == FitRule::Multiple {
             return Some(("size", "with `fit = \"multiple\"` the size follows the image; remove one".to_owned()));
         }
         if self.multiple.is_some_and(|multiple| !(1..=1024).contains(&multiple)) {
-            return Some(("multiple", "1 to 1024 px were expected".to_owned()));
+            return Some(("multiple", "expected 1 to 1024 px".to_owned()));
         }
         if self.multiple.is_some() && self.fit != FitRule::Multiple {
             return Some(("multiple", "takes effect with `fit = \"multiple\"`; set it".to_owned()));
         }
         if !(0.0..=255.0).contains(&self.border) {
-            return Some(("border", "0 to 255 was expected".to_owned()));
+            return Some(("border", "expected 0 to 255".to_owned()));
         }
         wrong_range(self.range)
     }
@@ -409,7 +409,7 @@ impl OutputRule {
             return Some(("unit", message));
         }
         if !self.scale.is_finite() || self.scale == 0.0 || !self.offset.is_finite() {
-            return Some(("scale", "finite numbers were expected, `scale` not 0".to_owned()));
+            return Some(("scale", "expected finite numbers, and `scale` not 0".to_owned()));
         }
         let takes = |ports: &[OutputPort]| ports.contains(&self.port);
         for (key, is_set, is_taken) in [
