@@ -5,9 +5,10 @@
 mod disturbed;
 pub mod machines;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText, check};
@@ -122,6 +123,44 @@ pub fn scratch(name: &str) -> PathBuf {
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).expect("a folder for temporary files");
     folder
+}
+
+/// The program that PANOSCOPE_BIN names; `None`, with the reason of the skip, if it names none.
+pub fn named_program() -> Option<PathBuf> {
+    let program = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
+    if program.is_none() {
+        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
+    }
+    program
+}
+
+/// Ids of the processes of isolated nodes that this process started. Those that only describe a plugin are left out: they belong to no group and leave
+/// when nobody asks them any more.
+///
+/// # Panics
+/// The system does not list processes.
+pub fn isolated_processes() -> BTreeSet<i32> {
+    let own = std::process::id();
+    let entries = std::fs::read_dir("/proc").expect("the system lists processes").flatten();
+    let is_own = |process: &i32| {
+        let read = |file: &str| std::fs::read_to_string(format!("/proc/{process}/{file}")).unwrap_or_default();
+        let parent = read("stat").rsplit_once(") ").and_then(|(_, rest)| rest.split(' ').nth(1)?.parse().ok());
+        let command = read("cmdline");
+        parent == Some(own) && command.contains("isolated-nodes") && !command.contains("\0describes ")
+    };
+    entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).filter(is_own).collect()
+}
+
+/// Waits until a condition holds.
+///
+/// # Panics
+/// It does not hold within two minutes; names `what`.
+pub fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
+    let end = Instant::now() + Duration::from_secs(120);
+    while !done() {
+        assert!(Instant::now() < end, "{what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
 }
 
 /// A finished run.

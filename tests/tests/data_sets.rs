@@ -2,14 +2,14 @@
 //! import`.
 
 use crate::samples;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::samples::Tree;
 use panoscope_engine::Outcome;
 use panoscope_graph::GraphOptions;
 use panoscope_testing::Folder;
-use panoscope_tests::{Run, root, run, run_file};
+use panoscope_tests::{Run, named_program, root, run, run_file};
 
 /// Views that are large enough to be matched.
 const SIZE: (u32, u32) = (320, 240);
@@ -213,14 +213,6 @@ fn graphs_judged_by_the_phantoms_truth_run_on_data_sets() {
     assert!(image::open(folder.at("tools.png")).is_ok());
 }
 
-fn program() -> Option<PathBuf> {
-    let program = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
-    if program.is_none() {
-        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
-    }
-    program
-}
-
 fn import(program: &Path, words: &[&str]) -> (Option<i32>, String, String) {
     let Output { status, stdout, stderr } =
         Command::new(program).arg("import").args(words).output().expect("the program starts");
@@ -234,7 +226,7 @@ fn no_video(path: &Path) {
 
 #[test]
 fn import_lists_what_it_found() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let folder = Folder::new("data-sets-import", &[]);
     let tree = tree(&folder);
     samples::all(&tree, no_video);
@@ -282,7 +274,7 @@ fn import_lists_what_it_found() {
 
 #[test]
 fn import_says_what_it_looked_for() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let folder = Folder::new("data-sets-import-none", &[("inside/notes.txt", "nothing"), ("set.tar.gz", "packed")]);
     let (code, said, errors) = import(&program, &[&folder.path().display().to_string()]);
     assert_eq!((code, said.as_str()), (Some(1), ""), "{errors}");

@@ -12,7 +12,7 @@ use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::{Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_record::{RecordOptions, Recorder, head};
-use panoscope_tests::{load, scratch};
+use panoscope_tests::{isolated_processes, load, scratch};
 
 const FRAMES: u64 = 40;
 const MAX_RUN: Duration = Duration::from_secs(120);
@@ -176,7 +176,7 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
             faults.push((Instant::now(), fault.clone()));
         }
     };
-    let before = children();
+    let before = isolated_processes();
     let options = Options {
         frames: Some(FRAMES),
         threads: case.threads,
@@ -203,7 +203,7 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
     let outcome = engine.close(Duration::from_secs(30));
     let report = engine.report();
     drop(engine);
-    let left = || children().difference(&before).count();
+    let left = || isolated_processes().difference(&before).count();
     while left() > 0 {
         if Instant::now() > end {
             return Err(format!("{} processes stay behind", left()));
@@ -221,26 +221,13 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
     Ok(Run { report, outcome, faults, detection_ms, packets })
 }
 
-/// Processes of isolated nodes that this process started.
-fn children() -> BTreeSet<i32> {
-    let own = std::process::id();
-    let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
-    let numbers = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    let is_own = |process: &i32| {
-        let parent =
-            read(*process, "stat").rsplit_once(") ").and_then(|(_, rest)| rest.split(' ').nth(1)?.parse().ok());
-        parent == Some(own) && read(*process, "cmdline").contains("isolated-nodes")
-    };
-    numbers.filter(is_own).collect()
-}
-
 fn read(process: i32, file: &str) -> String {
     std::fs::read_to_string(format!("/proc/{process}/{file}")).unwrap_or_default()
 }
 
 /// Kills the process of a group. Returns the time, if there is such a process.
 fn kill(before: &BTreeSet<i32>, group: &str) -> Option<Instant> {
-    let process = children().difference(before).copied().find(|p| read(*p, "cmdline").contains(group))?;
+    let process = isolated_processes().difference(before).copied().find(|p| read(*p, "cmdline").contains(group))?;
     let now = Instant::now();
     // SAFETY: a plain system call; a process that this one started and has not waited for, or that has just ended by itself.
     (unsafe { libc::kill(process, libc::SIGKILL) } == 0).then_some(now)

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use panoscope_tests::{DOCUMENTS, document, root, scratch};
+use panoscope_tests::{DOCUMENTS, document, named_program, root, scratch};
 
 /// Mark in the comment on the line before a block.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,14 +88,6 @@ fn blocks(text: &str) -> Result<Vec<Block>, String> {
 
 fn blocks_of(name: &str) -> Vec<Block> {
     blocks(&document(name)).unwrap_or_else(|why| panic!("{name}: {why}"))
-}
-
-fn program() -> Option<PathBuf> {
-    let program = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
-    if program.is_none() {
-        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
-    }
-    program
 }
 
 #[test]
@@ -194,7 +186,7 @@ fn is_word(word: &str) -> bool {
 
 #[test]
 fn commands_and_options_exist() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let mut help = Help { program, known: BTreeMap::new() };
     assert_eq!(help.mistake("panoscope run a.toml --frames 3"), None);
     assert!(help.mistake("panoscope run a.toml --framse 3").is_some_and(|why| why.contains("--framse")));
@@ -224,7 +216,7 @@ fn commands_and_options_exist() {
 
 #[test]
 fn the_table_of_commands_has_each_command_and_its_options() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let mut help = Help { program, known: BTreeMap::new() };
     let text = document("core/cli/README.md");
     let table = text.split("\n## ").find(|section| section.starts_with("Commands")).expect("a table of commands");
@@ -308,7 +300,7 @@ fn run_blocks(name: &str, program: &Path) -> PathBuf {
 
 /// Runs a document's blocks and checks the files that it promises.
 fn runs(name: &str, promised: &[&str], look: impl Fn(&Path)) {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let folder = run_blocks(name, &program);
     for file in promised {
         let bytes = std::fs::metadata(folder.join(file)).map(|f| f.len()).unwrap_or_default();

@@ -7,7 +7,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use panoscope_engine::fault::Cause;
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_host::isolate::kernel;
-use panoscope_tests::{DisturbedRun, run_disturbed, scratch};
+use panoscope_tests::{DisturbedRun, isolated_processes, run_disturbed, scratch};
 
 /// Runs one test at a time: they kill processes of this one.
 fn alone() -> MutexGuard<'static, ()> {
@@ -140,19 +140,6 @@ fn what_a_group_is_denied_fails_and_the_run_goes_on() {
     }
 }
 
-/// Processes of isolated nodes that this process started.
-fn children() -> Vec<i32> {
-    let own = std::process::id();
-    let entries = std::fs::read_dir("/proc").expect("the system lists processes").flatten();
-    let numbers = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    let is_own = |process: &i32| {
-        let read = |file: &str| std::fs::read_to_string(format!("/proc/{process}/{file}")).unwrap_or_default();
-        let parent = read("stat").rsplit_once(") ").and_then(|(_, rest)| rest.split(' ').nth(1)?.parse().ok());
-        parent == Some(own) && read("cmdline").contains("isolated-nodes")
-    };
-    numbers.filter(is_own).collect()
-}
-
 /// Kills the process of isolated nodes once a source has made this many ticks.
 fn kill_once(source: &'static str, at: u64) -> impl FnMut(&Engine) {
     let mut is_done = false;
@@ -160,7 +147,7 @@ fn kill_once(source: &'static str, at: u64) -> impl FnMut(&Engine) {
         if is_done || engine.report().nodes[source].count < at {
             return;
         }
-        for process in children() {
+        for process in isolated_processes() {
             // SAFETY: plain system call; a process that this one started.
             unsafe { libc::kill(process, libc::SIGKILL) };
             is_done = true;

@@ -201,6 +201,47 @@ pub struct Overlay {
     has_warned: bool,
 }
 
+/// The inputs that the parameters show.
+struct Layers<'f> {
+    homography: Option<Value<'f, Homography>>,
+    roi: Option<Value<'f, Roi>>,
+    boxes: Option<Detections<'f>>,
+    instances: Option<Instances<'f>>,
+    mask: Option<Image<'f, Mask>>,
+    tip: Option<Value<'f, Tip>>,
+    nearness: Option<Table<'f>>,
+    map: Option<View<'f, f32>>,
+}
+
+impl<'f> Layers<'f> {
+    fn of(input: &In<'f>, params: &Settings) -> Self {
+        let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view()));
+        Self {
+            homography: input.homography.filter(|_| params.show_registration),
+            roi: input.roi.filter(|_| params.show_roi),
+            boxes: input.instances.map(|i| i.detections()).or(input.detections).filter(|_| params.show_boxes),
+            instances: input.instances.filter(|_| params.show_masks),
+            mask: input.mask.filter(|_| params.show_masks),
+            tip: input.tip.filter(|_| params.show_tip),
+            nearness: input.nearness.filter(|_| params.show_tip),
+            map: map.filter(|_| params.show_inset),
+        }
+    }
+
+    /// Whether nothing but text is drawn.
+    fn is_empty(&self, params: &Settings) -> bool {
+        let is_sure = |item: &Detection| item.score >= params.min_score;
+        !(self.homography.is_some_and(|_| params.show_outline)
+            || self.roi.is_some()
+            || self.boxes.is_some_and(|b| b.items().iter().any(is_sure))
+            || self.instances.is_some_and(|i| i.detections().items().iter().any(is_sure))
+            || self.mask.is_some()
+            || self.tip.is_some()
+            || self.nearness.is_some()
+            || self.map.is_some())
+    }
+}
+
 impl Overlay {
     fn write_words(&mut self, input: &In<'_>, params: &Settings) {
         let words = &mut self.words;
@@ -267,6 +308,122 @@ impl Overlay {
         let (width, height) = draw::text_size(&self.item, scale);
         self.labels.take(Area { x, y, width: width + 6.0, height: height + 6.0 });
     }
+
+    /// Draws on a copy of the image, with text in a corner of it.
+    fn draw_in_place(
+        &mut self,
+        image: &Image<'_, Bgr8>,
+        layers: &Layers<'_>,
+        slot: &mut Slot<'_, Bgr8>,
+        pen: &Pen,
+        params: &Settings,
+    ) -> Result<()> {
+        let frame = (image.width(), image.height());
+        let mut picture = slot.alloc_copy(image)?;
+        let size = draw::text_size(self.words.trim_end(), params.text_scale);
+        let corner = params.label_corner.at(frame, size, 4.0 * params.text_scale);
+        // Lines and bright tissue stay away from the letters.
+        let room = (2.0 * params.text_scale).ceil();
+        let plate =
+            Area { x: corner.0 - room, y: corner.1 - room, width: size.0 + 2.0 * room, height: size.1 + 2.0 * room };
+        // What keeps its place is taken before labels look for theirs.
+        self.labels.begin(frame.0, frame.1);
+        if !self.words.trim_end().is_empty() {
+            self.labels.take(plate);
+        }
+        self.draw_layers(&mut picture, layers, pen, params);
+        let words = self.words.trim_end();
+        if !words.is_empty() {
+            let plate = [plate.x, plate.y, plate.width, plate.height].map(|v| v as i32);
+            draw::fill_rectangle(&mut picture, plate[0], plate[1], plate[2], plate[3], [0; 3], 0.55);
+            draw::text(&mut picture, corner.0, corner.1, words, params.text_scale, [255, 255, 255]);
+        }
+        Ok(())
+    }
+
+    /// Draws on a copy of the image, enlarged towards `wanted_width`, with a bar of text below it.
+    fn draw_with_bar(
+        &mut self,
+        image: &Image<'_, Bgr8>,
+        layers: &Layers<'_>,
+        slot: &mut Slot<'_, Bgr8>,
+        mut pen: Pen,
+        params: &Settings,
+    ) -> Result<()> {
+        let frame = (image.width(), image.height());
+        let scale = (frame.0 as f32 / USUAL_WIDTH).max(MIN_SCALE);
+        (pen.line_px, pen.text_scale) = (pen.line_px * scale.max(1.0), pen.text_scale * scale);
+        let factor = enlargement(frame.0, params.wanted_width);
+        let (width, height) = (factor * frame.0, factor * frame.1);
+        let bar_scale = factor as f32 * pen.text_scale;
+        let bar_px = bar::height_px(params.bar_lines, bar_scale);
+        let whole = slot.alloc(width, height + bar_px)?;
+        let stride = whole.stride;
+        let (upper, lower) = whole.data.split_at_mut(height * stride);
+        let mut upper = ViewMut::with_stride(upper, width, height, 3, stride);
+        let mut below = ViewMut::with_stride(lower, width, bar_px, 3, stride);
+        self.labels.begin(frame.0, frame.1);
+        let from = image.view();
+        let copy = |picture: &mut ViewMut<'_, u8>| {
+            (0..frame.1).for_each(|y| picture.row_mut(y).copy_from_slice(from.row(y)));
+        };
+        if factor == 1 {
+            copy(&mut upper);
+            self.draw_layers(&mut upper, layers, &pen, params);
+        } else {
+            let mut small = std::mem::take(&mut self.small);
+            small.resize(3 * frame.0 * frame.1, 0);
+            let mut picture = ViewMut::new(&mut small, frame.0, frame.1, 3);
+            copy(&mut picture);
+            self.draw_layers(&mut picture, layers, &pen, params);
+            self.fit.place(&mut upper, &picture.as_view(), (0, 0), (width, height));
+            self.small = small;
+        }
+        self.bar.add(&self.words, None);
+        self.bar.draw(&mut below, params.bar_lines, bar_scale);
+        Ok(())
+    }
+
+    /// Draws the layers: areas first, then lines, text last. Starts the bar; `labels` must have been started.
+    fn draw_layers(&mut self, picture: &mut ViewMut<'_, u8>, layers: &Layers<'_>, pen: &Pen, params: &Settings) {
+        let frame = (picture.width, picture.height);
+        if let Some(area) = layers.tip.as_ref().and_then(|tip| marks::tip_area(tip, pen)) {
+            self.labels.take(area);
+        }
+        if let Some(mask) = layers.mask {
+            draw::blend_mask(picture, &mask.view(), [200, 160, 40], params.mask_alpha);
+        }
+        if let Some(instances) = &layers.instances {
+            marks::masks(picture, instances, pen);
+        }
+        if let Some(value) = layers.homography.as_ref().filter(|_| params.show_outline) {
+            marks::registration(picture, value, (frame.0 as f32, frame.1 as f32), pen);
+        }
+        if let Some(roi) = &layers.roi {
+            marks::roi(picture, roi, pen);
+        }
+        if let Some(map) = &layers.map {
+            self.draw_inset(picture, map, params);
+        }
+        if let Some(boxes) = &layers.boxes {
+            marks::boxes(picture, boxes, pen);
+        }
+        self.bar.begin(&params.label);
+        // The tip's text belongs to a point, so it takes its room before that of the boxes.
+        if let Some(tip) = &layers.tip {
+            marks::tip(picture, tip, pen, &mut self.item, &mut self.labels);
+        }
+        if let Some(boxes) = &layers.boxes {
+            match params.words {
+                Words::Picture => marks::box_labels(picture, boxes, pen, &mut self.item, &mut self.labels),
+                Words::Below => marks::box_keys(picture, boxes, pen, &mut self.shown, &mut self.item, &mut self.bar),
+                Words::Nowhere => {}
+            }
+        }
+        if let Some(table) = &layers.nearness {
+            nearness::draw(picture, table, pen, &mut self.item, &mut self.bar);
+        }
+    }
 }
 
 impl Node for Overlay {
@@ -294,7 +451,6 @@ impl Node for Overlay {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
-        let frame = (input.image.width(), input.image.height());
         let offset = match params.offset_px.as_slice() {
             [] => (0.0, 0.0),
             [x, y] => (*x as f32, *y as f32),
@@ -302,38 +458,17 @@ impl Node for Overlay {
                 return Err(NodeError::new(format!("`offset_px` needs two numbers, x and y, but has {}", other.len())));
             }
         };
-        let homography = input.homography.filter(|_| params.show_registration);
-        let roi = input.roi.filter(|_| params.show_roi);
-        let boxes = input.instances.map(|i| i.detections()).or(input.detections).filter(|_| params.show_boxes);
-        if let Some(label) = boxes.as_ref().and_then(marks::undrawable_label)
+        let layers = Layers::of(&input, params);
+        if let Some(label) = layers.boxes.as_ref().and_then(marks::undrawable_label)
             && !std::mem::replace(&mut self.has_warned, true)
         {
             cx.warn(&format!("the font cannot draw the class name `{label}`: its number is drawn instead"));
         }
-        let instances = input.instances.filter(|_| params.show_masks);
-        let mask = input.mask.filter(|_| params.show_masks);
-        let tip = input.tip.filter(|_| params.show_tip);
-        let nearness = input.nearness.filter(|_| params.show_tip);
-        let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view())).filter(|_| params.show_inset);
         self.words.clear();
         if params.words != Words::Nowhere {
             self.write_words(&input, params);
         }
-        let is_below = params.words == Words::Below;
-        if !is_below {
-            wrap(&mut self.words, frame.0 as f32 * WORDS_SHARE, params.text_scale);
-        }
-        let is_sure = |item: &Detection| item.score >= params.min_score;
-        let something = homography.is_some_and(|_| params.show_outline)
-            || roi.is_some()
-            || boxes.is_some_and(|b| b.items().iter().any(is_sure))
-            || instances.is_some_and(|i| i.detections().items().iter().any(is_sure))
-            || mask.is_some()
-            || tip.is_some()
-            || nearness.is_some()
-            || map.is_some()
-            || !self.words.is_empty();
-        let mut pen = Pen {
+        let pen = Pen {
             line_px: params.line_px,
             text_scale: params.text_scale,
             offset,
@@ -341,107 +476,14 @@ impl Node for Overlay {
             min_score: params.min_score,
             words: params.words,
         };
-        // A bar comes and goes with the parameter only: the picture keeps its size.
-        if !something && !is_below {
+        // A bar comes and goes with the parameter only: the image keeps its size.
+        if params.words == Words::Below {
+            return self.draw_with_bar(&input.image, &layers, &mut out.image, pen, params);
+        }
+        wrap(&mut self.words, input.image.width() as f32 * WORDS_SHARE, params.text_scale);
+        if layers.is_empty(params) && self.words.is_empty() {
             return out.image.forward(input.image.frame());
         }
-        let whole;
-        let mut picture;
-        let mut below = None;
-        let mut enlarged = None;
-        let mut small = std::mem::take(&mut self.small);
-        let mut bar_scale = 0.0;
-        if is_below {
-            let scale = (frame.0 as f32 / USUAL_WIDTH).max(MIN_SCALE);
-            (pen.line_px, pen.text_scale) = (pen.line_px * scale.max(1.0), pen.text_scale * scale);
-            let factor = enlargement(frame.0, params.wanted_width);
-            let (width, height) = (factor * frame.0, factor * frame.1);
-            bar_scale = factor as f32 * pen.text_scale;
-            let bar_px = bar::height_px(params.bar_lines, bar_scale);
-            whole = out.image.alloc(width, height + bar_px)?;
-            let stride = whole.stride;
-            let (upper, lower) = whole.data.split_at_mut(height * stride);
-            let upper = ViewMut::with_stride(upper, width, height, 3, stride);
-            below = Some(ViewMut::with_stride(lower, width, bar_px, 3, stride));
-            picture = if factor == 1 {
-                upper
-            } else {
-                enlarged = Some(upper);
-                small.resize(3 * frame.0 * frame.1, 0);
-                ViewMut::new(&mut small, frame.0, frame.1, 3)
-            };
-            let from = input.image.view();
-            (0..frame.1).for_each(|y| picture.row_mut(y).copy_from_slice(from.row(y)));
-        } else {
-            picture = out.image.alloc_copy(&input.image)?;
-        }
-        let words = if is_below { "" } else { self.words.trim_end() };
-        let size = draw::text_size(words, params.text_scale);
-        let corner = params.label_corner.at(frame, size, 4.0 * params.text_scale);
-        // Lines and bright tissue stay away from the letters.
-        let room = (2.0 * params.text_scale).ceil();
-        let plate =
-            Area { x: corner.0 - room, y: corner.1 - room, width: size.0 + 2.0 * room, height: size.1 + 2.0 * room };
-        // What keeps its place is taken before labels look for theirs.
-        self.labels.begin(frame.0, frame.1);
-        if !words.is_empty() {
-            self.labels.take(plate);
-        }
-        if let Some(area) = tip.as_ref().and_then(|tip| marks::tip_area(tip, &pen)) {
-            self.labels.take(area);
-        }
-        // Areas first, then lines, words last.
-        if let Some(mask) = mask {
-            draw::blend_mask(&mut picture, &mask.view(), [200, 160, 40], params.mask_alpha);
-        }
-        if let Some(instances) = &instances {
-            marks::masks(&mut picture, instances, &pen);
-        }
-        if let Some(value) = homography.as_ref().filter(|_| params.show_outline) {
-            marks::registration(&mut picture, value, (frame.0 as f32, frame.1 as f32), &pen);
-        }
-        if let Some(roi) = &roi {
-            marks::roi(&mut picture, roi, &pen);
-        }
-        if let Some(map) = &map {
-            self.draw_inset(&mut picture, map, params);
-        }
-        if let Some(boxes) = &boxes {
-            marks::boxes(&mut picture, boxes, &pen);
-        }
-        self.bar.begin(&params.label);
-        // The tip's words belong to a point, so they take their room before those of the boxes.
-        if let Some(tip) = &tip {
-            marks::tip(&mut picture, tip, &pen, &mut self.item, &mut self.labels);
-        }
-        if let Some(boxes) = &boxes {
-            match params.words {
-                Words::Picture => marks::box_labels(&mut picture, boxes, &pen, &mut self.item, &mut self.labels),
-                Words::Below => {
-                    marks::box_keys(&mut picture, boxes, &pen, &mut self.shown, &mut self.item, &mut self.bar);
-                }
-                Words::Nowhere => {}
-            }
-        }
-        if let Some(table) = &nearness {
-            nearness::draw(&mut picture, table, &pen, &mut self.item, &mut self.bar);
-        }
-        if let Some(mut upper) = enlarged {
-            let size = (upper.width, upper.height);
-            self.fit.place(&mut upper, &picture.as_view(), (0, 0), size);
-        }
-        if let Some(mut below) = below {
-            self.bar.add(&self.words, None);
-            self.bar.draw(&mut below, params.bar_lines, bar_scale);
-            self.small = small;
-            return Ok(());
-        }
-        let words = self.words.trim_end();
-        if !words.is_empty() {
-            let plate = [plate.x, plate.y, plate.width, plate.height].map(|v| v as i32);
-            draw::fill_rectangle(&mut picture, plate[0], plate[1], plate[2], plate[3], [0; 3], 0.55);
-            draw::text(&mut picture, corner.0, corner.1, words, params.text_scale, [255, 255, 255]);
-        }
-        Ok(())
+        self.draw_in_place(&input.image, &layers, &mut out.image, &pen, params)
     }
 }

@@ -16,34 +16,7 @@ use panoscope_sinks::write_raw::WriteRaw;
 use panoscope_sinks::write_table::WriteTable;
 use panoscope_sinks::write_video::WriteVideo;
 
-/// A separate folder, removed at the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("panoscope_sinks_{name}_{}", std::process::id()));
-        let _ = fs::remove_dir_all(&path);
-        fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-
-    fn open<N: panoscope_node::Node>(&self, params: &str) -> Harness<N> {
-        Harness::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&self.0)).unwrap()
-    }
-
-    fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> =
-            fs::read_dir(&self.0).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
+use crate::common::Folder;
 
 fn read(path: &Path) -> Mat {
     let mat = imgcodecs::imread(path.to_str().unwrap(), imgcodecs::IMREAD_UNCHANGED).unwrap();

@@ -199,7 +199,7 @@ fn browsers_show_the_pictures_and_one_that_is_killed_leaves_the_others_alone() {
     // A picture that stands still is named.
     let end = Instant::now() + PATIENCE;
     let mut state = serde_json::Value::Null;
-    while !state.as_str().is_some_and(|state| state.contains("no new picture for ")) {
+    while !state.as_str().is_some_and(|state| state.contains("no new frame for ")) {
         assert!(Instant::now() < end, "{state}");
         std::thread::sleep(Duration::from_millis(100));
         state = first.browser.evaluate(&first.page, "document.getElementById('state').textContent");

@@ -222,6 +222,75 @@ fn pictures(input: &In<'_>, map: &Map, params: &EvaluateParams) -> PictureMarks 
     compare_pictures(&panorama, &wide, sizes, map, params.seam_band as usize)
 }
 
+/// Alignment error, its floor (both px), and number of correspondences: with the true disparity, else with the true homography, else, on the ticks of
+/// `every`, by correlation. NaN where nothing is known.
+fn alignment(
+    input: &In<'_>,
+    map: &Map,
+    placed: &Placement,
+    params: &EvaluateParams,
+    is_compared: bool,
+    cx: &Context<'_>,
+) -> [f64; 3] {
+    let mut marks = [f64::NAN; 3];
+    if let Some(disparity) = &input.disparity {
+        let (along, step) = ([params.along_x, params.along_y], params.step as usize);
+        let visible = input.visible.as_ref().map(Image::view);
+        let pairs = TruePairs { disparity: disparity.view(), visible, along, step };
+        if let Some((align, count)) = placed.alignment(&pairs) {
+            (marks[0], marks[2]) = (align, count as f64);
+        }
+        let floor = match &input.truth {
+            Some(truth) => pairs.alignment(&Map(truth.left_from_right)).map(|(rms, _)| rms),
+            None => pairs.floor_px(),
+        };
+        marks[1] = floor.unwrap_or(f64::NAN);
+    } else if let Some(truth) = &input.truth {
+        let left = (input.left.width(), input.left.height());
+        let right = (input.right.width(), input.right.height());
+        if let Some((align, count)) = between(map, &Map(truth.left_from_right), left, right, params.step) {
+            marks = [align, 0.0, count as f64];
+        }
+    } else if params.correlate && is_compared {
+        let found = correlated(placed, input.left.view(), input.right.view(), cx.pool());
+        marks = [found.align_px, found.floor_px, found.points as f64];
+    }
+    marks
+}
+
+/// Break across the seam (median and maximum, as [`Placement::seam_break`] returns them) and stretch, percent; NaN where nothing is known.
+fn seam_marks(
+    input: &In<'_>,
+    placed: &Placement,
+    shown: View<'_, u8>,
+    canvas: &Roi,
+    params: &EvaluateParams,
+) -> [f64; 3] {
+    let (view, left_at) = (params.view as u8, (canvas.x, canvas.y));
+    let mut marks = [f64::NAN; 3];
+    if let Some(disparity) = &input.disparity {
+        let along = [params.along_x, params.along_y];
+        let visible = input.visible.as_ref().map(Image::view);
+        let pairs = TruePairs { disparity: disparity.view(), visible, along, step: 1 };
+        (marks[0], marks[1]) = placed.seam_break(&pairs, shown, view, left_at).unwrap_or((f64::NAN, f64::NAN));
+    }
+    let whole = Rect::whole(input.left.width(), input.left.height());
+    marks[2] = placed.stretch_pct(shown, view, whole, left_at).unwrap_or(f64::NAN);
+    marks
+}
+
+/// Areas relative to that of the left view, percent: covered by the panorama, by the footprint of all cameras, and by both; NaN where unknown.
+fn area_marks(input: &In<'_>, params: &EvaluateParams) -> [f64; 3] {
+    let Some(shown) = &input.shown else { return [f64::NAN; 3] };
+    let canvas = input.canvas.as_deref().copied();
+    let footprint = input.footprint.as_ref().filter(|_| canvas.is_some()).map(Image::view);
+    let offset = footprint.map_or((0, 0), |wide| left_in_wide(input, (wide.width, wide.height), params));
+    let areas = areas(shown.view(), footprint, canvas.unwrap_or_default(), offset);
+    let one = (input.left.width() * input.left.height()).max(1) as f64;
+    let [covered, truth, both] = areas.map(|pixels| 100.0 * pixels as f64 / one);
+    if footprint.is_some() { [covered, truth, both] } else { [covered, f64::NAN, f64::NAN] }
+}
+
 impl Node for EvaluateStitch {
     const INFO: NodeInfo = NodeInfo::compute(
         "evaluate_stitch",
@@ -252,42 +321,15 @@ impl Node for EvaluateStitch {
         let mesh = input.mesh.as_ref().map(|mesh| mesh_of(mesh, params.view)).transpose()?.flatten();
         let (mesh, left_mesh) = mesh.map_or((None, None), |(mesh, left)| (Some(mesh), left));
         let placed = map.and_then(|map| Placement::new(map, mesh)).map(|placed| placed.with_reference(left_mesh));
-        let left = (input.left.width(), input.left.height());
+        let is_compared = self.ticks.is_multiple_of(u64::from(params.every));
         if let (Some(map), Some(placed), Some(given)) = (&map, &placed, &input.homography) {
             row[2] = f64::from(given.inliers);
-            let visible = input.visible.as_ref().map(Image::view);
-            if let Some(disparity) = &input.disparity {
-                let (along, step) = ([params.along_x, params.along_y], params.step as usize);
-                let pairs = TruePairs { disparity: disparity.view(), visible, along, step };
-                if let Some((align, count)) = placed.alignment(&pairs) {
-                    (row[3], row[5]) = (align, count as f64);
-                }
-                let floor = match &input.truth {
-                    Some(truth) => pairs.alignment(&Map(truth.left_from_right)).map(|(rms, _)| rms),
-                    None => pairs.floor_px(),
-                };
-                row[4] = floor.unwrap_or(NONE);
-            } else if let Some(truth) = &input.truth {
-                if let Some((align, count)) = between(map, &Map(truth.left_from_right), left, right, params.step) {
-                    (row[3], row[4], row[5]) = (align, 0.0, count as f64);
-                }
-            } else if params.correlate && self.ticks.is_multiple_of(u64::from(params.every)) {
-                let marks = correlated(placed, input.left.view(), input.right.view(), cx.pool());
-                [row[3], row[4], row[5]] = [marks.align_px, marks.floor_px, marks.points as f64];
-            }
+            [row[3], row[4], row[5]] = alignment(&input, map, placed, params, is_compared, cx);
             row[6] = self.previous.as_ref().and_then(|previous| placed.motion_px(previous, right)).unwrap_or(NONE);
             if let (Some(shown), Some(canvas)) = (&input.shown, &input.canvas) {
-                let (view, left_at) = (params.view as u8, (canvas.x, canvas.y));
-                if let Some(disparity) = &input.disparity {
-                    let along = [params.along_x, params.along_y];
-                    let pairs = TruePairs { disparity: disparity.view(), visible, along, step: 1 };
-                    let broken = placed.seam_break(&pairs, shown.view(), view, left_at);
-                    (row[17], row[18]) = broken.unwrap_or((NONE, NONE));
-                }
-                let whole = Rect::whole(left.0, left.1);
-                row[20] = placed.stretch_pct(shown.view(), view, whole, left_at).unwrap_or(NONE);
+                [row[17], row[18], row[20]] = seam_marks(&input, placed, shown.view(), canvas, params);
             }
-            if self.ticks.is_multiple_of(u64::from(params.every)) {
+            if is_compared {
                 let PictureMarks { whole, seam, ghost_pct } = pictures(&input, map, params);
                 (row[7], row[8]) = whole.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
                 (row[9], row[10]) = seam.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
@@ -297,18 +339,7 @@ impl Node for EvaluateStitch {
                 row[12] = cropped_pct(map, right, canvas, (panorama.width(), panorama.height()));
             }
         }
-        if let Some(shown) = &input.shown {
-            let canvas = input.canvas.as_deref().copied();
-            let footprint = input.footprint.as_ref().filter(|_| canvas.is_some()).map(Image::view);
-            let offset = footprint.map_or((0, 0), |wide| left_in_wide(&input, (wide.width, wide.height), params));
-            let areas = areas(shown.view(), footprint, canvas.unwrap_or_default(), offset);
-            let one = (input.left.width() * input.left.height()).max(1) as f64;
-            let [covered, truth, both] = areas.map(|pixels| 100.0 * pixels as f64 / one);
-            row[11] = covered;
-            if footprint.is_some() {
-                (row[15], row[16]) = (truth, both);
-            }
-        }
+        [row[11], row[15], row[16]] = area_marks(&input, params);
         if let Some(panorama) = &input.panorama {
             (row[13], row[14]) = (panorama.width() as f64, panorama.height() as f64);
         }

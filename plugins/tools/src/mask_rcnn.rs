@@ -20,7 +20,7 @@ use crate::pictures::{self, Familiarity, Unlike};
 use crate::provider::Provider;
 use crate::session::{Tensor, Values, list_text};
 use crate::track::Tracker;
-use crate::yolo::{Network, check_labels, detection, picture_of};
+use crate::yolo::{Damage, Network, check_labels, detection, picture_of};
 
 /// Input ports of `mask_rcnn`.
 #[derive(Ports)]
@@ -284,6 +284,110 @@ fn pixel_form(family: Family) -> PixelForm {
     }
 }
 
+/// Decodes the outputs of one run to candidates, with a map of probabilities for each.
+struct Decoding<'a, 'f> {
+    cx: &'a Context<'f>,
+    params: &'a MaskRcnnParams,
+    path: &'a Path,
+    net: (usize, usize),
+    placement: Placement,
+    size: (usize, usize),
+    damage: &'a mut Damage,
+    candidates: &'a mut Vec<Candidate>,
+    maps: &'a mut Vec<f32>,
+    map_size: &'a mut (usize, usize),
+    lit: &'a HeldMask,
+}
+
+impl Decoding<'_, '_> {
+    fn begin(&mut self, outputs: &[Tensor<'_>], is_yolo: bool) -> Result<()> {
+        let bad = count_bad(self.path, outputs, rows_of(is_yolo))?;
+        self.damage.report(self.cx, self.path, bad);
+        self.maps.clear();
+        self.candidates.clear();
+        Ok(())
+    }
+
+    /// Drops dark and overlapping candidates.
+    fn keep_best(&mut self) {
+        let suppression = Suppression {
+            max_overlap: self.params.max_overlap,
+            is_agnostic: false,
+            max_boxes: self.params.max_instances,
+            unknown: None,
+        };
+        keep_lit(self.candidates, self.lit, self.size);
+        let left_out = suppress(self.candidates, &suppression);
+        self.damage.report_left_out(self.cx, left_out, ("max_instances", self.params.max_instances));
+    }
+
+    /// A YOLO export: each map is a sum of prototypes.
+    fn yolo(&mut self, outputs: &[Tensor<'_>]) -> Result<Covers> {
+        self.begin(outputs, true)?;
+        let [_, prototypes] = outputs else { return Err(error!("the model returns no prototypes")) };
+        let [1, masks, height, width] = prototypes.shape[..] else {
+            return Err(error!("the prototypes are {:?}; expected 1xMxHxW", prototypes.shape));
+        };
+        let mut decoder = Decoder {
+            kind: ExportKind::YoloV8 { extra: masks },
+            input: self.net,
+            placement: self.placement,
+            picture: self.size,
+            min_score: self.params.min_score,
+            min_objectness: f32::INFINITY,
+            out: self.candidates,
+        };
+        decoder.decode(outputs)?;
+        self.keep_best();
+        let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
+            return Err(error!("boxes and prototypes must be f32"));
+        };
+        let (len, rows, area) = (outputs[0].shape[1], outputs[0].shape[2], width * height);
+        *self.map_size = (width, height);
+        for c in self.candidates.iter() {
+            let start = self.maps.len();
+            self.maps.resize(start + area, 0.0);
+            for m in 0..masks {
+                let share = boxes[(len - masks + m) * rows + c.row as usize];
+                let plane = &shapes[m * area..(m + 1) * area];
+                self.maps[start..].iter_mut().zip(plane).for_each(|(sum, p)| *sum += share * p);
+            }
+            self.maps[start..].iter_mut().for_each(|v| *v = 1.0 / (1.0 + (-*v).exp()));
+        }
+        Ok(Covers::Input(self.placement, self.net))
+    }
+
+    /// A Mask R-CNN export: each box has its own map.
+    fn rcnn(&mut self, outputs: &[Tensor<'_>], family: Family) -> Result<Covers> {
+        self.begin(outputs, false)?;
+        let answer = sort_out(self.path, outputs)?;
+        // Class 0 of torchvision is background and never returned.
+        let first_class = i64::from(family == Family::Torchvision);
+        for row in 0..answer.count {
+            let (b, score) = (&answer.boxes[4 * row..4 * row + 4], answer.scores[row]);
+            let class = answer.labels.map_or(0, |l| l[row] - first_class);
+            if score > self.params.min_score && class >= 0 {
+                let corners = [b[0], b[1], b[2], b[3]];
+                self.candidates.extend(Candidate::placed(
+                    &self.placement,
+                    self.size,
+                    corners,
+                    score,
+                    class as u32,
+                    row,
+                ));
+            }
+        }
+        self.keep_best();
+        *self.map_size = answer.map_size;
+        let area = answer.map_size.0 * answer.map_size.1;
+        for c in self.candidates.iter() {
+            self.maps.extend_from_slice(&answer.masks[c.row as usize * area..(c.row as usize + 1) * area]);
+        }
+        Ok(if answer.map_size == self.net { Covers::Input(self.placement, self.net) } else { Covers::Box })
+    }
+}
+
 impl Node for MaskRcnn {
     const INFO: NodeInfo =
         NodeInfo::blocking("mask_rcnn", "tools", "Finds surgical tools with their outlines by a segmenting network.");
@@ -358,88 +462,27 @@ impl Node for MaskRcnn {
         let size = (picture.width, picture.height);
         let net = self.network.model.input_size();
         let placement = self.network.letterbox.fit(picture, net, &pixel_form(self.family), cx.pool());
-        let family = self.family;
-        let suppression = Suppression {
-            max_overlap: params.max_overlap,
-            is_agnostic: false,
-            max_boxes: params.max_instances,
-            unknown: None,
-        };
         self.lit.update(input.mask.as_ref().map(Image::view));
-        let Self {
-            network: Network { model, letterbox, damage, .. },
-            path,
-            familiarity,
-            candidates,
-            maps,
-            map_size,
-            lit,
-            ..
-        } = self;
+        let Self { network: Network { model, letterbox, damage, .. }, path, familiarity, .. } = self;
         let mut unlikeness = None;
+        let mut decoding = Decoding {
+            cx,
+            params,
+            path,
+            net,
+            placement,
+            size,
+            damage,
+            candidates: &mut self.candidates,
+            maps: &mut self.maps,
+            map_size: &mut self.map_size,
+            lit: &self.lit,
+        };
+        let family = self.family;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
             let (outputs, features) = pictures::split(outputs);
             unlikeness = familiarity.unlikeness(features, placement.size);
-            let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg))?;
-            damage.report(cx, path, bad);
-            maps.clear();
-            candidates.clear();
-            if family == Family::YoloSeg {
-                let [_, prototypes] = outputs else { return Err(error!("the model returns no prototypes")) };
-                let [1, masks, height, width] = prototypes.shape[..] else {
-                    return Err(error!("the prototypes are {:?}; expected 1xMxHxW", prototypes.shape));
-                };
-                let kind = ExportKind::YoloV8 { extra: masks };
-                let mut decoder = Decoder {
-                    kind,
-                    input: net,
-                    placement,
-                    picture: size,
-                    min_score: params.min_score,
-                    min_objectness: f32::INFINITY,
-                    out: candidates,
-                };
-                decoder.decode(outputs)?;
-                keep_lit(candidates, lit, size);
-                let left_out = suppress(candidates, &suppression);
-                damage.report_left_out(cx, left_out, ("max_instances", params.max_instances));
-                let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
-                    return Err(error!("boxes and prototypes must be f32"));
-                };
-                let (len, rows, area) = (outputs[0].shape[1], outputs[0].shape[2], width * height);
-                *map_size = (width, height);
-                for c in candidates.iter() {
-                    let start = maps.len();
-                    maps.resize(start + area, 0.0);
-                    for m in 0..masks {
-                        let share = boxes[(len - masks + m) * rows + c.row as usize];
-                        let plane = &shapes[m * area..(m + 1) * area];
-                        maps[start..].iter_mut().zip(plane).for_each(|(sum, p)| *sum += share * p);
-                    }
-                    maps[start..].iter_mut().for_each(|v| *v = 1.0 / (1.0 + (-*v).exp()));
-                }
-                return Ok(Covers::Input(placement, net));
-            }
-            let answer = sort_out(path, outputs)?;
-            // Class 0 of torchvision is background and never answered.
-            let first_class = i64::from(family == Family::Torchvision);
-            for row in 0..answer.count {
-                let (b, score) = (&answer.boxes[4 * row..4 * row + 4], answer.scores[row]);
-                let class = answer.labels.map_or(0, |l| l[row] - first_class);
-                if score > params.min_score && class >= 0 {
-                    let corners = [b[0], b[1], b[2], b[3]];
-                    candidates.extend(Candidate::placed(&placement, size, corners, score, class as u32, row));
-                }
-            }
-            keep_lit(candidates, lit, size);
-            let left_out = suppress(candidates, &suppression);
-            damage.report_left_out(cx, left_out, ("max_instances", params.max_instances));
-            *map_size = answer.map_size;
-            let area = answer.map_size.0 * answer.map_size.1;
-            for c in candidates.iter() {
-                maps.extend_from_slice(&answer.masks[c.row as usize * area..(c.row as usize + 1) * area]);
-            }
-            Ok(if answer.map_size == net { Covers::Input(placement, net) } else { Covers::Box })
+            if family == Family::YoloSeg { decoding.yolo(outputs) } else { decoding.rcnn(outputs, family) }
         })??;
         if let Some(unlikeness) = unlikeness {
             let smoothed = familiarity.add(cx, path, unlikeness, params.unlike_s);
@@ -449,7 +492,7 @@ impl Node for MaskRcnn {
             out.text.set_text(familiarity.message(params.unlike))?;
         }
         if familiarity.drops(params.unlike) {
-            candidates.clear();
+            self.candidates.clear();
         }
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));

@@ -51,7 +51,7 @@ impl Provider {
     ///
     /// # Errors
     /// ONNX Runtime's library has no such provider, or finds no device for it.
-    pub fn register(self, builder: &mut SessionBuilder) -> Result<(), String> {
+    pub fn register(self, builder: &mut SessionBuilder) -> ort::Result<()> {
         let chosen = match self {
             Self::Cpu => return Ok(()),
             Self::Cuda => ep::CUDA::default().build(),
@@ -60,6 +60,6 @@ impl Provider {
             Self::Rocm => ep::ROCm::default().build(),
             Self::Migraphx => ep::MIGraphX::default().build(),
         };
-        chosen.register(builder).map_err(|e| e.to_string())
+        chosen.register(builder)
     }
 }

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use half::f16;
 use ort::environment::Environment;
-use ort::session::builder::SessionBuilder;
 use ort::session::{Session, SessionInputValue};
 use ort::value::{DynValue, Outlet, PrimitiveTensorElementType, TensorElementType, TensorRef};
 
@@ -25,11 +24,11 @@ pub enum SessionError {
     #[error(transparent)]
     File(#[from] OnnxFileError),
     /// ONNX Runtime cannot open the file.
-    #[error("ONNX Runtime cannot open {path}: {reason}", path = path.display())]
-    Open { path: PathBuf, reason: String },
+    #[error("ONNX Runtime cannot open {path}: {reason}", path = path.display(), reason = first_line(source))]
+    Open { path: PathBuf, source: ort::Error },
     /// A run of the network failed.
-    #[error("{path} failed in ONNX Runtime: {reason}", path = path.display())]
-    Run { path: PathBuf, reason: String },
+    #[error("{path} failed in ONNX Runtime: {reason}", path = path.display(), reason = first_line(source))]
+    Run { path: PathBuf, source: ort::Error },
 }
 
 /// An input or output as the model declares it.
@@ -148,33 +147,30 @@ pub struct ModelSession {
     widened: Vec<Widened>,
 }
 
-/// A session on `provider`; else ONNX Runtime's message.
+/// Builds a session on `provider`.
 fn session_of(
     environment: &Environment,
     path: &Path,
     file: &OnnxFile,
     threads: usize,
     provider: Provider,
-) -> Result<Session, String> {
-    let text = |e: ort::Error<SessionBuilder>| e.to_string();
-    let mut builder = Session::builder(environment).map_err(|e| e.to_string())?;
+) -> ort::Result<Session> {
+    let mut builder = Session::builder(environment)?;
     provider.register(&mut builder)?;
-    let builder = builder.with_intra_threads(threads.max(1)).map_err(text)?;
-    let builder = builder.with_inter_threads(1).map_err(text)?;
+    let builder = builder.with_intra_threads(threads.max(1))?;
+    let builder = builder.with_inter_threads(1)?;
     // What went wrong comes back as an error; a second line on the terminal would only cover the progress.
-    let builder = builder.with_log_level(ort::logging::LogLevel::Fatal).map_err(text)?;
+    let builder = builder.with_log_level(ort::logging::LogLevel::Fatal)?;
     // Threads spin while the network runs (waking them between its hundred steps would cost as much as the steps) and stop with its end: a
     // waiting thread that keeps spinning takes the core from the next node.
-    let builder = builder.with_intra_op_spinning(true).map_err(text)?;
-    let builder = builder.with_config_entry("session.force_spinning_stop", "1").map_err(text)?;
-    let mut builder = builder.with_inter_op_spinning(false).map_err(text)?;
+    let builder = builder.with_intra_op_spinning(true)?;
+    let builder = builder.with_config_entry("session.force_spinning_stop", "1")?;
+    let mut builder = builder.with_inter_op_spinning(false)?;
     for (name, bytes) in &file.weights {
-        builder = builder.with_external_initializer_file_in_memory(name, bytes.clone()).map_err(text)?;
+        builder = builder.with_external_initializer_file_in_memory(name, bytes.clone())?;
     }
     // From what was looked through; only weights beside the model need its path.
-    let session =
-        if file.has_weights_beside { builder.commit_from_file(path) } else { builder.commit_from_memory(&file.bytes) };
-    session.map_err(|e| e.to_string())
+    if file.has_weights_beside { builder.commit_from_file(path) } else { builder.commit_from_memory(&file.bytes) }
 }
 
 fn metadata_of(session: &Session) -> BTreeMap<String, String> {
@@ -202,7 +198,7 @@ impl ModelSession {
             Err(reason) if provider != Provider::Cpu => (session_on(Provider::Cpu), Some(first_line(&reason))),
             opened => (opened, None),
         };
-        let session = session.map_err(|e| SessionError::Open { path: path.to_owned(), reason: first_line(&e) })?;
+        let session = session.map_err(|source| SessionError::Open { path: path.to_owned(), source })?;
         let (inputs, outputs) = (session.inputs(), session.outputs());
         Ok(Self {
             inputs: inputs.iter().map(Declared::of).collect(),
@@ -250,7 +246,7 @@ impl ModelSession {
         read: impl FnOnce(&[Tensor<'_>]) -> T,
     ) -> Result<T, SessionError> {
         let Self { session, path, widened, .. } = self;
-        let failed = |e: ort::Error| SessionError::Run { path: path.clone(), reason: first_line(&e.to_string()) };
+        let failed = |source| SessionError::Run { path: path.clone(), source };
         let mut values = Vec::with_capacity(inputs.len());
         for input in inputs {
             values.push((input.name, input.value().map_err(failed)?));
@@ -328,6 +324,6 @@ impl Widened {
     }
 }
 
-fn first_line(text: &str) -> String {
-    text.lines().next().unwrap_or("").chars().take(300).collect()
+fn first_line(error: &ort::Error) -> String {
+    error.to_string().lines().next().unwrap_or("").chars().take(300).collect()
 }

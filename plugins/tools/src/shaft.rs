@@ -1,8 +1,10 @@
 //! Finds where an instrument ends: from its mask along the shaft's axis, or from its box alone.
 
 mod axis;
+mod moments;
 
 pub use axis::ShaftAxis;
+use moments::Moments;
 
 /// A mask as bits: most significant first, rows padded to whole bytes.
 #[derive(Clone, Copy, Debug)]
@@ -191,41 +193,18 @@ impl TipFinder {
     pub fn of_mask_towards(&mut self, mask: Mask<'_>, towards: Option<[f64; 2]>) -> Option<TipPixel> {
         let (width, height) = (mask.width as f64, mask.height as f64);
         self.last = None;
-        let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-        mask.each(&mut |x, y| {
-            n += 1.0;
-            sx += x;
-            sy += y;
-            sxx += x * x;
-            sxy += x * y;
-            syy += y * y;
-        });
-        if n == 0.0 {
-            return None;
-        }
-        let (cx, cy) = (sx / n, sy / n);
-        let (a, b, c) = (sxx / n - cx * cx, sxy / n - cx * cy, syy / n - cy * cy);
-        let angle = 0.5 * (2.0 * b).atan2(a - c);
-        let spread = ((a - c).powi(2) + 4.0 * b * b).sqrt();
-        let is_longer = |ratio: f64| a + c + spread >= ratio * (a + c - spread).max(0.0);
-        let main = [angle.cos(), angle.sin()];
+        let moments = Moments::of(&mask)?;
+        let [cx, cy] = moments.centre;
+        let main = moments.main;
         let from_entry = mask.entry().map(|[x, y]| [cx - x, cy - y]).filter(|v| v[0].hypot(v[1]) > 1.0);
         let mut axis = match from_entry.and_then(unit) {
             Some(away) => {
                 let agrees = (away[0] * main[0] + away[1] * main[1]).abs() > 0.7;
-                if is_longer(VERY_LONG) || (is_longer(LONG) && agrees) { main } else { away }
+                if moments.is_longer(VERY_LONG) || (moments.is_longer(LONG) && agrees) { main } else { away }
             }
             None => main,
         };
-        let reach = |axis: [f64; 2]| {
-            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            mask.each(&mut |x, y| {
-                let t = (x - cx) * axis[0] + (y - cy) * axis[1];
-                (low, high) = (low.min(t), high.max(t));
-            });
-            (low, high)
-        };
-        let (mut low, mut high) = reach(axis);
+        let (mut low, mut high) = moments.reach(&mask, axis);
         let from_border = |t: f64| {
             let (x, y) = (cx + t * axis[0], cy + t * axis[1]);
             x.min(y).min(width - 1.0 - x).min(height - 1.0 - y)
@@ -237,7 +216,7 @@ impl TipFinder {
         if !enters_low {
             (axis, low, high) = ([-axis[0], -axis[1]], -high, -low);
         }
-        let (left, right) = reach([-axis[1], axis[0]]);
+        let (left, right) = moments.reach(&mask, [-axis[1], axis[0]]);
         let pitch = ((high - low).max(right - left) / MAX_LINES).max(1.0);
         let count = |length: f64| (length / pitch).ceil() as usize + 1;
         let from = [cx + low * axis[0] - left * axis[1], cy + low * axis[1] + left * axis[0]];
@@ -259,26 +238,7 @@ impl TipFinder {
         }
         // Without a fork: the middle of its last part.
         let end = low + f64::from(end_line) * pitch;
-        let part = (END_SHARE * (end - low)).max(END_PX);
-        let (mut ends, mut reach, mut beside, mut offset) = (0.0, 0.0, 0.0, 0.0);
-        mask.each(&mut |x, y| {
-            let t = (x - cx) * axis[0] + (y - cy) * axis[1];
-            let before_end = end - t;
-            if (-pitch..=END_PX.max(pitch)).contains(&before_end) {
-                ends += 1.0;
-                reach += t;
-            }
-            if (-pitch..=part).contains(&before_end) {
-                beside += 1.0;
-                offset += (y - cy) * axis[0] - (x - cx) * axis[1];
-            }
-        });
-        if ends == 0.0 || beside == 0.0 {
-            return None;
-        }
-        let (reach, offset) = (reach / ends, offset / beside);
-        let (u_px, v_px) = (cx + reach * axis[0] - offset * axis[1], cy + reach * axis[1] + offset * axis[0]);
-        Some(TipPixel { tip: End { u_px, v_px, direction: axis }, jaws: None })
+        moments.middle_of_end(&mask, axis, (low, end), pitch)
     }
 
     /// Divides the mask into runs.

@@ -147,6 +147,53 @@ impl TipTrack {
         self.poses.push_back((now_ns, pose.unwrap_or_default()));
         self.used_ns.resize(detectors, i64::MIN);
     }
+
+    /// Writes the outputs for the tracked tip. `lens`: projection of the left view, for the tip's pixel.
+    fn write(
+        &mut self,
+        cx: &Context<'_>,
+        out: &mut Out<'_>,
+        real_ns: i64,
+        room_from_camera: &Isometry3<f64>,
+        (rules, lens): (&Rules, Option<[f64; 12]>),
+    ) -> Result<()> {
+        // Counts from the image in which it was last seen: tips of a slow detector are old when they arrive.
+        let gap_s = self.last.map_or(0.0, |(_, seen_ns)| real_ns.saturating_sub(seen_ns) as f64 * 1e-9);
+        let fade = if gap_s > 0.0 { (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0) } else { 1.0 };
+        let (Some((room, speed)), Some((mut tip, _))) = (self.tracker.state(), self.last) else { return Ok(()) };
+        let at = room_from_camera.inverse_transform_point(&Point3::from(room)).coords;
+        tip.xyz_mm = [at.x, at.y, at.z];
+        tip.score *= fade;
+        // A tool that was named before keeps its name while its kind is not sure.
+        if tip.class_index == UNKNOWN_CLASS {
+            tip.class_index = self.tracker.class_index();
+        }
+        if let Some(p) = lens.filter(|_| at.z > 0.0) {
+            (tip.u_px, tip.v_px) = (p[0] * at.x / at.z + p[2], p[5] * at.y / at.z + p[6]);
+        }
+        cx.metric("gap_ms", gap_s * 1e3);
+        if gap_s > 0.0 {
+            // What is predicted is as old as the image in which the tip was last seen.
+            cx.set_lag(Duration::from_secs_f64(gap_s));
+        }
+        out.tip.set(tip)?;
+        let row: [f64; COLUMNS.len()] = [
+            at.x,
+            at.y,
+            at.z,
+            room.x,
+            room.y,
+            room.z,
+            speed.x,
+            speed.y,
+            speed.z,
+            self.tracker.deviation_mm(),
+            gap_s * 1e3,
+            tip.score,
+            self.tracker.track_id() as f64,
+        ];
+        out.table.set_table(&COLUMNS, &row)
+    }
 }
 
 impl Node for TipTrack {
@@ -230,41 +277,6 @@ impl Node for TipTrack {
             self.last =
                 index.and_then(|index| input.tip.get(index)).map(|tip| (*tip, real_ns.saturating_sub(age_ns(&tip))));
         }
-        // Counts from the picture in which it was last seen: tips of a slow detector are old when they arrive.
-        let gap_s = self.last.map_or(0.0, |(_, seen_ns)| real_ns.saturating_sub(seen_ns) as f64 * 1e-9);
-        let fade = if gap_s > 0.0 { (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0) } else { 1.0 };
-        let (Some((room, speed)), Some((mut tip, _))) = (self.tracker.state(), self.last) else { return Ok(()) };
-        let at = room_from_camera.inverse_transform_point(&Point3::from(room)).coords;
-        tip.xyz_mm = [at.x, at.y, at.z];
-        tip.score *= fade;
-        // A tool that was named before keeps its name while its kind is not sure.
-        if tip.class_index == UNKNOWN_CLASS {
-            tip.class_index = self.tracker.class_index();
-        }
-        if let Some(p) = lens.filter(|_| at.z > 0.0) {
-            (tip.u_px, tip.v_px) = (p[0] * at.x / at.z + p[2], p[5] * at.y / at.z + p[6]);
-        }
-        cx.metric("gap_ms", gap_s * 1e3);
-        if gap_s > 0.0 {
-            // What is predicted is as old as the picture in which the tip was last seen.
-            cx.set_lag(Duration::from_secs_f64(gap_s));
-        }
-        out.tip.set(tip)?;
-        let row: [f64; COLUMNS.len()] = [
-            at.x,
-            at.y,
-            at.z,
-            room.x,
-            room.y,
-            room.z,
-            speed.x,
-            speed.y,
-            speed.z,
-            self.tracker.deviation_mm(),
-            gap_s * 1e3,
-            tip.score,
-            self.tracker.track_id() as f64,
-        ];
-        out.table.set_table(&COLUMNS, &row)
+        self.write(cx, &mut out, real_ns, &room_from_camera, (&rules, lens))
     }
 }

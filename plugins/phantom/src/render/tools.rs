@@ -145,13 +145,34 @@ impl Tool {
 
     /// Pose of the instrument at a time.
     pub fn at(&self, seconds: f64) -> Posed {
-        let swing = |[amplitude, hz, phase]: [f64; 3]| amplitude * sin_turns(hz * seconds + phase);
         let tip = self.tip(seconds);
         let toward = add(tip, self.trocar, -1.0);
         let long = dot(toward, toward).sqrt().max(1e-6);
         let z = toward.map(|v| v / long);
-        // Any direction across the shaft, then rolled about it. A scripted one is held as a surgeon does who wants to see what it does: what is bent
-        // or opens lies across the line of sight, so that no part of it ever stands before its tip.
+        let (x, y) = self.across(z, seconds);
+        // Half the angle between the jaws, turns.
+        let half = 0.055 + swing(self.open, seconds);
+        let (js, jc) = (sin_turns(half), sin_turns(half + 0.25));
+        let reach = match self.kind {
+            ToolKind::Grasper | ToolKind::Scissors => 17.0 * jc,
+            ToolKind::Bipolar => 19.0 * jc,
+            ToolKind::Hook => 13.0,
+            ToolKind::Clipper => 13.0 * jc,
+            ToolKind::Irrigator => 10.0,
+            ToolKind::SpecimenBag => 24.0,
+        };
+        // The joint is where the tip's position along the shaft leads back to.
+        let joint = add(tip, z, -reach);
+        let frame = JointFrame { joint, axes: [x, y, z], jaw: [js, jc], id: self.id };
+        let blank = frame.part(joint, 0.1, joint, 0.1, STEEL);
+        let mut tool = Posed { kind: self.kind, id: self.id, tip, parts: [blank; 6], count: 0 };
+        self.assemble(&frame, &mut tool);
+        tool
+    }
+
+    /// Two unit vectors across the shaft `z`, rolled about it. A scripted instrument is held so that what is bent or opens is across the line of
+    /// sight: no part of it is ever in front of its tip.
+    fn across(&self, z: [f64; 3], seconds: f64) -> ([f64; 3], [f64; 3]) {
         let held = self.script.is_some() && z[2].abs() < 0.9;
         let seed = match z {
             _ if held => [0.0, 0.0, 1.0],
@@ -162,54 +183,26 @@ impl Tool {
         let inv = 1.0 / dot(x0, x0).sqrt();
         let x0 = x0.map(|v| v * inv);
         let y0 = cross(z, x0);
-        let turn = swing(self.roll) * if held { HELD_ROLL } else { 1.0 };
+        let turn = swing(self.roll, seconds) * if held { HELD_ROLL } else { 1.0 };
         let (s, c) = (sin_turns(turn), sin_turns(turn + 0.25));
         let x = add(x0.map(|v| v * c), y0, s);
-        let y = cross(z, x);
-        // Half the angle between the jaws, turns.
-        let half = 0.055 + swing(self.open);
-        let (js, jc) = (sin_turns(half), sin_turns(half + 0.25));
-        let reach = match self.kind {
-            ToolKind::Grasper | ToolKind::Scissors => 17.0 * jc,
-            ToolKind::Bipolar => 19.0 * jc,
-            ToolKind::Hook => 13.0,
-            ToolKind::Clipper => 13.0 * jc,
-            ToolKind::Irrigator => 10.0,
-            ToolKind::SpecimenBag => 24.0,
-        };
-        // The joint lies where the tip's position along the shaft leads back to.
-        let joint = add(tip, z, -reach);
-        let place = |px: f64, py: f64, pz: f64| add(add(add(joint, x, px), y, py), z, pz);
-        let round = (y, 1.0);
-        let id = self.id;
-        let blank = Part { a: joint, radius_a: 0.1, b: joint, radius_b: 0.1, flat: round, paint: STEEL, id };
-        let mut tool = Posed { kind: self.kind, id, tip, parts: [blank; 6], count: 0 };
-        let part = |a: [f64; 3], radius_a: f64, b: [f64; 3], radius_b: f64, paint: Paint| Part {
-            a,
-            radius_a,
-            b,
-            radius_b,
-            flat: round,
-            paint,
-            id,
-        };
-        let jaws = |tool: &mut Posed, length: f64, base: f64, end: f64, thickness: f64, paint: Paint| {
-            for side in [-1.0, 1.0] {
-                let tip = place(side * js * (length - end), 0.0, jc * (length - end));
-                let flat = (y, thickness);
-                tool.push(Part { flat, ..part(place(side * 0.6, 0.0, 0.0), base, tip, end, paint) });
-            }
-        };
+        (x, cross(z, x))
+    }
+
+    /// Adds the parts of the instrument's kind.
+    fn assemble(&self, frame: &JointFrame, tool: &mut Posed) {
+        let place = |px: f64, py: f64, pz: f64| frame.place(px, py, pz);
+        let part = |a, radius_a, b, radius_b, paint| frame.part(a, radius_a, b, radius_b, paint);
         match self.kind {
             ToolKind::Grasper => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -5.0), 2.5, SHAFT));
                 tool.push(part(place(0.0, 0.0, -5.0), 2.2, place(0.0, 0.0, 0.0), 1.8, STEEL));
-                jaws(&mut tool, 17.0, 1.5, 1.0, 1.0, STEEL);
+                frame.push_jaws(tool, 17.0, 1.5, 1.0, 1.0, STEEL);
             }
             ToolKind::Bipolar => {
                 tool.push(part(self.trocar, 2.6, place(0.0, 0.0, -8.0), 2.6, BLACK));
                 tool.push(part(place(0.0, 0.0, -8.0), 2.4, place(0.0, 0.0, -1.0), 1.6, BLUE));
-                jaws(&mut tool, 19.0, 1.2, 0.6, 0.8, STEEL);
+                frame.push_jaws(tool, 19.0, 1.2, 0.6, 0.8, STEEL);
             }
             ToolKind::Hook => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -4.0), 2.5, BLACK));
@@ -220,12 +213,12 @@ impl Tool {
             ToolKind::Scissors => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -4.0), 2.5, BLACK));
                 tool.push(part(place(0.0, 0.0, -4.0), 2.1, place(0.0, 0.0, 0.0), 1.7, STEEL));
-                jaws(&mut tool, 17.0, 1.9, 0.4, 0.35, STEEL);
+                frame.push_jaws(tool, 17.0, 1.9, 0.4, 0.35, STEEL);
             }
             ToolKind::Clipper => {
                 tool.push(part(self.trocar, 4.6, place(0.0, 0.0, -5.0), 4.6, SHAFT));
                 tool.push(part(place(0.0, 0.0, -5.0), 3.4, place(0.0, 0.0, 0.0), 2.4, STEEL));
-                jaws(&mut tool, 13.0, 1.7, 1.3, 0.7, STEEL);
+                frame.push_jaws(tool, 13.0, 1.7, 1.3, 0.7, STEEL);
             }
             ToolKind::Irrigator => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, 7.5), 2.5, STEEL));
@@ -237,10 +230,47 @@ impl Tool {
             }
             ToolKind::SpecimenBag => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, 0.0), 2.5, SHAFT));
-                tool.push(Part { flat: (y, 0.6), ..part(place(0.0, 0.0, 4.0), 4.0, place(0.0, 0.0, 16.0), 8.0, BAG) });
+                tool.push(Part {
+                    flat: (frame.axes[1], 0.6),
+                    ..part(place(0.0, 0.0, 4.0), 4.0, place(0.0, 0.0, 16.0), 8.0, BAG)
+                });
             }
         }
-        tool
+    }
+}
+
+/// Value of an oscillation (amplitude, Hz, phase in turns) at a time.
+fn swing([amplitude, hz, phase]: [f64; 3], seconds: f64) -> f64 {
+    amplitude * sin_turns(hz * seconds + phase)
+}
+
+/// The joint of an instrument, mm, with the axes of its parts: two across the shaft, and one along it towards the tip.
+struct JointFrame {
+    joint: [f64; 3],
+    axes: [[f64; 3]; 3],
+    /// Sine and cosine of half the angle between the jaws.
+    jaw: [f64; 2],
+    id: u8,
+}
+
+impl JointFrame {
+    /// A point given along the axes from the joint.
+    fn place(&self, px: f64, py: f64, pz: f64) -> [f64; 3] {
+        let [x, y, z] = self.axes;
+        add(add(add(self.joint, x, px), y, py), z, pz)
+    }
+
+    fn part(&self, a: [f64; 3], radius_a: f64, b: [f64; 3], radius_b: f64, paint: Paint) -> Part {
+        Part { a, radius_a, b, radius_b, flat: (self.axes[1], 1.0), paint, id: self.id }
+    }
+
+    fn push_jaws(&self, tool: &mut Posed, length: f64, base: f64, end: f64, thickness: f64, paint: Paint) {
+        let [js, jc] = self.jaw;
+        for side in [-1.0, 1.0] {
+            let tip = self.place(side * js * (length - end), 0.0, jc * (length - end));
+            let flat = (self.axes[1], thickness);
+            tool.push(Part { flat, ..self.part(self.place(side * 0.6, 0.0, 0.0), base, tip, end, paint) });
+        }
     }
 }
 

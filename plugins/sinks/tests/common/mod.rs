@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use gstreamer::prelude::*;
 use gstreamer::{ClockTime, Pipeline, State};
 use gstreamer_app::AppSink;
+use panoscope_node::Node;
+use panoscope_node::harness::{Harness, Setup};
 
 /// Number of bits that are drawn into an image.
 const BITS: usize = 12;
@@ -19,6 +21,18 @@ impl Folder {
         let _ = fs::remove_dir_all(&path);
         fs::create_dir_all(&path).unwrap();
         Self(path)
+    }
+
+    pub fn open<N: Node>(&self, params: &str) -> Harness<N> {
+        Harness::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&self.0)).unwrap()
+    }
+
+    /// Sorted names of its files.
+    pub fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(&self.0).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
     }
 }
 
