@@ -1,4 +1,4 @@
-//! The table that says what the inputs and outputs of a network are: in the graph (`table`) or in a file (`MODEL.toml` beside `MODEL.onnx`).
+//! The table that says what the inputs and outputs of a network are: in the graph (`table`) or in a file (`MODEL.toml` next to `MODEL.onnx`).
 //!
 //! ```toml
 //! [inputs.left]            # the network's own name
