@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome, Report};

@@ -1,7 +1,7 @@
 //! Every file that a sink writes is read back by another reader.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use opencv::core::{self, Mat, Vec3b};
 use opencv::prelude::*;
